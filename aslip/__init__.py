@@ -1,0 +1,49 @@
+"""Legged locomotion learned under the guidance of a reduced-order model.
+
+A library of optimal actuated-SLIP walking gaits guides a policy for the biped Cassie
+(Green et al. 2021, "Learning Spring Mass Locomotion"). The public surface is small:
+
+    env = aslip.make_env(num_envs=64, seed=0)     # TorchRL environment with the full stack
+    library = aslip.GaitLibrary.load()            # 21 gaits, 0 to 2 m/s, with motor angles
+    policy = aslip.load_policy("runs/my_run")     # tensordict in, `action` out
+
+Names are imported on first use, so `import aslip.rom` costs no more than CasADi.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from aslip.library import GaitLibrary, Reference
+    from aslip.policy import load_policy
+    from aslip.rom import Gait
+    from aslip.stack import default_stack, make_env
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "Gait": "aslip.rom",
+    "GaitLibrary": "aslip.library",
+    "Reference": "aslip.library",
+    "default_stack": "aslip.stack",
+    "load_policy": "aslip.policy",
+    "make_env": "aslip.stack",
+}
+
+__all__ = [  # noqa: RUF022  (order of use)
+    "make_env",
+    "default_stack",
+    "GaitLibrary",
+    "Gait",
+    "Reference",
+    "load_policy",
+    "__version__",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'aslip' has no attribute {name!r}; public names: {__all__}")
+    return getattr(importlib.import_module(_HOME[name]), name)

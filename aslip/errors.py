@@ -1,0 +1,45 @@
+"""Every way a user can be wrong, under one root.
+
+Each message names the offending value and says what would be right. Classes also derive from the
+built-in exception a caller would expect, so `except ValueError` keeps working.
+"""
+
+
+class AslipError(Exception):
+    """Root of all errors raised on purpose by this package."""
+
+
+class AssetError(AslipError, FileNotFoundError):
+    """A file that ships with the package, or was named by the user, is not there."""
+
+
+class FileDamagedError(AslipError, ValueError):
+    """A file exists but is truncated, altered, or not of the kind it should be."""
+
+
+class SpeedOutOfRangeError(AslipError, ValueError):
+    """A walking speed outside the range of the gait library."""
+
+
+class GaitOptimizationError(AslipError, RuntimeError):
+    """The gait optimiser stopped without an optimal gait."""
+
+
+class UnreachablePoseError(AslipError, ValueError):
+    """A foot or pelvis pose that the robot's legs cannot reach."""
+
+
+class UnknownNameError(AslipError, KeyError):
+    """A joint, body, transform or policy name that does not exist."""
+
+    def __str__(self) -> str:
+        # KeyError would print the repr of the message
+        return str(self.args[0]) if self.args else ""
+
+
+class ShapeError(AslipError, ValueError):
+    """An array of the wrong shape."""
+
+
+class ConfigurationError(AslipError, ValueError):
+    """A setting of the wrong type or range, or a checkpoint that belongs to other settings."""

@@ -1,0 +1,99 @@
+"""The evidence that a gait is optimal, feasible and obeys the dynamics."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+SOLVED = "Solve_Succeeded"
+"""IPOPT's status for a problem solved to the requested tolerance."""
+KKT_TOLERANCE = 1e-8
+"""Largest KKT residual of a certified gait."""
+DEFECT_TOLERANCE = 1e-8
+"""Largest collocation defect of a certified gait [state units]."""
+INTEGRATION_TOLERANCE = 1e-3
+"""Largest distance between collocated and integrated body position at the end of a mode [m]."""
+MARGIN_TOLERANCE = 1e-8
+"""How far a margin may be below zero in a certified gait [units of the margin]."""
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was checked after the solver stopped, with the numbers found."""
+
+    solver_status: str
+    """IPOPT's return status."""
+    iterations: int
+    """Interior-point iterations."""
+    solve_time: float
+    """Wall-clock time in the solver [s]; the one number that differs from run to run."""
+    cost: float
+    """Value of the minimised objective: by default the mean of u_l^2 + u_r^2 [m^2/s^4]."""
+    kkt_residual: float
+    """Largest violation of the first-order conditions by the primal-dual solution.
+
+    Recomputed from the solver's final point, unscaled: the infinity norms of the gradient of the
+    Lagrangian, of the constraint violation, and of multiplier times slack.
+    """
+    max_defect: float
+    """Largest Hermite-Simpson defect over all intervals and states [state units]."""
+    integration_error: float
+    """Largest end error of the body position over the contact modes [m].
+
+    Each mode is integrated from its first point with an adaptive eighth-order Runge-Kutta method
+    and the collocation's piecewise quadratic input, without correction on the way.
+    """
+    margins: Mapping[str, float]
+    """Distance to each bound at the closest collocation point, negative where violated.
+
+    Leg force [N], leg lengths, body height and set point [m], double stance [s].
+    """
+
+    def __post_init__(self) -> None:
+        """Keep a copy of the margins."""
+        object.__setattr__(self, "margins", dict(self.margins))
+
+    @property
+    def ok(self) -> bool:
+        """Whether every check passed."""
+        return not self.failures()
+
+    def failures(self) -> list[str]:
+        """One sentence per failed check; empty for a certified gait."""
+        limits = {
+            "kkt_residual": KKT_TOLERANCE,
+            "max_defect": DEFECT_TOLERANCE,
+            "integration_error": INTEGRATION_TOLERANCE,
+        }
+        # "not below" rather than "above", so that a NaN fails
+        failed = [
+            f"{name} is {getattr(self, name):.2e}, above {limit:.0e}"
+            for name, limit in limits.items()
+            if not getattr(self, name) <= limit
+        ]
+        failed += [
+            f"{name} is missed by {-margin:.2e}"
+            for name, margin in self.margins.items()
+            if not margin >= -MARGIN_TOLERANCE
+        ]
+        if self.solver_status != SOLVED:
+            failed.insert(0, f"the solver stopped with {self.solver_status}")
+        return failed
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain dictionary of strings, numbers and one dictionary of numbers."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> "Certificate":
+        """Certificate from what `to_dict` returned."""
+        return cls(**data)
+
+    def to_json(self) -> str:
+        """One line of JSON; floats survive the round trip exactly."""
+        return json.dumps(self.to_dict())
+
+    @classmethod
+    def from_json(cls, text: str) -> "Certificate":
+        """Certificate from what `to_json` returned."""
+        return cls.from_dict(json.loads(text))

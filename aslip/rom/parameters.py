@@ -1,0 +1,74 @@
+"""Numbers of the actuated spring-loaded inverted pendulum and of the gaits asked of it."""
+
+import math
+from dataclasses import dataclass, fields
+
+from aslip.errors import ConfigurationError
+
+
+@dataclass(frozen=True)
+class SlipParameters:
+    """Model of Green et al. 2021, Table I, and the bounds of the gait optimisation.
+
+    The paper prints the five model numbers and the swing clearance. It mentions bounds without
+    printing them; those marked "published gaits" were read from the gaits its authors released, and
+    with them the optimiser returns those gaits to within 0.5 ms and 0.5 mm.
+    """
+
+    mass: float = 30.0
+    """Body mass m [kg] (Table I)."""
+    stiffness: float = 3000.0
+    """Leg spring stiffness k [N/m] (Table I)."""
+    damping: float = 2.0
+    """Leg spring damping b [N s/m] (Table I)."""
+    actuator_inertia: float = 10.0
+    """Linear inertia I_m of a leg actuator [kg] (Table I)."""
+    gravity: float = 9.81
+    """Gravitational acceleration g [m/s^2] (Table I)."""
+
+    single_stance: float = 0.300
+    """Duration of a single stance [s] (published gaits: the same at every speed)."""
+    min_double_stance: float = 0.050
+    """Shortest double stance allowed [s]; inactive in every gait from 0 to 2 m/s."""
+    max_double_stance: float = 0.200
+    """Longest double stance allowed [s]; inactive in every gait from 0 to 2 m/s."""
+    foot_separation: float = 0.200
+    """Lateral distance between the footholds [m] (published gaits)."""
+    swing_clearance: float = 0.200
+    """Height of the swing foot at half swing [m] (Sec. III-A)."""
+
+    max_set_point: float = 1.000
+    """Largest set point of the landing leg, in double stance only [m] (published gaits).
+
+    The paper speaks of bounds on leg extension. In the published gaits the set point stops at 1 m
+    for the leg that has just landed, and only while both feet are down: at 2 m/s the other leg
+    exceeds it by 9 mm, at rest a single stance by 1 mm. A bound on both legs at all times lowers
+    the highest body position by 1 mm at rest and by 5 mm at 2 m/s, so we keep theirs.
+    """
+    min_leg_length: float = 0.700
+    """Shortest stance leg [m]; the paper gives no number and no gait comes within 0.1 m of it."""
+    max_leg_length: float = 0.950
+    """Longest stance leg [m] (published gaits)."""
+    min_body_height: float = 0.800
+    """Lowest body height [m] (published gaits: active from 1.6 m/s on)."""
+    max_speed: float = 2.4
+    """Fastest mean speed that may be asked for [m/s]; the paper's library ends at 2 m/s.
+
+    From 2.5 m/s on no gait of this model keeps the bounds above.
+    """
+
+    def __post_init__(self) -> None:
+        """Refuse values with which the model means nothing."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise ConfigurationError(f"{field.name} must be positive and finite, got {value}")
+        for name in ("double_stance", "leg_length"):
+            low, high = getattr(self, f"min_{name}"), getattr(self, f"max_{name}")
+            if low >= high:
+                raise ConfigurationError(f"min_{name} = {low} must be below max_{name} = {high}")
+
+    @property
+    def weight(self) -> float:
+        """Body weight m g [N]."""
+        return self.mass * self.gravity

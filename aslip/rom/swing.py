@@ -1,0 +1,93 @@
+r"""Swing foot: the path of least integrated squared jerk between two footholds (Sec. III-A).
+
+Paper says the profile has minimum jerk and a given clearance at the midpoint. Its public gaits land
+one collocation node early, after 48/49 of the single stance; ours fills the single stance exactly,
+lift-off to touchdown, because a foot that waits on the ground is not in swing. Forward, one
+rest-to-rest quintic; vertical, two quintics that meet at the clearance height.
+
+Both profiles are functions of swing fraction s in [0, 1]; velocities and accelerations are per unit
+of s (divide by the duration, once and twice). Outside [0, 1] they hold the value of the nearer end.
+"""
+
+import numpy as np
+
+from aslip.rom.parameters import SlipParameters
+
+# s^3 (10 - 15 s + 6 s^2), the quintic with zero velocity and acceleration at 0 and 1
+_TRAVEL = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
+# rise over t in [0, 1]: zero value, velocity and acceleration at 0; at 1, where it meets its mirror
+# image, value 1 and the odd derivatives of order 1 and 3 zero, so derivatives to order 4 match
+_RISE = np.polynomial.Polynomial(np.array([0, 0, 0, 20, -25, 8]) / 3.0)
+
+
+def travel(fraction: np.ndarray, order: int = 0) -> np.ndarray:
+    """Share of the way from foothold to foothold, or one of its derivatives.
+
+    Args:
+        fraction: swing fraction s, any shape.
+        order: 0 for the share, 1 for velocity, 2 for acceleration, ... (per unit of s).
+
+    Returns:
+        Array in the shape of `fraction`.
+    """
+    return np.asarray(_TRAVEL.deriv(order)(np.clip(fraction, 0.0, 1.0)))
+
+
+def lift(fraction: np.ndarray, order: int = 0) -> np.ndarray:
+    """Height above ground as a share of the clearance, or one of its derivatives.
+
+    The spline is four times continuously differentiable at s = 1/2, the mark of least jerk with a
+    via point; it rests at both ends and, by symmetry, at the top.
+
+    Args:
+        fraction: swing fraction s, any shape.
+        order: 0 for the height, 1 for velocity, 2 for acceleration, ... (per unit of s).
+
+    Returns:
+        Array in the shape of `fraction`.
+    """
+    s = np.clip(fraction, 0.0, 1.0)
+    # the second half is the first one run backwards: odd derivatives change sign; d/ds = 2 d/dt
+    sign = np.where(s > 0.5, (-1.0) ** order, 1.0)
+    return sign * 2.0**order * _RISE.deriv(order)(2.0 * np.minimum(s, 1.0 - s))
+
+
+def swing_foot(
+    fraction: np.ndarray, start: np.ndarray, end: np.ndarray, clearance: float, duration: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, velocity and acceleration of a swing foot, world frame.
+
+    Args:
+        fraction: swing fraction, (m,); 0 at lift-off, 1 at touchdown.
+        start: foothold left (3,) [m].
+        end: foothold reached (3,) [m], at the same height.
+        clearance: height at half swing [m].
+        duration: of the swing [s].
+
+    Returns:
+        Three arrays (m, 3) [m, m/s, m/s^2].
+    """
+    way, up = np.subtract(end, start), np.array([0.0, 0.0, clearance])
+
+    def motion(order: int) -> np.ndarray:
+        path = np.multiply.outer(travel(fraction, order), way)
+        return (path + np.multiply.outer(lift(fraction, order), up)) / duration**order
+
+    return motion(0) + start, motion(1), motion(2)
+
+
+def foot_motion(
+    since_lift_off: np.ndarray, start: np.ndarray, end: np.ndarray, p: SlipParameters
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position [m] and velocity [m/s] of a foot that swings once, each (m, 3), world frame.
+
+    Args:
+        since_lift_off: (m,) time since its lift-off [s]; negative before.
+        start: foothold until lift-off (3,) [m].
+        end: foothold from touchdown on (3,) [m].
+        p: gives swing duration and clearance.
+    """
+    duration = p.single_stance
+    fraction = since_lift_off / duration
+    position, velocity, _ = swing_foot(fraction, start, end, p.swing_clearance, duration)
+    return position, velocity

@@ -1,0 +1,242 @@
+"""Laws every optimal gait obeys, at all 21 speeds."""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+
+from aslip.errors import FileDamagedError, ShapeError
+from aslip.rom import Certificate, Gait, Mode, energy_function
+from aslip.rom.collocation import weights
+from aslip.rom.problem import INTERVALS
+
+from .conftest import SPEEDS
+
+EVERY_SPEED = pytest.mark.parametrize("index", range(len(SPEEDS)), ids=SPEEDS.astype(str))
+QUARTER = 2 * INTERVALS
+"""Points per contact mode."""
+ARRAYS = [f.name for f in dataclasses.fields(Gait) if "ndarray" in str(f.type)]
+
+
+def vertical_force(gait):
+    """Sum over both feet of the vertical ground reaction (n,) [N]."""
+    feet = np.stack([gait.left_foot_position, gait.right_foot_position], axis=1)
+    leg = gait.body_position[:, None] - feet
+    return np.sum(gait.leg_force * leg[:, :, 2] / np.linalg.norm(leg, axis=2), axis=1)
+
+
+def simpson(gait, values, mode):
+    """Integral of (n,) values over one of the four modes of the stride."""
+    part = slice(QUARTER * mode, QUARTER * (mode + 1) + 1)
+    duration = gait.time[part][-1] - gait.time[part][0]
+    return duration / INTERVALS * weights(INTERVALS) @ values[part]
+
+
+@EVERY_SPEED
+def test_gait_is_certified(gaits, index):
+    certificate = gaits[index].certificate
+    assert certificate.ok, certificate.failures()
+    assert certificate.kkt_residual <= 1e-8
+    assert certificate.integration_error <= 1e-3
+
+
+@EVERY_SPEED
+def test_stride_is_periodic_with_the_speed_asked_for(gaits, index):
+    g = gaits[index]
+    moved = g.body_position[-1] - g.body_position[0]
+    np.testing.assert_allclose(moved, [SPEEDS[index] * g.stride, 0.0, 0.0], atol=1e-9)
+    for name in ("body_velocity", "set_point", "set_point_velocity"):
+        array = getattr(g, name)
+        np.testing.assert_allclose(array[-1], array[0], atol=1e-8)
+
+
+@EVERY_SPEED
+def test_second_half_mirrors_the_first(gaits, index):
+    g, half = gaits[index], 2 * QUARTER
+    step = g.body_position[half:] - g.body_position[: half + 1] * [1.0, -1.0, 1.0]
+    np.testing.assert_allclose(step, np.tile([g.step_length, 0.0, 0.0], (half + 1, 1)), atol=1e-9)
+    for name in ("leg_force", "set_point", "control"):
+        array = getattr(g, name)
+        np.testing.assert_allclose(array[half:], array[: half + 1, ::-1], atol=1e-6)
+
+
+@EVERY_SPEED
+def test_body_peaks_in_single_stance_and_dips_in_double_stance(gaits, index):
+    """Sec. III-A: "peak height in single stance and the minimum height in double stance"."""
+    g = gaits[index]
+    height = g.sample(np.linspace(0.0, 0.5, 1001)).body_position[:, 2]
+    time = np.linspace(0.0, g.stride / 2, 1001)
+    mid_single, mid_double = g.single_stance / 2, g.single_stance + g.double_stance / 2
+    assert time[height.argmax()] == pytest.approx(mid_single, abs=0.02)
+    assert time[height.argmin()] == pytest.approx(mid_double, abs=0.02)
+
+
+@EVERY_SPEED
+def test_stance_force_has_two_humps(gaits, index):
+    """Spring-mass walking (paper, ground reaction forces): up, down and up again."""
+    # right stance, from its touchdown at the end of left single stance
+    force = np.roll(gaits[index].leg_force[:-1, 1], QUARTER)[: 3 * QUARTER]
+    slope = np.sign(np.diff(force))
+    assert np.sum((slope[:-1] > 0) & (slope[1:] < 0)) == 2
+    middle = force[3 * QUARTER // 2 - QUARTER // 4 : 3 * QUARTER // 2 + QUARTER // 4].min()
+    assert middle < 0.15 * force.max()
+
+
+@EVERY_SPEED
+def test_vertical_impulse_carries_the_weight(gaits, index):
+    g = gaits[index]
+    force = vertical_force(g)
+    # the force of the leg that lifts off is zero there, so a mode may end with the next one's value
+    impulse = sum(simpson(g, force, mode) for mode in range(4))
+    assert impulse == pytest.approx(g.parameters.weight * g.stride, rel=0.005)
+
+
+@EVERY_SPEED
+def test_energy_changes_by_actuator_work_minus_damper_loss(gaits, index):
+    g = gaits[index]
+    state = np.hstack([g.body_position, g.body_velocity, g.set_point, g.set_point_velocity]).T
+    feet = g.left_foot_position.T, g.right_foot_position.T
+    for number, mode in enumerate((Mode.RIGHT, Mode.DOUBLE, Mode.LEFT, Mode.DOUBLE)):
+        function = energy_function(mode, g.parameters)
+        energy, supplied, lost = (v.full().ravel() for v in function(state, g.control.T, *feet))
+        change = energy[QUARTER * (number + 1)] - energy[QUARTER * number]
+        # 1 mJ of some 400 J: the order of Simpson's rule at 12 ms
+        work = simpson(g, supplied - lost, number)
+        assert change == pytest.approx(work, abs=1e-3)
+
+
+@EVERY_SPEED
+def test_bounds_hold_between_the_collocation_points(gaits, index):
+    g = gaits[index]
+    dense = g.sample(np.linspace(0.0, 1.0, 4001))
+    # of 440 N: between two points the force may dip where it touches zero
+    assert dense.leg_force.min() > -0.5
+    assert dense.body_position[:, 2].min() > g.parameters.min_body_height - 1e-5
+    left = np.linalg.norm(dense.body_position - dense.left_foot_position, axis=1)
+    assert left[dense.mode != Mode.RIGHT].max() < g.parameters.max_leg_length
+
+
+@EVERY_SPEED
+def test_feet_are_still_and_on_the_ground_in_stance(gaits, index):
+    g = gaits[index]
+    for side, swing in (("left", Mode.RIGHT), ("right", Mode.LEFT)):
+        stance = g.mode != swing
+        np.testing.assert_allclose(getattr(g, f"{side}_foot_position")[stance, 2], 0.0, atol=1e-12)
+        np.testing.assert_allclose(getattr(g, f"{side}_foot_velocity")[stance], 0.0, atol=1e-9)
+
+
+def test_landing_spring_is_slack_at_touchdown(gait):
+    touchdown = QUARTER
+    length = np.linalg.norm(gait.body_position - gait.left_foot_position, axis=1)[touchdown]
+    assert gait.set_point[touchdown, 0] == pytest.approx(length, abs=1e-9)
+
+
+def test_cost_is_the_integral_of_the_squared_inputs(gait):
+    effort = np.sum(gait.control**2, axis=1)
+    total = sum(simpson(gait, effort, mode) for mode in range(4))
+    assert gait.cost == pytest.approx(total, rel=1e-4)
+    assert gait.certificate.cost == pytest.approx(gait.cost / gait.stride, rel=1e-12)
+
+
+def test_modes_are_right_double_left_double(gait):
+    changes = gait.mode[np.r_[True, np.diff(gait.mode) != 0]]
+    assert [Mode(m) for m in changes] == [
+        Mode.RIGHT,
+        Mode.DOUBLE,
+        Mode.LEFT,
+        Mode.DOUBLE,
+        Mode.RIGHT,
+    ]
+
+
+def test_sample_at_collocation_points_returns_them(gait):
+    sample = gait.sample(gait.time[:-1] / gait.stride)
+    for name in ARRAYS:
+        if hasattr(sample, name) and name != "mode":
+            expected = getattr(gait, name)[:-1]
+            np.testing.assert_allclose(getattr(sample, name), expected, atol=1e-6, err_msg=name)
+
+
+def test_sampled_velocities_are_derivatives(gait):
+    step = 1e-6
+    phase = np.linspace(0.003, 0.997, 200)
+    before, middle, after = (gait.sample(phase + d) for d in (-step, 0.0, step))
+    for name in ("body", "left_foot", "right_foot"):
+        ends = getattr(before, f"{name}_position"), getattr(after, f"{name}_position")
+        difference = (ends[1] - ends[0]) / (2 * step * gait.stride)
+        np.testing.assert_allclose(getattr(middle, f"{name}_velocity"), difference, atol=1e-4)
+
+
+def test_sample_one_stride_later_is_one_stride_ahead(gait):
+    now, later = gait.sample(np.array([0.3])), gait.sample(np.array([1.3]))
+    ahead = [[gait.speed * gait.stride, 0.0, 0.0]]
+    np.testing.assert_allclose(later.body_position - now.body_position, ahead, atol=1e-12)
+    moved = later.right_foot_position - now.right_foot_position
+    np.testing.assert_allclose(moved, ahead, atol=1e-12)
+    np.testing.assert_allclose(later.leg_force, now.leg_force, atol=1e-9)
+
+
+def test_sample_is_continuous_over_the_end_of_the_stride(gait):
+    sample = gait.sample(np.array([1.0 - 1e-9, 1.0]))
+    for name in ("body_position", "left_foot_position", "right_foot_position", "body_velocity"):
+        array = getattr(sample, name)
+        np.testing.assert_allclose(array[0], array[1], atol=1e-6)
+
+
+@pytest.mark.parametrize("phase", [0.5, [[0.5]], [np.nan]])
+def test_sample_refuses_bad_phases(gait, phase):
+    with pytest.raises(ShapeError, match="phase"):
+        gait.sample(np.asarray(phase))
+
+
+def test_arrays_survive_a_file_without_pickle(gait, tmp_path):
+    np.savez(tmp_path / "gait.npz", **gait.to_arrays())
+    with np.load(tmp_path / "gait.npz", allow_pickle=False) as file:
+        again = Gait.from_arrays(dict(file))
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(again, name), getattr(gait, name))
+    assert (again.speed, again.stride, again.cost) == (gait.speed, gait.stride, gait.cost)
+    assert (again.certificate, again.parameters) == (gait.certificate, gait.parameters)
+
+
+def test_arrays_are_read_only_copies(gait):
+    with pytest.raises(ValueError, match="read-only"):
+        gait.time[0] = 1.0
+    arrays = gait.to_arrays()
+    arrays["time"][0] = 1.0
+    assert gait.time[0] == 0.0
+
+
+def test_missing_field_is_named(gait):
+    arrays = gait.to_arrays()
+    del arrays["control"]
+    with pytest.raises(FileDamagedError, match="control"):
+        Gait.from_arrays(arrays)
+
+
+def test_unreadable_certificate_is_reported(gait):
+    arrays = gait.to_arrays() | {"certificate": np.array("{")}
+    with pytest.raises(FileDamagedError, match="unreadable"):
+        Gait.from_arrays(arrays)
+
+
+def test_wrong_shape_is_named(gait):
+    with pytest.raises(ShapeError, match="control"):
+        dataclasses.replace(gait, control=gait.control[:-1])
+
+
+def test_certificate_names_what_failed(gait):
+    bad = dataclasses.replace(gait.certificate, kkt_residual=np.nan, margins={"body height": -0.1})
+    assert not bad.ok
+    assert [message.split()[0] for message in bad.failures()] == ["kkt_residual", "body"]
+
+
+def test_gait_can_be_copied_deeply(gait):
+    again = copy.deepcopy(gait)
+    np.testing.assert_array_equal(again.control, gait.control)
+    assert again.certificate == gait.certificate
+
+
+def test_certificate_survives_json(gait):
+    assert Certificate.from_json(gait.certificate.to_json()) == gait.certificate

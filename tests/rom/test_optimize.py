@@ -1,0 +1,68 @@
+import numpy as np
+import pytest
+
+from aslip.errors import GaitOptimizationError, ShapeError, SpeedOutOfRangeError
+from aslip.rom import SlipParameters, optimize_gait, optimize_gaits
+
+from .test_gait import ARRAYS
+
+
+@pytest.mark.parametrize("speed", [-0.1, 2.5, np.nan, np.inf])
+def test_impossible_speed_is_refused_with_the_range(speed):
+    with pytest.raises(SpeedOutOfRangeError, match=r"between 0 and 2\.4"):
+        optimize_gait(speed)
+
+
+def test_bad_speed_in_a_range_is_refused_before_any_work():
+    seen = []
+    with pytest.raises(SpeedOutOfRangeError, match="9"):
+        optimize_gaits([0.0, 9.0], progress=lambda *step: seen.append(step))
+    assert not seen
+
+
+def test_failure_names_speed_status_and_worst_constraint():
+    # legs at most as long as the body is high, over feet 0.1 m to the side
+    impossible = SlipParameters(max_leg_length=0.8)
+    with pytest.raises(GaitOptimizationError, match=r"at 1 m/s: IPOPT .* worst constraint: \w+"):
+        optimize_gait(1.0, parameters=impossible)
+
+
+def test_guess_with_other_points_is_refused(gait):
+    arrays = {n: a[:9] if np.ndim(a) else a for n, a in gait.to_arrays().items()}
+    with pytest.raises(ShapeError, match="points"):
+        optimize_gait(1.0, guess=type(gait).from_arrays(arrays))
+
+
+@pytest.mark.parametrize("speed", [0.4, 1.9])
+def test_same_arguments_give_the_same_bits(speed):
+    first, _, second = optimize_gait(speed), optimize_gait(1.2), optimize_gait(speed)
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+
+
+@pytest.mark.parametrize("index", [0, 5, 10, 15, 20])
+def test_gait_does_not_depend_on_where_the_search_starts(gaits, index):
+    """Continuation from the slower gait and a rough guess reach the same optimum."""
+    alone = optimize_gait(gaits[index].speed)
+    np.testing.assert_allclose(alone.body_position, gaits[index].body_position, atol=1e-5)
+    assert alone.cost == pytest.approx(gaits[index].cost, rel=1e-7)
+
+
+def test_mean_objective_prefers_longer_strides_than_the_integral(gait):
+    integral = optimize_gait(1.0, objective="integral")
+    assert integral.cost < gait.cost
+    assert integral.cost / integral.stride > gait.cost / gait.stride
+    assert integral.stride < gait.stride
+
+
+def test_solver_is_silent(capfd):
+    optimize_gait(0.7)
+    with pytest.raises(GaitOptimizationError):
+        optimize_gait(1.0, parameters=SlipParameters(max_leg_length=0.8))
+    assert capfd.readouterr() == ("", "")
+
+
+def test_progress_sees_every_gait():
+    seen = []
+    gaits = optimize_gaits([1.0, 1.1], progress=lambda i, n, g: seen.append((i, n, g)))
+    assert seen == [(0, 2, gaits[0]), (1, 2, gaits[1])]

@@ -1,0 +1,71 @@
+import casadi as ca
+import numpy as np
+import pytest
+
+from aslip.rom import SlipParameters
+from aslip.rom.certify import kkt_residual, rows
+from aslip.rom.problem import MIRROR, MIRROR_SIGN, walking_problem
+from aslip.rom.unfold import fold, mirrored
+
+STEP = 1e-6
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return walking_problem(SlipParameters())
+
+
+@pytest.fixture(scope="module")
+def point(problem, gait):
+    """Variables of the gait at 1 m/s, moved a little off the optimum."""
+    problem.start_from(fold(gait))
+    x = problem.opti.debug.value(problem.opti.x, problem.opti.initial())
+    return x + 1e-3 * np.random.default_rng(0).standard_normal(x.size)
+
+
+def directional(problem, output, point, direction):
+    """Value of the output along a direction, and its exact directional derivative."""
+    opti = problem.opti
+    along = ca.jtimes(output, opti.x, ca.DM(direction))
+    f = ca.Function("f", [opti.x, opti.p], [output, along])
+    return (lambda x: f(x, 1.0)[0].full().ravel()), f(point, 1.0)[1].full().ravel()
+
+
+@pytest.mark.parametrize("name", ["f", "g"])
+@pytest.mark.parametrize("seed", range(3))
+def test_derivatives_given_to_ipopt_agree_with_finite_differences(problem, point, name, seed):
+    direction = np.random.default_rng(seed).standard_normal(point.size)
+    value, exact = directional(problem, getattr(problem.opti, name), point, direction)
+    change = value(point + STEP * direction) - value(point - STEP * direction)
+    np.testing.assert_allclose(exact, change / (2 * STEP), rtol=1e-5, atol=1e-5)
+
+
+def test_every_constraint_row_has_a_name(problem):
+    assert sum(count for _, count in problem.constraints) == problem.opti.ng
+    assert list(rows(problem)) == [name for name, _ in problem.constraints]
+
+
+def test_mirroring_twice_is_the_identity():
+    state = np.random.default_rng(0).standard_normal((10, 5))
+    np.testing.assert_allclose(mirrored(mirrored(state, 0.4), -0.4), state, rtol=1e-15, atol=1e-15)
+
+
+def test_mirror_exchanges_legs_and_sides():
+    np.testing.assert_array_equal(MIRROR[MIRROR], np.arange(10))
+    np.testing.assert_array_equal(np.flatnonzero(MIRROR_SIGN < 0), [1, 4])
+
+
+def test_kkt_residual_is_zero_at_a_known_optimum():
+    """For x^2 with 1 <= x: x = 1, multiplier -2."""
+    one = np.ones(1)
+    assert kkt_residual(2 * one - 2 * one, one, one, np.inf * one, -2 * one) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("gradient", "g", "lam", "expected"),
+    [(0.5, 1.0, -2.0, 0.5), (0.0, 0.7, 0.0, 0.3), (0.0, 1.5, -2.0, 1.0), (0.0, 1.0, 2.0, 2.0)],
+    ids=["not stationary", "infeasible", "not complementary", "wrong sign"],
+)
+def test_kkt_residual_sees_each_violation(gradient, g, lam, expected):
+    arrays = (np.array([v]) for v in (gradient, g, 1.0, np.inf, lam))
+    assert kkt_residual(*arrays) == pytest.approx(expected)

@@ -1,0 +1,114 @@
+"""Our gaits against those the paper's authors released."""
+
+import numpy as np
+import pytest
+
+from aslip.rom import Mode, optimize_gait
+
+# speed [m/s]: stride [s], lowest and highest body [m], sway [m], first and second hump [N],
+# largest vertical body speed [m/s], shortest stance leg [m]
+PUBLISHED = {
+    0.0: (0.8050, 0.8375, 0.9181, 0.0112, 433.0, 429.0, 0.607, 0.8435),
+    0.5: (0.8028, 0.8340, 0.9138, 0.0112, 435.0, 432.0, 0.604, 0.8456),
+    1.0: (0.7965, 0.8232, 0.9009, 0.0113, 442.0, 441.0, 0.594, 0.8496),
+    1.5: (0.7871, 0.8047, 0.8789, 0.0116, 453.0, 454.0, 0.578, 0.8490),
+    2.0: (0.7649, 0.8000, 0.8529, 0.0132, 434.0, 437.0, 0.442, 0.8454),
+}
+# speed [m/s]: lowest force of the standing leg around mid-stance [N]; zero at all other speeds
+MID_STANCE_FORCE = {1.8: 5.5, 1.9: 24.0, 2.0: 42.6}
+
+
+@pytest.fixture(params=PUBLISHED, ids=str)
+def pair(request, gaits):
+    """(our gait, published numbers) at one speed."""
+    return gaits[round(10 * request.param)], PUBLISHED[request.param]
+
+
+def stance_force(gait):
+    """Force of the right leg over its stance [N], from touchdown to lift-off."""
+    points = len(gait.time) - 1
+    return np.roll(gait.leg_force[:-1, 1], points // 4)[: 3 * points // 4]
+
+
+def mid_stance_force(gait):
+    standing = gait.leg_force[gait.mode == Mode.RIGHT][:-1, 1]
+    return standing.min()
+
+
+def test_stride_within_3_percent(pair):
+    gait, published = pair
+    assert gait.stride == pytest.approx(published[0], rel=0.03)
+
+
+def test_stride_within_half_a_millisecond(pair):
+    gait, published = pair
+    assert gait.stride == pytest.approx(published[0], abs=5e-4)
+
+
+def test_body_height_within_12_millimetres(pair):
+    gait, published = pair
+    height = gait.body_position[:, 2]
+    np.testing.assert_allclose([height.min(), height.max()], published[1:3], atol=0.012)
+
+
+def test_body_height_within_half_a_millimetre(pair):
+    gait, published = pair
+    height = gait.body_position[:, 2]
+    np.testing.assert_allclose([height.min(), height.max()], published[1:3], atol=5e-4)
+
+
+def test_sway_within_3_millimetres(pair):
+    gait, published = pair
+    assert np.abs(gait.body_position[:, 1]).max() == pytest.approx(published[3], abs=0.003)
+
+
+def test_force_humps_within_5_percent(pair):
+    gait, published = pair
+    force = stance_force(gait)
+    humps = force[: len(force) // 2].max(), force[len(force) // 2 :].max()
+    np.testing.assert_allclose(humps, published[4:6], rtol=0.05)
+
+
+def test_vertical_speed_within_1_percent(pair):
+    gait, published = pair
+    assert np.abs(gait.body_velocity[:, 2]).max() == pytest.approx(published[6], rel=0.01)
+
+
+def test_shortest_leg_within_1_millimetre(pair):
+    gait, published = pair
+    length = np.linalg.norm(gait.body_position - gait.right_foot_position, axis=1)
+    assert length[gait.mode != Mode.LEFT].min() == pytest.approx(published[7], abs=1e-3)
+
+
+def test_mid_stance_force_vanishes_up_to_1_7_metres_per_second(gaits):
+    for gait in gaits:
+        expected = MID_STANCE_FORCE.get(gait.speed, 0.0)
+        assert mid_stance_force(gait) == pytest.approx(expected, abs=1.0), gait.speed
+
+
+def test_height_bound_is_active_from_1_6_metres_per_second_only(gaits):
+    for gait in gaits:
+        active = gait.certificate.margins["body height"] < 1e-4
+        assert active == (gait.speed > 1.55), gait.speed
+
+
+def test_humps_of_all_gaits_span_the_published_range(gaits):
+    """428 to 465 N over all speeds; both legs together at most 573 to 662 N."""
+    halves = [np.split(stance_force(gait), 2) for gait in gaits]
+    humps = [half.max() for pair in halves for half in pair]
+    together = [gait.leg_force.sum(axis=1).max() for gait in gaits]
+    np.testing.assert_allclose([min(humps), max(humps)], [428.0, 465.0], rtol=0.005)
+    np.testing.assert_allclose([min(together), max(together)], [573.0, 662.0], rtol=0.005)
+
+
+def test_double_stance_shortens_with_speed(gaits):
+    """Published: 0.1025 s at rest to 0.0825 s at 2 m/s."""
+    double_stance = np.array([gait.double_stance for gait in gaits])
+    assert (np.diff(double_stance) < 0.0).all()
+    np.testing.assert_allclose(double_stance[[0, -1]], [0.1025, 0.0825], atol=5e-4)
+
+
+def test_papers_integral_alone_gives_shorter_strides():
+    """At rest the formula as printed misses the published double stance by 8 ms."""
+    gait = optimize_gait(0.0, objective="integral")
+    assert gait.double_stance == pytest.approx(0.095, abs=1e-3)

@@ -1,0 +1,87 @@
+import numpy as np
+import pytest
+
+from aslip.rom import lift, swing_foot, travel
+
+ENDS = np.array([0.0, 1.0])
+EPSILON = 1e-9
+
+
+def test_travel_goes_from_foothold_to_foothold():
+    np.testing.assert_allclose(travel(ENDS), [0.0, 1.0])
+
+
+@pytest.mark.parametrize("profile", [travel, lift])
+@pytest.mark.parametrize("order", [1, 2])
+def test_foot_rests_at_both_ends(profile, order):
+    np.testing.assert_allclose(profile(ENDS, order), 0.0, atol=1e-12)
+
+
+def test_lift_meets_ground_clearance_ground():
+    np.testing.assert_allclose(lift(np.array([0.0, 0.5, 1.0])), [0.0, 1.0, 0.0], atol=1e-15)
+
+
+def test_lift_is_level_at_the_top():
+    assert lift(np.array(0.5), 1) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("order", range(5))
+def test_lift_is_four_times_continuous_at_the_via_point(order):
+    """With a via point, least jerk leaves derivatives up to the fourth continuous."""
+    below, above = lift(np.array([0.5 - EPSILON, 0.5 + EPSILON]), order)
+    assert below == pytest.approx(above, abs=1e-4)
+
+
+def test_fifth_derivative_jumps_at_the_via_point():
+    """The jump is the multiplier of the clearance constraint."""
+    below, above = lift(np.array([0.5 - EPSILON, 0.5 + EPSILON]), 5)
+    assert below == pytest.approx(-above) and below > 1.0
+
+
+@pytest.mark.parametrize("profile", [travel, lift])
+def test_sixth_derivative_is_zero(profile):
+    """Euler-Lagrange equation of least integrated squared jerk."""
+    np.testing.assert_array_equal(profile(np.linspace(0.0, 1.0, 11), 6), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("profile", "bump"),
+    [
+        # zero with two derivatives at the ends; the second one also at the via point
+        (travel, np.polynomial.Polynomial.fromroots([0, 0, 0, 1, 1, 1])),
+        (lift, np.polynomial.Polynomial.fromroots([0, 0, 0, 0.5, 1, 1, 1])),
+        (lift, np.polynomial.Polynomial.fromroots([0, 0, 0, 0.5, 0.5, 1, 1, 1])),
+    ],
+)
+@pytest.mark.parametrize("scale", [-1.0, 1.0])
+def test_every_admissible_change_adds_jerk(profile, bump, scale):
+    middles = (np.arange(20000) + 0.5) / 20000
+    least = np.mean(profile(middles, 3) ** 2)
+    changed = np.mean((profile(middles, 3) + scale * bump.deriv(3)(middles)) ** 2)
+    added = np.mean(bump.deriv(3)(middles) ** 2)
+    # at the optimum the first-order change vanishes
+    assert changed - least == pytest.approx(added, rel=1e-4)
+
+
+def test_foot_velocity_and_acceleration_are_derivatives():
+    start, end = np.array([0.1, 0.1, 0.0]), np.array([0.9, 0.1, 0.0])
+    duration, step = 0.3, 1e-5
+    s = np.linspace(0.05, 0.95, 19)
+    before, middle, after = (
+        swing_foot(s + d, start, end, 0.2, duration) for d in (-step, 0.0, step)
+    )
+    for k in (0, 1):
+        difference = (after[k] - before[k]) / (2 * step * duration)
+        np.testing.assert_allclose(middle[k + 1], difference, rtol=1e-5, atol=1e-5)
+
+
+def test_peak_forward_speed_is_15_eighths_of_the_mean():
+    _, velocity, _ = swing_foot(np.array([0.5]), np.zeros(3), np.array([0.8, 0, 0]), 0.2, 0.3)
+    assert velocity[0, 0] == pytest.approx(1.875 * 0.8 / 0.3)
+
+
+def test_foot_stays_at_its_footholds_outside_the_swing():
+    start, end = np.array([0.1, 0.1, 0.0]), np.array([0.9, 0.1, 0.0])
+    position, velocity, _ = swing_foot(np.array([-0.5, 1.5]), start, end, 0.2, 0.3)
+    np.testing.assert_allclose(position, [start, end], atol=1e-15)
+    np.testing.assert_array_equal(velocity, 0.0)
