@@ -1,0 +1,48 @@
+"""Facts about the robot Cassie: constants, names, and where its model is.
+
+Nothing here depends on a simulator but `aslip.cassie.model`, which is therefore not imported here.
+"""
+
+from aslip.cassie.constants import (
+    GEAR,
+    MOTOR_NO_LOAD_SPEED,
+    MOTOR_TORQUE_LIMIT,
+    PD_DAMPING,
+    PD_STIFFNESS,
+    PHYSICS_TIMESTEP,
+    POLICY_PERIOD,
+    SAFETY_TORQUE,
+    SUBSTEPS,
+    TORQUE_DELAY,
+    TOTAL_MASS,
+)
+from aslip.cassie.names import (
+    JOINT_NAMES,
+    MOTOR_NAMES,
+    SIDES,
+    SPRING_NAMES,
+    Side,
+    foot_site,
+    mirror_name,
+)
+
+__all__ = [
+    "GEAR",
+    "JOINT_NAMES",
+    "MOTOR_NAMES",
+    "MOTOR_NO_LOAD_SPEED",
+    "MOTOR_TORQUE_LIMIT",
+    "PD_DAMPING",
+    "PD_STIFFNESS",
+    "PHYSICS_TIMESTEP",
+    "POLICY_PERIOD",
+    "SAFETY_TORQUE",
+    "SIDES",
+    "SPRING_NAMES",
+    "SUBSTEPS",
+    "TORQUE_DELAY",
+    "TOTAL_MASS",
+    "Side",
+    "foot_site",
+    "mirror_name",
+]

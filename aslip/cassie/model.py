@@ -1,0 +1,80 @@
+"""The MuJoCo model of Cassie and the indices of its parts, resolved once by name."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from aslip.assets import asset_path
+from aslip.cassie.names import JOINT_NAMES, MOTOR_NAMES, SIDES, foot_site
+from aslip.errors import ConfigurationError
+
+DEFAULT_FLOOR_FRICTION = 1.0
+"""Sliding friction of the floor (the public simulator's default)."""
+
+
+def load_model(floor_friction: float = DEFAULT_FLOOR_FRICTION) -> mujoco.MjModel:
+    """Compile `assets/cassie.xml`.
+
+    Args:
+        floor_friction: sliding friction coefficient between the floor and any part of the robot.
+
+    Raises:
+        ConfigurationError: the friction is not a positive number.
+    """
+    model = mujoco.MjModel.from_xml_path(str(asset_path("cassie.xml")))
+    set_floor_friction(model, floor_friction)
+    return model
+
+
+def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
+    """Give the floor a sliding friction; it has priority over the friction of the robot's geoms."""
+    if not (np.isfinite(friction) and friction > 0):
+        raise ConfigurationError(f"floor_friction must be a positive number, got {friction!r}")
+    model.geom("floor").friction[0] = friction
+
+
+@dataclass(frozen=True)
+class CassieIndices:
+    """Where the robot's parts are in MuJoCo's arrays, in the order of `aslip.cassie.names`."""
+
+    motor_qpos: np.ndarray
+    """(10,) positions of the motors' joints in `qpos`."""
+    motor_qvel: np.ndarray
+    """(10,) the same in `qvel`."""
+    joint_qpos: np.ndarray
+    """(6,) positions of the passive joints with encoders in `qpos`."""
+    joint_qvel: np.ndarray
+    """(6,) the same in `qvel`."""
+    foot_site: np.ndarray
+    """(2,) ids of the sole-centre sites."""
+    ground_force: np.ndarray
+    """(2, 3) ground reaction of each foot in `sensordata`, world frame."""
+    foot_velocity: np.ndarray
+    """(2, 3) velocity of each sole centre in `sensordata`, world frame."""
+    accelerometer: np.ndarray
+    """(3,) specific force at the IMU in `sensordata`."""
+
+    @classmethod
+    def from_model(cls, model: mujoco.MjModel) -> CassieIndices:
+        """Look every name up in a compiled model."""
+        tables = cls(
+            motor_qpos=np.array([model.joint(name).qposadr[0] for name in MOTOR_NAMES]),
+            motor_qvel=np.array([model.joint(name).dofadr[0] for name in MOTOR_NAMES]),
+            joint_qpos=np.array([model.joint(name).qposadr[0] for name in JOINT_NAMES]),
+            joint_qvel=np.array([model.joint(name).dofadr[0] for name in JOINT_NAMES]),
+            foot_site=np.array([model.site(foot_site(side)).id for side in SIDES]),
+            ground_force=np.stack([_sensor(model, f"{side}_ground_force") for side in SIDES]),
+            foot_velocity=np.stack([_sensor(model, f"{side}_foot_velocity") for side in SIDES]),
+            accelerometer=_sensor(model, "accelerometer"),
+        )
+        for table in vars(tables).values():
+            table.setflags(write=False)
+        return tables
+
+
+def _sensor(model: mujoco.MjModel, name: str) -> np.ndarray:
+    sensor = model.sensor(name)
+    return sensor.adr[0] + np.arange(sensor.dim[0])

@@ -1,0 +1,216 @@
+"""Laws of the inverse kinematics."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo and Pinocchio are compiled modules without type stubs
+
+from __future__ import annotations
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from aslip.cassie import MOTOR_NAMES, SPRING_NAMES
+from aslip.ik import BodyTarget, IkSolution, solve
+from aslip.ik.newton import MAX_ITERATIONS, guess, solve_legs
+from aslip.ik.target import FootMotion, Motion
+
+
+@pytest.fixture(scope="module")
+def walking(kinematics, walking_library) -> IkSolution:
+    return solve(kinematics, *walking_library)
+
+
+def _take(target: BodyTarget, rows: slice | list[int]) -> BodyTarget:
+    return dataclasses.replace(
+        target, **{name: v[rows] for name, v in vars(target).items() if v is not None}
+    )
+
+
+def _slots(model: mujoco.MjModel, names) -> tuple[list[int], list[int]]:
+    joints = [model.joint(name) for name in names]
+    return [joint.qposadr[0] for joint in joints], [joint.dofadr[0] for joint in joints]
+
+
+def test_every_pose_of_the_walking_library_is_met(kinematics, walking, walking_library):
+    assert walking.residual.foot_position < 1e-12
+    assert walking.residual.toe_direction < 1e-12
+    assert walking.residual.loop < 1e-12
+    rows = slice(None, None, 17)
+    forward = kinematics.forward(walking.qpos[rows])
+    for side, target in enumerate(walking_library[1:]):
+        error = forward.foot_position[:, side] - target.position[rows]
+        assert np.linalg.norm(error, axis=-1).max() < 1e-12
+        # level and forward: the x axis of the sole is the world's
+        toes = forward.foot_rotation[:, side, :, 0]
+        np.testing.assert_allclose(toes, np.tile([1.0, 0, 0], (len(toes), 1)), atol=1e-12)
+    assert np.linalg.norm(forward.loop_gap, axis=-1).max() < 1e-12
+    np.testing.assert_array_equal(walking.qpos[:, :3], walking_library[0].position)
+
+
+def test_newton_needs_few_steps_anywhere_in_the_workspace(kinematics):
+    """Without joint limits, level feet get to every position of the box."""
+    x, y, z = np.meshgrid(
+        np.linspace(-0.45, 0.45, 19), np.linspace(0.05, 0.2, 7), np.linspace(-0.92, -0.6, 9)
+    )
+    left = np.stack((x.ravel(), y.ravel(), z.ravel()), axis=1)
+    position = np.stack((left, left * (1, -1, 1)), axis=1)
+    rotation = np.broadcast_to(np.eye(3), (*position.shape, 3))
+    found = solve_legs(kinematics.legs, position, rotation)
+    assert found.solved.all()
+    assert found.iterations <= 6 < MAX_ITERATIONS
+
+
+def test_guess_is_near_the_solution(kinematics, walking, walking_library):
+    pelvis, *feet = (
+        Motion.from_target("body", _take(target, slice(None, None, 17)))
+        for target in walking_library
+    )
+    targets = FootMotion.relative(Motion.stack(*feet), pelvis)
+    start = guess(kinematics.legs, targets.position, targets.rotation)
+    assert np.abs(start - walking.qpos[::17, kinematics.hinge_q]).max() < 0.3
+
+
+def test_springs_are_at_rest(mujoco_model, kinematics, smooth_motion):
+    solution = solve(kinematics, *smooth_motion(np.linspace(0, 3, 50)))
+    position, velocity = _slots(mujoco_model, SPRING_NAMES)
+    assert not solution.qpos[:, position].any()
+    assert not solution.qvel[:, velocity].any()
+
+
+def test_motor_columns_are_the_motors_joints(mujoco_model, walking):
+    position, velocity = _slots(mujoco_model, MOTOR_NAMES)
+    np.testing.assert_array_equal(walking.motor_position, walking.qpos[:, position])
+    np.testing.assert_array_equal(walking.motor_velocity, walking.qvel[:, velocity])
+
+
+def test_joint_limits_are_respected(kinematics, walking):
+    assert (walking.qpos >= kinematics.lower_limit).all()
+    assert (walking.qpos <= kinematics.upper_limit).all()
+
+
+def test_sole_roll_is_what_is_left_of_the_orientation_error(kinematics, smooth_motion):
+    targets = smooth_motion(np.linspace(0, 3, 20))
+    solution = solve(kinematics, *targets)
+    actual = kinematics.forward(solution.qpos).foot_rotation
+    for side, target in enumerate(targets[1:]):
+        wanted = Motion.from_target("foot", target).orientation
+        quaternion = np.zeros((len(wanted), 4))
+        for i in range(len(wanted)):
+            mujoco.mju_mat2Quat(quaternion[i], actual[i, side].ravel())
+            mujoco.mju_negQuat(wanted[i], wanted[i])
+            mujoco.mju_mulQuat(quaternion[i], wanted[i], quaternion[i])
+        roll = 2 * np.arctan2(quaternion[:, 1], quaternion[:, 0])
+        np.testing.assert_allclose(quaternion[:, 2:], 0, atol=1e-12)
+        np.testing.assert_allclose(np.sin(solution.sole_roll[:, side] - roll), 0, atol=1e-12)
+
+
+def test_velocities_are_the_rates_of_the_positions(kinematics, mujoco_model, smooth_motion):
+    time, step = np.linspace(0, 3, 60), 1e-5
+    solution = solve(kinematics, *smooth_motion(time))
+    ahead, behind = (solve(kinematics, *smooth_motion(time + s)).qpos for s in (step, -step))
+    forward, backward = np.zeros_like(solution.qvel), np.zeros_like(solution.qvel)
+    for i, qpos in enumerate(solution.qpos):
+        mujoco.mj_differentiatePos(mujoco_model, forward[i], step, qpos, ahead[i])
+        mujoco.mj_differentiatePos(mujoco_model, backward[i], step, qpos, behind[i])
+    np.testing.assert_allclose(solution.qvel, (forward - backward) / 2, atol=1e-7)
+
+
+def test_mujoco_sees_closed_loops_that_stay_closed(kinematics, mujoco_model, smooth_motion):
+    solution = solve(kinematics, *smooth_motion(np.linspace(0, 3, 60)))
+    data = mujoco.MjData(mujoco_model)
+    for qpos, qvel in zip(solution.qpos, solution.qvel, strict=True):
+        data.qpos, data.qvel = qpos, qvel
+        mujoco.mj_forward(mujoco_model, data)
+        loops = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        assert loops.sum() == 12
+        np.testing.assert_allclose(data.efc_pos[loops], 0, atol=1e-12)
+        np.testing.assert_allclose(data.efc_vel[loops], 0, atol=1e-12)
+
+
+def test_feet_move_as_wanted(kinematics, mujoco_model, smooth_motion):
+    targets = smooth_motion(np.linspace(0, 3, 60))
+    solution = solve(kinematics, *targets)
+    data, velocity = mujoco.MjData(mujoco_model), np.zeros(6)
+    for i in range(len(solution.qpos)):
+        data.qpos, data.qvel = solution.qpos[i], solution.qvel[i]
+        mujoco.mj_forward(mujoco_model, data)
+        for name, target in zip(("left_foot", "right_foot"), targets[1:], strict=True):
+            site = mujoco_model.site(name)
+            kind = mujoco.mjtObj.mjOBJ_SITE
+            mujoco.mj_objectVelocity(mujoco_model, data, kind, site.id, velocity, 0)
+            np.testing.assert_allclose(velocity[3:], target.velocity[i], atol=1e-11)
+            toes = data.site_xmat[site.id].reshape(3, 3)[:, 0]
+            turn = velocity[:3] - target.angular_velocity[i]
+            # whatever else it does, it rolls about its toe axis only
+            np.testing.assert_allclose(np.cross(turn, toes), 0, atol=1e-11)
+
+
+def test_pelvis_motion_is_copied_to_mujocos_frames(kinematics, mujoco_model, smooth_motion):
+    targets = smooth_motion(np.linspace(0, 3, 10))
+    solution = solve(kinematics, *targets)
+    data, velocity = mujoco.MjData(mujoco_model), np.zeros(6)
+    for i in range(len(solution.qpos)):
+        data.qpos, data.qvel = solution.qpos[i], solution.qvel[i]
+        mujoco.mj_forward(mujoco_model, data)
+        kind, body = mujoco.mjtObj.mjOBJ_XBODY, mujoco_model.body("pelvis").id
+        mujoco.mj_objectVelocity(mujoco_model, data, kind, body, velocity, 0)
+        np.testing.assert_allclose(velocity[:3], targets[0].angular_velocity[i], atol=1e-12)
+        np.testing.assert_allclose(velocity[3:], targets[0].velocity[i], atol=1e-12)
+        np.testing.assert_allclose(data.xpos[body], targets[0].position[i], atol=1e-15)
+        np.testing.assert_allclose(data.xquat[body], targets[0].orientation[i], atol=1e-15)
+
+
+def _mirror_target(target: BodyTarget) -> BodyTarget:
+    """The same body seen in a mirror along y: axial vectors change sign in x and z."""
+    polar, axial = np.array([1.0, -1, 1]), np.array([-1.0, 1, -1])
+    return BodyTarget(
+        target.position * polar,
+        target.orientation * np.array([1.0, -1, 1, -1]),
+        target.velocity * polar,
+        target.angular_velocity * axial,
+    )
+
+
+def test_mirrored_targets_give_mirrored_solutions(kinematics, smooth_motion):
+    pelvis, left, right = smooth_motion(np.linspace(0, 3, 50))
+    solution = solve(kinematics, pelvis, left, right)
+    mirrored = solve(kinematics, *(_mirror_target(body) for body in (pelvis, right, left)))
+    roll_and_yaw_flip = np.array([-1, -1, 1, 1, 1])
+    for name in ("motor_position", "motor_velocity"):
+        legs = getattr(solution, name).reshape(-1, 2, 5)
+        expected = legs[:, ::-1] * roll_and_yaw_flip
+        np.testing.assert_allclose(getattr(mirrored, name).reshape(-1, 2, 5), expected, atol=1e-11)
+    # the rods turn about axes of the leg, whose frame mirrors along its z
+    rods = solution.qpos[:, kinematics.ball_q][:, ::-1] * np.array([1, -1, -1, 1])
+    np.testing.assert_allclose(mirrored.qpos[:, kinematics.ball_q], rods, atol=1e-11)
+
+
+def test_a_pose_does_not_depend_on_its_batch(kinematics, smooth_motion):
+    targets = smooth_motion(np.linspace(0, 3, 37))
+    together = solve(kinematics, *targets)
+    again = solve(kinematics, *targets)
+    backwards = solve(kinematics, *(_take(target, slice(None, None, -1)) for target in targets))
+    for name in ("qpos", "qvel"):
+        whole = getattr(together, name)
+        np.testing.assert_array_equal(getattr(again, name), whole)
+        np.testing.assert_array_equal(getattr(backwards, name)[::-1], whole)
+        for i in (0, 18, 36):
+            alone = solve(kinematics, *(_take(target, [i]) for target in targets))
+            np.testing.assert_array_equal(getattr(alone, name)[0], whole[i])
+
+
+def test_no_pose_gives_no_solution(kinematics):
+    empty = BodyTarget(np.zeros((0, 3)))
+    solution = solve(kinematics, empty, empty, empty)
+    assert solution.qpos.shape == (0, 35)
+    assert solution.residual.loop == 0
+
+
+def test_targets_are_not_changed(kinematics, smooth_motion):
+    targets, copies = (smooth_motion(np.linspace(0, 3, 5)) for _ in range(2))
+    solve(kinematics, *targets)
+    for target, copy in zip(targets, copies, strict=True):
+        for name, value in vars(copy).items():
+            np.testing.assert_array_equal(getattr(target, name), value)

@@ -1,0 +1,76 @@
+"""The standing pose, and the keyframe of the model that holds it."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo and Pinocchio are compiled modules without type stubs
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from aslip.errors import UnreachablePoseError
+from aslip.ik import standing_pose
+
+
+@pytest.fixture
+def standing(mujoco_model) -> mujoco.MjData:
+    data = mujoco.MjData(mujoco_model)
+    mujoco.mj_resetDataKeyframe(mujoco_model, data, mujoco_model.key("standing").id)
+    mujoco.mj_forward(mujoco_model, data)
+    return data
+
+
+def test_keyframe_is_the_standing_pose(kinematics, mujoco_model):
+    pose = standing_pose(kinematics).qpos[0]
+    np.testing.assert_allclose(mujoco_model.key("standing").qpos, pose, atol=1e-14)
+
+
+def test_loops_are_closed(standing):
+    loops = standing.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+    assert loops.sum() == 12
+    np.testing.assert_allclose(standing.efc_pos[loops], 0, atol=1e-12)
+
+
+def test_soles_are_flat_on_the_floor_below_the_centre_of_mass(mujoco_model, standing):
+    for side in ("left", "right"):
+        site = mujoco_model.site(f"{side}_foot").id
+        x, _, z = standing.site_xpos[site]
+        assert z == pytest.approx(0, abs=1e-12)
+        assert x == pytest.approx(standing.subtree_com[0, 0], abs=1e-12)
+        np.testing.assert_allclose(standing.site_xmat[site], np.eye(3).ravel(), atol=1e-12)
+        # no part of the capsule is below the floor
+        geom = mujoco_model.geom(f"{side}_foot")
+        ends = standing.geom_xpos[geom.id, 2] - standing.geom_xmat[geom.id, 8] * geom.size[1] * (
+            np.array([-1, 1])
+        )
+        np.testing.assert_allclose(ends - geom.size[0], 0, atol=1e-6)
+
+
+def test_left_and_right_legs_mirror(kinematics, mujoco_model):
+    qpos = mujoco_model.key("standing").qpos
+    left, right = qpos[kinematics.motor_q].reshape(2, 5)
+    np.testing.assert_allclose(left * (-1, -1, 1, 1, 1), right, atol=1e-15)
+    left, right = qpos[kinematics.ball_q]
+    np.testing.assert_allclose(left * (1, -1, -1, 1), right, atol=1e-15)
+
+
+def test_pinocchio_reads_the_model_with_its_keyframe(kinematics, mujoco_model):
+    forward = kinematics.forward(mujoco_model.key("standing").qpos[None])
+    np.testing.assert_allclose(forward.loop_gap, 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("height", [0.7, 0.8, 1.0])
+def test_any_height_stands_below_its_centre_of_mass(kinematics, height):
+    pose = standing_pose(kinematics, height).qpos
+    forward = kinematics.forward(pose)
+    assert pose[0, 2] == height
+    np.testing.assert_allclose(
+        forward.foot_position[0, :, 0], forward.centre_of_mass[0, 0], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("height", [0.2, 1.5])
+def test_impossible_heights_are_refused(kinematics, height):
+    with pytest.raises(UnreachablePoseError):
+        standing_pose(kinematics, height)
