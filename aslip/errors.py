@@ -43,3 +43,7 @@ class ShapeError(AslipError, ValueError):
 
 class ConfigurationError(AslipError, ValueError):
     """A setting of the wrong type or range, or a checkpoint that belongs to other settings."""
+
+
+class RenderingError(AslipError, RuntimeError):
+    """Pictures are asked for where no OpenGL works."""

@@ -1,0 +1,251 @@
+"""Pictures of the robot, alone or with the reduced-order model that guides it.
+
+MuJoCo draws through OpenGL. Without a display, choose how before Python starts:
+`MUJOCO_GL=egl` on a graphics card, `MUJOCO_GL=osmesa` in software.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from aslip.cassie.model import load_model
+from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+
+# groups of geoms in cassie.xml
+_APPEARANCE_GROUP, _COLLISION_GROUP = 1, 3
+
+_BODY_RADIUS = 0.07
+_FOOT_RADIUS = 0.017
+_COIL_RADIUS = 0.027
+_WIRE_RADIUS = 0.0055
+_COILS = 7
+_SEGMENTS_PER_COIL = 12
+# share of a leg at each end that is a straight rod; the rest is the coil
+_ROD_SHARE = 0.2
+
+_BODY_COLOR = (0.20, 0.24, 0.32, 1.0)
+_LEFT_COLOR = (0.12, 0.47, 0.71, 1.0)
+_RIGHT_COLOR = (0.84, 0.19, 0.18, 1.0)
+# of a swing leg's colour, how much is replaced by white
+_SWING_FADE = 0.55
+
+
+@dataclass(frozen=True, eq=False)
+class Ghost:
+    """One instant of the reduced-order model in the world frame: a point body on two spring legs.
+
+    A leg in stance has its full colour (left blue, right red); in swing it is pale.
+    """
+
+    body: np.ndarray
+    """(3,) position of the body [m]."""
+    left: np.ndarray
+    """(3,) position of the left foot [m]."""
+    right: np.ndarray
+    """(3,) position of the right foot [m]."""
+    left_stance: bool = True
+    """Whether the left leg carries."""
+    right_stance: bool = True
+    """Whether the right leg carries."""
+
+
+def render_robot(
+    qpos: np.ndarray,
+    *,
+    camera: str = "side",
+    width: int = 640,
+    height: int = 480,
+    model: mujoco.MjModel | None = None,
+    ghosts: Sequence[Ghost] | None = None,
+    robot: bool = True,
+    supersampling: int = 1,
+) -> np.ndarray:
+    """Draw the robot, one picture a configuration; the cameras follow it.
+
+    Args:
+        qpos: (n, 35) configurations, MuJoCo's conventions.
+        camera: camera of the model; `cassie.xml` has "side", "follow" and "front".
+        width: of a picture [pixels].
+        height: of a picture [pixels].
+        model: another model; `aslip.cassie.model.load_model()` by default.
+        ghosts: n reduced-order models to draw as well, one a picture.
+        robot: whether the robot itself is seen.
+        supersampling: pixels are means over squares of this many pixels a side, for smooth edges.
+
+    Returns:
+        (n, height, width, 3) uint8, red, green, blue.
+
+    Raises:
+        ShapeError: `qpos` does not fit the model, or there is another number of ghosts.
+        UnknownNameError: the model has no such camera.
+        ConfigurationError: a size is less than 1, or exceeds the model's off-screen buffer.
+        RenderingError: no OpenGL works here.
+    """
+    model = load_model() if model is None else model
+    qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
+    _check(model, qpos, camera, (width, height, supersampling), ghosts)
+    data, option = mujoco.MjData(model), mujoco.MjvOption()
+    option.geomgroup[_COLLISION_GROUP] = False
+    option.geomgroup[_APPEARANCE_GROUP] = robot
+    option.sitegroup[:] = False
+    frames = np.empty((len(qpos), height, width, 3), dtype=np.uint8)
+    with _renderer(model, width * supersampling, height * supersampling) as renderer:
+        for i, configuration in enumerate(qpos):
+            data.qpos[:] = configuration
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera, option)
+            if ghosts is not None:
+                add_ghost(renderer.scene, ghosts[i])
+            frames[i] = _shrink(renderer.render(), supersampling)
+    return frames
+
+
+def strip(frames: np.ndarray) -> np.ndarray:
+    """Join (n, h, w, 3) frames side by side, the first on the left: (h, n * w, 3).
+
+    Raises:
+        ShapeError: the frames have another number of axes.
+    """
+    if np.ndim(frames) != 4:
+        raise ShapeError(f"frames must be (n, h, w, 3), got {np.shape(frames)}")
+    return np.concatenate(list(frames), axis=1)
+
+
+def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
+    """Add a reduced-order model to a scene: a sphere and two coil springs with round feet.
+
+    Args:
+        scene: what is about to be drawn; the next `update_scene` of a renderer clears it.
+        ghost: where body and feet are.
+    """
+    body = np.asarray(ghost.body, dtype=np.float64)
+    _add_sphere(scene, body, _BODY_RADIUS, np.array(_BODY_COLOR))
+    for foot, stance, color in (
+        (ghost.left, ghost.left_stance, _LEFT_COLOR),
+        (ghost.right, ghost.right_stance, _RIGHT_COLOR),
+    ):
+        rgba = np.array(color)
+        if not stance:
+            rgba += _SWING_FADE * (1.0 - rgba)
+        path = spring_path(body, np.asarray(foot, dtype=np.float64))
+        for start, end in itertools.pairwise(path):
+            _add_capsule(scene, start, end, rgba)
+        _add_sphere(scene, path[-1], _FOOT_RADIUS, rgba)
+
+
+def spring_path(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Corners of a coil spring between two points, with a straight rod at each end.
+
+    The number of coils is fixed, so that a shorter leg looks compressed.
+
+    Args:
+        start: (3,) [m].
+        end: (3,) [m].
+
+    Returns:
+        (k, 3) points from `start` to `end` [m].
+    """
+    axis = end - start
+    length = float(np.linalg.norm(axis))
+    if length < 1e-9:
+        return np.stack([start, end])
+    # two normals to the leg; the world's y is never along a leg that walks forward
+    first = np.cross(axis / length, [0.0, 1.0, 0.0])
+    if np.linalg.norm(first) < 1e-6:
+        first = np.array([1.0, 0.0, 0.0])
+    first /= np.linalg.norm(first)
+    second = np.cross(axis / length, first)
+    turn = np.linspace(0.0, 2 * np.pi * _COILS, _COILS * _SEGMENTS_PER_COIL + 1)[:, None]
+    along = np.linspace(_ROD_SHARE, 1.0 - _ROD_SHARE, len(turn))[:, None]
+    coil = start + along * axis
+    coil += _COIL_RADIUS * (np.cos(turn) * first + np.sin(turn) * second)
+    rods = start + np.array([[0.0], [_ROD_SHARE], [1.0 - _ROD_SHARE], [1.0]]) * axis
+    return np.concatenate([rods[:2], coil, rods[2:]])
+
+
+def _check(
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    camera: str,
+    sizes: tuple[int, int, int],
+    ghosts: Sequence[Ghost] | None,
+) -> None:
+    if qpos.ndim != 2 or qpos.shape[1] != model.nq:
+        raise ShapeError(f"qpos must be (n, {model.nq}), got {qpos.shape}")
+    if ghosts is not None and len(ghosts) != len(qpos):
+        raise ShapeError(f"{len(qpos)} configurations need as many ghosts, got {len(ghosts)}")
+    cameras = [model.camera(i).name for i in range(model.ncam)]
+    if camera not in cameras:
+        raise UnknownNameError(f"no camera {camera!r}; the model has {cameras}")
+    width, height, supersampling = sizes
+    limits = model.vis.global_.offwidth, model.vis.global_.offheight
+    if min(sizes) < 1 or width * supersampling > limits[0] or height * supersampling > limits[1]:
+        raise ConfigurationError(
+            f"{width} x {height} pixels at supersampling {supersampling}: each must be 1 or more,"
+            f" and pictures times supersampling at most {limits[0]} x {limits[1]}"
+        )
+
+
+@contextlib.contextmanager
+def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
+    try:
+        renderer = mujoco.Renderer(model, height, width)
+    except Exception as error:  # every backend has its own way to say that it is not there
+        chosen = os.environ.get("MUJOCO_GL")
+        raise RenderingError(
+            f"MuJoCo has no working OpenGL ({type(error).__name__}: {error}); MUJOCO_GL is"
+            f" {chosen!r}. Set the environment variable before Python starts: MUJOCO_GL=egl with a"
+            " graphics card, MUJOCO_GL=osmesa in software (Debian: libosmesa6), MUJOCO_GL=glfw with"
+            " a display"
+        ) from error
+    try:
+        yield renderer
+    finally:
+        renderer.close()
+
+
+def _shrink(image: np.ndarray, factor: int) -> np.ndarray:
+    """Means over squares of pixels."""
+    if factor == 1:
+        return image
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    blocks = image.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
+    return np.rint(blocks).astype(np.uint8)
+
+
+def _add_sphere(
+    scene: mujoco.MjvScene, center: np.ndarray, radius: float, rgba: np.ndarray
+) -> None:
+    _next_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), center, rgba)
+
+
+def _add_capsule(
+    scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgba: np.ndarray
+) -> None:
+    kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+    geom = _next_geom(scene, kind, np.zeros(3), np.zeros(3), rgba)
+    mujoco.mjv_connector(geom, kind, _WIRE_RADIUS, start, end)
+
+
+def _next_geom(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    size: np.ndarray,
+    position: np.ndarray,
+    rgba: np.ndarray,
+) -> mujoco.MjvGeom:
+    if scene.ngeom >= scene.maxgeom:
+        raise ConfigurationError(f"the scene is full: it holds {scene.maxgeom} geoms")
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(geom, kind, size, position, np.eye(3).ravel(), rgba.astype(np.float32))
+    # decoration, what initGeom makes, casts no shadow
+    geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
+    scene.ngeom += 1
+    return geom
