@@ -1,0 +1,75 @@
+"""Speeds -> optimal gaits -> inverse kinematics -> one library."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from aslip.ik import BodyTarget, CassieKinematics, IkSolution, solve
+from aslip.library.file import GaitTable
+from aslip.rom import Gait, GaitSample, optimize_gaits
+
+PAPER_SPEEDS = tuple(round(0.1 * i, 1) for i in range(21))
+"""0 to 2 m/s in steps of 0.1 m/s (Sec. III-A)."""
+
+PHASE_SAMPLES = 128
+"""Samples of a stride: one every 6 ms, five a policy step."""
+
+
+def build_library(
+    speeds: Sequence[float] = PAPER_SPEEDS,
+    *,
+    samples: int = PHASE_SAMPLES,
+    progress: Callable[[int, int, Gait], None] | None = None,
+) -> tuple[list[Gait], GaitTable]:
+    """Optimise all gaits and put the robot on them.
+
+    The body of the reduced-order model is mapped to the pelvis origin and its point feet to the
+    centres of the soles, at the model's lateral positions, toes forward and soles level. Public
+    code keeps the legs in their vertical planes and the foot motors still, so that its feet tilt
+    and sink into the floor.
+
+    Args:
+        speeds: ascending forward speeds [m/s].
+        samples: samples of a stride m.
+        progress: called with (index, count, gait) after each gait.
+
+    Returns:
+        The gaits, and their table for `GaitLibrary`.
+
+    Raises:
+        GaitOptimizationError: a gait was not found.
+        UnreachablePoseError: the robot cannot take a pose of a gait.
+    """
+    gaits = optimize_gaits(speeds, progress=progress)
+    phase = np.arange(samples) / samples
+    motions = [gait.sample(phase) for gait in gaits]
+    kinematics = CassieKinematics()
+    poses = [_solve_stride(kinematics, motion) for motion in motions]
+    forward = [np.outer(phase * gait.stride * gait.speed, [1.0, 0.0, 0.0]) for gait in gaits]
+    qpos = np.stack([pose.qpos for pose in poses])
+    qpos[..., :3] -= np.stack(forward)
+    table = GaitTable(
+        speeds=np.array([gait.speed for gait in gaits]),
+        strides=np.array([gait.stride for gait in gaits]),
+        body_position=np.stack([m.body_position for m in motions]) - np.stack(forward),
+        body_velocity=np.stack([m.body_velocity for m in motions]),
+        left_foot_position=np.stack([m.left_foot_position - m.body_position for m in motions]),
+        left_foot_velocity=np.stack([m.left_foot_velocity for m in motions]),
+        right_foot_position=np.stack([m.right_foot_position - m.body_position for m in motions]),
+        right_foot_velocity=np.stack([m.right_foot_velocity for m in motions]),
+        motor_position=np.stack([pose.motor_position for pose in poses]),
+        qpos=qpos,
+        qvel=np.stack([pose.qvel for pose in poses]),
+    )
+    return gaits, table
+
+
+def _solve_stride(kinematics: CassieKinematics, motion: GaitSample) -> IkSolution:
+    return solve(
+        kinematics,
+        BodyTarget(motion.body_position, velocity=motion.body_velocity),
+        BodyTarget(motion.left_foot_position, velocity=motion.left_foot_velocity),
+        BodyTarget(motion.right_foot_position, velocity=motion.right_foot_velocity),
+    )

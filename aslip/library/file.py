@@ -1,0 +1,161 @@
+"""The gait library's file: arrays, how they were made, and a hash over them.
+
+No pickle: anyone's file can be opened. It is written under a temporary name and renamed, so a file
+of the right name is a whole one.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from aslip.errors import AslipError, AssetError, FileDamagedError
+from aslip.rom import Gait
+
+_FORMAT = "aslip gait library 1"
+_META = "meta"
+
+
+@dataclass(frozen=True, eq=False)
+class GaitTable:
+    """G gaits at m equal steps of phase, left lift-off first, and the robot on them.
+
+    Walking frame: x forward, y left, z up. Body and feet as in `aslip.library.Reference`.
+    """
+
+    speeds: np.ndarray
+    """(g,) [m/s], ascending."""
+    strides: np.ndarray
+    """(g,) duration of a stride [s]."""
+    body_position: np.ndarray
+    """(g, m, 3) x is the deviation from uniform motion [m]."""
+    body_velocity: np.ndarray
+    """(g, m, 3) [m/s]."""
+    left_foot_position: np.ndarray
+    """(g, m, 3) relative to the body [m]."""
+    left_foot_velocity: np.ndarray
+    """(g, m, 3) over ground [m/s]."""
+    right_foot_position: np.ndarray
+    """(g, m, 3) relative to the body [m]."""
+    right_foot_velocity: np.ndarray
+    """(g, m, 3) over ground [m/s]."""
+    motor_position: np.ndarray
+    """(g, m, 10) [rad]."""
+    qpos: np.ndarray
+    """(g, m, 35) configuration, pelvis x as the body's."""
+    qvel: np.ndarray
+    """(g, m, 32) velocity."""
+
+    # where qpos holds unit quaternions: pelvis and both Achilles rods
+    quaternions = (slice(3, 7), slice(10, 14), slice(24, 28))
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for field in fields(self):
+            array = np.array(getattr(self, field.name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, field.name, array)
+
+
+def write_library(
+    path: Path, gaits: Sequence[Gait], table: GaitTable, made_by: Mapping[str, str]
+) -> None:
+    """Store gaits and table.
+
+    Args:
+        path: the file; replaced as a whole.
+        gaits: the gaits in order of speed.
+        table: the same gaits sampled.
+        made_by: the command and the versions of what made them.
+
+    Raises:
+        OSError: the file cannot be written; an older file of the name is then untouched.
+    """
+    arrays = {f"table/{f.name}": getattr(table, f.name) for f in fields(table)}
+    for i, gait in enumerate(gaits):
+        arrays |= {f"gait{i:02d}/{name}": value for name, value in gait.to_arrays().items()}
+    meta = {"format": _FORMAT, "sha256": _digest(arrays), "made_by": dict(made_by)}
+    arrays[_META] = np.array(json.dumps(meta, indent=1))
+    temporary = path.with_name(path.name + ".part")
+    try:
+        with temporary.open("wb") as file:
+            np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
+        temporary.replace(path)
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def read_library(path: Path) -> tuple[list[Gait], GaitTable]:
+    """Gaits and table of a file.
+
+    Raises:
+        AssetError: there is no such file.
+        FileDamagedError: the file is truncated, altered, or no gait library.
+    """
+    arrays = _read(path)
+    count = len({name.split("/")[0] for name in arrays if name.startswith("gait")})
+    try:
+        table = GaitTable(**{f.name: arrays[f"table/{f.name}"] for f in fields(GaitTable)})
+        gaits = [Gait.from_arrays(_below(arrays, f"gait{i:02d}/")) for i in range(count)]
+    except (AslipError, KeyError, TypeError, ValueError) as error:
+        raise _damaged(path, f"{error}") from error
+    return gaits, table
+
+
+def read_meta(path: Path) -> dict:
+    """How a library was made: `format`, `sha256`, and `made_by` (command, versions).
+
+    Raises:
+        AssetError: there is no such file.
+        FileDamagedError: the file is truncated, altered, or no gait library.
+    """
+    return json.loads(str(_read(path, keep_meta=True)[_META]))
+
+
+def _read(path: Path, *, keep_meta: bool = False) -> dict[str, np.ndarray]:
+    """All arrays of a file whose hash is right."""
+    if not path.is_file():
+        raise AssetError(f"there is no gait library {str(path)!r}; make it with gait_library.py")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        text = arrays.pop(_META)
+        meta = json.loads(str(text))
+    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, ValueError) as error:
+        raise _damaged(path, f"{type(error).__name__}: {error}") from error
+    if not isinstance(meta, dict) or meta.get("format") != _FORMAT:
+        raise _damaged(path, f"its format is not {_FORMAT!r}")
+    if meta.get("sha256") != _digest(arrays):
+        raise _damaged(path, "its contents do not match its SHA-256")
+    if keep_meta:
+        arrays[_META] = text
+    return arrays
+
+
+def _damaged(path: Path, why: str) -> FileDamagedError:
+    return FileDamagedError(
+        f"{str(path)!r} is no intact gait library ({why}); rebuild it with recipes/gait_library.py"
+    )
+
+
+def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name[len(prefix) :]: a for name, a in arrays.items() if name.startswith(prefix)}
+
+
+def _digest(arrays: Mapping[str, np.ndarray]) -> str:
+    """SHA-256 over names, types, shapes and contents."""
+    digest = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        digest.update(f"{name} {array.dtype.str} {array.shape};".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,143 @@
+"""Pictures of gaits and of learning."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import itertools
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from aslip.rom import Gait, Mode
+
+MODE_COLORS = {Mode.LEFT: "tab:blue", Mode.RIGHT: "tab:red", Mode.DOUBLE: "tab:purple"}
+_MODE_LABELS = {
+    Mode.LEFT: "left single stance",
+    Mode.RIGHT: "right single stance",
+    Mode.DOUBLE: "double stance",
+}
+
+
+def gait_figure(gait: Gait, strides: int = 2) -> Figure:
+    """Body and feet of a gait in space, the body's path coloured by contact mode.
+
+    Args:
+        gait: the gait.
+        strides: how many strides to draw.
+    """
+    motion = gait.sample(np.linspace(0.0, strides, 400 * strides, endpoint=False))
+    figure = plt.figure(figsize=(9, 4.6), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    assert isinstance(axes, Axes3D)
+    for mode, points in _pieces(motion.mode, motion.body_position):
+        axes.plot(*points.T, color=MODE_COLORS[mode], lw=2.5)
+    axes.plot(*motion.left_foot_position.T, color=MODE_COLORS[Mode.LEFT], lw=1.2, ls="--")
+    axes.plot(*motion.right_foot_position.T, color=MODE_COLORS[Mode.RIGHT], lw=1.2, ls="--")
+    span = np.ptp(motion.body_position[:, 0])
+    axes.set_box_aspect((max(span, 0.5), 0.45, 1.0), zoom=1.25)
+    axes.set(xlabel="x [m]", zlim=(0, 1))
+    axes.set_ylabel("y [m]", labelpad=-2)
+    axes.set_yticks([-0.1, 0.1])
+    axes.set_zlabel("z [m]")
+    axes.view_init(elev=16, azim=-72)
+    axes.legend(handles=_mode_legend(feet=True), loc="upper left", fontsize=8)
+    axes.set_title(f"Optimal actuated-SLIP gait at {gait.speed:.1f} m/s")
+    return figure
+
+
+def gait_sheet(gaits: Sequence[Gait]) -> Figure:
+    """All gaits on a sheet: body height, forward speed, leg forces and swing height over phase."""
+    quantities = ("body height [m]", "speed / mean", "leg force [N]", "foot height [m]")
+    figure, rows = plt.subplots(
+        len(quantities), 1, figsize=(8.5, 10), sharex=True, layout="constrained"
+    )
+    colors = plt.get_cmap("viridis")(np.linspace(0, 0.95, len(gaits)))
+    phase = np.linspace(0.0, 1.0, 400, endpoint=False)
+    for gait, color in zip(gaits, colors, strict=True):
+        motion = gait.sample(phase)
+        rows[0].plot(phase, motion.body_position[:, 2], color=color)
+        if gait.speed > 0:
+            rows[1].plot(phase, motion.body_velocity[:, 0] / gait.speed, color=color)
+        rows[2].plot(phase, motion.leg_force[:, 0], color=color)
+        rows[2].plot(phase, motion.leg_force[:, 1], color=color, ls=":")
+        rows[3].plot(phase, motion.left_foot_position[:, 2], color=color)
+        rows[3].plot(phase, motion.right_foot_position[:, 2], color=color, ls=":")
+    for axes, quantity in zip(rows, quantities, strict=True):
+        axes.set_ylabel(quantity)
+        axes.grid(alpha=0.3)
+        _shade_modes(axes, gaits[0])
+    rows[2].plot([], [], "k-", label="left leg")
+    rows[2].plot([], [], "k:", label="right leg")
+    rows[2].legend(loc="upper right", fontsize=8)
+    rows[-1].set(xlabel="phase (0: left lift-off)", xlim=(0, 1))
+    scale = plt.cm.ScalarMappable(
+        mpl.colors.Normalize(gaits[0].speed, gaits[-1].speed), mpl.colors.ListedColormap(colors)
+    )
+    figure.colorbar(scale, ax=rows, label="mean speed [m/s]", aspect=50)
+    rows[0].set_title(f"{len(gaits)} optimal gaits; double stance of the first one shaded")
+    return figure
+
+
+def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure:
+    """Episode length and return, and reward terms, over policy steps.
+
+    Args:
+        history: columns of a run's `progress.csv`.
+        title: of the figure.
+    """
+    steps = np.asarray(history["step"]) / 1e6
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
+    left.plot(steps, history["episode_length"], label="training episode length")
+    left.plot(steps, history["episode_return"], label="training return")
+    evaluated = ~np.isnan(history["eval_return"])
+    for name, label in (("eval_return", "evaluation return"), ("eval_length", "evaluation length")):
+        left.plot(steps[evaluated], np.asarray(history[name])[evaluated], "o-", ms=4, label=label)
+    left.set(xlabel="policy steps [million]", ylim=(0, 410), title=title)
+    left.legend(fontsize=8, loc="lower right")
+    for name, values in history.items():
+        if name.startswith("term_"):
+            right.plot(steps, values, label=name.removeprefix("term_"))
+    right.set(xlabel="policy steps [million]", ylim=(0, 1), title="mean reward terms in training")
+    right.legend(fontsize=8, loc="lower right")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure and release it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _pieces(mode: np.ndarray, points: np.ndarray) -> list[tuple[Mode, np.ndarray]]:
+    """Runs of equal mode; each reaches to the first point of the next, so the path has no gaps."""
+    breaks = [0, *(np.flatnonzero(np.diff(mode)) + 1), len(mode)]
+    return [(Mode(mode[a]), points[a : b + 1]) for a, b in itertools.pairwise(breaks)]
+
+
+def _shade_modes(axes: Axes, gait: Gait) -> None:
+    single = gait.single_stance / gait.stride
+    for start in (single, 0.5 + single):
+        axes.axvspan(start, start + 0.5 - single, color="0.9", zorder=0)
+
+
+def _mode_legend(*, feet: bool) -> list[Line2D]:
+    handles = [Line2D([], [], color=MODE_COLORS[m], lw=2.5, label=_MODE_LABELS[m]) for m in Mode]
+    if feet:
+        for side, mode in (("left", Mode.LEFT), ("right", Mode.RIGHT)):
+            handles.append(
+                Line2D([], [], color=MODE_COLORS[mode], lw=1.2, ls="--", label=f"{side} foot")
+            )
+    return handles

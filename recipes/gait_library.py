@@ -1,0 +1,102 @@
+"""Rebuild the gait library from nothing: optimise, solve the inverse kinematics, store, draw.
+
+python recipes/gait_library.py                    # the 21 gaits that ship in assets/
+python recipes/gait_library.py --out my_gaits.npz --speeds 0.5 0.75 1.0
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+import aslip
+from aslip.library import build_library
+from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
+from aslip.library.file import write_library
+from aslip.plots import gait_figure, gait_sheet, save_figure
+from aslip.rom import Gait
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to build."""
+
+    out: Path = Path("assets/gaits.npz")
+    """File of the library."""
+    speeds: tuple[float, ...] = PAPER_SPEEDS
+    """Ascending forward speeds [m/s] (Sec. III-A)."""
+    samples: int = PHASE_SAMPLES
+    """Samples of a stride."""
+    pictures: Path = Path("docs/images")
+    """Folder for the pictures."""
+    figure_speed: float = 1.0
+    """Speed of the gait to draw in space [m/s]; the nearest there is."""
+
+
+def main(config: Config) -> None:
+    """Build, store, print and draw."""
+    start = time.perf_counter()
+    with tqdm(total=len(config.speeds), desc="gaits", unit="gait") as bar:
+
+        def progress(index: int, count: int, gait: Gait) -> None:
+            bar.set_postfix_str(f"{gait.speed:.1f} m/s, stride {gait.stride:.3f} s")
+            bar.update()
+
+        gaits, table = build_library(config.speeds, samples=config.samples, progress=progress)
+    write_library(config.out, gaits, table, made_by())
+    print(gait_table(gaits))
+    print(f"\n{len(gaits)} gaits in {time.perf_counter() - start:.1f} s -> {config.out}")
+
+    nearest = gaits[int(np.abs(table.speeds - config.figure_speed).argmin())]
+    save_figure(gait_figure(nearest), config.pictures / "gait.png")
+    save_figure(gait_sheet(gaits), config.pictures / "gaits.png")
+    print(f"pictures: {config.pictures / 'gait.png'}, {config.pictures / 'gaits.png'}")
+
+
+def gait_table(gaits: list[Gait]) -> str:
+    """A row a gait: what it is, and its certificate."""
+    header = (
+        "speed  stride  double  step   height  height  sway   hump  mid    cost     KKT    defect"
+        "  integ.  iter  time\n"
+        " m/s     s       s      m    min m   max m   mm     N     N    m2/s3"
+        "                     mm            s\n"
+    )
+    rows = []
+    for gait in gaits:
+        certificate = gait.certificate
+        height, sway = gait.body_position[:, 2], np.ptp(gait.body_position[:, 1]) / 2
+        # left single stance begins at half a stride
+        middle = np.array([0.5 + gait.single_stance / 2 / gait.stride])
+        mid = gait.sample(middle).leg_force[0, 0]
+        rows.append(
+            f"{gait.speed:4.1f}  {gait.stride:.4f}  {gait.double_stance:.4f}"
+            f"  {gait.step_length:.3f}  {height.min():.4f}  {height.max():.4f}"
+            f"  {1e3 * sway:4.1f}  {gait.leg_force.max():5.1f}"
+            f"  {mid:4.1f}  {gait.cost:7.2f}  {certificate.kkt_residual:.0e}"
+            f"  {certificate.max_defect:.0e}  {1e3 * certificate.integration_error:.4f}"
+            f"  {certificate.iterations:4d}  {certificate.solve_time:.2f}"
+        )
+    return header + "\n".join(rows)
+
+
+def made_by() -> dict[str, str]:
+    """The command and the versions, to be kept with the file."""
+    packages = ("casadi", "pin", "numpy", "scipy")
+    return {
+        "command": " ".join(["python", *sys.argv]),
+        "aslip": aslip.__version__,
+        "python": platform.python_version(),
+        **{package: version(package) for package in packages},
+    }
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
