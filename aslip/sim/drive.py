@@ -1,0 +1,84 @@
+r"""Joint PD control and the motor's limits, as the robot runs them at 2 kHz (Sec. III-B).
+
+.. math:: \tau = P\,(q^* - q) + D\,(0 - \dot q)
+
+clamped to the safety torque at the joint, divided by the gear, and limited to what the motor gives
+at its speed: full torque up to half the no-load speed, then falling linearly to none. The limit
+holds for braking too, as in the public simulator. The 3 ms torque delay is not here: it is part of
+the physics state (`<motor delay=...>` in the model), so that a saved state resumes exactly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aslip.cassie import (
+    GEAR,
+    MOTOR_NO_LOAD_SPEED,
+    MOTOR_TORQUE_LIMIT,
+    PD_DAMPING,
+    PD_STIFFNESS,
+    SAFETY_TORQUE,
+)
+
+# the joint speed [rad/s] at which a motor gives no torque
+_NO_LOAD_JOINT_SPEED = MOTOR_NO_LOAD_SPEED / GEAR
+# torque falls from its maximum at half the no-load speed to zero there
+_TORQUE_SLOPE = 2.0
+
+
+class Drive:
+    """PD control and motor limits for n robots, without allocation in the 2 kHz loop.
+
+    Args:
+        num: number of robots n.
+    """
+
+    def __init__(self, num: int) -> None:
+        self._torque = np.empty((num, GEAR.size))
+        self._limit = np.empty((num, GEAR.size))
+
+    def torque(self, target: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Torque at the motor shafts.
+
+        Args:
+            target: (n, 10) joint angles to hold [rad].
+            position: (n, 10) joint angles [rad].
+            velocity: (n, 10) joint velocities [rad/s].
+
+        Returns:
+            (n, 10) [N m], overwritten by the next call.
+        """
+        torque, limit = self._torque, self._limit
+        # tau = P (target - q) - D qdot; `limit` serves as scratch first
+        np.subtract(target, position, out=torque)
+        torque *= PD_STIFFNESS
+        np.multiply(velocity, PD_DAMPING, out=limit)
+        torque -= limit
+        np.clip(torque, -SAFETY_TORQUE, SAFETY_TORQUE, out=torque)
+        torque /= GEAR
+        # limit = tau_max clip(2 (1 - |w| / w_max), 0, 1)
+        np.abs(velocity, out=limit)
+        limit *= -_TORQUE_SLOPE / _NO_LOAD_JOINT_SPEED
+        limit += _TORQUE_SLOPE
+        np.clip(limit, 0.0, 1.0, out=limit)
+        limit *= MOTOR_TORQUE_LIMIT
+        np.minimum(torque, limit, out=torque)
+        np.negative(limit, out=limit)
+        return np.maximum(torque, limit, out=torque)
+
+
+def motor_torque(target: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Torque at the motor shafts of one or many robots; see `Drive.torque`.
+
+    Args:
+        target: (..., 10) joint angles to hold [rad].
+        position: (..., 10) joint angles [rad].
+        velocity: (..., 10) joint velocities [rad/s].
+
+    Returns:
+        (..., 10) [N m].
+    """
+    shape = np.broadcast_shapes(target.shape, position.shape, velocity.shape)
+    rows = [np.broadcast_to(x, shape).reshape(-1, GEAR.size) for x in (target, position, velocity)]
+    return Drive(rows[0].shape[0]).torque(*rows).reshape(shape)

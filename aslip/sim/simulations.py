@@ -1,0 +1,158 @@
+"""N simulations of Cassie under motor position targets, on `mujoco.batch`.
+
+Guarantees:
+
+- one `advance` is one policy period: 60 substeps of PD control, motor limits, delay and physics;
+- results do not depend on the number of threads, and equal a loop over single simulations;
+- a simulation that diverges (MuJoCo warning or error, non-finite state) is put back on its feet
+  alone, counted, and reported by the call that saw it; the others do not notice.
+
+Trap: arrays of `snapshot()` are live views; copy what must survive the next call.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+
+from aslip.cassie import SUBSTEPS
+from aslip.cassie.model import CassieIndices, load_model
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim.drive import Drive
+from aslip.sim.truth import Snapshot
+
+# position and velocity stages: what mj_step1 computes, so that sensors match the returned state
+_CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
+_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
+# batch.warning holds (lastinfo, number) for each kind of warning
+_WARNING_COUNT = 1
+
+
+class Simulations:
+    """Num simulations, each standing at the keyframe until it is reset to something else.
+
+    Args:
+        num: number of simulations.
+        model: compiled model; by default `aslip.cassie.model.load_model()`.
+        num_threads: threads to step on, 0 for all processors.
+
+    Raises:
+        ConfigurationError: `num` or `num_threads` is not a count.
+    """
+
+    def __init__(
+        self, num: int, *, model: mujoco.MjModel | None = None, num_threads: int = 0
+    ) -> None:
+        if not isinstance(num, int) or num < 1:
+            raise ConfigurationError(f"the number of simulations must be 1 or more, got {num!r}")
+        if not isinstance(num_threads, int) or num_threads < 0:
+            raise ConfigurationError(f"num_threads must be 0 (all) or more, got {num_threads!r}")
+        self.model = load_model() if model is None else model
+        self.indices = CassieIndices.from_model(self.model)
+        self.batch = Batch(self.model, num, num_threads)
+        self.divergences = 0
+        """Simulations put back on their feet since construction."""
+        self._drive = Drive(num)
+        self._position = np.empty((num, self.model.nu))
+        self._velocity = np.empty((num, self.model.nu))
+        self._ground_force = np.zeros((num, 2, 3))
+        # live arrays, looked up once: binding anew costs more than a PD law in the 2 kHz loop
+        self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
+        self._ctrl, self._warm_start = self.batch.bind("ctrl"), self.batch.bind("qacc_warmstart")
+        self._site_xpos, self._site_xmat = (
+            self.batch.bind("site_xpos"),
+            self.batch.bind("site_xmat"),
+        )
+        self._sensordata = self.batch.bind("sensordata")
+        self.reset(np.arange(num))
+
+    @property
+    def num(self) -> int:
+        """Number of simulations."""
+        return self.batch.nsim
+
+    def reset(
+        self, ids: np.ndarray, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None
+    ) -> None:
+        """Restart some simulations: time, delay line, warm start and warnings included.
+
+        Args:
+            ids: (k,) simulations, sorted and unique.
+            qpos: (k, 35) initial positions, the standing keyframe by default.
+            qvel: (k, 32) initial velocities, rest by default.
+
+        Raises:
+            ShapeError: an array does not fit.
+        """
+        if len(ids) == 0:
+            return
+        for name, value, state in (("qpos", qpos, self.qpos), ("qvel", qvel, self.qvel)):
+            expected = (len(ids), state.shape[1])
+            if value is not None and value.shape != expected:
+                raise ShapeError(f"{name} must have shape {expected}, got {value.shape}")
+        self.batch.reset(ids, keyframe=self.model.key("standing").id, stage=_NONE)
+        if qpos is not None:
+            self.qpos[ids] = qpos
+        if qvel is not None:
+            self.qvel[ids] = qvel
+        self.batch.forward(ids)
+        # a cold solver start makes the first step independent of how often forward() has run
+        self._warm_start[ids] = 0.0
+        self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
+
+    def advance(self, motor_target: np.ndarray) -> np.ndarray:
+        """Run one policy period.
+
+        Args:
+            motor_target: (n, 10) joint angles the PD loops track [rad].
+
+        Returns:
+            (n,) bool, the simulations that diverged and stand at the keyframe now.
+
+        Raises:
+            ShapeError: the targets do not fit.
+        """
+        if motor_target.shape != (self.num, self.model.nu):
+            expected = (self.num, self.model.nu)
+            raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
+        self.batch.warning[:] = 0
+        self._ground_force[:] = 0.0
+        failed = np.zeros(self.num, dtype=bool)
+        for substep in range(SUBSTEPS):
+            self._control(motor_target)
+            self._step(failed, _CURRENT if substep == SUBSTEPS - 1 else _NONE)
+            self._ground_force += self._sensordata[:, self.indices.ground_force]
+        self._ground_force /= SUBSTEPS
+        diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
+        self.divergences += int(diverged.sum())
+        self.reset(np.flatnonzero(diverged))
+        return diverged
+
+    def snapshot(self) -> Snapshot:
+        """Live views of everything the true state is made of."""
+        return Snapshot(
+            self.qpos,
+            self.qvel,
+            self._site_xpos,
+            self._site_xmat,
+            self._sensordata,
+            self._ground_force,
+        )
+
+    def _control(self, motor_target: np.ndarray) -> None:
+        np.take(self.qpos, self.indices.motor_qpos, axis=1, out=self._position)
+        np.take(self.qvel, self.indices.motor_qvel, axis=1, out=self._velocity)
+        self._ctrl[:] = self._drive.torque(motor_target, self._position, self._velocity)
+
+    def _step(self, failed: np.ndarray, stage: int) -> None:
+        """One substep of the simulations that have not failed; marks those that now do."""
+        ids = np.flatnonzero(~failed) if failed.any() else None
+        try:
+            self.batch.step(ids, stage=stage)
+        except SimulationError as error:
+            failed[error.ids] = True
+
+    def _finite(self) -> np.ndarray:
+        finite = np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
+        return finite & np.isfinite(self._ground_force).all(axis=(1, 2))

@@ -1,0 +1,116 @@
+"""PD control and the motor's limits, against torques computed by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aslip.cassie import (
+    GEAR,
+    MOTOR_NO_LOAD_SPEED,
+    MOTOR_TORQUE_LIMIT,
+    PD_DAMPING,
+    PD_STIFFNESS,
+    SAFETY_TORQUE,
+)
+from aslip.sim import Drive, motor_torque
+
+ZERO = np.zeros(10)
+NO_LOAD = MOTOR_NO_LOAD_SPEED / GEAR  # at the joint [rad/s]
+
+
+def test_small_errors_give_proportional_torque() -> None:
+    """0.1 rad at hip roll: 100 N m/rad x 0.1 rad / 25 = 0.4 N m at the motor."""
+    torque = motor_torque(np.full(10, 0.1), ZERO, ZERO)
+    expected = [0.4, 0.4, 0.55, 0.6, 0.1] * 2
+    np.testing.assert_allclose(torque, expected, rtol=1e-12)
+
+
+def test_velocity_is_damped_towards_zero() -> None:
+    """1 rad/s at the knee: -9.6 N m / 16 = -0.6 N m at the motor."""
+    torque = motor_torque(ZERO, ZERO, np.ones(10))
+    np.testing.assert_allclose(torque, [-0.4, -0.4, -0.5, -0.6, -0.1] * 2, rtol=1e-12)
+
+
+def test_position_and_velocity_add_up() -> None:
+    """88 (0.3 - 0.1) - 8 x 0.5 = 13.6 N m at the hip pitch joint, 0.85 at its motor."""
+    torque = motor_torque(np.full(10, 0.3), np.full(10, 0.1), np.full(10, 0.5))
+    np.testing.assert_allclose(torque[[2, 7]], 0.85, rtol=1e-12)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_large_errors_are_cut_off_at_the_motor_limit(sign: int) -> None:
+    torque = motor_torque(np.full(10, sign * 50.0), ZERO, ZERO)
+    np.testing.assert_array_equal(torque, sign * MOTOR_TORQUE_LIMIT)
+
+
+def test_the_safety_clamp_lies_above_the_motors_limit() -> None:
+    """So it never shows in the torque; it is there because the robot has it."""
+    assert (SAFETY_TORQUE > MOTOR_TORQUE_LIMIT * GEAR).all()
+
+
+@pytest.mark.parametrize(
+    ("speed", "share"),
+    [
+        (0.0, 1.0),
+        (0.25, 1.0),
+        (0.5, 1.0),
+        (0.6, 0.8),
+        (0.75, 0.5),
+        (0.9, 0.2),
+        (1.0, 0.0),
+        (1.3, 0),
+    ],
+)
+@pytest.mark.parametrize("turning", [1, -1])
+@pytest.mark.parametrize("pushing", [1, -1])
+def test_torque_falls_from_half_the_no_load_speed(
+    speed: float, share: float, turning: int, pushing: int
+) -> None:
+    """Full torque up to half the no-load speed, none from it on, linear between; braking, too."""
+    torque = motor_torque(np.full(10, pushing * 50.0), ZERO, turning * speed * NO_LOAD)
+    np.testing.assert_allclose(torque, pushing * share * MOTOR_TORQUE_LIMIT, atol=1e-12)
+
+
+def test_drive_equals_motor_torque_and_the_formula() -> None:
+    rng = np.random.default_rng(0)
+    target, position = rng.uniform(-2, 2, (2, 50, 10))
+    velocity = rng.uniform(-1.2, 1.2, (50, 10)) * NO_LOAD
+    torque = Drive(50).torque(target, position, velocity).copy()
+    np.testing.assert_array_equal(torque, motor_torque(target, position, velocity))
+    joint = PD_STIFFNESS * (target - position) - PD_DAMPING * velocity
+    share = np.clip(2 * (1 - np.abs(velocity) / NO_LOAD), 0, 1)
+    limit = MOTOR_TORQUE_LIMIT * share
+    np.testing.assert_allclose(torque, np.clip(joint / GEAR, -limit, limit), atol=1e-12)
+    # the draw reaches every regime
+    assert (np.abs(torque) == MOTOR_TORQUE_LIMIT).any()
+    assert (share == 0).any()
+    assert (np.abs(torque) < 0.5 * limit).any()
+
+
+def test_motor_torque_takes_any_leading_shape_and_broadcasts() -> None:
+    rng = np.random.default_rng(1)
+    target, velocity = rng.uniform(-1, 1, (2, 3, 4, 10))
+    torque = motor_torque(target, ZERO, velocity)
+    assert torque.shape == (3, 4, 10)
+    np.testing.assert_array_equal(torque[2, 1], motor_torque(target[2, 1], ZERO, velocity[2, 1]))
+
+
+def test_inputs_are_left_alone() -> None:
+    target, position, velocity = np.full((1, 10), 9.0), np.ones((1, 10)), np.full((1, 10), 4.0)
+    Drive(1).torque(target, position, velocity)
+    assert (target == 9).all()
+    assert (position == 1).all()
+    assert (velocity == 4).all()
+
+
+def test_nan_stays_nan() -> None:
+    """A broken target must reach the divergence check, not turn into some torque."""
+    torque = motor_torque(np.full(10, np.nan), ZERO, ZERO)
+    assert np.isnan(torque).all()
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_infinite_target_asks_for_the_largest_torque(sign: int) -> None:
+    torque = motor_torque(np.full(10, sign * np.inf), ZERO, ZERO)
+    np.testing.assert_array_equal(torque, sign * MOTOR_TORQUE_LIMIT)

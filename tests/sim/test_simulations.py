@@ -1,0 +1,376 @@
+"""N simulations equal a naive loop, and none of them can hurt another."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is a compiled module without complete type stubs
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from aslip.cassie import POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
+from aslip.cassie.model import CassieIndices, load_model
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim import Simulations, motor_torque
+
+WEIGHT = TOTAL_MASS * 9.81
+
+
+def _targets(num: int, steps: int, seed: int = 0) -> np.ndarray:
+    """(steps, num, 10) targets around the standing pose."""
+    model = load_model()
+    standing = model.key("standing").qpos[CassieIndices.from_model(model).motor_qpos]
+    noise = np.random.default_rng(seed).uniform(-0.4, 0.4, (steps, num, 10))
+    return standing + noise
+
+
+def _arrays(simulations: Simulations) -> dict[str, np.ndarray]:
+    snapshot = simulations.snapshot()
+    return {name: np.array(value) for name, value in vars(snapshot).items()}
+
+
+def _assert_rows_equal(a: Simulations, b: Simulations, rows: list[int]) -> None:
+    left, right = _arrays(a), _arrays(b)
+    for name in left:
+        np.testing.assert_array_equal(left[name][rows], right[name][rows], err_msg=name)
+
+
+class NaiveLoop:
+    """One robot in the plainest way."""
+
+    def __init__(self) -> None:
+        self.model = load_model()
+        self.indices = CassieIndices.from_model(self.model)
+        self.data = mujoco.MjData(self.model)
+        self.reset()
+
+    def reset(self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None) -> None:
+        mujoco.mj_resetDataKeyframe(self.model, self.data, self.model.key("standing").id)
+        if qpos is not None:
+            self.data.qpos = qpos
+        if qvel is not None:
+            self.data.qvel = qvel
+
+    def advance(self, target: np.ndarray) -> np.ndarray:
+        """One policy period; returns the mean ground force."""
+        force = np.zeros((2, 3))
+        for _ in range(SUBSTEPS):
+            self.data.ctrl = motor_torque(
+                target,
+                self.data.qpos[self.indices.motor_qpos],
+                self.data.qvel[self.indices.motor_qvel],
+            )
+            mujoco.mj_step(self.model, self.data)
+            force += self.data.sensordata[self.indices.ground_force]
+        return force / SUBSTEPS
+
+
+def test_equals_a_loop_over_mj_step_bit_for_bit() -> None:
+    """Also where some simulations restart in between, at the keyframe or elsewhere."""
+    num, steps = 3, 12
+    targets = _targets(num, steps)
+    simulations = Simulations(num, num_threads=1)
+    loops = [NaiveLoop() for _ in range(num)]
+    start = loops[0].model.key("standing").qpos.copy()
+    start[[0, 2]] += [0.4, 0.3]
+    velocity = np.random.default_rng(1).uniform(-0.3, 0.3, 32)
+    for k, target in enumerate(targets):
+        if k == 4:
+            simulations.reset(np.array([1]))
+            loops[1].reset()
+        if k == 7:
+            simulations.reset(np.array([0, 2]), np.stack([start] * 2), np.stack([velocity] * 2))
+            loops[0].reset(start, velocity)
+            loops[2].reset(start, velocity)
+        assert not simulations.advance(target).any()
+        forces = [loop.advance(row) for loop, row in zip(loops, target, strict=True)]
+        snapshot = simulations.snapshot()
+        np.testing.assert_array_equal(snapshot.qpos, [loop.data.qpos for loop in loops])
+        np.testing.assert_array_equal(snapshot.qvel, [loop.data.qvel for loop in loops])
+        np.testing.assert_array_equal(snapshot.ground_force, forces)
+    # feet and sensors of the snapshot belong to the state it shows, not to the substep before
+    for i, loop in enumerate(loops):
+        acceleration = loop.data.sensordata[loop.indices.accelerometer].copy()
+        mujoco.mj_step1(loop.model, loop.data)
+        np.testing.assert_array_equal(snapshot.site_xpos[i], loop.data.site_xpos)
+        np.testing.assert_array_equal(snapshot.site_xmat[i], loop.data.site_xmat)
+        velocities = loop.indices.foot_velocity
+        np.testing.assert_array_equal(
+            snapshot.sensordata[i][velocities], loop.data.sensordata[velocities]
+        )
+        np.testing.assert_array_equal(
+            snapshot.sensordata[i][loop.indices.accelerometer], acceleration
+        )
+
+
+def test_results_do_not_depend_on_the_number_of_threads() -> None:
+    one, many = Simulations(5, num_threads=1), Simulations(5, num_threads=2)
+    for target in _targets(5, 6):
+        one.advance(target)
+        many.advance(target)
+    _assert_rows_equal(one, many, list(range(5)))
+
+
+def test_results_do_not_depend_on_the_number_of_simulations() -> None:
+    targets = _targets(4, 5)
+    many, single = Simulations(4, num_threads=1), Simulations(1, num_threads=1)
+    for target in targets:
+        many.advance(target)
+        single.advance(target[2:3])
+    np.testing.assert_array_equal(many.snapshot().qpos[2], single.snapshot().qpos[0])
+
+
+def test_torque_acts_after_exactly_six_substeps() -> None:
+    """The delay of 3 ms is in the model: a step of torque shows in the seventh substep."""
+    model = load_model()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    command = np.linspace(0.1, 0.8, 10)
+    forces = []
+    for _ in range(9):
+        data.ctrl = command
+        mujoco.mj_step(model, data)
+        forces.append(data.actuator_force.copy())
+    np.testing.assert_array_equal(forces[:6], 0.0)
+    np.testing.assert_array_equal(forces[6:], [command] * 3)
+
+
+def test_the_delay_is_in_the_batched_simulations_too() -> None:
+    """A push of the target in the last six substeps of a period acts in the next one."""
+    simulations = Simulations(1, num_threads=1)
+    force = simulations.batch.bind("actuator_force")
+    seen: list[np.ndarray] = []
+    original = simulations.batch.step
+
+    def step(*args: Any, **kwargs: Any) -> None:
+        original(*args, **kwargs)
+        seen.append(force[0].copy())
+
+    simulations.batch.step = step
+    target = _targets(1, 1)[0]
+    simulations.advance(target)
+    expected = motor_torque(target[0], *_motors_standing())
+    assert len(seen) == SUBSTEPS
+    np.testing.assert_array_equal(seen[:6], 0.0)
+    np.testing.assert_array_equal(seen[6], expected)
+
+
+def _motors_standing() -> tuple[np.ndarray, np.ndarray]:
+    model = load_model()
+    return model.key("standing").qpos[CassieIndices.from_model(model).motor_qpos], np.zeros(10)
+
+
+# -------------------------------------------------------------- resets
+
+
+def test_a_reset_forgets_everything() -> None:
+    """Delay line, warm start, time: what follows a reset equals a fresh object's."""
+    used, fresh = Simulations(2, num_threads=1), Simulations(2, num_threads=1)
+    for target in _targets(2, 5, seed=3):
+        used.advance(target)
+    used.reset(np.arange(2))
+    _assert_rows_equal(used, fresh, [0, 1])
+    assert (used.batch.bind("time") == 0).all()
+    for target in _targets(2, 5, seed=4):
+        used.advance(target)
+        fresh.advance(target)
+        _assert_rows_equal(used, fresh, [0, 1])
+
+
+def test_a_reset_of_some_leaves_the_others_alone() -> None:
+    touched, untouched = Simulations(3, num_threads=1), Simulations(3, num_threads=1)
+    for k, target in enumerate(_targets(3, 6)):
+        if k == 3:
+            before = _arrays(touched)
+            touched.reset(np.array([1]))
+            after = _arrays(touched)
+            for name in before:
+                np.testing.assert_array_equal(before[name][[0, 2]], after[name][[0, 2]])
+                assert not np.array_equal(before[name][1], after[name][1]), name
+        touched.advance(target)
+        untouched.advance(target)
+    _assert_rows_equal(touched, untouched, [0, 2])
+
+
+def test_a_reset_to_a_state_shows_it() -> None:
+    simulations = Simulations(3, num_threads=1)
+    qpos = np.stack([simulations.model.key("standing").qpos] * 2)
+    qpos[:, 0], qpos[:, 2] = [1.0, 2.0], [1.5, 1.6]
+    qvel = np.random.default_rng(0).uniform(-1, 1, (2, 32))
+    simulations.reset(np.array([0, 2]), qpos, qvel)
+    snapshot = simulations.snapshot()
+    np.testing.assert_array_equal(snapshot.qpos[[0, 2]], qpos)
+    np.testing.assert_array_equal(snapshot.qvel[[0, 2]], qvel)
+    standing = simulations.model.key("standing").qpos
+    np.testing.assert_array_equal(snapshot.qpos[1], standing)
+    # the feet have moved with the pelvis
+    moved = snapshot.site_xpos[[0, 2]] - snapshot.site_xpos[1]
+    np.testing.assert_allclose(
+        moved, np.stack([qpos[:, :3] - standing[:3]] * 3, axis=1), atol=1e-12
+    )
+
+
+def test_a_reset_of_none_does_nothing() -> None:
+    simulations = Simulations(1, num_threads=1)
+    simulations.advance(_targets(1, 1)[0])
+    before = _arrays(simulations)
+    simulations.reset(np.array([], dtype=int))
+    after = _arrays(simulations)
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name])
+
+
+# ---------------------------------------------------------- divergence
+
+Break = Callable[[Simulations, np.ndarray], None]
+
+
+def _nan_target(simulations: Simulations, target: np.ndarray) -> None:
+    target[1, 3] = np.nan
+
+
+def _infinite_position(simulations: Simulations, target: np.ndarray) -> None:
+    simulations.batch.bind("qpos")[1, 9] = np.inf
+
+
+def _nan_velocity(simulations: Simulations, target: np.ndarray) -> None:
+    simulations.batch.bind("qvel")[1, 4] = np.nan
+
+
+def _huge_velocity(simulations: Simulations, target: np.ndarray) -> None:
+    simulations.batch.bind("qvel")[1, 8] = 1e12
+
+
+def _mujoco_error(simulations: Simulations, target: np.ndarray) -> None:
+    """In the tenth substep MuJoCo raises an error in one simulation."""
+    kinds = simulations.batch.expand("eq_type")
+    original, calls = simulations.batch.step, [0]
+
+    def step(*args: Any, **kwargs: Any) -> None:
+        calls[0] += 1
+        kinds[1, 0] = 99 if calls[0] == 10 else 0
+        try:
+            original(*args, **kwargs)
+        finally:
+            kinds[1, 0] = 0
+
+    simulations.batch.step = step
+
+
+BREAKS: list[Break] = [
+    _nan_target,
+    _infinite_position,
+    _nan_velocity,
+    _huge_velocity,
+    _mujoco_error,
+]
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("damage", BREAKS, ids=lambda f: f.__name__.strip("_"))
+def test_a_diverging_simulation_falls_alone(damage: Break) -> None:
+    """It is reported, counted and put back on its feet; the others do not notice."""
+    broken, whole = Simulations(3, num_threads=1), Simulations(3, num_threads=1)
+    targets = _targets(3, 6)
+    for target in targets[:2]:
+        broken.advance(target)
+        whole.advance(target)
+    target = targets[2].copy()
+    damage(broken, target)
+    assert broken.advance(target).tolist() == [False, True, False]
+    assert not whole.advance(targets[2]).any()
+    assert (broken.divergences, whole.divergences) == (1, 0)
+    _assert_rows_equal(broken, whole, [0, 2])
+
+    fresh = Simulations(3, num_threads=1)
+    _assert_rows_equal(broken, fresh, [1])
+
+    # all three go on, the one restarted as a fresh one does
+    if damage is _mujoco_error:
+        del broken.batch.step
+    for target in targets[3:]:
+        assert not broken.advance(target).any()
+        whole.advance(target)
+        fresh.advance(target)
+    _assert_rows_equal(broken, whole, [0, 2])
+    _assert_rows_equal(broken, fresh, [1])
+    assert broken.divergences == 1
+
+
+def test_all_may_diverge_at_once() -> None:
+    simulations = Simulations(2, num_threads=1)
+    assert simulations.advance(np.full((2, 10), np.nan)).all()
+    assert simulations.divergences == 2
+    standing = simulations.model.key("standing").qpos
+    np.testing.assert_array_equal(simulations.snapshot().qpos, [standing] * 2)
+
+
+# -------------------------------------------------------------- misuse
+
+
+@pytest.mark.parametrize("num", [0, -1, 1.5, "2", None])
+def test_a_number_of_simulations_that_is_none_is_refused(num: Any) -> None:
+    with pytest.raises(ConfigurationError, match="number of simulations"):
+        Simulations(num)
+
+
+@pytest.mark.parametrize("threads", [-1, 1.5, "2"])
+def test_a_number_of_threads_that_is_none_is_refused(threads: Any) -> None:
+    with pytest.raises(ConfigurationError, match="num_threads"):
+        Simulations(1, num_threads=threads)
+
+
+@pytest.mark.parametrize("shape", [(10,), (1, 10), (2, 9), (2, 10, 1)])
+def test_targets_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ShapeError, match=r"motor_target must have shape \(2, 10\)"):
+        Simulations(2, num_threads=1).advance(np.zeros(shape))
+
+
+@pytest.mark.parametrize(("name", "size"), [("qpos", 34), ("qpos", 36), ("qvel", 35)])
+def test_states_of_another_shape_are_refused(name: str, size: int) -> None:
+    simulations = Simulations(2, num_threads=1)
+    with pytest.raises(ShapeError, match=name):
+        simulations.reset(np.array([0]), **{name: np.zeros((1, size))})
+
+
+def test_a_refused_reset_changes_nothing() -> None:
+    """An error must not leave a simulation half reset."""
+    simulations = Simulations(1, num_threads=1)
+    simulations.advance(_targets(1, 1)[0])
+    before = _arrays(simulations)
+    with pytest.raises(ShapeError):
+        simulations.reset(np.array([0]), np.zeros((1, 35)), np.zeros((1, 31)))
+    after = _arrays(simulations)
+    for name in before:
+        np.testing.assert_array_equal(before[name], after[name])
+
+
+# ------------------------------------------------------------- physics
+
+
+def test_mean_ground_force_is_weight_plus_change_of_momentum() -> None:
+    """Newton's second law over 0.6 s, in which only the feet touch the floor."""
+    simulations = Simulations(1, num_threads=1)
+    model, data = simulations.model, mujoco.MjData(simulations.model)
+    standing = model.key("standing").qpos[simulations.indices.motor_qpos][None]
+
+    def momentum() -> np.ndarray:
+        data.qpos, data.qvel = simulations.snapshot().qpos[0], simulations.snapshot().qvel[0]
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        touching = {model.geom(i).name for pair in data.contact.geom for i in pair}
+        assert touching <= {"floor", "left_foot", "right_foot"}
+        return TOTAL_MASS * data.subtree_linvel[0]
+
+    before, impulse, steps = momentum(), np.zeros(3), 20
+    for _ in range(steps):
+        simulations.advance(standing)
+        impulse += simulations.snapshot().ground_force[0].sum(axis=0) * POLICY_PERIOD
+        after = momentum()
+    gained = after - before + [0, 0, WEIGHT * steps * POLICY_PERIOD]
+    assert np.abs(after - before).max() > 1.0  # it does move
+    np.testing.assert_allclose(impulse, gained, atol=0.01 * WEIGHT * steps * POLICY_PERIOD)

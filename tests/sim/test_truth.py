@@ -1,0 +1,173 @@
+"""The true state against MuJoCo's own functions and finite differences."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is a compiled module without complete type stubs
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from aslip.cassie.model import CassieIndices, load_model
+from aslip.sim import Simulations, Snapshot, true_state
+from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, upper_hemisphere
+
+
+def _random_quaternions(count: int) -> np.ndarray:
+    quaternions = np.random.default_rng(0).normal(size=(count, 4))
+    return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def _matrices(quaternions: np.ndarray) -> np.ndarray:
+    matrices = np.zeros((len(quaternions), 9))
+    for matrix, quaternion in zip(matrices, quaternions, strict=True):
+        mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrices
+
+
+HALF_TURNS = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 0.6, 0.8, 0], [1, 0, 0, 0]])
+
+
+@pytest.mark.parametrize("quaternions", [_random_quaternions(200), HALF_TURNS], ids=["any", "half"])
+def test_quaternion_from_matrix_equals_mujoco(quaternions: np.ndarray) -> None:
+    matrices = _matrices(quaternions)
+    found = quaternion_from_matrix(matrices)
+    assert (found[:, 0] >= 0).all()
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-15)
+    expected = np.zeros((len(quaternions), 4))
+    for quaternion, matrix in zip(expected, matrices, strict=True):
+        mujoco.mju_mat2Quat(quaternion, matrix)
+    same = np.abs((found * expected).sum(axis=1))
+    np.testing.assert_allclose(same, 1.0, atol=1e-14)
+    np.testing.assert_allclose(_matrices(found), matrices, atol=1e-14)
+
+
+def test_quaternion_from_matrix_takes_any_leading_shape() -> None:
+    quaternions = _random_quaternions(6)
+    matrices = _matrices(quaternions).reshape(2, 3, 9)
+    found = quaternion_from_matrix(matrices)
+    np.testing.assert_array_equal(
+        found.reshape(6, 4), quaternion_from_matrix(matrices.reshape(6, 9))
+    )
+
+
+def test_rotate_inverse_equals_mujoco() -> None:
+    quaternions = _random_quaternions(100)
+    vectors = np.random.default_rng(1).normal(size=(100, 3))
+    expected = np.zeros((100, 3))
+    for result, quaternion, vector in zip(expected, quaternions, vectors, strict=True):
+        inverse = np.zeros(4)
+        mujoco.mju_negQuat(inverse, quaternion)
+        mujoco.mju_rotVecQuat(result, vector, inverse)
+    np.testing.assert_allclose(rotate_inverse(quaternions, vectors), expected, atol=1e-14)
+
+
+def test_upper_hemisphere_is_the_same_rotation() -> None:
+    quaternions = _random_quaternions(50)
+    upper = upper_hemisphere(quaternions)
+    assert (upper[:, 0] >= 0).all()
+    assert (quaternions[:, 0] < 0).any()
+    np.testing.assert_allclose(_matrices(upper), _matrices(quaternions), atol=1e-15)
+
+
+@pytest.fixture(scope="module")
+def simulations() -> Simulations:
+    return Simulations(2, num_threads=1)
+
+
+def _random_states(simulations: Simulations, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A robot in the air that turns and moves in all directions."""
+    rng = np.random.default_rng(seed)
+    qpos = np.stack([simulations.model.key("standing").qpos] * 2)
+    qpos[:, 2] = 3.0
+    qpos[:, 3:7] = rng.normal(size=(2, 4))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    return qpos, rng.uniform(-1, 1, (2, 32))
+
+
+def test_truth_names_the_parts_of_the_state(simulations: Simulations) -> None:
+    qpos, qvel = _random_states(simulations, 0)
+    simulations.reset(np.arange(2), qpos, qvel)
+    truth = true_state(simulations.snapshot(), simulations.indices)
+    model, data = simulations.model, mujoco.MjData(simulations.model)
+    data.qpos, data.qvel = qpos[1], qvel[1]
+    mujoco.mj_forward(model, data)
+    pelvis = data.body("pelvis")
+    np.testing.assert_array_equal(truth["pelvis_position"][1], pelvis.xpos)
+    np.testing.assert_allclose(
+        truth["pelvis_orientation"][1], upper_hemisphere(np.array(pelvis.xquat)), atol=1e-15
+    )
+    velocity = np.zeros(6)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, pelvis.id, velocity, 0)
+    np.testing.assert_allclose(truth["pelvis_velocity"][1], velocity[3:], atol=1e-12)
+    mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_XBODY, pelvis.id, velocity, 1)
+    np.testing.assert_allclose(truth["pelvis_angular_velocity"][1], velocity[:3], atol=1e-12)
+    for side in ("left", "right"):
+        site = data.site(f"{side}_foot")
+        np.testing.assert_array_equal(truth[f"{side}_foot_position"][1], site.xpos)
+        rotation = _matrices(truth[f"{side}_foot_orientation"][1:])[0]
+        np.testing.assert_allclose(rotation, site.xmat, atol=1e-14)
+        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_SITE, site.id, velocity, 0)
+        np.testing.assert_allclose(truth[f"{side}_foot_velocity"][1], velocity[3:], atol=1e-12)
+    for i, name in enumerate(("left_hip_roll", "left_hip_yaw", "left_hip_pitch", "left_knee")):
+        assert truth["motor_position"][1, i] == data.joint(name).qpos[0]
+        assert truth["motor_velocity"][1, i] == data.joint(name).qvel[0]
+    for i, name in enumerate(("left_shin", "left_tarsus", "left_foot", "right_shin")):
+        assert truth["joint_position"][1, i] == data.joint(name).qpos[0]
+        assert truth["joint_velocity"][1, i] == data.joint(name).qvel[0]
+
+
+def test_foot_velocity_is_the_rate_of_foot_position(simulations: Simulations) -> None:
+    step = 1e-6
+    before, qvel = _random_states(simulations, 1)
+    after = before.copy()
+    for qpos, velocity in zip(after, qvel, strict=True):
+        mujoco.mj_integratePos(simulations.model, qpos, velocity, step)
+    truths = []
+    for qpos in (before, after):
+        simulations.reset(np.arange(2), qpos, qvel)
+        truth = true_state(simulations.snapshot(), simulations.indices)
+        truths.append({name: value.copy() for name, value in truth.items()})
+    for foot in ("left_foot", "right_foot", "pelvis"):
+        moved = truths[1][f"{foot}_position"] - truths[0][f"{foot}_position"]
+        np.testing.assert_allclose(moved / step, truths[0][f"{foot}_velocity"], atol=1e-4)
+
+
+def test_a_falling_robot_accelerates_with_gravity(simulations: Simulations) -> None:
+    """In free fall the accelerometer reads zero, and the acceleration is gravity's."""
+    qpos, _ = _random_states(simulations, 2)
+    simulations.reset(np.arange(2), qpos)
+    truth = true_state(simulations.snapshot(), simulations.indices)
+    specific_force = simulations.snapshot().sensordata[:, simulations.indices.accelerometer]
+    np.testing.assert_allclose(specific_force, 0.0, atol=1e-6)
+    gravity = rotate_inverse(qpos[:, 3:7], np.array([0, 0, -9.81]))
+    np.testing.assert_allclose(truth["pelvis_acceleration"], gravity, atol=1e-6)
+
+
+def test_a_robot_at_rest_does_not_accelerate() -> None:
+    """An accelerometer at rest reads the reaction to gravity, whichever way it is turned."""
+    indices = CassieIndices.from_model(load_model())
+    quaternions = _random_quaternions(5)
+    sensors = np.zeros((5, 22))
+    sensors[:, indices.accelerometer] = rotate_inverse(quaternions, np.array([0, 0, 9.81]))
+    qpos = np.zeros((5, 35))
+    qpos[:, 3:7] = quaternions
+    sites = np.zeros((5, 3, 3)), np.tile(np.eye(3).ravel(), (5, 3, 1))
+    snapshot = Snapshot(qpos, np.zeros((5, 32)), *sites, sensors, np.zeros((5, 2, 3)))
+    truth = true_state(snapshot, indices)
+    np.testing.assert_allclose(truth["pelvis_acceleration"], 0.0, atol=1e-14)
+
+
+def test_one_robot_and_many_have_the_same_truth(simulations: Simulations) -> None:
+    qpos, qvel = _random_states(simulations, 3)
+    simulations.reset(np.arange(2), qpos, qvel)
+    many = simulations.snapshot()
+    one = Snapshot(*(np.array(value[1]) for value in vars(many).values()))
+    stacked = Snapshot.stack([one, one])
+    truth = true_state(many, simulations.indices)
+    alone = true_state(one, simulations.indices)
+    twice = true_state(stacked, simulations.indices)
+    for name, value in truth.items():
+        np.testing.assert_array_equal(alone[name], value[1], err_msg=name)
+        np.testing.assert_array_equal(twice[name], [value[1]] * 2, err_msg=name)
