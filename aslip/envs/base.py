@@ -1,0 +1,147 @@
+"""The contract both environment backends keep.
+
+Keys, for n robots (shapes omit the leading n):
+
+| key | shape | meaning |
+|---|---|---|
+| `motor_target` | 10 | action: joint angles the 2 kHz PD loops track for 30 ms [rad] |
+| `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
+| `("truth", "diverged")` | 1 | the simulation diverged in this policy step and stands now |
+| `reward` | 1 | zero: rewards are transforms |
+| `terminated`, `done` | 1 | diverged, or fallen (pelvis below 0.4 m) |
+
+A reset may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32); without them the robot
+stands. A NaN target makes that one simulation diverge; it does not touch the others.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from aslip.cassie.model import CassieIndices
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim import Snapshot, true_state
+from aslip.task import FALL_HEIGHT
+
+# the exact state, for logs and replay; all else is for networks
+_DOUBLE = ("qpos", "qvel")
+
+
+class CassieEnv(EnvBase):
+    """N Cassie robots under motor position targets.
+
+    Args:
+        num_envs: number of robots.
+        indices: where the robot's parts are in MuJoCo's arrays.
+
+    Raises:
+        ConfigurationError: `num_envs` is not 1 or more.
+    """
+
+    def __init__(self, num_envs: int, indices: CassieIndices) -> None:
+        super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
+        self.indices = indices
+        self.divergences = 0
+        """Simulations that diverged, and were put back on their feet, since construction."""
+        self._set_specs()
+
+    @property
+    def num_envs(self) -> int:
+        """Number of robots."""
+        return self.batch_size[0]
+
+    # -------------------------------------------------- what a backend gives
+
+    @abstractmethod
+    def _advance(self, motor_target: np.ndarray) -> np.ndarray:
+        """Run one policy period with (n, 10) targets [rad]; return (n,) bool, who diverged."""
+
+    @abstractmethod
+    def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
+        """Restart (k,) simulations at (k, 35) and (k, 32), or standing."""
+
+    @abstractmethod
+    def _snapshot(self) -> Snapshot:
+        """The arrays of all simulations, leading shape (n,)."""
+
+    # ---------------------------------------------------------------- EnvBase
+
+    def _set_specs(self) -> None:
+        n, truth = self.batch_size, self._truth(np.zeros(self.batch_size, dtype=bool))
+        self.observation_spec = Composite(
+            truth=Composite(
+                {
+                    key: Binary(shape=value.shape, dtype=torch.bool)
+                    if value.dtype == torch.bool
+                    else Unbounded(value.shape, dtype=value.dtype)
+                    for key, value in truth.items()
+                },
+                shape=n,
+            ),
+            shape=n,
+        )
+        self.action_spec = Composite(motor_target=Unbounded((*n, 10)), shape=n)
+        self.reward_spec = Unbounded((*n, 1))
+        flag = Binary(shape=(*n, 1), dtype=torch.bool)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=n)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        target = tensordict["motor_target"]
+        if target.shape != (*self.batch_size, 10):
+            expected = (*self.batch_size, 10)
+            raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
+        diverged = self._advance(target.detach().double().numpy())
+        self.divergences += int(diverged.sum())
+        truth = self._truth(diverged)
+        terminated = truth["diverged"] | (truth["pelvis_position"][..., 2:] < FALL_HEIGHT)
+        return TensorDict(
+            {
+                "truth": truth,
+                "reward": torch.zeros(*self.batch_size, 1),
+                "terminated": terminated,
+                "done": terminated.clone(),
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
+        del kwargs
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask.numpy())
+        initial: list[np.ndarray | None] = [None, None]
+        if tensordict is not None:
+            for i, name in enumerate(_DOUBLE):
+                value = tensordict.get(("initial", name), None)
+                initial[i] = None if value is None else value.double().numpy()[rows]
+        self._restart(rows, *initial)
+        return TensorDict(
+            {"truth": self._truth(np.zeros(self.num_envs, dtype=bool))}, batch_size=self.batch_size
+        )
+
+    def _truth(self, diverged: np.ndarray) -> TensorDict:
+        truth = {
+            key: torch.tensor(value, dtype=torch.float64 if key in _DOUBLE else torch.float32)
+            for key, value in true_state(self._snapshot(), self.indices).items()
+        }
+        truth["diverged"] = torch.tensor(diverged[:, None])
+        return TensorDict(truth, batch_size=self.batch_size)
+
+    def _set_seed(self, seed: int | None) -> None:
+        """The robots themselves draw nothing; transforms have their own generators."""
+
+
+def check_num_envs(num_envs: object) -> int:
+    """The number of environments, if it is one.
+
+    Raises:
+        ConfigurationError: it is not a whole number of 1 or more.
+    """
+    if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+        raise ConfigurationError(f"num_envs must be a whole number of 1 or more, got {num_envs!r}")
+    return num_envs

@@ -1,0 +1,40 @@
+"""The training backend: all robots in one native batch."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, load_model
+from aslip.envs.base import CassieEnv, check_num_envs
+from aslip.sim import Simulations, Snapshot
+
+
+class BatchCassieEnv(CassieEnv):
+    """N robots on `mujoco.batch`; see `CassieEnv` for the keys.
+
+    Args:
+        num_envs: number of robots.
+        num_threads: threads to step on, 0 for all processors.
+        floor_friction: sliding friction of the floor.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        num_threads: int = 0,
+        floor_friction: float = DEFAULT_FLOOR_FRICTION,
+    ) -> None:
+        self.simulations = Simulations(
+            check_num_envs(num_envs), model=load_model(floor_friction), num_threads=num_threads
+        )
+        super().__init__(num_envs, self.simulations.indices)
+
+    def _advance(self, motor_target: np.ndarray) -> np.ndarray:
+        return self.simulations.advance(motor_target)
+
+    def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
+        self.simulations.reset(ids, qpos, qvel)
+
+    def _snapshot(self) -> Snapshot:
+        return self.simulations.snapshot()

@@ -1,0 +1,66 @@
+"""The reference backend: dm_control environments of the walking task, one after another.
+
+Its states equal the batched backend's bit for bit; use it for viewing, for comparison, and where
+dm_control's tools are wanted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from dm_control.rl.control import PhysicsError
+
+from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
+from aslip.envs.base import CassieEnv, check_num_envs
+from aslip.sim import Snapshot
+from aslip.task import CassiePhysics, walk_environment
+
+
+class DmControlCassieEnv(CassieEnv):
+    """N dm_control environments; see `CassieEnv` for the keys.
+
+    Args:
+        num_envs: number of robots, simulated in turn.
+        floor_friction: sliding friction of the floor.
+    """
+
+    def __init__(
+        self, num_envs: int = 1, *, floor_friction: float = DEFAULT_FLOOR_FRICTION
+    ) -> None:
+        # time limit and falls are the transforms' and the base class's business
+        self.environments = [
+            walk_environment(
+                time_limit=float("inf"), terminate_on_fall=False, floor_friction=floor_friction
+            )
+            for _ in range(check_num_envs(num_envs))
+        ]
+        for environment in self.environments:
+            environment.reset()
+        super().__init__(num_envs, self.physics[0].indices)
+
+    @property
+    def physics(self) -> list[CassiePhysics]:
+        """The robots' physics."""
+        return [environment.physics for environment in self.environments]
+
+    def _advance(self, motor_target: np.ndarray) -> np.ndarray:
+        diverged = np.zeros(self.num_envs, dtype=bool)
+        for i, environment in enumerate(self.environments):
+            try:
+                environment.step(motor_target[i])
+            except PhysicsError:
+                diverged[i] = True
+        self._restart(np.flatnonzero(diverged), None, None)
+        return diverged
+
+    def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
+        for k, i in enumerate(ids):
+            physics = self.physics[i]
+            with physics.reset_context():
+                physics.stand()
+                if qpos is not None:
+                    physics.data.qpos[:] = qpos[k]
+                if qvel is not None:
+                    physics.data.qvel[:] = qvel[k]
+
+    def _snapshot(self) -> Snapshot:
+        return Snapshot.stack([physics.snapshot() for physics in self.physics])

@@ -1,0 +1,150 @@
+"""Cassie with questions a walking task asks."""
+
+from __future__ import annotations
+
+import warnings
+
+import mujoco as mj
+import numpy as np
+
+with warnings.catch_warnings():
+    # dm_control looks for a display on import; its absence matters only to those who render
+    warnings.filterwarnings("ignore", module="glfw")
+    from dm_control import mujoco
+    from dm_control.mujoco.wrapper import MjData
+
+from aslip.assets import asset_path
+from aslip.cassie import MOTOR_NAMES, SIDES, Side
+from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, CassieIndices, set_floor_friction
+from aslip.errors import ShapeError
+from aslip.sim import Drive, Snapshot
+from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, true_state
+
+_VERTICAL = 8  # zz entry of a row-major rotation matrix
+
+
+class CassiePhysics(mujoco.Physics):
+    """The robot under motor position targets; every answer is a copy.
+
+    The control signal is what the drive tracks: ten joint angles [rad]. Each substep of `step`
+    runs the PD loop and the motor limits of `aslip.sim`, as on the robot.
+    """
+
+    @classmethod
+    def load(cls, floor_friction: float = DEFAULT_FLOOR_FRICTION) -> CassiePhysics:
+        """Physics of `assets/cassie.xml`, standing."""
+        physics = cls.from_xml_path(str(asset_path("cassie.xml")))
+        set_floor_friction(physics.model.ptr, floor_friction)
+        with physics.reset_context():
+            physics.stand()
+        return physics
+
+    def _reload_from_data(self, data: MjData) -> None:
+        """Set up indices and drive; dm_control calls this from every constructor."""
+        self.indices = CassieIndices.from_model(data.model.ptr)
+        self._drive = Drive(1)
+        # ends with after_reset(), which reads the above
+        super()._reload_from_data(data)
+
+    def copy(self, share_model: bool = False) -> CassiePhysics:
+        """A physics in the same state, with the same motor target; see dm_control."""
+        other = super().copy(share_model)
+        # a new physics behaves as after a reset: hand over what that cleared
+        np.copyto(other.data.qacc_warmstart, self.data.qacc_warmstart)
+        other._motor_target = self._motor_target.copy()
+        other._ground_force = self._ground_force.copy()
+        return other
+
+    # ------------------------------------------------------------------ time
+
+    def set_control(self, control: np.ndarray) -> None:
+        """Set the joint angles [rad] the drive tracks, (10,)."""
+        control = np.asarray(control, dtype=np.float64)
+        if control.shape != self._motor_target.shape:
+            expected = self._motor_target.shape
+            raise ShapeError(f"motor target must have shape {expected}, got {control.shape}")
+        self._motor_target = control
+
+    def step(self, nstep: int = 1) -> None:
+        """Advance by substeps of PD control, motor limits and physics.
+
+        Raises:
+            PhysicsError: the simulation diverged.
+        """
+        self._ground_force = np.zeros_like(self._ground_force)
+        for _ in range(nstep):
+            torque = self._drive.torque(
+                self._motor_target[None],
+                self.data.qpos[None, self.indices.motor_qpos],
+                self.data.qvel[None, self.indices.motor_qvel],
+            )
+            np.copyto(self.data.ctrl, torque[0])
+            super().step()
+            self._ground_force += self.data.sensordata[self.indices.ground_force]
+        self._ground_force /= nstep
+
+    def stand(self) -> None:
+        """Write the standing keyframe; call inside `reset_context`."""
+        mj.mj_resetDataKeyframe(self.model.ptr, self.data.ptr, self.model.ptr.key("standing").id)
+
+    def after_reset(self) -> None:
+        """Recompute what follows from the state; the first step starts from a cold solver."""
+        self.data.qacc_warmstart[:] = 0.0
+        super().after_reset()
+        self.data.qacc_warmstart[:] = 0.0
+        self._motor_target = self.motor_position()
+        self._ground_force = self.data.sensordata[self.indices.ground_force]
+
+    # ------------------------------------------------------------- questions
+
+    def snapshot(self) -> Snapshot:
+        """Copies of the arrays that `aslip.sim.true_state` reads."""
+        return Snapshot(
+            np.array(self.data.qpos),
+            np.array(self.data.qvel),
+            np.array(self.data.site_xpos),
+            np.array(self.data.site_xmat),
+            np.array(self.data.sensordata),
+            self._ground_force.copy(),
+        )
+
+    def true_state(self) -> dict[str, np.ndarray]:
+        """All named quantities of `aslip.sim.true_state`."""
+        return true_state(self.snapshot(), self.indices)
+
+    def pelvis_height(self) -> float:
+        """Height of the pelvis origin above the floor [m]."""
+        return float(self.data.qpos[2])
+
+    def pelvis_upright(self) -> float:
+        """Projection of the pelvis' z axis on the vertical, in [-1, 1]."""
+        return float(self.named.data.xmat["pelvis"][_VERTICAL])
+
+    def pelvis_velocity(self) -> np.ndarray:
+        """Velocity of the pelvis in the pelvis frame, (3,) [m/s]."""
+        return rotate_inverse(np.array(self.data.qpos[3:7]), np.array(self.data.qvel[:3]))
+
+    def motor_position(self) -> np.ndarray:
+        """Angles of the ten driven joints, (10,) [rad]."""
+        return np.array(self.data.qpos[self.indices.motor_qpos])
+
+    def motor_velocity(self) -> np.ndarray:
+        """Velocities of the ten driven joints, (10,) [rad/s]."""
+        return np.array(self.data.qvel[self.indices.motor_qvel])
+
+    def motor_range(self) -> np.ndarray:
+        """Limits of the ten driven joints, (10, 2) [rad]."""
+        return np.stack([self.named.model.jnt_range[name] for name in MOTOR_NAMES])
+
+    def foot_position(self, side: Side) -> np.ndarray:
+        """Sole centre in the world, (3,) [m]."""
+        return np.array(self.data.site_xpos[self.indices.foot_site[SIDES.index(side)]])
+
+    def foot_orientation(self, side: Side) -> np.ndarray:
+        """Sole-to-world rotation, (4,) wxyz; identity when level with the toes along x."""
+        site = self.indices.foot_site[SIDES.index(side)]
+        return quaternion_from_matrix(np.array(self.data.site_xmat[site]))
+
+    def ground_force(self, side: Side) -> np.ndarray:
+        """Force of the floor on one foot in the world, mean over the last step call, (3,) [N]."""
+        return self._ground_force[SIDES.index(side)].copy()

@@ -1,0 +1,300 @@
+"""The contract of TorchRL environments, for both backends, bare and under the full stack."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import EnvBase, SerialEnv
+from torchrl.envs.utils import check_env_specs
+
+import aslip
+from aslip.cassie.model import load_model
+from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.library import GaitLibrary
+from aslip.task import FALL_HEIGHT
+from tests.conftest import MakeEnv, differing, leaves
+
+BACKENDS = ("batch", "dm_control")
+STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore
+
+
+def _base(backend: str, num_envs: int = 2) -> CassieEnv:
+    if backend == "batch":
+        return BatchCassieEnv(num_envs, num_threads=1)
+    return DmControlCassieEnv(num_envs)
+
+
+def _standing_targets(env: CassieEnv) -> torch.Tensor:
+    return STANDING[env.indices.motor_qpos.copy()].float().expand(env.num_envs, 10).clone()
+
+
+class RandomActions:
+    """A policy that draws deltas of its own, the same for every environment."""
+
+    def __init__(self, seed: int, size: float = 0.3) -> None:
+        self.generator = torch.Generator().manual_seed(seed)
+        self.size = size
+
+    def __call__(self, td: TensorDict) -> TensorDict:
+        action = self.size * torch.randn(*td.batch_size, 10, generator=self.generator)
+        return td.set("action", action)
+
+
+def _rollout(env: EnvBase, steps: int, seed: int = 0) -> Any:
+    return env.rollout(steps, RandomActions(seed), break_when_any_done=False)  # pyright: ignore
+
+
+# ------------------------------------------------------------------- specs
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_base_environments_keep_their_specs(backend: str) -> None:
+    check_env_specs(_base(backend), break_when_any_done="both")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_full_stacks_keep_their_specs(make: MakeEnv, backend: str) -> None:
+    check_env_specs(make(backend, num_envs=2), break_when_any_done="both")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_environments_keep_their_specs_in_a_serial_env(make: MakeEnv, backend: str) -> None:
+    serial = SerialEnv(2, lambda: make(backend, num_envs=2))
+    try:
+        check_env_specs(serial, break_when_any_done="both")
+        assert _rollout(serial, 5)["observation"].shape == (2, 2, 5, 64)
+    finally:
+        serial.close()
+
+
+def test_a_serial_env_resets_only_who_is_done(make: MakeEnv) -> None:
+    serial = SerialEnv(2, lambda: make(num_envs=2))
+    try:
+        td = serial.reset()
+        for _ in range(3):
+            before = td
+            action = torch.zeros(2, 2, 10)
+            action[1, 0, 0] = torch.nan
+            stepped, td = serial.step_and_maybe_reset(td.set("action", action))
+            done = stepped["next", "done"][..., 0]
+            assert done[1, 0]
+            assert not done[0].any()
+            assert (
+                td["step_count"][..., 0] == torch.where(done, 0, before["step_count"][..., 0] + 1)
+            ).all()
+    finally:
+        serial.close()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_everything_is_single_precision_but_the_exact_state(make: MakeEnv, backend: str) -> None:
+    data = _rollout(make(backend, num_envs=1), 2)
+    for key, value in leaves(data).items():
+        if value.dtype == torch.float64:
+            assert key[-2:] in (("truth", "qpos"), ("truth", "qvel")), key
+
+
+# ------------------------------------------------------- equality and seeds
+
+
+def test_backends_are_equal_bit_for_bit(make: MakeEnv) -> None:
+    """50 policy steps of random actions under the full stack, with falls and resets in between."""
+    rollouts = [_rollout(make(backend, num_envs=3, seed=5), 50) for backend in BACKENDS]
+    done = rollouts[0]["next", "done"][..., 0]
+    assert done.any(dim=1).all()  # everyone was reset
+    assert not done.all(dim=0).any()  # though not together
+    assert differing(*rollouts) == []
+
+
+def test_base_backends_are_equal_bit_for_bit() -> None:
+    """Also from given states, and standing where none is given."""
+    batch, single = _base("batch"), _base("dm_control")
+    rng = np.random.default_rng(0)
+    qpos = STANDING.repeat(2, 1)
+    qpos[:, :2] = torch.tensor(rng.uniform(-1, 1, (2, 2)))
+    qvel = torch.tensor(rng.uniform(-0.5, 0.5, (2, 32)))
+    initial = TensorDict(qpos=qpos, qvel=qvel, batch_size=2)
+    for start in (None, TensorDict(initial=initial, batch_size=2)):
+        tds = [env.reset(start.clone() if start is not None else None) for env in (batch, single)]
+        if start is not None:
+            torch.testing.assert_close(tds[0]["truth", "qpos"], qpos, rtol=0, atol=0)
+            torch.testing.assert_close(tds[0]["truth", "qvel"], qvel, rtol=0, atol=0)
+        for _ in range(5):
+            assert differing(*tds) == []
+            target = _standing_targets(batch) + 0.2 * torch.tensor(rng.normal(size=(2, 10))).float()
+            tds = [
+                env.step(TensorDict(motor_target=target, batch_size=2))["next"]
+                for env in (batch, single)
+            ]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_same_seed_same_rollout_other_seed_another(make: MakeEnv, backend: str) -> None:
+    first, again, other = (
+        _rollout(make(backend, num_envs=2, seed=seed), 25, seed=9) for seed in (3, 3, 4)
+    )
+    assert differing(first, again) == []
+    assert {"command", "phase"} <= set(differing(first, other))
+    assert first["next", "done"].any()
+
+
+def test_seeding_again_starts_over(make: MakeEnv) -> None:
+    env = make(num_envs=4, seed=3)
+    first = _rollout(env, 25)
+    env.set_seed(3)
+    assert differing(first, _rollout(env, 25)) == []
+
+
+def test_seeds_reach_the_transforms_and_the_global_generator_does_not(make: MakeEnv) -> None:
+    env = make(num_envs=64, seed=1)
+    torch.manual_seed(0)
+    first = env.reset()
+    env.set_seed(1)
+    torch.manual_seed(1)
+    second = env.reset()
+    for key in ("command", "phase"):
+        torch.testing.assert_close(first[key], second[key], rtol=0, atol=0)
+        assert len(first[key].unique()) > 10
+    # each transform has random numbers of its own: phase and command are unrelated
+    correlation = np.corrcoef(first["command"][:, 0], first["phase"][:, 0])[0, 1]
+    assert abs(correlation) < 0.5
+    env.set_seed(2)
+    assert differing(first, env.reset()) != []
+
+
+def test_the_number_of_threads_changes_nothing(library: GaitLibrary) -> None:
+    one, two = (
+        _rollout(aslip.make_env(num_envs=4, seed=0, num_threads=n, library=library), 10)
+        for n in (1, 2)
+    )
+    assert differing(one, two) == []
+
+
+# ------------------------------------------------------------ base behaviour
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_without_a_given_state_the_robot_stands(backend: str) -> None:
+    td = _base(backend).reset()
+    torch.testing.assert_close(td["truth", "qpos"], STANDING.repeat(2, 1), rtol=0, atol=0)
+    assert (td["truth", "qvel"] == 0).all()
+    assert not td["done"].any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_fallen_robot_is_terminated(backend: str) -> None:
+    env = _base(backend)
+    qpos = STANDING.repeat(2, 1)
+    qpos[1, 2] = FALL_HEIGHT - 0.05
+    qpos[1, 3:7] = torch.tensor([0.5, 0, 0.5, 0]) * 2**0.5
+    initial = TensorDict(qpos=qpos, qvel=torch.zeros(2, 32), batch_size=2)
+    td = env.reset(TensorDict(initial=initial, batch_size=2))
+    after = env.step(td.set("motor_target", _standing_targets(env)))["next"]
+    assert after["terminated"][:, 0].tolist() == [False, True]
+    assert after["done"][:, 0].tolist() == [False, True]
+    assert not after["truth", "diverged"].any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_nan_target_ends_that_robots_episode_alone(backend: str) -> None:
+    broken, whole = _base(backend, 3), _base(backend, 3)
+    tds = [broken.reset(), whole.reset()]
+    target = _standing_targets(broken)
+    bad = target.clone()
+    bad[1, 4] = torch.nan
+    for k in range(3):
+        tds[0].set("motor_target", bad if k == 1 else target)
+        tds[1].set("motor_target", target)
+        tds = [env.step(td)["next"] for env, td in zip((broken, whole), tds, strict=True)]
+        for key, value in leaves(tds[0].exclude("motor_target")).items():
+            torch.testing.assert_close(value[[0, 2]], tds[1][key][[0, 2]], rtol=0, atol=0)
+        if k == 1:
+            assert tds[0]["terminated"][:, 0].tolist() == [False, True, False]
+            assert tds[0]["truth", "diverged"][:, 0].tolist() == [False, True, False]
+            torch.testing.assert_close(tds[0]["truth", "qpos"][1], STANDING, rtol=0, atol=0)
+    assert (broken.divergences, whole.divergences) == (1, 0)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_nan_action_ends_that_robots_episode_alone(make: MakeEnv, backend: str) -> None:
+    """Under the full stack; the robot is reset and goes on, the others are equal bit for bit."""
+    settings: dict[str, Any] = {"num_envs": 3, "seed": 2}
+    broken, whole = make(backend, **settings), make(backend, **settings)
+    tds = [broken.reset(), whole.reset()]
+    for k in range(5):
+        action = torch.full((3, 10), 0.02)
+        tds[1].set("action", action)
+        tds[0].set("action", action.clone())
+        if k == 2:
+            tds[0]["action"][1, 0] = torch.nan
+        (stepped, tds[0]), (other, tds[1]) = (
+            env.step_and_maybe_reset(td) for env, td in zip((broken, whole), tds, strict=True)
+        )
+        rows = torch.tensor([0, 2])
+        assert differing(stepped["next"][rows], other["next"][rows]) == []
+        assert differing(tds[0][rows], tds[1][rows]) == []
+        assert stepped["next", "terminated"][:, 0].tolist() == [False, k == 2, False]
+        assert all(torch.isfinite(value).all() for value in leaves(tds[0]).values())
+        assert torch.isfinite(stepped["next", "observation"]).all()
+    assert broken.base_env.divergences == 1
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("shape", [(2, 9), (2, 11), (2, 10, 1)])
+def test_targets_of_another_shape_are_refused(backend: str, shape: tuple[int, ...]) -> None:
+    env = _base(backend)
+    env.reset()
+    with pytest.raises(ShapeError, match="motor_target must have shape"):
+        env.step(TensorDict(motor_target=torch.zeros(shape), batch_size=2))
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("num_envs", [0, -1, 1.5, True, "4", None])
+def test_a_number_of_robots_that_is_none_is_refused(
+    make: MakeEnv, backend: str, num_envs: Any
+) -> None:
+    with pytest.raises(ConfigurationError, match="num_envs must be a whole number"):
+        make(backend, num_envs=num_envs)
+
+
+def test_an_unknown_backend_is_refused(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match=r"batch.*dm_control.*'mjx'"):
+        make("mjx")
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_the_floor_has_the_friction_asked_for(make: MakeEnv, backend: str) -> None:
+    ice = make(backend, floor_friction=0.05, seed=1)
+    rock = make(backend, floor_friction=1.0, seed=1)
+    start = TensorDict(command=torch.full((1, 1), 1.5), phase=torch.full((1, 1), 0.2), batch_size=1)
+    tds = [env.reset(start.clone()) for env in (ice, rock)]
+    for _ in range(6):
+        tds = [
+            env.step(td.set("action", torch.zeros(1, 10)))["next"]
+            for env, td in zip((ice, rock), tds, strict=True)
+        ]
+    force = [td["truth", "ground_force"][0].norm(dim=-1).max() for td in tds]
+    assert min(force) > 10
+    assert not torch.equal(tds[0]["truth", "qpos"], tds[1]["truth", "qpos"])
+    with pytest.raises(ConfigurationError, match="floor_friction"):
+        make(backend, floor_friction=-1.0)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_steps_do_not_share_memory(backend: str) -> None:
+    """No live view of the simulator leaks: a step keeps its numbers when the next is taken."""
+    env = _base(backend)
+    td = env.reset()
+    kept = td.clone()
+    after = env.step(td.clone().set("motor_target", _standing_targets(env)))["next"]
+    kept_after = after.clone()
+    env.step(TensorDict(motor_target=_standing_targets(env) + 0.3, batch_size=2))
+    env.reset()
+    assert differing(td, kept) == []
+    assert differing(after, kept_after) == []
