@@ -32,14 +32,14 @@ _HOME = {
     "make_env": "aslip.stack",
 }
 
-__all__ = [  # noqa: RUF022  (order of use)
-    "make_env",
-    "default_stack",
-    "GaitLibrary",
+__all__ = [
     "Gait",
+    "GaitLibrary",
     "Reference",
-    "load_policy",
     "__version__",
+    "default_stack",
+    "load_policy",
+    "make_env",
 ]
 
 

@@ -1,0 +1,200 @@
+"""The environment most people want: a backend and the paper's stack of transforms.
+
+An experiment is a stack that differs from the default one in a line or two:
+
+    make_env(drop=["foot_orient"])                               # ablate a reward term
+    make_env(replace={"reward": WeightedReward({...})})          # weigh the terms otherwise
+    make_env(replace={"start": ReferenceStart(library, "rest")}) # start at rest
+
+A stack is an ordered dict of names and transforms. It is never edited in place once it belongs to
+an environment, where TorchRL would keep stale specs; build another.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Literal, get_args
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import Compose, RewardSum, StepCounter, Transform
+
+from aslip import rewards
+from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
+from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.library import GaitLibrary
+from aslip.transforms import (
+    ActionDelta,
+    AssembleObservation,
+    CassieTransform,
+    LastAction,
+    LowReward,
+    PhaseClock,
+    ReferenceInjection,
+    ReferenceStart,
+    RewardTerm,
+    SpeedCommand,
+    TrueState,
+    WeightedReward,
+)
+from aslip.transforms.base import require_keys
+
+Backend = Literal["batch", "dm_control"]
+
+Stack = dict[str, Callable[[], Transform]]
+
+MAX_EPISODE_STEPS = 400
+"""Policy steps of an episode, 12 s (Sec. IV-B)."""
+
+
+class CassieTransformedEnv(TransformedEnv):
+    """A transformed environment whose seed reaches the transforms, too."""
+
+    base_env: CassieEnv
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        # transforms that draw need the number of robots, and asking TorchRL for it is slow
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=self.batch_size)
+        return super()._reset(tensordict, **kwargs)
+
+    def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
+        """Seed the environment and every transform, each with a seed of its own."""
+        if seed is not None:
+            generator = torch.Generator().manual_seed(seed)
+            for transform in self.transform:
+                if isinstance(transform, CassieTransform):
+                    transform.set_seed(int(torch.randint(2**62, (), generator=generator)))
+        return super().set_seed(seed, static_seed=static_seed)
+
+
+def reward_terms() -> Stack:
+    """The paper's five reward terms, by their names there (Sec. IV-B)."""
+    return {
+        "com_vel": lambda: RewardTerm(
+            "com_vel",
+            rewards.com_vel,
+            [
+                ("truth", "pelvis_orientation"),
+                ("truth", "pelvis_velocity"),
+                ("reference", "body_velocity"),
+            ],
+        ),
+        "foot_pos": lambda: RewardTerm(
+            "foot_pos",
+            rewards.foot_pos,
+            [
+                ("truth", "pelvis_orientation"),
+                ("truth", "pelvis_position"),
+                ("truth", "left_foot_position"),
+                ("truth", "right_foot_position"),
+                ("reference", "left_foot_position"),
+                ("reference", "right_foot_position"),
+            ],
+        ),
+        "straight_diff": lambda: RewardTerm(
+            "straight_diff", rewards.straight_diff, [("truth", "pelvis_position")]
+        ),
+        "foot_orient": lambda: RewardTerm(
+            "foot_orient",
+            rewards.foot_orient,
+            [("truth", "left_foot_orientation"), ("truth", "right_foot_orientation")],
+        ),
+        "action_diff": lambda: RewardTerm(
+            "action_diff", rewards.action_diff, [], root_keys=["action", "last_action"]
+        ),
+    }
+
+
+def default_stack(library: GaitLibrary) -> Stack:
+    """The paper's stack in order: name -> what makes the transform.
+
+    Rewards read the truth, as usual when training in simulation; the policy's input reads the
+    estimate alone.
+    """
+    return {
+        "start": lambda: ReferenceStart(library),
+        "command": lambda: SpeedCommand(library),
+        "clock": lambda: PhaseClock(library),
+        "reference": lambda: ReferenceInjection(library),
+        "estimator": TrueState,
+        "observation": AssembleObservation,
+        "action": ActionDelta,
+        "last_action": LastAction,
+        **reward_terms(),
+        "reward": lambda: WeightedReward(rewards.PAPER_WEIGHTS),
+        "low_reward": LowReward,
+        "step_limit": lambda: StepCounter(MAX_EPISODE_STEPS),
+        "episode_sum": lambda: RewardSum(in_keys=["reward"], out_keys=["episode_reward"]),
+    }
+
+
+def make_env(
+    backend: Backend = "batch",
+    *,
+    num_envs: int = 1,
+    seed: int = 0,
+    drop: Iterable[str] = (),
+    replace: Mapping[str, Transform | Callable[[], Transform]] | None = None,
+    stack: Stack | None = None,
+    library: GaitLibrary | None = None,
+    num_threads: int = 0,
+    floor_friction: float = DEFAULT_FLOOR_FRICTION,
+) -> CassieTransformedEnv:
+    """A TorchRL environment of n Cassies with the full stack of transforms.
+
+    Args:
+        backend: "batch" for training, "dm_control" for the reference task; same keys, same states.
+        num_envs: number of robots n; all tensors have it as their first dimension.
+        seed: reaches every random number, also inside transforms.
+        drop: names of transforms to leave out.
+        replace: name -> transform, or something that makes it, to take the place of another.
+        stack: another stack altogether; `default_stack(library)` by default.
+        library: another gait library; the shipped one by default.
+        num_threads: physics threads of the batch backend, 0 for all processors.
+        floor_friction: sliding friction of the floor.
+
+    Raises:
+        ConfigurationError: unknown backend, or a number of environments that is none.
+        UnknownNameError: `drop` or `replace` names no transform of the stack, or a transform reads
+            what no other writes.
+    """
+    if backend not in get_args(Backend):
+        raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+    if stack is None:
+        stack = default_stack(GaitLibrary.load() if library is None else library)
+    drop = [drop] if isinstance(drop, str) else list(drop)
+    chosen = _edited(stack, drop, dict(replace or {}))
+    base: CassieEnv
+    if backend == "batch":
+        base = BatchCassieEnv(num_envs, num_threads=num_threads, floor_friction=floor_friction)
+    else:
+        base = DmControlCassieEnv(num_envs, floor_friction=floor_friction)
+    transforms = [t if isinstance(t, Transform) else t() for t in chosen.values()]
+    env = CassieTransformedEnv(base, Compose(*transforms))
+    _check_wiring(env)
+    env.set_seed(seed)
+    return env
+
+
+def _check_wiring(env: CassieTransformedEnv) -> None:
+    """Check that what reward terms and the action read is there, before the first step needs it."""
+    available = env.full_observation_spec.clone().update(env.full_action_spec)
+    available.update(env.full_reward_spec)
+    for transform in env.transform:
+        if isinstance(transform, RewardTerm | ActionDelta):
+            require_keys(transform, available, transform.in_keys)
+
+
+def _edited(
+    stack: Stack, drop: list[str], replace: dict[str, Transform | Callable[[], Transform]]
+) -> dict[str, Transform | Callable[[], Transform]]:
+    for name in (*drop, *replace):
+        if name not in stack:
+            close = difflib.get_close_matches(str(name), stack, n=1)
+            hint = f", did you mean {close[0]!r}?" if close else ";"
+            raise UnknownNameError(f"no transform {name!r}{hint} the stack has {list(stack)}")
+    return {name: replace.get(name, make) for name, make in stack.items() if name not in drop}

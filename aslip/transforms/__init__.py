@@ -1,0 +1,31 @@
+"""Everything that varies between experiments, as TorchRL transforms.
+
+Each reads and writes documented keys of the tensordict; none holds state of an episode, so partial
+resets, several processes and replay need no care. Those that draw random numbers own a generator
+and follow `env.set_seed`.
+"""
+
+from aslip.transforms.action import ActionDelta, LastAction
+from aslip.transforms.base import CassieTransform
+from aslip.transforms.command import PhaseClock, SpeedCommand
+from aslip.transforms.estimate import ESTIMATE_SIZES, TrueState
+from aslip.transforms.observation import OBSERVATION_TABLE, AssembleObservation
+from aslip.transforms.reference import ReferenceInjection, ReferenceStart
+from aslip.transforms.reward import LowReward, RewardTerm, WeightedReward
+
+__all__ = [
+    "ESTIMATE_SIZES",
+    "OBSERVATION_TABLE",
+    "ActionDelta",
+    "AssembleObservation",
+    "CassieTransform",
+    "LastAction",
+    "LowReward",
+    "PhaseClock",
+    "ReferenceInjection",
+    "ReferenceStart",
+    "RewardTerm",
+    "SpeedCommand",
+    "TrueState",
+    "WeightedReward",
+]

@@ -1,0 +1,81 @@
+"""What our transforms share: one place to compute, called on steps and at resets alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs.transforms import Transform
+
+from aslip.errors import UnknownNameError
+
+
+class CassieTransform(Transform):
+    """A transform whose `_call` also runs at resets, and that can be seeded.
+
+    TorchRL runs `_call` on steps only; a key it writes would be missing after a reset.
+    """
+
+    def __init__(self, in_keys: list[NestedKey], out_keys: list[NestedKey]) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        self.generator = torch.Generator()
+        self.set_seed(0)
+
+    def set_seed(self, seed: int) -> None:
+        """Restart the transform's own random numbers."""
+        self.generator.manual_seed(seed)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        return self._call(tensordict_reset)
+
+    def _draw_into_reset(
+        self, tensordict: TensorDictBase, key: NestedKey, draw: torch.Tensor
+    ) -> TensorDictBase:
+        """Put `draw` into the request for a reset, unless the caller chose a value himself."""
+        if tensordict.get(key, None) is None:
+            tensordict.set(key, draw)
+        return tensordict
+
+    def _request(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        """The request for a reset; an empty one when all is to be reset to whatever is drawn."""
+        if tensordict is not None:
+            return tensordict
+        # slow, TorchRL builds the environment below anew: CassieTransformedEnv never comes here
+        parent = self.parent
+        if parent is None:
+            raise RuntimeError(f"{type(self).__name__} needs an environment; add it to one first")
+        return TensorDict(batch_size=parent.batch_size)
+
+
+def extend_spec(spec: Composite, sizes: Mapping[NestedKey, int]) -> Composite:
+    """Add unbounded single-precision leaves of the given last dimensions to a spec."""
+    for key, size in sizes.items():
+        parents = (key,) if isinstance(key, str) else key
+        for depth in range(1, len(parents)):
+            if parents[:depth] not in spec.keys(True):
+                spec[parents[:depth]] = Composite(shape=spec.shape)
+        spec[key] = Unbounded((*spec.shape, size))
+    return spec
+
+
+def require_keys(transform: Transform, spec: TensorSpec, keys: list[NestedKey]) -> None:
+    """Check that a spec has all that a transform reads.
+
+    Raises:
+        UnknownNameError: a key is missing; the message lists the keys there are.
+    """
+    assert isinstance(spec, Composite)
+    available = set(spec.keys(True, True))
+    for key in keys:
+        if key not in available:
+            names = sorted("/".join(k) if isinstance(k, tuple) else k for k in available)
+            raise UnknownNameError(
+                f"{type(transform).__name__} reads {key!r}, which nothing before it in the stack"
+                f" writes; there are {names}"
+            )

@@ -1,0 +1,99 @@
+"""What the operator wants, and where in the stride the clock is (Fig. 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.transforms.base import CassieTransform, extend_spec
+
+
+class SpeedCommand(CassieTransform):
+    """Forward speed to walk at: drawn at each reset, then held.
+
+    To command from outside, write `td["command"]` between steps, or pass it to `env.reset`. It acts
+    on the reference of the next policy step; the phase goes on.
+
+    Args:
+        library: bounds the speeds.
+        speeds: speeds to draw from [m/s]; all gaits of the library by default ("a reference
+            trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
+
+    Raises:
+        SpeedOutOfRangeError: a speed is outside the library.
+        ConfigurationError: there are no speeds.
+    """
+
+    def __init__(self, library: GaitLibrary, speeds: Sequence[float] | None = None) -> None:
+        super().__init__(in_keys=[], out_keys=["command"])
+        chosen = list(library.speeds if speeds is None else speeds)
+        if not chosen:
+            raise ConfigurationError("speeds is empty; give at least one speed in m/s")
+        self.register_buffer("speeds", torch.tensor([library.check_speed(v) for v in chosen]))
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        tensordict = self._request(tensordict)
+        shape = (*tensordict.batch_size, 1)
+        index = torch.randint(len(self.speeds), shape, generator=self.generator)
+        return self._draw_into_reset(tensordict, "command", self.speeds[index])
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset.set("command", tensordict["command"])
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set("command", tensordict["command"])
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add `command`."""
+        return extend_spec(observation_spec, {"command": 1})
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare `command` as something a caller may set."""
+        return extend_spec(state_spec, {"command": 1})
+
+
+class PhaseClock(CassieTransform):
+    r"""Stride fraction in [0, 1): random at each reset, then advanced by time.
+
+    .. math:: \phi \leftarrow (\phi + \Delta t / T(v)) \bmod 1
+
+    Public code counts whole samples and so plays the cycle 12 to 16 % too fast; sampling by time
+    keeps step length, frequency and speed consistent. A change of command keeps the phase.
+
+    Args:
+        library: gives the duration T of a stride at speed v.
+    """
+
+    def __init__(self, library: GaitLibrary) -> None:
+        super().__init__(in_keys=["command"], out_keys=["phase"])
+        self.library = library
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        tensordict = self._request(tensordict)
+        draw = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
+        return self._draw_into_reset(tensordict, "phase", draw)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset.set("phase", tensordict["phase"] % 1.0)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        advance = POLICY_PERIOD / self.library.stride(tensordict["command"])
+        return next_tensordict.set("phase", (tensordict["phase"] + advance) % 1.0)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add `phase`."""
+        return extend_spec(observation_spec, {"phase": 1})
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare `phase` as something a caller may set."""
+        return extend_spec(state_spec, {"phase": 1})

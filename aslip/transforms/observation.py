@@ -1,0 +1,70 @@
+"""The policy's input: 46 numbers of estimate, 18 of reference (Sec. IV-A)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.data import Composite
+
+from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.estimate import ESTIMATE_SIZES
+
+_REFERENCE_NAMES = (
+    "body_position",
+    "body_velocity",
+    "left_foot_position",
+    "left_foot_velocity",
+    "right_foot_position",
+    "right_foot_velocity",
+)
+
+OBSERVATION_TABLE: Final[tuple[NestedKey, ...]] = (
+    *(("estimate", name) for name in ESTIMATE_SIZES),
+    *(("reference", name) for name in _REFERENCE_NAMES),
+)
+"""Keys of the observation's entries, in order; see `AssembleObservation`."""
+
+
+class AssembleObservation(CassieTransform):
+    """Join estimate and reference into `observation`.
+
+    | index | entry | unit, frame |
+    |---|---|---|
+    | 0 | estimate: height | m |
+    | 1-4 | orientation, wxyz | pelvis to world |
+    | 5-7 | velocity | m/s, world |
+    | 8-10 | angular velocity | rad/s, pelvis |
+    | 11-13 | acceleration without gravity | m/s^2, pelvis |
+    | 14-23 | motor positions | rad |
+    | 24-33 | motor velocities | rad/s |
+    | 34-39 | joint positions: left shin, tarsus, foot, then right | rad |
+    | 40-45 | joint velocities | rad/s |
+    | 46-48 | reference: body position | m, see `aslip.library.Reference` |
+    | 49-51 | body velocity | m/s |
+    | 52-54 | left foot position from the body | m |
+    | 55-57 | left foot velocity over ground | m/s |
+    | 58-60 | right foot position from the body | m |
+    | 61-63 | right foot velocity over ground | m/s |
+
+    There is neither command nor clock: speed and phase enter through the reference alone.
+
+    Args:
+        in_keys: entries to join, another table for another policy input.
+    """
+
+    def __init__(self, in_keys: Sequence[NestedKey] = OBSERVATION_TABLE) -> None:
+        super().__init__(in_keys=list(in_keys), out_keys=["observation"])
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        entries = [next_tensordict[key] for key in self.in_keys]
+        return next_tensordict.set("observation", torch.cat(entries, dim=-1))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add `observation`."""
+        require_keys(self, observation_spec, self.in_keys)
+        size = sum(observation_spec[key].shape[-1] for key in self.in_keys)
+        return extend_spec(observation_spec, {"observation": size})

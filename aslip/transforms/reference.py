@@ -1,0 +1,101 @@
+"""Where gaits and robot meet: the reference motion, and starting on it."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Literal, get_args
+
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+
+from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary, Reference
+from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+
+InitialVelocity = Literal["reference", "rest"]
+
+
+class ReferenceInjection(CassieTransform):
+    """Write the library's motion at the present phase and command under `("reference", ...)`.
+
+    Body and feet are those of the present instant, which the robot's state is compared with. The
+    motor angles are those of the end of the coming policy step, where the PD loops are to arrive;
+    the paper does not say which instant it means, and its public code does the same.
+
+    Args:
+        library: the gaits.
+        motor_lead: how far ahead the motor angles are read, in policy steps.
+    """
+
+    def __init__(self, library: GaitLibrary, motor_lead: float = 1.0) -> None:
+        super().__init__(in_keys=["command", "phase"], out_keys=["reference"])
+        self.library = library
+        self.motor_lead = motor_lead
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        command, phase = next_tensordict["command"], next_tensordict["phase"]
+        present = self.library.lookup(phase, command)
+        lead = self.motor_lead * POLICY_PERIOD / self.library.stride(command)
+        ahead = self.library.lookup(phase + lead, command)
+        reference = replace(present, motor_position=ahead.motor_position)
+        return next_tensordict.set("reference", reference.to_tensordict())
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the fields of `aslip.library.Reference`."""
+        require_keys(self, observation_spec, ["command", "phase"])
+        sizes = {
+            ("reference", field.name): len(MOTOR_NAMES) if "motor" in field.name else 3
+            for field in fields(Reference)
+        }
+        return extend_spec(observation_spec, sizes)
+
+
+class ReferenceStart(CassieTransform):
+    """Start each episode on the reference, at the drawn phase and command.
+
+    Must come before `SpeedCommand` and `PhaseClock` in the stack: TorchRL prepares resets from the
+    last transform to the first.
+
+    Paper: the robot "is set to a random starting position in the trajectory's walk cycle"; of its
+    velocity it says nothing. Public code means to start at rest. Started at rest the policy learns
+    to stand still, so we start with the velocities that belong to the position.
+
+    Args:
+        library: the gaits.
+        velocity: "reference", or "rest" as in the public code.
+
+    Raises:
+        ConfigurationError: `velocity` is neither.
+    """
+
+    def __init__(self, library: GaitLibrary, velocity: InitialVelocity = "reference") -> None:
+        super().__init__(in_keys=[], out_keys=[])
+        if velocity not in get_args(InitialVelocity):
+            raise ConfigurationError(
+                f"velocity must be one of {get_args(InitialVelocity)}, got {velocity!r}"
+            )
+        self.library = library
+        self.velocity = velocity
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        if tensordict is None or not {"phase", "command"} <= set(tensordict.keys()):
+            raise ConfigurationError(
+                "ReferenceStart found no phase and command; it must stand before SpeedCommand and"
+                " PhaseClock in the stack"
+            )
+        qpos, qvel = self.library.initial_state(tensordict["phase"], tensordict["command"])
+        if self.velocity == "rest":
+            qvel = torch.zeros_like(qvel)
+        tensordict.set(("initial", "qpos"), qpos)
+        return tensordict.set(("initial", "qvel"), qvel)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        return tensordict_reset
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict

@@ -1,0 +1,133 @@
+"""Rewards: one transform a term, their weighted sum, and the end of a poor episode (Sec. IV-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite, Unbounded
+
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.transforms.base import CassieTransform
+
+TermFunction = Callable[..., Tensor]
+
+
+class RewardTerm(CassieTransform):
+    """One named term of the reward, computed by a pure function; see `aslip.rewards`.
+
+    Args:
+        name: the term is written under `("reward_terms", name)`.
+        function: tensors in the order of the keys -> (*b, 1) in [0, 1].
+        next_keys: what it reads of the state after the step.
+        root_keys: what it reads of the state before the step and of the action; these come last.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        function: TermFunction,
+        next_keys: Sequence[NestedKey],
+        root_keys: Sequence[NestedKey] = (),
+    ) -> None:
+        super().__init__(in_keys=[*next_keys, *root_keys], out_keys=[("reward_terms", name)])
+        self.function = function
+        self.next_keys = tuple(next_keys)
+        self.root_keys = tuple(root_keys)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        inputs = [next_tensordict[key] for key in self.next_keys]
+        inputs += [tensordict[key] for key in self.root_keys]
+        return next_tensordict.set(self.out_keys[0], self.function(*inputs))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        return tensordict_reset
+
+    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
+        """Add the term."""
+        if "reward_terms" not in reward_spec:
+            reward_spec["reward_terms"] = Composite(shape=reward_spec.shape)
+        reward_spec[self.out_keys[0]] = Unbounded((*reward_spec.shape, 1))
+        return reward_spec
+
+
+class WeightedReward(CassieTransform):
+    """The reward: weighted sum of the terms there are.
+
+    A term left out of the stack contributes nothing; a term of weight zero is still logged.
+
+    Args:
+        weights: name of a term -> weight.
+
+    Raises:
+        ConfigurationError: a weight is negative or not finite.
+        UnknownNameError: there are no terms, or one has no weight (raised when added to a stack).
+    """
+
+    def __init__(self, weights: Mapping[str, float]) -> None:
+        super().__init__(in_keys=["reward_terms"], out_keys=["reward"])
+        for name, weight in weights.items():
+            if not 0 <= weight < float("inf"):
+                raise ConfigurationError(
+                    f"the weight of {name!r} must be a number >= 0, got {weight!r}"
+                )
+        self.weights = dict(weights)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        del tensordict
+        reward = torch.zeros(*next_tensordict.batch_size, 1)
+        for name, term in next_tensordict["reward_terms"].items():
+            reward = reward + self.weights[name] * term
+        return next_tensordict.set("reward", reward)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        return tensordict_reset
+
+    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
+        """Check that every term has a weight."""
+        if "reward_terms" not in reward_spec:
+            raise UnknownNameError(
+                "WeightedReward finds no reward terms; the stack must have some, before it"
+            )
+        missing = sorted(set(reward_spec["reward_terms"].keys()) - set(self.weights))
+        if missing:
+            raise UnknownNameError(
+                f"no weight for the reward terms {missing}; weights are given for"
+                f" {sorted(self.weights)}"
+            )
+        return reward_spec
+
+
+class LowReward(CassieTransform):
+    """End an episode, without bootstrap, when the reward of a step is below a threshold.
+
+    Args:
+        threshold: "less than 0.3" in the paper (Sec. IV-B).
+    """
+
+    def __init__(self, threshold: float = 0.3) -> None:
+        super().__init__(in_keys=["reward"], out_keys=["terminated", "done"])
+        self.threshold = threshold
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        del tensordict
+        # a reward that is not a number is low, too
+        low = ~(next_tensordict["reward"] >= self.threshold)
+        for key in self.out_keys:
+            next_tensordict.set(key, next_tensordict[key] | low)
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        return tensordict_reset

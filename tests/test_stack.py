@@ -1,0 +1,72 @@
+"""Stacks are edited by name."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from torchrl.envs.utils import check_env_specs
+
+from aslip.errors import UnknownNameError
+from aslip.library import GaitLibrary
+from aslip.stack import default_stack, reward_terms
+from aslip.transforms import LowReward
+from tests.conftest import MakeEnv
+
+
+@pytest.mark.parametrize("how", ["drop", "replace"])
+def test_an_unknown_name_is_refused_with_a_hint(make: MakeEnv, how: str) -> None:
+    edit = ["foot_orientt"] if how == "drop" else {"foot_orientt": LowReward()}
+    with pytest.raises(UnknownNameError, match="did you mean 'foot_orient'") as info:
+        make(**{how: edit})
+    assert "'low_reward'" in str(info.value)  # all names are listed
+
+
+def test_a_name_like_no_other_is_refused_in_a_whole_sentence(make: MakeEnv) -> None:
+    with pytest.raises(UnknownNameError) as info:
+        make(drop=["zzz"])
+    assert re.match(r"no transform 'zzz'[;.:] ", str(info.value))
+
+
+def test_a_single_name_in_place_of_a_list_is_understood_or_named(make: MakeEnv) -> None:
+    """drop="foot_orient" must not be read letter by letter."""
+    try:
+        env = make(drop="foot_orient")
+    except (TypeError, ValueError, KeyError) as error:
+        assert "'foot_orient'" in str(error).split("The stack has")[0]
+    else:
+        assert ("reward_terms", "foot_orient") not in env.full_reward_spec.keys(True)
+
+
+@pytest.mark.parametrize("name", ["low_reward", "step_limit", "episode_sum", "start"])
+def test_transforms_that_nothing_reads_can_be_left_out(make: MakeEnv, name: str) -> None:
+    check_env_specs(make(num_envs=2, drop=[name]))
+
+
+def test_editing_one_environment_does_not_touch_another(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    stack = default_stack(library)
+    names = list(stack)
+    make(stack=stack, drop=["foot_orient"])
+    assert list(stack) == names
+    both = [make(stack=stack), make(stack=stack)]
+    for env in both:
+        terms = {("reward_terms", name) for name in reward_terms()}
+        assert terms <= set(env.full_reward_spec.keys(True))
+
+
+def test_a_factory_may_replace_a_transform(make: MakeEnv) -> None:
+    env = make(num_envs=2, replace={"low_reward": lambda: LowReward(0.9999)})
+    data = env.rollout(5, break_when_any_done=True)
+    assert data["next", "terminated"].any()
+
+
+def test_no_transform_but_the_command_has_buffers_or_parameters(make: MakeEnv) -> None:
+    """No transform holds state of an episode: all of it travels in the tensordict."""
+    env = make(num_envs=2)
+    before = {name: value.clone() for name, value in env.transform.state_dict().items()}
+    env.rollout(5, break_when_any_done=False)
+    after = env.transform.state_dict()
+    assert before.keys() == after.keys()
+    assert all((after[name] == value).all() for name, value in before.items())

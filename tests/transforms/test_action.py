@@ -1,0 +1,103 @@
+"""The policy's delta becomes a target, and is remembered."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torchrl.envs.utils import check_env_specs
+
+from aslip.errors import ShapeError, UnknownNameError
+from aslip.stack import CassieTransformedEnv
+from aslip.transforms import ActionDelta
+from tests.conftest import MakeEnv
+
+
+def _spy(env: CassieTransformedEnv) -> list[np.ndarray]:
+    """Everything the backend is asked to track from now on."""
+    targets: list[np.ndarray] = []
+    advance = env.base_env._advance
+
+    def spy(motor_target: np.ndarray) -> np.ndarray:
+        targets.append(motor_target.copy())
+        return advance(motor_target)
+
+    env.base_env._advance = spy  # pyright: ignore[reportAttributeAccessIssue]
+    return targets
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_the_target_is_the_reference_plus_the_delta(make: MakeEnv, backend: str) -> None:
+    env = make(backend, num_envs=2)
+    targets = _spy(env)
+    td = env.reset()
+    for seed in range(2):
+        action = torch.randn(2, 10, generator=torch.Generator().manual_seed(seed))
+        reference = td["reference", "motor_position"].clone()
+        stepped = env.step(td.set("action", action))
+        np.testing.assert_array_equal(targets[-1], (reference + action).double().numpy())
+        torch.testing.assert_close(stepped["action"], action, rtol=0, atol=0)
+        td = stepped["next"]
+    assert len(targets) == 2
+
+
+def test_the_delta_has_no_bound(make: MakeEnv) -> None:
+    """Sec. IV-B, "the output is unbounded": no clipping between policy and PD loop."""
+    env = make(drop=["low_reward"])
+    targets = _spy(env)
+    td = env.reset()
+    reference = td["reference", "motor_position"].clone()
+    env.step(td.set("action", torch.full((1, 10), 7.5)))
+    np.testing.assert_allclose(targets[0], (reference + 7.5).numpy(), rtol=1e-6)
+    assert env.action_spec.is_in(torch.full((1, 10), 1e6))
+
+
+def test_another_baseline_can_be_named(make: MakeEnv) -> None:
+    env = make(replace={"action": ActionDelta(("truth", "motor_position"))})
+    targets = _spy(env)
+    td = env.reset()
+    env.step(td.set("action", torch.zeros(1, 10)))
+    np.testing.assert_array_equal(targets[0], td["truth", "motor_position"].double().numpy())
+
+
+def test_a_baseline_that_nothing_writes_is_refused(make: MakeEnv) -> None:
+    with pytest.raises(UnknownNameError, match="standing_pose"):
+        make(replace={"action": ActionDelta("standing_pose")})
+
+
+def test_without_the_delta_the_action_is_the_target(make: MakeEnv) -> None:
+    env = make(drop=["action", "action_diff", "last_action"])
+    assert env.action_keys == ["motor_target"]
+    check_env_specs(env)
+
+
+@pytest.mark.parametrize("shape", [(2, 9), (2, 11), (2, 1)])
+def test_actions_of_another_shape_are_refused(make: MakeEnv, shape: tuple[int, ...]) -> None:
+    env = make(num_envs=2)
+    td = env.reset()
+    with pytest.raises(ShapeError, match=r"action must have shape \(2, 10\)"):
+        env.step(td.set("action", torch.zeros(shape)))
+
+
+def test_the_last_action_is_the_previous_delta_and_zero_at_first(make: MakeEnv) -> None:
+    env = make(num_envs=2, drop=["low_reward"])
+    td = env.reset()
+    assert (td["last_action"] == 0).all()
+    for k in range(3):
+        action = torch.full((2, 10), 0.01 * k + 0.01)
+        td = env.step(td.set("action", action))["next"]
+        torch.testing.assert_close(td["last_action"], action, rtol=0, atol=0)
+    assert (env.reset()["last_action"] == 0).all()
+
+
+def test_the_first_action_is_compared_with_no_delta(make: MakeEnv) -> None:
+    """Not with absolute angles, nor with an action of the episode before."""
+    env = make(num_envs=2, drop=["low_reward"])
+    td = env.reset()
+    td = env.step(td.set("action", torch.full((2, 10), 0.9)))["next"]
+    td = env.reset()
+    small = torch.zeros(2, 10)
+    small[:, 0] = 0.1
+    after = env.step(td.set("action", small))["next"]
+    term = after["reward_terms", "action_diff"]
+    torch.testing.assert_close(term, torch.full((2, 1), -0.1).exp())

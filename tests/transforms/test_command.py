@@ -1,0 +1,211 @@
+"""Command and clock: drawn at resets, held and advanced between, settable from outside."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.errors import ConfigurationError, SpeedOutOfRangeError
+from aslip.library import GaitLibrary
+from aslip.stack import CassieTransformedEnv
+from aslip.transforms import SpeedCommand
+from tests.conftest import MakeEnv, leaves
+
+
+def _start(command: float, phase: float, num: int = 1) -> TensorDict:
+    return TensorDict(
+        command=torch.full((num, 1), command), phase=torch.full((num, 1), phase), batch_size=num
+    )
+
+
+def _still(td: TensorDictBase) -> TensorDictBase:
+    return td.set("action", torch.zeros(*td.batch_size, 10))
+
+
+def _end_some(td: TensorDictBase, rows: list[int]) -> TensorDictBase:
+    """The tensordict as if some episodes had just ended."""
+    td = td.clone()
+    for key in ("done", "terminated"):
+        td[key][rows] = True
+    return td
+
+
+def _walk(env: CassieTransformedEnv, td: TensorDictBase, steps: int) -> TensorDictBase:
+    for _ in range(steps):
+        td = env.step(_still(td))["next"]
+    return td
+
+
+# ---------------------------------------------------------------- drawing
+
+
+def test_commands_are_speeds_of_the_library(make: MakeEnv, library: GaitLibrary) -> None:
+    """All 21 of them, about as often as one another."""
+    command = make(num_envs=420).reset()["command"]
+    values, counts = command.unique(return_counts=True)
+    torch.testing.assert_close(values, torch.tensor(library.speeds.copy()).float())
+    assert counts.min() >= 5
+    assert counts.max() <= 45
+
+
+def test_phases_are_spread_over_the_stride(make: MakeEnv) -> None:
+    phase = make(num_envs=400).reset()["phase"]
+    assert ((phase >= 0) & (phase < 1)).all()
+    counts = torch.histc(phase, 10, 0, 1)
+    assert counts.min() >= 20
+    assert counts.max() <= 65
+
+
+def test_other_speeds_can_be_drawn(make: MakeEnv, library: GaitLibrary) -> None:
+    env = make(num_envs=30, replace={"command": SpeedCommand(library, speeds=[0.25, 1.5])})
+    assert env.reset()["command"].unique().tolist() == [0.25, 1.5]
+
+
+def test_speeds_outside_the_library_are_refused(library: GaitLibrary) -> None:
+    with pytest.raises(SpeedOutOfRangeError, match=r"2\.1 m/s is outside.*0 to 2 m/s"):
+        SpeedCommand(library, speeds=[1.0, 2.1])
+
+
+def test_no_speeds_are_refused(library: GaitLibrary) -> None:
+    with pytest.raises(ConfigurationError, match="speeds is empty"):
+        SpeedCommand(library, speeds=[])
+
+
+# --------------------------------------------------------------- the clock
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.73, 2.0])
+def test_the_clock_advances_by_time_and_wraps(
+    make: MakeEnv, library: GaitLibrary, speed: float
+) -> None:
+    """0.03 s of a stride a step, whatever the speed."""
+    env = make()
+    td = env.reset(_start(speed, 0.95))
+    stride = library.stride(torch.tensor([[speed]]))
+    phases = [td["phase"].item()]
+    for _ in range(4):
+        td = env.step(_still(td))["next"]
+        phases.append(td["phase"].item())
+    expected = [(0.95 + k * POLICY_PERIOD / stride.item()) % 1 for k in range(5)]
+    assert phases == pytest.approx(expected, abs=1e-6)
+    assert min(phases) < 0.2  # it did wrap
+
+
+def test_phase_and_command_are_what_the_caller_asked_for(make: MakeEnv) -> None:
+    env = make(num_envs=3)
+    start = TensorDict(
+        command=torch.tensor([[0.1], [0.85], [2.0]]),
+        phase=torch.tensor([[0.0], [0.5], [0.999]]),
+        batch_size=3,
+    )
+    td = env.reset(start.clone())
+    for key in ("command", "phase"):
+        torch.testing.assert_close(td[key], start[key], rtol=0, atol=0)
+    only_command = env.reset(start.select("command"))
+    torch.testing.assert_close(only_command["command"], start["command"])
+    assert not torch.equal(only_command["phase"], start["phase"])
+
+
+def test_a_phase_outside_the_stride_is_wrapped(make: MakeEnv) -> None:
+    """The phase is a fraction in [0, 1), also where a caller counts on."""
+    assert make().reset(_start(1.0, 1.25))["phase"].item() == pytest.approx(0.25)
+
+
+def test_changing_the_command_between_steps_keeps_the_phase(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    """The new speed acts on the next policy step: its stride, then its reference."""
+    env = make()
+    td = _walk(env, env.reset(_start(0.5, 0.1)), 2)
+    phase = td["phase"].clone()
+    td["command"] = torch.full((1, 1), 1.5)
+    after = env.step(_still(td))["next"]
+    assert after["command"].item() == 1.5
+    advance = POLICY_PERIOD / library.stride(torch.tensor([[1.5]]))
+    torch.testing.assert_close(after["phase"], phase + advance.float())
+    expected = library.lookup(after["phase"], after["command"])
+    torch.testing.assert_close(after["reference", "body_velocity"], expected.body_velocity)
+    assert _walk(env, after, 2)["command"].item() == 1.5
+
+
+# ---------------------------------------------------------- partial resets
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_a_partial_reset_leaves_the_other_rows_alone(make: MakeEnv, backend: str) -> None:
+    """Command, phase, reference, estimate, true state, counters: all of it."""
+    env = make(backend, num_envs=4, drop=["low_reward"])
+    td = env.reset(_start(0.8, 0.3, 4))
+    for k in range(3):
+        td = env.step(td.set("action", torch.full((4, 10), 0.01 * (k + 1))))["next"]
+    ended = _end_some(td, [1, 3])
+    reset = env.maybe_reset(ended.clone())
+    kept, new = torch.tensor([0, 2]), torch.tensor([1, 3])
+    zeroed = {("step_count",), ("last_action",), ("episode_reward",)}
+    for key, value in leaves(reset).items():
+        if key in leaves(td) and key[0] not in ("reward", "reward_terms"):
+            torch.testing.assert_close(value[kept], td[key][kept], rtol=0, atol=0, msg=str(key))
+        if key in zeroed:
+            assert (value[new] == 0).all(), key
+            assert (value[kept] != 0).all(), key
+    for key in (
+        "command",
+        "phase",
+        ("truth", "qpos"),
+        "observation",
+        ("reference", "body_position"),
+    ):
+        assert (reset[key][new] != td[key][new]).any(dim=-1).all(), key
+    assert not reset["done"].any()
+    # the simulator agrees with what it reported
+    following = env.step(_still(reset.clone()))["next"]
+    unbroken = make(backend, num_envs=4, drop=["low_reward"])
+    other = unbroken.reset(_start(0.8, 0.3, 4))
+    for k in range(3):
+        other = unbroken.step(other.set("action", torch.full((4, 10), 0.01 * (k + 1))))["next"]
+    other = unbroken.step(_still(other))["next"]
+    torch.testing.assert_close(
+        following["truth", "qpos"][kept], other["truth", "qpos"][kept], rtol=0, atol=0
+    )
+
+
+def test_a_partial_reset_draws_anew_each_time(make: MakeEnv) -> None:
+    env = make(num_envs=2)
+    td = env.reset()
+    phases = set()
+    for _ in range(5):
+        td = env.maybe_reset(_end_some(td, [1]))
+        phases.add(td["phase"][1].item())
+    assert len(phases) == 5
+
+
+def test_the_initial_state_is_not_left_in_the_tensordict(make: MakeEnv) -> None:
+    """It is a request to the backend, not something that travels on."""
+    request = _start(0.7, 0.2)
+    for td in (make().reset(request), make().reset(), request):
+        assert "initial" not in set(td.keys())
+
+
+def test_the_command_may_be_set_for_the_rows_to_be_reset(make: MakeEnv) -> None:
+    env = make(num_envs=2)
+    td = env.reset(_start(0.5, 0.1, 2))
+    request = TensorDict(
+        command=torch.tensor([[0.5], [1.7]]), _reset=torch.tensor([[False], [True]]), batch_size=2
+    )
+    after = env.reset(request)
+    assert after["command"][1].item() == pytest.approx(1.7)
+    assert after["phase"][1] != td["phase"][1]
+
+
+def _commands(td: TensorDictBase) -> Tensor:
+    return td["command"][..., 0]
+
+
+def test_the_command_is_held_through_an_episode(make: MakeEnv) -> None:
+    env = make(num_envs=8, drop=["low_reward"])
+    td = env.reset()
+    before = _commands(td).clone()
+    torch.testing.assert_close(_commands(_walk(env, td, 4)), before, rtol=0, atol=0)

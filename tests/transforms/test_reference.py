@@ -1,0 +1,99 @@
+"""The reference that is written, and starting on it."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import Compose
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.envs import BatchCassieEnv
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.library import GaitLibrary, Reference
+from aslip.stack import default_stack
+from aslip.transforms import PhaseClock, ReferenceInjection, ReferenceStart, SpeedCommand
+from tests.conftest import MakeEnv
+
+
+@pytest.mark.parametrize("when", ["reset", "step"])
+@pytest.mark.parametrize("lead", [1.0, 0.0, 0.5])
+def test_the_reference_is_the_librarys(
+    make: MakeEnv, library: GaitLibrary, when: str, lead: float
+) -> None:
+    """Body and feet of now; motor angles where the PD loops are to arrive."""
+    env = make(num_envs=16, replace={"reference": ReferenceInjection(library, motor_lead=lead)})
+    td = env.reset()
+    if when == "step":
+        td = env.step(td.set("action", torch.zeros(16, 10)))["next"]
+    present = library.lookup(td["phase"], td["command"])
+    later = td["phase"] + lead * POLICY_PERIOD / library.stride(td["command"])
+    ahead = library.lookup(later, td["command"])
+    for field in fields(Reference):
+        source = ahead if field.name == "motor_position" else present
+        expected = getattr(source, field.name)
+        torch.testing.assert_close(td["reference", field.name], expected, rtol=0, atol=1e-6)
+    same = torch.equal(ahead.motor_position, present.motor_position)
+    assert same == (lead == 0)
+
+
+def test_episodes_start_on_the_reference(make: MakeEnv, library: GaitLibrary) -> None:
+    td = make(num_envs=8).reset()
+    qpos, qvel = library.initial_state(td["phase"], td["command"])
+    torch.testing.assert_close(td["truth", "qpos"], qpos, rtol=0, atol=0)
+    torch.testing.assert_close(td["truth", "qvel"], qvel, rtol=0, atol=0)
+    assert (qvel != 0).any(dim=1).all()
+
+
+def test_episodes_may_start_at_rest(make: MakeEnv, library: GaitLibrary) -> None:
+    td = make(num_envs=8, replace={"start": ReferenceStart(library, "rest")}).reset()
+    qpos, _ = library.initial_state(td["phase"], td["command"])
+    torch.testing.assert_close(td["truth", "qpos"], qpos, rtol=0, atol=0)
+    assert (td["truth", "qvel"] == 0).all()
+
+
+def test_without_a_start_the_robot_stands(make: MakeEnv) -> None:
+    td = make(num_envs=2, drop=["start"]).reset()
+    assert td["truth", "pelvis_position"][:, 2] == pytest.approx(0.95)
+    assert (td["truth", "qvel"] == 0).all()
+
+
+def test_another_start_is_refused(library: GaitLibrary) -> None:
+    with pytest.raises(ConfigurationError, match="velocity must be one of"):
+        ReferenceStart(library, "walking")  # pyright: ignore[reportArgumentType]
+
+
+def test_a_start_after_the_command_is_refused(library: GaitLibrary) -> None:
+    """Resets are prepared from the last transform to the first."""
+    order = [SpeedCommand(library), PhaseClock(library), ReferenceStart(library)]
+    env = TransformedEnv(BatchCassieEnv(1, num_threads=1), Compose(*order))
+    with pytest.raises(ConfigurationError, match="must stand before SpeedCommand"):
+        env.reset()
+
+
+@pytest.mark.parametrize(
+    ("transform", "key"), [("clock", "phase"), ("command", "command"), ("reference", "reference")]
+)
+def test_a_missing_source_is_named(make: MakeEnv, transform: str, key: str) -> None:
+    with pytest.raises(UnknownNameError, match=key):
+        make(drop=[transform])
+
+
+def test_a_reference_before_its_clock_is_refused(make: MakeEnv, library: GaitLibrary) -> None:
+    stack = default_stack(library)
+    order = ["reference", *(name for name in stack if name != "reference")]
+    with pytest.raises(UnknownNameError, match="nothing before it in the stack"):
+        make(stack={name: stack[name] for name in order})
+
+
+def test_the_pelvis_starts_at_the_references_height_and_sway(make: MakeEnv) -> None:
+    td = make(num_envs=16).reset()
+    torch.testing.assert_close(
+        td["truth", "pelvis_position"], td["reference", "body_position"], atol=1e-5, rtol=0
+    )
+    start = TensorDict(command=torch.ones(1, 1), phase=torch.zeros(1, 1), batch_size=1)
+    pelvis = make().reset(start)["truth", "pelvis_position"]
+    assert pelvis[0, 0].item() == pytest.approx(0.0, abs=0.05)

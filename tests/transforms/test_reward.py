@@ -1,0 +1,220 @@
+"""Terms, their weighted sum, and the ends of episodes."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+from torchrl.envs.transforms import StepCounter
+from torchrl.envs.utils import check_env_specs
+
+from aslip import rewards
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.library import GaitLibrary
+from aslip.stack import default_stack
+from aslip.transforms import LowReward, RewardTerm, WeightedReward
+from tests.conftest import MakeEnv
+
+TERMS = list(rewards.PAPER_WEIGHTS)
+
+
+def _step(env, action: Tensor | None = None):
+    td = env.reset()
+    return env.step(td.set("action", torch.zeros(*td.batch_size, 10) if action is None else action))
+
+
+def test_terms_are_the_pure_functions_of_what_the_step_shows(make: MakeEnv) -> None:
+    env = make(num_envs=4)
+    data = _step(env, torch.full((4, 10), 0.05))
+    truth, reference = data["next", "truth"], data["next", "reference"]
+    expected = {
+        "com_vel": rewards.com_vel(
+            truth["pelvis_orientation"], truth["pelvis_velocity"], reference["body_velocity"]
+        ),
+        "foot_pos": rewards.foot_pos(
+            truth["pelvis_orientation"],
+            truth["pelvis_position"],
+            truth["left_foot_position"],
+            truth["right_foot_position"],
+            reference["left_foot_position"],
+            reference["right_foot_position"],
+        ),
+        "straight_diff": rewards.straight_diff(truth["pelvis_position"]),
+        "foot_orient": rewards.foot_orient(
+            truth["left_foot_orientation"], truth["right_foot_orientation"]
+        ),
+        "action_diff": rewards.action_diff(data["action"], data["last_action"]),
+    }
+    terms = data["next", "reward_terms"]
+    assert set(terms.keys()) == set(expected)
+    for name, value in expected.items():
+        torch.testing.assert_close(terms[name], value, rtol=0, atol=0)
+        assert ((value > 0) & (value <= 1)).all()
+
+
+def test_the_reward_is_the_weighted_sum(make: MakeEnv) -> None:
+    data = _step(make(num_envs=4))
+    terms = data["next", "reward_terms"]
+    expected = (
+        0.3 * terms["com_vel"]
+        + 0.3 * terms["foot_pos"]
+        + 0.1 * terms["straight_diff"]
+        + 0.2 * terms["foot_orient"]
+        + 0.1 * terms["action_diff"]
+    )
+    torch.testing.assert_close(data["next", "reward"], expected)
+    assert (expected > 0.3).all()  # on the reference
+    torch.testing.assert_close(data["next", "episode_reward"], expected)
+
+
+def test_on_the_reference_the_reward_is_nearly_full(make: MakeEnv) -> None:
+    """After one step from the reference at rest feet, velocity and heading are still close."""
+    terms = _step(make(num_envs=16))["next", "reward_terms"]
+    assert terms["action_diff"].min() == 1
+    assert terms["straight_diff"].min() > 0.95
+    assert terms["foot_pos"].mean() > 0.8
+    assert terms["com_vel"].mean() > 0.7
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_each_term_can_be_left_out(make: MakeEnv, name: str) -> None:
+    env = make(num_envs=2, drop=[name])
+    data = _step(env)
+    terms = data["next", "reward_terms"]
+    assert set(terms.keys()) == set(TERMS) - {name}
+    expected = sum(rewards.PAPER_WEIGHTS[key] * terms[key] for key in set(TERMS) - {name})
+    torch.testing.assert_close(data["next", "reward"], expected)
+    check_env_specs(env)
+
+
+def test_a_term_of_weight_zero_is_still_shown(make: MakeEnv) -> None:
+    weights = {**rewards.PAPER_WEIGHTS, "com_vel": 0.0}
+    data = _step(make(replace={"reward": WeightedReward(weights)}))
+    terms = data["next", "reward_terms"]
+    assert "com_vel" in set(terms.keys())
+    rest = data["next", "reward"] + 0.3 * terms["com_vel"]
+    torch.testing.assert_close(rest, _step(make())["next", "reward"])
+
+
+def test_a_term_of_ones_own_joins_the_sum(make: MakeEnv, library: GaitLibrary) -> None:
+    stack = {}
+    for name, factory in default_stack(library).items():
+        if name == "reward":
+            stack["height"] = lambda: RewardTerm(
+                "height", lambda height: (-(height - 1).abs()).exp(), [("estimate", "height")]
+            )
+            stack["reward"] = lambda: WeightedReward({**rewards.PAPER_WEIGHTS, "height": 0.5})
+        else:
+            stack[name] = factory
+    env = make(num_envs=2, stack=stack)
+    with_height = _step(env)["next"]
+    check_env_specs(env)
+    expected = 0.5 * (-(with_height["estimate", "height"] - 1).abs()).exp()
+    plain = _step(make(num_envs=2))["next", "reward"]
+    torch.testing.assert_close(with_height["reward"], plain + expected)
+
+
+# -------------------------------------------------------------------- misuse
+
+
+def test_a_term_without_a_weight_is_refused(make: MakeEnv) -> None:
+    weights = {name: 0.2 for name in TERMS if name != "foot_orient"}
+    with pytest.raises(UnknownNameError, match=r"no weight for the reward terms \['foot_orient'\]"):
+        make(replace={"reward": WeightedReward(weights)})
+
+
+@pytest.mark.parametrize("weight", [-0.1, float("nan"), float("inf")])
+def test_a_weight_that_is_no_number_from_zero_is_refused(weight: float) -> None:
+    with pytest.raises(ConfigurationError, match="weight of 'com_vel'"):
+        WeightedReward({"com_vel": weight})
+
+
+def test_a_term_that_reads_what_nothing_writes_is_refused(make: MakeEnv) -> None:
+    term = RewardTerm("com_vel", lambda x: x, [("truth", "pelvis_speed")])
+    with pytest.raises(UnknownNameError, match="pelvis_speed"):
+        make(replace={"com_vel": term})
+
+
+def test_dropping_what_a_term_reads_is_refused(make: MakeEnv) -> None:
+    """`action_diff` reads `last_action` of the step before."""
+    with pytest.raises(UnknownNameError, match="last_action"):
+        make(drop=["last_action"])
+
+
+def test_a_sum_before_its_terms_is_refused(make: MakeEnv, library: GaitLibrary) -> None:
+    """Not a reward that is silently zero."""
+    stack = default_stack(library)
+    order = ["reward", *(name for name in stack if name != "reward")]
+    with pytest.raises(UnknownNameError):
+        make(stack={name: stack[name] for name in order})
+
+
+# ----------------------------------------------------------- ends of episodes
+
+
+def _constant(value: float) -> RewardTerm:
+    return RewardTerm("com_vel", lambda v: torch.full_like(v[..., :1], value), ["phase"])
+
+
+@pytest.mark.parametrize(
+    ("value", "ends"),
+    [(0.0, True), (0.29, True), (0.31, False), (1.0, False), (float("nan"), True)],
+)
+def test_a_low_reward_ends_the_episode(make: MakeEnv, value: float, ends: bool) -> None:
+    """Below 0.3, or not a number, is terminated; it is no time limit."""
+    names = [name for name in TERMS if name != "com_vel"]
+    env = make(
+        num_envs=2,
+        drop=names,
+        replace={"com_vel": _constant(value), "reward": WeightedReward({"com_vel": 1.0})},
+    )
+    after = _step(env)["next"]
+    for key, expected in (("terminated", ends), ("done", ends), ("truncated", False)):
+        assert after[key][:, 0].tolist() == [expected] * 2, key
+
+
+def test_the_threshold_itself_goes_on(make: MakeEnv) -> None:
+    """Sec. IV-B: "less than 0.3"."""
+    settings = {
+        "com_vel": _constant(0.5),
+        "reward": WeightedReward({"com_vel": 1.0}),
+        "low_reward": LowReward(threshold=0.5),
+    }
+    names = [name for name in TERMS if name != "com_vel"]
+    assert not _step(make(drop=names, replace=settings))["next", "done"].any()
+
+
+def test_without_the_threshold_a_low_reward_goes_on(make: MakeEnv) -> None:
+    names = [name for name in TERMS if name != "com_vel"]
+    settings = {"com_vel": _constant(0.0), "reward": WeightedReward({"com_vel": 1.0})}
+    after = _step(make(drop=[*names, "low_reward"], replace=settings))["next"]
+    assert after["reward"].item() == 0
+    assert not after["done"].any()
+
+
+def test_the_step_limit_truncates_and_does_not_terminate(make: MakeEnv) -> None:
+    """The 400th step is the last; its value may be bootstrapped."""
+    env = make(num_envs=2)
+    td = env.reset()
+    td["step_count"][:] = 398
+    td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
+    assert not td["done"].any()
+    td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
+    assert (td["step_count"] == 400).all()
+    assert td["truncated"].all()
+    assert td["done"].all()
+    assert not td["terminated"].any()
+
+
+def test_another_step_limit_can_be_set(make: MakeEnv) -> None:
+    env = make(num_envs=1, replace={"step_limit": StepCounter(3)})
+    data = env.rollout(10, lambda td: td.set("action", torch.zeros(1, 10)))
+    assert data.shape[1] == 3
+    assert data["next", "truncated"][0, -1].item()
+
+
+def test_the_sum_of_an_episode_is_that_of_its_rewards(make: MakeEnv) -> None:
+    env = make(num_envs=3, drop=["low_reward"])
+    data = env.rollout(5, lambda td: td.set("action", torch.zeros(3, 10)))
+    expected = data["next", "reward"].cumsum(dim=1)
+    torch.testing.assert_close(data["next", "episode_reward"], expected)
