@@ -1,0 +1,121 @@
+"""Deterministic walks of a policy at many speeds at once, and the table they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+
+from aslip.cassie import POLICY_PERIOD, TOTAL_MASS
+from aslip.errors import ConfigurationError
+from aslip.sim.truth import STANDARD_GRAVITY
+from aslip.stack import MAX_EPISODE_STEPS, CassieTransformedEnv
+
+
+@dataclass(frozen=True)
+class WalkResult:
+    """One episode at one commanded speed."""
+
+    speed: float
+    """Commanded speed [m/s]."""
+    steps: int
+    """Policy steps until the episode ended, at most the steps asked for."""
+    survived: bool
+    """Whether it lasted them all."""
+    total: float
+    """Sum of rewards."""
+    mean_speed: float
+    """Distance along x over time [m/s]."""
+    lateral_drift: float
+    """Distance of the pelvis from the line y = 0 at the end [m]."""
+    weight_ratio: float
+    """Mean vertical ground force over the robot's weight; one when nothing else carries it."""
+    terms: dict[str, float]
+    """Mean of each reward term."""
+
+
+@torch.no_grad()
+def evaluate(
+    policy: TensorDictModuleBase,
+    env: CassieTransformedEnv,
+    speeds: Sequence[float],
+    num_steps: int = MAX_EPISODE_STEPS,
+) -> list[WalkResult]:
+    """Walk once at each speed, from phase 0, without exploration noise.
+
+    Args:
+        policy: maps the environment's tensordict to `action`.
+        env: as many robots as there are speeds.
+        speeds: commanded speeds [m/s].
+        num_steps: policy steps.
+
+    Raises:
+        ConfigurationError: the environment has another number of robots.
+    """
+    if env.num_envs != len(speeds):
+        raise ConfigurationError(
+            f"{len(speeds)} speeds need an environment of as many robots, got {env.num_envs}"
+        )
+    command = torch.tensor(speeds, dtype=torch.float32)[:, None]
+    start = TensorDict(command=command, phase=torch.zeros_like(command), batch_size=len(command))
+    td = env.reset(start)
+    position = td["truth", "pelvis_position"].clone()
+    start_x = position[:, 0].clone()
+    alive = torch.ones(len(speeds), dtype=torch.bool)
+    steps = torch.zeros(len(speeds))
+    total, force = torch.zeros(len(speeds)), torch.zeros(len(speeds))
+    terms: dict[str, torch.Tensor] = {}
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        for _ in range(num_steps):
+            after = env.step(policy(td))["next"]
+            steps += alive
+            total += after["reward"][:, 0] * alive
+            force += after["truth", "ground_force"][..., 2].sum(-1) * alive
+            for name, term in after.get("reward_terms", TensorDict()).items():
+                terms[name] = terms.get(name, 0.0) + term[:, 0] * alive
+            position[alive] = after["truth", "pelvis_position"][alive]
+            alive &= ~after["terminated"][:, 0]
+            if not alive.any():
+                break
+            td = step_mdp(td)
+    weight = TOTAL_MASS * STANDARD_GRAVITY
+    return [
+        WalkResult(
+            speed=float(speeds[i]),
+            steps=int(steps[i]),
+            survived=bool(alive[i]),
+            total=float(total[i]),
+            mean_speed=float((position[i, 0] - start_x[i]) / (steps[i] * POLICY_PERIOD)),
+            lateral_drift=float(position[i, 1].abs()),
+            weight_ratio=float(force[i] / steps[i] / weight),
+            terms={name: float(term[i] / steps[i]) for name, term in terms.items()},
+        )
+        for i in range(len(speeds))
+    ]
+
+
+def walk_table(results: Sequence[WalkResult]) -> str:
+    """The results as a Markdown table, one row a speed, and a line that sums them up."""
+    names = list(results[0].terms)
+    header = ["command m/s", "steps", "return", "speed m/s", "drift m", "force/weight", *names]
+    rows = [
+        [
+            f"{r.speed:.1f}",
+            f"{r.steps}" + ("" if r.survived else " fell"),
+            f"{r.total:.1f}",
+            f"{r.mean_speed:.3f}",
+            f"{r.lateral_drift:.3f}",
+            f"{r.weight_ratio:.4f}",
+            *(f"{r.terms[name]:.3f}" for name in names),
+        ]
+        for r in results
+    ]
+    lines = [header, ["---:"] * len(header), *rows]
+    table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    mean = sum(r.total for r in results) / len(results)
+    survived = sum(r.survived for r in results)
+    return f"{table}\n\n{survived} of {len(results)} speeds walked; mean return {mean:.1f}"

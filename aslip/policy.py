@@ -1,0 +1,249 @@
+"""Actor, critic and their shared input normaliser; saving and loading (Sec. IV-B).
+
+Both nets are 64-256-256-k with ReLU. The actor's output is unbounded and its standard deviation
+fixed ("We choose to use fixed covariance ... the output is unbounded"). The normaliser is part of
+the policy, so it travels with the weights.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict.nn import (
+    AddStateIndependentNormalScale,
+    InteractionType,
+    TensorDictModule,
+)
+from torch import Tensor, nn
+from torchrl.checkpoint import Checkpoint
+from torchrl.modules import (
+    MLP,
+    IndependentNormal,
+    ProbabilisticActor,
+    ValueOperator,
+)
+
+from aslip.assets import asset_path
+from aslip.errors import AssetError, ConfigurationError, FileDamagedError
+from aslip.transforms import OBSERVATION_TABLE
+
+# normalised inputs further out than this are cut off: a fall must not shout down the rest
+_CLIP = 10.0
+_EPSILON = 1e-4
+# of the actor's last layer, so that training starts near the reference motion
+_OUTPUT_SCALE = 0.01
+
+POLICY_FILE = "policy.zip"
+"""Name of the policy in the folder of a training run."""
+
+
+@dataclass(frozen=True)
+class PolicyShape:
+    """What must be known to rebuild a policy before its weights are read."""
+
+    observation_size: int = 64
+    """Length of `observation` ("64D input space", Sec. IV-A)."""
+    action_size: int = 10
+    """Length of `action` ("10D vector", Sec. IV-A)."""
+    hidden: tuple[int, ...] = (256, 256)
+    """Widths of the hidden layers ("2 hidden layers of 256 nodes each", Sec. IV-B)."""
+    std: float = math.exp(-2)
+    """Standard deviation of every action [rad]; the paper gives no value, its public code this."""
+
+
+class RunningNormalizer(nn.Module):
+    """Shift and scale to zero mean and unit variance, by statistics of everything it was shown.
+
+    Args:
+        size: length of the input.
+    """
+
+    mean: Tensor
+    variance: Tensor
+    count: Tensor
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
+        self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("_offset", torch.zeros(size))
+        self.register_buffer("_scale", torch.ones(size))
+
+    @torch.no_grad()
+    def update(self, values: Tensor) -> None:
+        """Add (*b, size) values to the statistics, by the parallel variance formula."""
+        values = values.reshape(-1, self.mean.numel()).double()
+        count = values.shape[0]
+        variance, mean = torch.var_mean(values, dim=0, correction=0)
+        total = self.count + count
+        delta = mean - self.mean
+        moment = self.variance * self.count + variance * count
+        moment += delta.square() * self.count * count / total
+        self.mean += delta * count / total
+        self.variance.copy_(moment / total)
+        self.count.copy_(total)
+        self._offset.copy_(self.mean)
+        self._scale.copy_((self.variance + _EPSILON**2).rsqrt().clamp(max=1 / _EPSILON))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Normalised (*b, size) values."""
+        return ((values - self._offset) * self._scale).clamp(-_CLIP, _CLIP)
+
+
+def make_actor(
+    normalizer: RunningNormalizer, shape: PolicyShape | None = None
+) -> ProbabilisticActor:
+    """The policy: `observation` -> `action`, with `action_log_prob`.
+
+    Deterministic unless an exploration type asks for samples, as a collector does.
+
+    Args:
+        normalizer: shared with the critic.
+        shape: sizes and standard deviation.
+    """
+    shape = shape or PolicyShape()
+    net = MLP(
+        in_features=shape.observation_size,
+        out_features=shape.action_size,
+        num_cells=list(shape.hidden),
+        activation_class=nn.ReLU,
+    )
+    with torch.no_grad():
+        net[-1].weight.mul_(_OUTPUT_SCALE)
+        net[-1].bias.zero_()
+    scale = AddStateIndependentNormalScale(
+        shape.action_size,
+        scale_mapping="exp",
+        make_param=False,
+        init_value=math.log(shape.std),
+    )
+    return ProbabilisticActor(
+        TensorDictModule(
+            nn.Sequential(normalizer, net, scale),
+            in_keys=["observation"],
+            out_keys=["loc", "scale"],
+        ),
+        in_keys=["loc", "scale"],
+        out_keys=["action"],
+        distribution_class=IndependentNormal,
+        return_log_prob=True,
+        default_interaction_type=InteractionType.DETERMINISTIC,
+    )
+
+
+def make_critic(normalizer: RunningNormalizer, shape: PolicyShape | None = None) -> ValueOperator:
+    """The value function: `observation` -> `state_value`."""
+    shape = shape or PolicyShape()
+    net = MLP(
+        in_features=shape.observation_size,
+        out_features=1,
+        num_cells=list(shape.hidden),
+        activation_class=nn.ReLU,
+    )
+    return ValueOperator(nn.Sequential(normalizer, net), in_keys=["observation"])
+
+
+def save_policy(
+    path: str | Path,
+    actor: nn.Module,
+    shape: PolicyShape,
+    made_by: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a policy that `load_policy` reads: a ZIP archive of plain arrays, nothing pickled.
+
+    Args:
+        path: the file; replaced as a whole.
+        actor: from `make_actor`.
+        shape: what it was made with.
+        made_by: settings and versions of what made it, of JSON types.
+    """
+    card = {
+        "shape": asdict(shape),
+        "observation": _entry_names(),
+        "made_by": dict(made_by or {}),
+    }
+    Checkpoint(actor=actor).save(path, format="archive", metadata=card)
+
+
+def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
+    """A trained policy: maps the environment's tensordict to `action`, deterministic by default.
+
+    Args:
+        name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
+
+    Raises:
+        AssetError: there is no such policy.
+        FileDamagedError: it is truncated, altered, or no policy.
+        ConfigurationError: it expects another observation than this version of the package gives.
+    """
+    path = _find(name_or_path)
+    card = read_manifest(path).get("metadata", {})
+    try:
+        shape = PolicyShape(**{**card["shape"], "hidden": tuple(card["shape"]["hidden"])})
+        observation = card["observation"]
+    except (KeyError, TypeError) as error:
+        raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
+    if observation != _entry_names():
+        raise ConfigurationError(
+            f"the policy {str(path)!r} expects the observation {observation}; this version of aslip"
+            f" gives {_entry_names()}"
+        )
+    actor = make_actor(RunningNormalizer(shape.observation_size), shape)
+    load_components(path, actor=actor)
+    return actor.eval()
+
+
+def read_manifest(path: Path) -> dict[str, Any]:
+    """Contents and metadata of a policy or checkpoint.
+
+    Raises:
+        FileDamagedError: the file is truncated, altered, or of another kind.
+    """
+    try:
+        return Checkpoint.manifest(path)
+    except Exception as error:  # one cause, a bad file, has many exceptions
+        raise _damaged(path, error) from error
+
+
+def load_components(path: Path, **components: Any) -> None:
+    """Restore named objects from a policy or checkpoint.
+
+    Raises:
+        FileDamagedError: the file is truncated, altered, or holds other things.
+    """
+    try:
+        Checkpoint(**components).load(path)
+    except Exception as error:
+        raise _damaged(path, error) from error
+
+
+def _damaged(path: Path, error: Exception) -> FileDamagedError:
+    return FileDamagedError(
+        f"{str(path)!r} is no intact policy or checkpoint ({type(error).__name__}: {error})"
+    )
+
+
+def _find(name_or_path: str | Path) -> Path:
+    """The policy's file: given, inside a run, or shipped."""
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    if (path / POLICY_FILE).is_file():
+        return path / POLICY_FILE
+    try:
+        return asset_path(f"policies/{name_or_path}.zip")
+    except AssetError:
+        raise AssetError(
+            f"no policy {str(name_or_path)!r}: it is neither a file, nor the folder of a run with"
+            f" a {POLICY_FILE}, nor the name of a shipped policy"
+        ) from None
+
+
+def _entry_names() -> list[str]:
+    return ["/".join(key) for key in OBSERVATION_TABLE]

@@ -1,0 +1,148 @@
+"""The folder of a training run: settings, logs, checkpoints that resume.
+
+    config.json         settings, as the recipe's dataclass has them
+    progress.csv        one row an update
+    tensorboard/        the same for TensorBoard
+    checkpoints/        the newest ones, each a ZIP archive without pickle
+    policy.zip          what `aslip.load_policy` reads
+
+Files are written under a temporary name and renamed, but for the CSV, which grows by whole rows.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
+from torchrl.checkpoint import Checkpoint, CheckpointRotation
+
+from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.policy import POLICY_FILE, load_components, read_manifest
+
+# settings that may differ between a run and its continuation
+_MAY_DIFFER = ("resume", "out", "total_steps")
+
+
+class TrainingRun:
+    """A run in a folder of its own.
+
+    Args:
+        folder: made if need be.
+        config: a frozen dataclass of settings.
+        resume: continue the run in the folder instead of starting one there.
+
+    Raises:
+        ConfigurationError: the folder holds a run and `resume` is not set; or there is nothing to
+            resume; or the settings differ from the run's.
+    """
+
+    def __init__(self, folder: Path, config: Any, *, resume: bool) -> None:
+        self.folder = Path(folder)
+        self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+        settings_file = self.folder / "config.json"
+        if settings_file.exists() and not resume:
+            raise ConfigurationError(
+                f"{str(self.folder)!r} holds a run already; continue it with --resume, or give"
+                " another folder with --out"
+            )
+        if resume:
+            self._check_settings(settings_file)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        write_text(settings_file, json.dumps(self.settings, indent=1) + "\n")
+        self._rotation = CheckpointRotation(self.folder / "checkpoints", keep_last=2)
+        self._tensorboard = SummaryWriter(str(self.folder / "tensorboard"))
+        self._csv = self.folder / "progress.csv"
+
+    @property
+    def policy_file(self) -> Path:
+        """Where the run's policy belongs."""
+        return self.folder / POLICY_FILE
+
+    def log(self, step: int, scalars: Mapping[str, float]) -> None:
+        """Add a row to the CSV and a point to each TensorBoard curve."""
+        new = not self._csv.exists()
+        with self._csv.open("a", newline="") as file:
+            writer = csv.writer(file)
+            if new:
+                writer.writerow(["step", *scalars])
+            writer.writerow([step, *(f"{value:.6g}" for value in scalars.values())])
+        for name, value in scalars.items():
+            self._tensorboard.add_scalar(name, value, step)
+
+    def history(self) -> dict[str, list[float]]:
+        """The CSV's columns; empty if there is none yet."""
+        if not self._csv.exists():
+            return {}
+        with self._csv.open(newline="") as file:
+            rows = list(csv.reader(file))
+        # a killed run may leave an unfinished last row
+        rows = [row for row in rows if len(row) == len(rows[0])]
+        return {name: [float(row[i]) for row in rows[1:]] for i, name in enumerate(rows[0])}
+
+    def save(self, step: int, metadata: Mapping[str, Any], **components: Any) -> None:
+        """Write a checkpoint and drop the ones before the last two."""
+        checkpoint = Checkpoint(format="archive", **components)
+        self._rotation.save(checkpoint, step=step, metadata=dict(metadata))
+
+    def restore(self, **components: Any) -> dict[str, Any]:
+        """Load the newest intact checkpoint into the components; return its metadata.
+
+        Raises:
+            ConfigurationError: there is no intact checkpoint.
+        """
+        damaged: list[str] = []
+        for path in reversed(self._rotation.checkpoints()):
+            try:
+                load_components(path, **components)
+                metadata = read_manifest(path)["metadata"]
+            except FileDamagedError as error:
+                damaged.append(str(error))
+                continue
+            self._forget_after(int(metadata["step"]))
+            return metadata
+        raise ConfigurationError(
+            f"{str(self.folder)!r} has no checkpoint to resume from{'; '.join(['', *damaged])}"
+        )
+
+    def close(self) -> None:
+        """Finish the logs."""
+        self._tensorboard.close()
+
+    def _check_settings(self, settings_file: Path) -> None:
+        if not settings_file.exists():
+            raise ConfigurationError(
+                f"{str(self.folder)!r} holds no run to resume; start one without --resume"
+            )
+        old = json.loads(settings_file.read_text())
+        differing = [
+            f"{name} was {old.get(name)!r} and is {self.settings.get(name)!r}"
+            for name in sorted(old.keys() | self.settings.keys())
+            if name not in _MAY_DIFFER and old.get(name) != self.settings.get(name)
+        ]
+        if differing:
+            raise ConfigurationError(
+                f"the run in {str(self.folder)!r} has other settings: {'; '.join(differing)}"
+            )
+
+    def _forget_after(self, step: int) -> None:
+        """Drop rows that the resumed run will write again."""
+        history = self.history()
+        if not history:
+            return
+        kept = [i for i, row_step in enumerate(history["step"]) if row_step <= step]
+        lines = [",".join(history)]
+        lines += [",".join(f"{column[i]:.10g}" for column in history.values()) for i in kept]
+        write_text(self._csv, "\n".join(lines) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file as a whole or not at all."""
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(text)
+    os.replace(temporary, path)

@@ -1,0 +1,93 @@
+"""How long the gaits and their inverse kinematics take on one core.
+
+    python -m benchmarks.library
+
+Each measurement is a fresh Python process bound to one core and one thread, so imports and the
+construction of solvers count; the table gives the median over processes. The inverse kinematics
+solves all poses of the library, positions and velocities, and is timed inside its process.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+
+import tyro
+
+_GAITS = """
+from aslip.library.build import PAPER_SPEEDS
+from aslip.rom import optimize_gaits
+gaits = optimize_gaits(PAPER_SPEEDS)
+assert all(gait.certificate.ok for gait in gaits)
+"""
+
+_POSES = """
+import time
+import numpy as np
+from aslip.ik import BodyTarget, CassieKinematics, solve
+from aslip.library import GaitLibrary
+
+phase = np.arange(128) / 128
+motions = [gait.sample(phase) for gait in GaitLibrary.load().gaits]
+
+def target(body):
+    position = np.concatenate([getattr(motion, f"{body}_position") for motion in motions])
+    velocity = np.concatenate([getattr(motion, f"{body}_velocity") for motion in motions])
+    return BodyTarget(position, velocity=velocity)
+
+targets = [target(body) for body in ("body", "left_foot", "right_foot")]
+kinematics = CassieKinematics()
+start = time.perf_counter()
+solution = solve(kinematics, *targets)
+seconds = time.perf_counter() - start
+print(len(solution.qpos), seconds, solution.residual.loop, solution.residual.foot_position)
+"""
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    rounds: int = 5
+    """Processes to take the median over."""
+
+
+def main(config: Config) -> None:
+    """Measure and print."""
+    seconds, outputs = [], []
+    for _ in range(config.rounds):
+        start = time.perf_counter()
+        _run(_GAITS)
+        seconds.append(time.perf_counter() - start)
+        outputs.append([float(word) for word in _run(_POSES).split()])
+    count, _, loop, foot = outputs[0]
+    rate = count / statistics.median(output[1] for output in outputs)
+    print("| on one core | |\n|---|---:|")
+    print(f"| 21 gaits from a cold start | {statistics.median(seconds):.1f} s |")
+    print(f"| inverse kinematics of {count:.0f} poses | {rate:.0f} poses/s |")
+    print(f"| largest gap of a loop | {loop:.0e} m |")
+    print(f"| largest error of a foot | {foot:.0e} m |")
+
+
+def _run(code: str) -> str:
+    """Standard output of a Python process on one core."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        check=True,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+        preexec_fn=_bind_to_one_core if hasattr(os, "sched_setaffinity") else None,
+    ).stdout
+
+
+def _bind_to_one_core() -> None:
+    os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))

@@ -1,0 +1,136 @@
+"""Policy steps per second: the environments against bare `mj_step`, side by side in one run.
+
+    python -m benchmarks.throughput
+    python -m benchmarks.throughput --num-envs 16 64 256 1024 --rounds 9
+
+In every policy step of the run each candidate advances the same N robots from the same states, one
+after the other, so that whatever else the machine does touches all alike. A table row is the median
+over rounds; the ratio is that of the same round. The bound is `mj_step` alone, 60 substeps a call
+and simulations shared out to threads in advance: no environment around this physics can beat it.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import torch
+import tyro
+from tensordict import TensorDictBase
+
+import aslip
+from aslip.cassie import SUBSTEPS
+from aslip.envs import BatchCassieEnv
+from aslip.library import GaitLibrary
+from aslip.sim import Simulations
+from aslip.stack import CassieTransformedEnv
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    num_envs: tuple[int, ...] = (16, 64, 256)
+    """Numbers of robots N."""
+    num_threads: int = 2
+    """Threads for the physics of every candidate."""
+    rounds: int = 7
+    """Rounds to take the median over."""
+    steps: int = 4
+    """Policy steps of a round."""
+    action_std: float = 0.135
+    """Exploration noise of the random actions [rad]: robots walk, stumble, and are reset."""
+
+
+class Bound:
+    """`mj_step` and nothing else, on as many threads."""
+
+    def __init__(self, model: mujoco.MjModel, num_threads: int) -> None:
+        self.model = model
+        self.data = [mujoco.MjData(model) for _ in range(num_threads)]
+        self.pool = ThreadPoolExecutor(num_threads)
+
+    def advance(self, states: np.ndarray) -> None:
+        """One policy period from each row of (n, k) states."""
+        shares = np.array_split(states, len(self.data))
+        list(self.pool.map(self._run, self.data, shares))
+
+    def _run(self, data: mujoco.MjData, states: np.ndarray) -> None:
+        for state in states:
+            mujoco.mj_setState(self.model, data, state, _STATE)
+            mujoco.mj_step(self.model, data, SUBSTEPS)
+
+
+class Candidates:
+    """The bound, bare simulations, and the environment with all transforms, kept in step."""
+
+    def __init__(self, num_envs: int, config: Config, library: GaitLibrary) -> None:
+        self.env = aslip.make_env(
+            num_envs=num_envs, seed=0, library=library, num_threads=config.num_threads
+        )
+        base = self.env.base_env
+        assert isinstance(base, BatchCassieEnv)
+        self.inside = base.simulations
+        self.bare = Simulations(num_envs, num_threads=config.num_threads)
+        self.bound = Bound(self.inside.model, config.num_threads)
+        self.std = config.action_std
+        self.td = self.env.reset()
+
+    def step(self) -> dict[str, float]:
+        """One policy step of each; seconds by name."""
+        states = self.inside.batch.state.copy()
+        self.td["action"] = self.std * torch.randn(self.env.num_envs, 10)
+        target = (self.td["reference", "motor_position"] + self.td["action"]).double().numpy()
+        self.bare.batch.state[:] = states
+        seconds = {
+            "mj_step (bound)": _timed(lambda: self.bound.advance(states)),
+            "simulations: drive, delay, checks": _timed(lambda: self.bare.advance(target)),
+            "environment, all transforms": _timed(lambda: self._step_env(self.env)),
+        }
+        return seconds
+
+    def _step_env(self, env: CassieTransformedEnv) -> None:
+        _, following = env.step_and_maybe_reset(self.td)
+        assert isinstance(following, TensorDictBase)
+        self.td = following
+
+
+def main(config: Config) -> None:
+    """Measure and print."""
+    torch.manual_seed(0)
+    library = GaitLibrary.load()
+    print("| N | candidate | policy steps/s | share of the bound |\n|---:|---|---:|---:|")
+    for num_envs in config.num_envs:
+        candidates = Candidates(num_envs, config, library)
+        candidates.step()  # warm up
+        rounds = [_round(candidates, config.steps) for _ in range(config.rounds)]
+        for name in rounds[0]:
+            rate = statistics.median(num_envs * config.steps / r[name] for r in rounds)
+            share = statistics.median(r["mj_step (bound)"] / r[name] for r in rounds)
+            print(f"| {num_envs} | {name} | {rate:.0f} | {100 * share:.0f} % |", flush=True)
+
+
+def _round(candidates: Candidates, steps: int) -> dict[str, float]:
+    """Seconds of some policy steps, by candidate."""
+    total: dict[str, float] = {}
+    for _ in range(steps):
+        for name, seconds in candidates.step().items():
+            total[name] = total.get(name, 0.0) + seconds
+    return total
+
+
+def _timed(call: Callable[[], None]) -> float:
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))

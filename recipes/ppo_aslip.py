@@ -1,0 +1,269 @@
+"""Teach Cassie to walk at every speed from 0 to 2 m/s, guided by actuated-SLIP gaits.
+
+    python recipes/ppo_aslip.py                         # train, evaluate, draw: runs/ppo_aslip/
+    python recipes/ppo_aslip.py --resume                # go on after Ctrl-C or a crash
+    python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
+
+This is Green et al. 2021 from top to bottom: settings, environment, policy, PPO, evaluation. An
+ablation is a copy of this page in which `make_env` gets a `drop` or a `replace`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import time
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import tyro
+from tensordict import TensorDict
+from torchrl.checkpoint import GlobalRNGState
+from torchrl.collectors import Collector
+from torchrl.modules import ProbabilisticActor
+from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives.value import GAE
+from tqdm import tqdm
+
+import aslip
+from aslip.errors import ConfigurationError
+from aslip.evaluation import WalkResult, evaluate, walk_table
+from aslip.plots import learning_curve, save_figure
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
+from aslip.run import TrainingRun, write_text
+from aslip.symmetry import action_mirror, observation_mirror
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings; "Table II" is the paper's table of PPO hyper-parameters."""
+
+    out: Path = Path("runs/ppo_aslip")
+    """Folder of the run."""
+    resume: bool = False
+    """Continue the run in the folder."""
+    seed: int = 0
+    """Reaches every random number."""
+    total_steps: int = 2_000_000
+    """Policy steps to train for; the paper trains for 175 million."""
+    num_envs: int = 256
+    """Robots simulated side by side."""
+    samples: int = 5120
+    """Policy steps an update; Table II says 5096, this is the next multiple of 256."""
+    minibatch: int = 64
+    """Samples of a gradient step (Table II)."""
+    epochs: int = 3
+    """Passes over the samples of an update (Table II)."""
+    learning_rate: float = 1e-4
+    """Of Adam (Table II)."""
+    adam_epsilon: float = 1e-5
+    """Of Adam (Table II)."""
+    gamma: float = 0.99
+    """Discount (Table II)."""
+    gae_lambda: float = 0.95
+    """Of the advantage estimate; the paper gives none."""
+    clip: float = 0.2
+    """Of PPO's probability ratio (Table II)."""
+    max_grad_norm: float = 0.5
+    """Gradient norm, of actor and critic each; the paper gives none."""
+    symmetry: bool = True
+    """Learn from the mirror image of each sample, too; not in the paper."""
+    eval_interval: int = 250_000
+    """Policy steps between evaluations over all speeds."""
+    checkpoint_interval: int = 100_000
+    """Policy steps between checkpoints."""
+
+    def __post_init__(self) -> None:
+        """Check what a typing slip would make a mystery of later."""
+        for name in ("total_steps", "num_envs", "samples", "minibatch", "epochs"):
+            if getattr(self, name) < 1:
+                raise ConfigurationError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        if self.samples % self.num_envs:
+            raise ConfigurationError(
+                f"samples must be a multiple of num_envs = {self.num_envs}, got {self.samples}"
+            )
+
+
+def main(config: Config) -> list[WalkResult]:
+    """Train, then evaluate at all speeds; a table and pictures are in the folder."""
+    run = TrainingRun(config.out, config, resume=config.resume)
+    torch.manual_seed(config.seed)
+
+    # ------------------------------------------------------------ environment
+    library = aslip.GaitLibrary.load()
+    env = aslip.make_env(num_envs=config.num_envs, seed=config.seed, library=library)
+    speeds = [float(speed) for speed in library.speeds]
+    eval_env = aslip.make_env(num_envs=len(speeds), seed=config.seed, library=library)
+
+    # ----------------------------------------------------------------- policy
+    shape = PolicyShape()
+    normalizer = RunningNormalizer(shape.observation_size)
+    actor, critic = make_actor(normalizer, shape), make_critic(normalizer, shape)
+
+    # -------------------------------------------------------------------- PPO
+    advantage = GAE(
+        gamma=config.gamma,
+        lmbda=config.gae_lambda,
+        value_network=critic,
+        average_gae=True,
+        deactivate_vmap=True,
+    )
+    loss = ClipPPOLoss(
+        actor,
+        critic,
+        clip_epsilon=config.clip,
+        entropy_bonus=False,
+        loss_critic_type="l2",
+        critic_coeff=0.5,
+        functional=False,
+        log_explained_variance=False,
+    )
+    nets = [list(actor.parameters()), list(critic.parameters())]
+    optimizer = torch.optim.Adam(
+        [*nets[0], *nets[1]], lr=config.learning_rate, eps=config.adam_epsilon, fused=True
+    )
+
+    # ------------------------------------------------------------------- loop
+    components = {"actor": actor, "critic": critic, "optimizer": optimizer, "rng": GlobalRNGState()}
+    step, elapsed = 0, 0.0
+    if config.resume:
+        metadata = run.restore(**components)
+        step, elapsed = int(metadata["step"]), float(metadata["elapsed_s"])
+        env.set_seed(config.seed + step)
+    start = time.perf_counter() - elapsed
+    episodes: deque[tuple[float, float]] = deque(maxlen=256)  # length, return
+    next_eval, next_checkpoint = step + config.eval_interval, step + config.checkpoint_interval
+    results: list[WalkResult] = []
+    collector = Collector(
+        env, actor, frames_per_batch=config.samples, total_frames=-1, trust_policy=True
+    )
+    bar = tqdm(total=config.total_steps, initial=step, unit="step", dynamic_ncols=True)
+    with contextlib.suppress(KeyboardInterrupt), bar:
+        for data in collector:
+            if normalizer.count == 0:
+                # the first samples only teach the normaliser what inputs look like
+                normalizer.update(data["observation"])
+                continue
+            with torch.no_grad():
+                advantage(data)
+            losses = update(data, loss, optimizer, nets, config)
+            normalizer.update(data["observation"])
+            step += data.numel()
+
+            done = data["next", "done"][..., 0]
+            lengths = data["next", "step_count"][..., 0][done].tolist()
+            totals = data["next", "episode_reward"][..., 0][done].tolist()
+            episodes.extend(zip(lengths, totals, strict=True))
+            length, total = torch.tensor(episodes or [(0.0, 0.0)]).mean(0).tolist()
+            terms = {
+                f"term_{name}": float(term.mean())
+                for name, term in data["next", "reward_terms"].items()
+            }
+            if evaluate_now := step >= next_eval or step >= config.total_steps:
+                results = evaluate(actor, eval_env, speeds)
+                next_eval += config.eval_interval
+            run.log(
+                step,
+                {
+                    "elapsed_s": time.perf_counter() - start,
+                    "episode_length": length,
+                    "episode_return": total,
+                    **terms,
+                    **losses,
+                    "divergences": env.base_env.divergences,
+                    **summary(results if evaluate_now else []),
+                },
+            )
+            if step >= next_checkpoint or step >= config.total_steps:
+                save(run, step, time.perf_counter() - start, components)
+                next_checkpoint += config.checkpoint_interval
+            bar.set_postfix_str(progress(length, total, terms), refresh=False)
+            bar.update(data.numel())
+            if step >= config.total_steps:
+                break
+    collector.shutdown()
+
+    # ---------------------------------------------------------------- summary
+    save(run, step, time.perf_counter() - start, components)
+    results = evaluate(actor, eval_env, speeds)
+    save_policy(run.policy_file, actor, shape, {"settings": run.settings, "steps": step})
+    table = walk_table(results)
+    minutes = (time.perf_counter() - start) / 60
+    gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    footer = f"{step} policy steps in {minutes:.1f} minutes, peak memory {gigabytes:.2f} GiB"
+    write_text(config.out / "summary.md", f"{table}\n\n{footer}\n")
+    history = run.history()
+    if history:
+        save_figure(
+            learning_curve(history, f"seed {config.seed}"), config.out / "learning_curve.png"
+        )
+    print(f"\n{table}\n\n{footer}\n{config.out}/: summary.md, learning_curve.png, policy.zip")
+    run.close()
+    return results
+
+
+def update(
+    data: TensorDict,
+    loss: ClipPPOLoss,
+    optimizer: torch.optim.Optimizer,
+    nets: list[list[torch.nn.Parameter]],
+    config: Config,
+) -> dict[str, float]:
+    """Some epochs of PPO over the samples; returns means of what the loss reports."""
+    keys = ("observation", "action", "action_log_prob", "advantage", "value_target")
+    samples = data.select(*keys).reshape(-1)
+    images = mirrored(samples, loss.actor_network) if config.symmetry else None
+    reports = []
+    for _ in range(config.epochs):
+        for index in torch.randperm(len(samples)).split(config.minibatch):
+            batch = samples[index] if images is None else torch.cat([samples[index], images[index]])
+            terms = loss(batch)
+            total = terms["loss_objective"] + terms["loss_critic"]
+            optimizer.zero_grad()
+            total.backward()
+            for parameters in nets:
+                torch.nn.utils.clip_grad_norm_(parameters, config.max_grad_norm)
+            optimizer.step()
+            reports.append(terms.detach())
+    means = torch.stack(reports).mean(0)
+    if not torch.isfinite(means["loss_objective"]):
+        raise FloatingPointError("the PPO loss is not finite; lower --learning-rate")
+    return {key: float(means[key]) for key in ("loss_critic", "kl_approx", "clip_fraction")}
+
+
+@torch.no_grad()
+def mirrored(samples: TensorDict, actor: ProbabilisticActor) -> TensorDict:
+    """Left-right mirror images of samples, with their log-probability under the present policy."""
+    images = samples.clone()
+    images["observation"] = observation_mirror()(samples["observation"])
+    images["action"] = action_mirror()(samples["action"])
+    distribution = actor.get_dist(images.select("observation"))
+    images["action_log_prob"] = distribution.log_prob(images["action"])
+    return images
+
+
+def save(run: TrainingRun, step: int, elapsed: float, components: dict) -> None:
+    """Checkpoint everything that training resumes from."""
+    run.save(step, {"step": step, "elapsed_s": elapsed}, **components)
+
+
+def summary(results: list[WalkResult]) -> dict[str, float]:
+    """Means of an evaluation, NaN where there was none."""
+    count = len(results) or float("nan")
+    return {
+        "eval_return": sum(r.total for r in results) / count,
+        "eval_length": sum(r.steps for r in results) / count,
+        "eval_survived": sum(r.survived for r in results) / count,
+    }
+
+
+def progress(length: float, total: float, terms: dict[str, float]) -> str:
+    """What the progress bar says beside rate and time left."""
+    short = " ".join(f"{name.removeprefix('term_')} {value:.2f}" for name, value in terms.items())
+    return f"length {length:.0f} return {total:.0f} | {short}"
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))

@@ -1,0 +1,72 @@
+"""Walks at many speeds: what is counted, and until when."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict.nn import TensorDictModule
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.errors import ConfigurationError
+from aslip.evaluation import evaluate, walk_table
+from tests.conftest import MakeEnv
+
+SPEEDS = [0.0, 1.0, 2.0]
+
+
+def _still() -> TensorDictModule:
+    return TensorDictModule(
+        lambda observation: torch.zeros(*observation.shape[:-1], 10),
+        in_keys=["observation"],
+        out_keys=["action"],
+    )
+
+
+def test_walks_equal_plain_episodes(make: MakeEnv) -> None:
+    """Steps, return, distance and terms, of each robot until its own end."""
+    results = evaluate(_still(), make(num_envs=3), SPEEDS, num_steps=40)
+    for i, (speed, result) in enumerate(zip(SPEEDS, results, strict=True)):
+        env = make(num_envs=1, seed=i + 7)
+        td = env.reset()
+        td = env.reset(
+            td.select().update({"command": torch.full((1, 1), speed), "phase": torch.zeros(1, 1)})
+        )
+        start = td["truth", "pelvis_position"][0, 0].item()
+        total, feet, after = 0.0, 0.0, td
+        steps = 0
+        while steps < 40:
+            steps += 1
+            after = env.step(after.set("action", torch.zeros(1, 10)))["next"]
+            total += after["reward"].item()
+            feet += after["reward_terms", "foot_pos"].item()
+            if after["terminated"].item():
+                break
+        assert result.speed == speed
+        assert result.steps == steps
+        assert result.survived == (not after["terminated"].item())
+        assert result.total == pytest.approx(total, rel=1e-5)
+        assert result.terms["foot_pos"] == pytest.approx(feet / steps, rel=1e-5)
+        x, y, _ = after["truth", "pelvis_position"][0].tolist()
+        assert result.mean_speed == pytest.approx((x - start) / (steps * POLICY_PERIOD), rel=1e-4)
+        assert result.lateral_drift == pytest.approx(abs(y), abs=1e-6)
+    assert len({result.steps for result in results}) > 1  # they do not end together
+
+
+def test_another_number_of_robots_is_refused(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match="3 speeds need an environment of as many robots"):
+        evaluate(_still(), make(num_envs=2), SPEEDS)
+
+
+def test_a_stack_without_terms_can_be_evaluated(make: MakeEnv) -> None:
+    """Rewards are the experiment's business."""
+    terms = ["com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"]
+    env = make(num_envs=3, drop=[*terms, "reward", "low_reward"])
+    results = evaluate(_still(), env, SPEEDS, num_steps=3)
+    assert [result.terms for result in results] == [{}, {}, {}]
+    assert "3 of 3 speeds walked" in walk_table(results)
+
+
+def test_the_table_marks_who_fell(make: MakeEnv) -> None:
+    results = evaluate(_still(), make(num_envs=3), SPEEDS, num_steps=40)
+    table = walk_table(results)
+    assert table.count(" fell |") == sum(not result.survived for result in results) > 0

@@ -1,0 +1,302 @@
+"""The policy: what it computes, and that its file is whole, safe and fitting."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+import aslip
+from aslip import policy as policy_module
+from aslip.errors import AssetError, ConfigurationError, FileDamagedError
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
+from tests.conftest import MakeEnv
+
+
+def _observations(num: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    scale, shift = 10 ** torch.linspace(-2, 3, 64), torch.linspace(-50, 50, 64)
+    return shift + scale * torch.randn(num, 64, generator=generator)
+
+
+# -------------------------------------------------------------- normaliser
+
+
+def test_statistics_equal_numpys_over_several_updates() -> None:
+    normalizer = RunningNormalizer(64)
+    batches = [_observations(num, seed) for seed, num in enumerate((1, 7, 500, 2, 64))]
+    for batch in batches:
+        normalizer.update(batch)
+    everything = torch.cat(batches).double().numpy()
+    assert normalizer.count == len(everything)
+    np.testing.assert_allclose(normalizer.mean, everything.mean(axis=0), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(normalizer.variance, everything.var(axis=0), rtol=1e-9)
+    normalised = normalizer(torch.cat(batches)).numpy()
+    expected = (everything - everything.mean(axis=0)) / everything.std(axis=0)
+    np.testing.assert_allclose(normalised, expected.clip(-10, 10), atol=0.01)
+
+
+def test_batch_dimensions_do_not_matter() -> None:
+    flat, shaped = RunningNormalizer(64), RunningNormalizer(64)
+    values = _observations(60)
+    flat.update(values)
+    shaped.update(values.reshape(3, 20, 64))
+    torch.testing.assert_close(flat.mean, shaped.mean)
+    torch.testing.assert_close(flat(values).reshape(3, 20, 64), shaped(values.reshape(3, 20, 64)))
+
+
+def test_a_constant_input_is_zero_and_harms_nothing() -> None:
+    normalizer = RunningNormalizer(3)
+    values = torch.tensor([[0.95, 0.0, -1234.567]]).expand(1000, 3)
+    for _ in range(5):
+        normalizer.update(values)
+    assert torch.isfinite(normalizer(values)).all()
+    torch.testing.assert_close(normalizer(values), torch.zeros(1000, 3), atol=1e-3, rtol=0)
+    far = normalizer(values + 1e6)
+    assert torch.isfinite(far).all()
+    assert far.abs().max() <= 10
+
+
+def test_before_any_update_inputs_pass_through() -> None:
+    values = torch.randn(5, 64).clamp(-3, 3)
+    torch.testing.assert_close(RunningNormalizer(64)(values), values, rtol=0, atol=0)
+
+
+def test_the_normaliser_is_not_trained() -> None:
+    assert list(RunningNormalizer(64).parameters()) == []
+
+
+# ------------------------------------------------------------- actor, critic
+
+
+@pytest.fixture
+def actor() -> policy_module.ProbabilisticActor:
+    """A policy that has seen something and gives actions well away from zero."""
+    torch.manual_seed(0)
+    normalizer = RunningNormalizer(64)
+    normalizer.update(_observations(100))
+    actor = make_actor(normalizer)
+    with torch.no_grad():
+        for parameter in actor.parameters():
+            parameter.add_(0.05 * torch.randn_like(parameter))
+    return actor
+
+
+def _input(num: int = 20) -> TensorDict:
+    return TensorDict(observation=_observations(num, seed=9), batch_size=num)
+
+
+def test_the_actor_is_deterministic_unless_asked_to_explore(
+    actor: policy_module.ProbabilisticActor,
+) -> None:
+    first, second = actor(_input())["action"], actor(_input())["action"]
+    torch.testing.assert_close(first, second, rtol=0, atol=0)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        torch.testing.assert_close(actor(_input())["action"], first, rtol=0, atol=0)
+    with set_exploration_type(ExplorationType.RANDOM):
+        sampled, again = actor(_input())["action"], actor(_input())["action"]
+    assert not torch.equal(sampled, again)
+
+
+def test_exploration_has_the_fixed_standard_deviation(
+    actor: policy_module.ProbabilisticActor,
+) -> None:
+    """exp(-2), about 0.135 rad, whatever the input."""
+    assert PolicyShape().std == pytest.approx(math.exp(-2))
+    td = TensorDict(observation=_observations(1).expand(4000, 64), batch_size=4000)
+    with torch.no_grad():
+        mean = actor(td.clone())["action"][0]
+        with set_exploration_type(ExplorationType.RANDOM):
+            data = actor(td)
+    np.testing.assert_allclose(data["scale"], math.exp(-2), rtol=1e-6)
+    deviation = data["action"] - mean
+    np.testing.assert_allclose(deviation.std(dim=0), math.exp(-2), rtol=0.05)
+    np.testing.assert_allclose(deviation.mean(dim=0), 0, atol=0.01)
+    expected = torch.distributions.Normal(mean, math.exp(-2)).log_prob(data["action"]).sum(-1)
+    torch.testing.assert_close(data["action_log_prob"], expected, rtol=1e-4, atol=1e-4)
+
+
+def test_training_starts_near_the_reference() -> None:
+    torch.manual_seed(1)
+    action = make_actor(RunningNormalizer(64))(_input())["action"]
+    assert 0 < action.abs().max() < 0.05
+
+
+def test_the_critic_gives_one_value() -> None:
+    critic = make_critic(RunningNormalizer(64))
+    assert critic(_input())["state_value"].shape == (20, 1)
+
+
+def test_actor_and_critic_share_the_normaliser_and_nothing_else() -> None:
+    normalizer = RunningNormalizer(64)
+    actor, critic = make_actor(normalizer), make_critic(normalizer)
+    assert sum(module is normalizer for module in actor.modules()) == 1
+    assert sum(module is normalizer for module in critic.modules()) == 1
+    assert not {id(p) for p in actor.parameters()} & {id(p) for p in critic.parameters()}
+
+
+def test_an_action_does_not_depend_on_the_rest_of_the_batch(
+    actor: policy_module.ProbabilisticActor,
+) -> None:
+    together = actor(_input())["action"]
+    alone = torch.stack([actor(td)["action"] for td in _input()])
+    torch.testing.assert_close(alone, together, rtol=1e-4, atol=1e-5)
+
+
+# ---------------------------------------------------------------- the file
+
+
+@pytest.fixture
+def file(actor: policy_module.ProbabilisticActor, tmp_path: Path) -> Path:
+    path = tmp_path / "policy.zip"
+    save_policy(path, actor, PolicyShape(), {"seed": 3})
+    return path
+
+
+def test_a_loaded_policy_gives_the_same_actions_bit_for_bit(
+    actor: policy_module.ProbabilisticActor, file: Path
+) -> None:
+    loaded = aslip.load_policy(file)
+    torch.testing.assert_close(
+        loaded(_input())["action"], actor(_input())["action"], rtol=0, atol=0
+    )
+    assert not loaded.training
+    with set_exploration_type(ExplorationType.RANDOM):
+        assert torch.allclose(loaded(_input())["scale"], torch.tensor(math.exp(-2)))
+
+
+def test_a_policy_is_found_in_the_folder_of_its_run(file: Path) -> None:
+    for where in (file.parent, str(file), str(file.parent)):
+        aslip.load_policy(where)
+
+
+def test_another_shape_is_rebuilt_from_the_file(tmp_path: Path) -> None:
+    shape = PolicyShape(hidden=(32, 16), std=0.5)
+    actor = make_actor(RunningNormalizer(64), shape)
+    save_policy(tmp_path / "policy.zip", actor, shape)
+    loaded = aslip.load_policy(tmp_path)
+    torch.testing.assert_close(loaded(_input())["loc"], actor(_input())["loc"], rtol=0, atol=0)
+    torch.testing.assert_close(loaded(_input())["scale"], torch.full((20, 10), 0.5))
+
+
+def test_saving_twice_replaces_the_file(
+    actor: policy_module.ProbabilisticActor, file: Path
+) -> None:
+    other = make_actor(RunningNormalizer(64))
+    save_policy(file, other, PolicyShape())
+    torch.testing.assert_close(
+        aslip.load_policy(file)(_input())["action"], other(_input())["action"], rtol=0, atol=0
+    )
+    assert [path.name for path in file.parent.iterdir()] == ["policy.zip"]
+
+
+def test_a_loaded_policy_drives_the_environment(make: MakeEnv, file: Path) -> None:
+    env = make(num_envs=2)
+    data = env.rollout(3, aslip.load_policy(file), break_when_any_done=False)
+    assert torch.isfinite(data["action"]).all()
+
+
+def test_an_unknown_name_is_refused(tmp_path: Path) -> None:
+    for name in ("no_such_policy", tmp_path, str(tmp_path / "gone.zip")):
+        with pytest.raises(AssetError, match="neither a file, nor the folder of a run"):
+            aslip.load_policy(name)
+
+
+def test_a_truncated_file_is_refused_wherever_it_ends(file: Path) -> None:
+    whole = file.read_bytes()
+    for share in np.linspace(0, 1, 21)[:-1]:
+        file.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(FileDamagedError, match=r"policy\.zip"):
+            aslip.load_policy(file)
+    file.write_bytes(whole[:-1])
+    with pytest.raises(FileDamagedError):
+        aslip.load_policy(file)
+
+
+def test_a_flipped_bit_is_refused_or_harmless(
+    actor: policy_module.ProbabilisticActor, file: Path
+) -> None:
+    """Never other actions, never another error."""
+    whole, expected = file.read_bytes(), actor(_input())["action"]
+    wrong = []
+    for offset in np.random.default_rng(0).choice(len(whole), 60, replace=False).tolist():
+        damaged = bytearray(whole)
+        damaged[offset] ^= 1 << (offset % 8)
+        file.write_bytes(damaged)
+        try:
+            if not torch.equal(aslip.load_policy(file)(_input())["action"], expected):
+                wrong.append(offset)
+        except FileDamagedError:
+            continue
+        except Exception:
+            wrong.append(offset)
+    assert wrong == []
+
+
+class Program:
+    """Something whose unpickling runs code."""
+
+    ran = False
+
+    def __reduce__(self):
+        return (_run, ())
+
+
+def _run() -> None:
+    Program.ran = True
+
+
+def test_a_pickle_is_refused_and_not_run(tmp_path: Path) -> None:
+    path = tmp_path / "policy.zip"
+    for content in (Program(), {"actor": make_actor(RunningNormalizer(64)).state_dict()}):
+        torch.save(content, path)
+        with pytest.raises(FileDamagedError):
+            aslip.load_policy(path)
+    assert not Program.ran
+
+
+def test_a_pickle_inside_the_archive_is_not_run(file: Path) -> None:
+    """A stranger may put what TorchRL would hand to `torch.load` where the weights belong."""
+    with zipfile.ZipFile(file) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    folders = {name.rsplit("/", 1)[0] for name in parts if "actor" in name}
+    assert folders
+    pickled = file.with_name("state.pt")
+    torch.save(Program(), pickled)
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+        for folder in folders:
+            archive.writestr(f"{folder}/state.pt", pickled.read_bytes())
+            archive.writestr(f"{folder}/state_dict.pt", pickled.read_bytes())
+    with contextlib.suppress(FileDamagedError):
+        aslip.load_policy(file)
+    assert not Program.ran
+
+
+def test_a_policy_for_another_observation_is_refused(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(policy_module, "OBSERVATION_TABLE", (("estimate", "height"),))
+    with pytest.raises(ConfigurationError, match=r"estimate/orientation.*gives.*estimate/height"):
+        aslip.load_policy(file)
+
+
+def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
+    from torchrl.checkpoint import Checkpoint
+
+    net = torch.nn.Linear(2, 2)
+    Checkpoint(net=net).save(tmp_path / "policy.zip", format="archive")
+    with pytest.raises(FileDamagedError):
+        aslip.load_policy(tmp_path)
+    card = {"shape": {"hidden": [8], "bogus": 1}, "observation": []}
+    Checkpoint(actor=net).save(tmp_path / "policy.zip", format="archive", metadata=card)
+    with pytest.raises(FileDamagedError):
+        aslip.load_policy(tmp_path)

@@ -1,0 +1,153 @@
+"""The recipes run from end to end, resume, and repeat themselves."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+import aslip
+from aslip.errors import ConfigurationError
+from aslip.evaluation import WalkResult, evaluate
+from recipes import ppo_aslip
+from recipes.ppo_aslip import Config
+
+TINY = Config(
+    num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000,
+    checkpoint_interval=64,
+)  # fmt: skip
+
+
+def _rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "progress.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+EVAL_STEPS = 5
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_walks() -> Iterator[None]:
+    """Evaluate for a few steps only."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ppo_aslip, "evaluate", partial(evaluate, num_steps=EVAL_STEPS))
+        yield
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[WalkResult]]:
+    """A run of two updates; all speeds evaluated at its end."""
+    folder = tmp_path_factory.mktemp("runs") / "tiny"
+    return folder, ppo_aslip.main(replace(TINY, out=folder))
+
+
+def test_a_run_leaves_all_its_files(run: tuple[Path, list[WalkResult]]) -> None:
+    folder, results = run
+    for name in ("config.json", "progress.csv", "policy.zip", "summary.md", "learning_curve.png"):
+        assert (folder / name).stat().st_size > 0, name
+    assert list((folder / "tensorboard").iterdir())
+    assert list((folder / "checkpoints").iterdir())
+    assert not list(folder.rglob("*.part"))
+    assert [round(r.speed, 3) for r in results] == [round(0.1 * i, 3) for i in range(21)]
+
+
+def test_progress_has_a_row_an_update(run: tuple[Path, list[WalkResult]]) -> None:
+    rows = _rows(run[0])
+    assert [row["step"] for row in rows] == ["64", "128"]
+    for row in rows:
+        for name, value in row.items():
+            assert value, name
+        for term in ("com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"):
+            assert 0 <= float(row[f"term_{term}"]) <= 1
+    assert float(rows[-1]["eval_return"]) > 0
+
+
+def test_results_are_plausible(run: tuple[Path, list[WalkResult]]) -> None:
+    for result in run[1]:
+        assert 1 <= result.steps <= EVAL_STEPS
+        assert 0 < result.total <= result.steps
+        assert not result.survived or result.steps == EVAL_STEPS
+        assert result.lateral_drift >= 0
+        assert result.weight_ratio > 0
+        assert all(0 <= value <= 1 for value in result.terms.values())
+
+
+def test_the_summary_has_a_row_a_speed(run: tuple[Path, list[WalkResult]]) -> None:
+    lines = (run[0] / "summary.md").read_text().splitlines()
+    assert sum(line.startswith("| ") for line in lines) == 23
+    assert "of 21 speeds walked" in "\n".join(lines)
+    assert "128 policy steps" in lines[-1]
+
+
+def test_the_runs_policy_can_be_loaded(run: tuple[Path, list[WalkResult]]) -> None:
+    policy = aslip.load_policy(run[0])
+    assert policy(aslip.make_env(num_threads=1).reset())["action"].shape == (1, 10)
+
+
+def test_the_same_seed_gives_the_same_run(
+    run: tuple[Path, list[WalkResult]], tmp_path: Path
+) -> None:
+    """Every number but the time it took."""
+    again = ppo_aslip.main(replace(TINY, out=tmp_path / "again"))
+    first, second = _rows(run[0]), _rows(tmp_path / "again")
+    for row in (*first, *second):
+        del row["elapsed_s"]
+    assert first == second
+    assert again == run[1]
+    a, b = (aslip.load_policy(folder).state_dict() for folder in (run[0], tmp_path / "again"))
+    assert all(torch.equal(a[key], b[key]) for key in a)
+
+
+def test_a_run_resumes(run: tuple[Path, list[WalkResult]], tmp_path: Path) -> None:
+    """What was trained is kept, the steps count on, and the policy changes."""
+    folder, _ = run
+    before, weights = _rows(folder), aslip.load_policy(folder).state_dict()
+    ppo_aslip.main(replace(TINY, out=folder, resume=True, total_steps=192))
+    after = _rows(folder)
+    assert [row["step"] for row in after] == ["64", "128", "192"]
+    assert after[:2] == before
+    assert float(after[2]["elapsed_s"]) > float(before[1]["elapsed_s"])
+    resumed = aslip.load_policy(folder).state_dict()
+    changed = [key for key in weights if not torch.equal(weights[key], resumed[key])]
+    assert any("weight" in key for key in changed)
+    counts = [key for key in weights if key.endswith("count")]
+    assert counts
+    assert all(resumed[key] == weights[key] + 64 for key in counts)
+
+
+def test_another_run_in_the_same_folder_is_refused(run: tuple[Path, list[WalkResult]]) -> None:
+    with pytest.raises(ConfigurationError, match="holds a run already"):
+        ppo_aslip.main(replace(TINY, out=run[0]))
+    with pytest.raises(ConfigurationError, match="seed was 0 and is 1"):
+        ppo_aslip.main(replace(TINY, out=run[0], resume=True, seed=1))
+
+
+def test_another_seed_gives_another_run(run: tuple[Path, list[WalkResult]], tmp_path: Path) -> None:
+    ppo_aslip.main(replace(TINY, out=tmp_path / "other", seed=1, total_steps=64))
+    first, second = _rows(run[0])[0], _rows(tmp_path / "other")[0]
+    assert first["term_com_vel"] != second["term_com_vel"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"num_envs": 0}, "num_envs must be 1 or more, got 0"),
+        ({"total_steps": -5}, "total_steps"),
+        ({"minibatch": 0}, "minibatch"),
+        ({"epochs": 0}, "epochs"),
+        ({"samples": 100}, "samples must be a multiple of num_envs = 8, got 100"),
+        ({"learning_rate": -1e-4}, "learning_rate"),
+        ({"gamma": 1.5}, "gamma"),
+        ({"eval_interval": 0}, "eval_interval"),
+        ({"checkpoint_interval": 0}, "checkpoint_interval"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        replace(TINY, **change)
