@@ -10,9 +10,8 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from aslip.cassie import POLICY_PERIOD, TOTAL_MASS
+from aslip.cassie import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.errors import ConfigurationError
-from aslip.sim.truth import STANDARD_GRAVITY
 from aslip.stack import MAX_EPISODE_STEPS, CassieTransformedEnv
 
 

@@ -44,7 +44,7 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
     axes.plot(*motion.left_foot_position.T, color=MODE_COLORS[Mode.LEFT], lw=1.2, ls="--")
     axes.plot(*motion.right_foot_position.T, color=MODE_COLORS[Mode.RIGHT], lw=1.2, ls="--")
     span = np.ptp(motion.body_position[:, 0])
-    axes.set_box_aspect((max(span, 0.5), 0.45, 1.0), zoom=1.25)
+    axes.set_box_aspect((max(span, 0.5), 0.45, 1.0), zoom=1.25)  # pyright: ignore[reportArgumentType]
     axes.set(xlabel="x [m]", zlim=(0, 1))
     axes.set_ylabel("y [m]", labelpad=-2)
     axes.set_yticks([-0.1, 0.1])

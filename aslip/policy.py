@@ -19,6 +19,7 @@ from tensordict.nn import (
     InteractionType,
     TensorDictModule,
 )
+from tensordict.utils import unravel_key
 from torch import Tensor, nn
 from torchrl.checkpoint import Checkpoint
 from torchrl.modules import (
@@ -66,6 +67,8 @@ class RunningNormalizer(nn.Module):
     mean: Tensor
     variance: Tensor
     count: Tensor
+    _offset: Tensor
+    _scale: Tensor
 
     def __init__(self, size: int) -> None:
         super().__init__()
@@ -114,9 +117,11 @@ def make_actor(
         num_cells=list(shape.hidden),
         activation_class=nn.ReLU,
     )
+    output = net[-1]
+    assert isinstance(output, nn.Linear)
     with torch.no_grad():
-        net[-1].weight.mul_(_OUTPUT_SCALE)
-        net[-1].bias.zero_()
+        output.weight.mul_(_OUTPUT_SCALE)
+        output.bias.zero_()
     scale = AddStateIndependentNormalScale(
         shape.action_size,
         scale_mapping="exp",
@@ -246,4 +251,4 @@ def _find(name_or_path: str | Path) -> Path:
 
 
 def _entry_names() -> list[str]:
-    return ["/".join(key) for key in OBSERVATION_TABLE]
+    return ["/".join(map(str, unravel_key(key))) for key in OBSERVATION_TABLE]

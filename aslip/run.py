@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
+from torchrl import torchrl_logger
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
 from aslip.errors import ConfigurationError, FileDamagedError
@@ -56,7 +57,7 @@ class TrainingRun:
         self.folder.mkdir(parents=True, exist_ok=True)
         write_text(settings_file, json.dumps(self.settings, indent=1) + "\n")
         self._rotation = CheckpointRotation(self.folder / "checkpoints", keep_last=2)
-        self._tensorboard = SummaryWriter(str(self.folder / "tensorboard"))
+        self._tensorboard: SummaryWriter | None = None
         self._csv = self.folder / "progress.csv"
 
     @property
@@ -72,6 +73,9 @@ class TrainingRun:
             if new:
                 writer.writerow(["step", *scalars])
             writer.writerow([step, *(f"{value:.6g}" for value in scalars.values())])
+        if self._tensorboard is None:
+            # points that a resumed run writes again are dropped
+            self._tensorboard = SummaryWriter(str(self.folder / "tensorboard"), purge_step=step)
         for name, value in scalars.items():
             self._tensorboard.add_scalar(name, value, step)
 
@@ -97,12 +101,14 @@ class TrainingRun:
             ConfigurationError: there is no intact checkpoint.
         """
         damaged: list[str] = []
-        for path in reversed(self._rotation.checkpoints()):
+        # names sort by step; the rotation's own list leaves out what it cannot read
+        for path in sorted((self.folder / "checkpoints").glob("checkpoint-*"), reverse=True):
             try:
                 load_components(path, **components)
                 metadata = read_manifest(path)["metadata"]
             except FileDamagedError as error:
                 damaged.append(str(error))
+                torchrl_logger.warning(f"{error}; falling back to the checkpoint before it")
                 continue
             self._forget_after(int(metadata["step"]))
             return metadata
@@ -112,7 +118,8 @@ class TrainingRun:
 
     def close(self) -> None:
         """Finish the logs."""
-        self._tensorboard.close()
+        if self._tensorboard is not None:
+            self._tensorboard.close()
 
     def _check_settings(self, settings_file: Path) -> None:
         if not settings_file.exists():

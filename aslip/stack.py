@@ -13,10 +13,11 @@ an environment, where TorchRL would keep stale specs; build another.
 from __future__ import annotations
 
 import difflib
+import zlib
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
-import torch
+import numpy as np
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose, RewardSum, StepCounter, Transform
@@ -51,9 +52,23 @@ MAX_EPISODE_STEPS = 400
 
 
 class CassieTransformedEnv(TransformedEnv):
-    """A transformed environment whose seed reaches the transforms, too."""
+    """A transformed environment whose transforms have names, and whose seed reaches them.
+
+    Args:
+        env: the environment.
+        transforms: name -> transform, first to last.
+    """
 
     base_env: CassieEnv
+
+    def __init__(self, env: CassieEnv, transforms: Mapping[str, Transform]) -> None:
+        super().__init__(env, Compose(*transforms.values()))
+        self.transform_names = tuple(transforms)
+
+    @property
+    def transforms(self) -> list[Transform]:
+        """The transforms, first to last."""
+        return list(cast("Compose", self.transform))
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         # transforms that draw need the number of robots, and asking TorchRL for it is slow
@@ -62,12 +77,15 @@ class CassieTransformedEnv(TransformedEnv):
         return super()._reset(tensordict, **kwargs)
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
-        """Seed the environment and every transform, each with a seed of its own."""
+        """Seed the environment, and every transform by its name.
+
+        A transform thus draws the same numbers whichever others are dropped or replaced.
+        """
         if seed is not None:
-            generator = torch.Generator().manual_seed(seed)
-            for transform in self.transform:
+            for name, transform in zip(self.transform_names, self.transforms, strict=True):
                 if isinstance(transform, CassieTransform):
-                    transform.set_seed(int(torch.randint(2**62, (), generator=generator)))
+                    entropy = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
+                    transform.set_seed(int(entropy.generate_state(1)[0]))
         return super().set_seed(seed, static_seed=static_seed)
 
 
@@ -173,8 +191,8 @@ def make_env(
         base = BatchCassieEnv(num_envs, num_threads=num_threads, floor_friction=floor_friction)
     else:
         base = DmControlCassieEnv(num_envs, floor_friction=floor_friction)
-    transforms = [t if isinstance(t, Transform) else t() for t in chosen.values()]
-    env = CassieTransformedEnv(base, Compose(*transforms))
+    stack_of = {name: t if isinstance(t, Transform) else t() for name, t in chosen.items()}
+    env = CassieTransformedEnv(base, stack_of)
     _check_wiring(env)
     env.set_seed(seed)
     return env
@@ -182,9 +200,10 @@ def make_env(
 
 def _check_wiring(env: CassieTransformedEnv) -> None:
     """Check that what reward terms and the action read is there, before the first step needs it."""
-    available = env.full_observation_spec.clone().update(env.full_action_spec)
+    available = env.full_observation_spec.clone()
+    available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
-    for transform in env.transform:
+    for transform in env.transforms:
         if isinstance(transform, RewardTerm | ActionDelta):
             require_keys(transform, available, transform.in_keys)
 

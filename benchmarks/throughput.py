@@ -27,7 +27,7 @@ import aslip
 from aslip.cassie import SUBSTEPS
 from aslip.envs import BatchCassieEnv
 from aslip.library import GaitLibrary
-from aslip.sim import Simulations
+from aslip.sim import SimulationPool
 from aslip.stack import CassieTransformedEnv
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -78,20 +78,21 @@ class Candidates:
         base = self.env.base_env
         assert isinstance(base, BatchCassieEnv)
         self.inside = base.simulations
-        self.bare = Simulations(num_envs, num_threads=config.num_threads)
+        self.bare = SimulationPool(num_envs, num_threads=config.num_threads)
         self.bound = Bound(self.inside.model, config.num_threads)
         self.std = config.action_std
         self.td = self.env.reset()
 
     def step(self) -> dict[str, float]:
         """One policy step of each; seconds by name."""
-        states = self.inside.batch.state.copy()
+        states = self.inside.states()
         self.td["action"] = self.std * torch.randn(self.env.num_envs, 10)
-        target = (self.td["reference", "motor_position"] + self.td["action"]).double().numpy()
-        self.bare.batch.state[:] = states
+        target = self.td["reference", "motor_position"] + self.td["action"]
+        targets = np.asarray(target, dtype=np.float64)
+        self.bare.set_states(states)
         seconds = {
             "mj_step (bound)": _timed(lambda: self.bound.advance(states)),
-            "simulations: drive, delay, checks": _timed(lambda: self.bare.advance(target)),
+            "simulations: drive, delay, checks": _timed(lambda: self.bare.advance(targets)),
             "environment, all transforms": _timed(lambda: self._step_env(self.env)),
         }
         return seconds
@@ -126,7 +127,7 @@ def _round(candidates: Candidates, steps: int) -> dict[str, float]:
     return total
 
 
-def _timed(call: Callable[[], None]) -> float:
+def _timed(call: Callable[[], object]) -> float:
     start = time.perf_counter()
     call()
     return time.perf_counter() - start

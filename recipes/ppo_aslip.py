@@ -16,6 +16,7 @@ import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import torch
 import tyro
@@ -77,9 +78,18 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check what a typing slip would make a mystery of later."""
-        for name in ("total_steps", "num_envs", "samples", "minibatch", "epochs"):
+        for name in (
+            "total_steps", "num_envs", "samples", "minibatch", "epochs", "eval_interval",
+            "checkpoint_interval",
+        ):  # fmt: skip
             if getattr(self, name) < 1:
                 raise ConfigurationError(f"{name} must be 1 or more, got {getattr(self, name)}")
+        for name in ("learning_rate", "adam_epsilon", "clip", "max_grad_norm"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("gamma", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigurationError(f"{name} must be in [0, 1], got {getattr(self, name)}")
         if self.samples % self.num_envs:
             raise ConfigurationError(
                 f"samples must be a multiple of num_envs = {self.num_envs}, got {self.samples}"
@@ -137,7 +147,12 @@ def main(config: Config) -> list[WalkResult]:
     next_eval, next_checkpoint = step + config.eval_interval, step + config.checkpoint_interval
     results: list[WalkResult] = []
     collector = Collector(
-        env, actor, frames_per_batch=config.samples, total_frames=-1, trust_policy=True
+        env,
+        actor,
+        frames_per_batch=config.samples,
+        total_frames=-1,
+        trust_policy=True,
+        auto_register_policy_transforms=False,
     )
     bar = tqdm(total=config.total_steps, initial=step, unit="step", dynamic_ncols=True)
     with contextlib.suppress(KeyboardInterrupt), bar:
@@ -146,6 +161,8 @@ def main(config: Config) -> list[WalkResult]:
                 # the first samples only teach the normaliser what inputs look like
                 normalizer.update(data["observation"])
                 continue
+            if step >= config.total_steps:
+                break
             with torch.no_grad():
                 advantage(data)
             losses = update(data, loss, optimizer, nets, config)
@@ -181,8 +198,6 @@ def main(config: Config) -> list[WalkResult]:
                 next_checkpoint += config.checkpoint_interval
             bar.set_postfix_str(progress(length, total, terms), refresh=False)
             bar.update(data.numel())
-            if step >= config.total_steps:
-                break
     collector.shutdown()
 
     # ---------------------------------------------------------------- summary
@@ -214,12 +229,13 @@ def update(
     """Some epochs of PPO over the samples; returns means of what the loss reports."""
     keys = ("observation", "action", "action_log_prob", "advantage", "value_target")
     samples = data.select(*keys).reshape(-1)
-    images = mirrored(samples, loss.actor_network) if config.symmetry else None
+    actor = cast("ProbabilisticActor", loss.actor_network)
+    images = mirrored(samples, actor) if config.symmetry else None
     reports = []
     for _ in range(config.epochs):
         for index in torch.randperm(len(samples)).split(config.minibatch):
             batch = samples[index] if images is None else torch.cat([samples[index], images[index]])
-            terms = loss(batch)
+            terms = cast("TensorDict", loss(batch))
             total = terms["loss_objective"] + terms["loss_critic"]
             optimizer.zero_grad()
             total.backward()
@@ -228,9 +244,9 @@ def update(
             optimizer.step()
             reports.append(terms.detach())
     means = torch.stack(reports).mean(0)
-    if not torch.isfinite(means["loss_objective"]):
+    if not torch.isfinite(means.get("loss_objective")):
         raise FloatingPointError("the PPO loss is not finite; lower --learning-rate")
-    return {key: float(means[key]) for key in ("loss_critic", "kl_approx", "clip_fraction")}
+    return {key: float(means.get(key)) for key in ("loss_critic", "kl_approx", "clip_fraction")}
 
 
 @torch.no_grad()

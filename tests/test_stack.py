@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import pytest
+import torch
+from torchrl.data import Unbounded
 from torchrl.envs.utils import check_env_specs
 
 from aslip.errors import UnknownNameError
@@ -54,6 +57,30 @@ def test_editing_one_environment_does_not_touch_another(
     for env in both:
         terms = {("reward_terms", name) for name in reward_terms()}
         assert terms <= set(env.full_reward_spec.keys(True))
+
+
+def test_steps_and_resets_build_no_specs(
+    make: MakeEnv, library: GaitLibrary, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A transform that looks at its parent on every step makes TorchRL rebuild them all."""
+    env, built = make(num_envs=2), []
+    td = env.reset()
+    td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
+    original = Unbounded.__init__
+
+    def count(self: Unbounded, *args: Any, **kwargs: Any) -> None:
+        built.append(self)
+        original(self, *args, **kwargs)
+
+    monkeypatch.setattr(Unbounded, "__init__", count)
+    for _ in range(3):
+        td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
+    td["done"][0] = td["terminated"][0] = True
+    env.maybe_reset(td)
+    assert len(built) == 0
+    make(num_envs=2)
+    # a few copies of each leaf are TorchRL's way; ten thousands were a mistake of ours
+    assert 30 < len(built) < 10_000
 
 
 def test_a_factory_may_replace_a_transform(make: MakeEnv) -> None:

@@ -1,6 +1,6 @@
 """Facts about the robot Cassie: constants, names, and where its model is.
 
-Nothing here depends on a simulator but `aslip.cassie.model`, which is therefore not imported here.
+Only `aslip.cassie.model` needs a simulator; import it by its own name.
 """
 
 from aslip.cassie.constants import (
@@ -12,6 +12,7 @@ from aslip.cassie.constants import (
     PHYSICS_TIMESTEP,
     POLICY_PERIOD,
     SAFETY_TORQUE,
+    STANDARD_GRAVITY,
     SUBSTEPS,
     TORQUE_DELAY,
     TOTAL_MASS,
@@ -39,6 +40,7 @@ __all__ = [
     "SAFETY_TORQUE",
     "SIDES",
     "SPRING_NAMES",
+    "STANDARD_GRAVITY",
     "SUBSTEPS",
     "TORQUE_DELAY",
     "TOTAL_MASS",

@@ -22,6 +22,9 @@ def _both_legs(*values: float) -> np.ndarray:
 TOTAL_MASS: Final = 33.312
 """Mass of the robot [kg] (sum of the simulator's bodies)."""
 
+STANDARD_GRAVITY: Final = 9.81
+"""Of the model and of the reduced-order model [m/s^2] (Table I)."""
+
 PHYSICS_TIMESTEP: Final = 0.0005
 """Physics and PD period [s]: the loop runs at 2 kHz (Sec. III-B)."""
 

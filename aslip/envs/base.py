@@ -17,13 +17,16 @@ stands. A NaN target makes that one simulation diverge; it does not touch the ot
 from __future__ import annotations
 
 from abc import abstractmethod
+from typing import cast
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import Snapshot, true_state
@@ -86,15 +89,16 @@ class CassieEnv(EnvBase):
             ),
             shape=n,
         )
-        self.action_spec = Composite(motor_target=Unbounded((*n, 10)), shape=n)
-        self.reward_spec = Unbounded((*n, 1))
-        flag = Binary(shape=(*n, 1), dtype=torch.bool)
+        targets, single = torch.Size((*n, len(MOTOR_NAMES))), torch.Size((*n, 1))
+        self.action_spec = Composite(motor_target=Unbounded(targets), shape=n)
+        self.reward_spec = Unbounded(single)
+        flag = Binary(shape=single, dtype=torch.bool)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=n)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        target = tensordict["motor_target"]
-        if target.shape != (*self.batch_size, 10):
-            expected = (*self.batch_size, 10)
+        target = cast("Tensor", tensordict["motor_target"])
+        expected = (*self.batch_size, len(MOTOR_NAMES))
+        if target.shape != expected:
             raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
         diverged = self._advance(target.detach().double().numpy())
         self.divergences += int(diverged.sum())

@@ -6,7 +6,7 @@ import numpy as np
 
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.envs.base import CassieEnv, check_num_envs
-from aslip.sim import Simulations, Snapshot
+from aslip.sim import SimulationPool, Snapshot
 
 
 class BatchCassieEnv(CassieEnv):
@@ -25,8 +25,9 @@ class BatchCassieEnv(CassieEnv):
         num_threads: int = 0,
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
     ) -> None:
-        self.simulations = Simulations(
-            check_num_envs(num_envs), model=load_model(floor_friction), num_threads=num_threads
+        model = load_model(floor_friction, visual=False)
+        self.simulations = SimulationPool(
+            check_num_envs(num_envs), model=model, num_threads=num_threads
         )
         super().__init__(num_envs, self.simulations.indices)
 

@@ -26,7 +26,8 @@ def build_library(
     """Optimise all gaits and put the robot on them.
 
     The body of the reduced-order model is mapped to the pelvis origin and its point feet to the
-    centres of the soles, at the model's lateral positions, toes forward and soles level. Public
+    centres of the soles, at the model's lateral positions, toes forward and soles level along
+    them; across, a sole leans with its leg (0.04 rad), for there is no motor for its roll. Public
     code keeps the legs in their vertical planes and the foot motors still, so that its feet tilt
     and sink into the floor.
 

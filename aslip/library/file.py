@@ -9,8 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -21,7 +19,7 @@ from aslip.errors import AslipError, AssetError, FileDamagedError
 from aslip.rom import Gait
 
 _FORMAT = "aslip gait library 1"
-_META = "meta"
+_FORMAT_KEY, _SHA256, _MADE_BY = "format", "sha256", "made_by"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +80,9 @@ def write_library(
     arrays = {f"table/{f.name}": getattr(table, f.name) for f in fields(table)}
     for i, gait in enumerate(gaits):
         arrays |= {f"gait{i:02d}/{name}": value for name, value in gait.to_arrays().items()}
-    meta = {"format": _FORMAT, "sha256": _digest(arrays), "made_by": dict(made_by)}
-    arrays[_META] = np.array(json.dumps(meta, indent=1))
+    arrays[_MADE_BY] = np.array(json.dumps(dict(made_by), indent=1))
+    arrays[_SHA256] = np.array(_digest(arrays))
+    arrays[_FORMAT_KEY] = np.array(_FORMAT)
     temporary = path.with_name(path.name + ".part")
     try:
         with temporary.open("wb") as file:
@@ -111,33 +110,30 @@ def read_library(path: Path) -> tuple[list[Gait], GaitTable]:
     return gaits, table
 
 
-def read_meta(path: Path) -> dict:
-    """How a library was made: `format`, `sha256`, and `made_by` (command, versions).
+def read_made_by(path: Path) -> dict[str, str]:
+    """How a library was made: the command, and the versions of what it used.
 
     Raises:
         AssetError: there is no such file.
         FileDamagedError: the file is truncated, altered, or no gait library.
     """
-    return json.loads(str(_read(path, keep_meta=True)[_META]))
+    return json.loads(str(_read(path)[_MADE_BY]))
 
 
-def _read(path: Path, *, keep_meta: bool = False) -> dict[str, np.ndarray]:
+def _read(path: Path) -> dict[str, np.ndarray]:
     """All arrays of a file whose hash is right."""
     if not path.is_file():
         raise AssetError(f"there is no gait library {str(path)!r}; make it with gait_library.py")
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        text = arrays.pop(_META)
-        meta = json.loads(str(text))
-    except (zipfile.BadZipFile, zlib.error, EOFError, OSError, KeyError, ValueError) as error:
+        file_format, digest = str(arrays.pop(_FORMAT_KEY)), str(arrays.pop(_SHA256))
+    except Exception as error:  # one cause, a bad file, has many exceptions
         raise _damaged(path, f"{type(error).__name__}: {error}") from error
-    if not isinstance(meta, dict) or meta.get("format") != _FORMAT:
+    if file_format != _FORMAT:
         raise _damaged(path, f"its format is not {_FORMAT!r}")
-    if meta.get("sha256") != _digest(arrays):
+    if digest != _digest(arrays):
         raise _damaged(path, "its contents do not match its SHA-256")
-    if keep_meta:
-        arrays[_META] = text
     return arrays
 
 

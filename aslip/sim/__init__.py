@@ -1,7 +1,8 @@
 """The robot's low level at 2 kHz: motor drive, torque delay, and N simulations side by side."""
 
 from aslip.sim.drive import Drive, motor_torque
+from aslip.sim.pool import SimulationPool
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot, true_state
 
-__all__ = ["Drive", "Simulations", "Snapshot", "motor_torque", "true_state"]
+__all__ = ["Drive", "SimulationPool", "Simulations", "Snapshot", "motor_torque", "true_state"]

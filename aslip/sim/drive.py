@@ -2,8 +2,9 @@ r"""Joint PD control and the motor's limits, as the robot runs them at 2 kHz (Se
 
 .. math:: \tau = P\,(q^* - q) + D\,(0 - \dot q)
 
-clamped to the safety torque at the joint, divided by the gear, and limited to what the motor gives
-at its speed: full torque up to half the no-load speed, then falling linearly to none. The limit
+clamped to the safety torque at the joint (which is above what the motors can give, and so acts only
+when their limits are raised), divided by the gear, and limited to what the motor gives at its
+speed: full torque up to half the no-load speed, then falling linearly to none. The limit
 holds for braking too, as in the public simulator. The 3 ms torque delay is not here: it is part of
 the physics state (`<motor delay=...>` in the model), so that a saved state resumes exactly.
 """

@@ -34,7 +34,7 @@ class Simulations:
 
     Args:
         num: number of simulations.
-        model: compiled model; by default `aslip.cassie.model.load_model()`.
+        model: compiled model; by default the robot without what is only looked at.
         num_threads: threads to step on, 0 for all processors.
 
     Raises:
@@ -48,7 +48,7 @@ class Simulations:
             raise ConfigurationError(f"the number of simulations must be 1 or more, got {num!r}")
         if not isinstance(num_threads, int) or num_threads < 0:
             raise ConfigurationError(f"num_threads must be 0 (all) or more, got {num_threads!r}")
-        self.model = load_model() if model is None else model
+        self.model = load_model(visual=False) if model is None else model
         self.indices = CassieIndices.from_model(self.model)
         self.batch = Batch(self.model, num, num_threads)
         self.divergences = 0
@@ -60,10 +60,9 @@ class Simulations:
         # live arrays, looked up once: binding anew costs more than a PD law in the 2 kHz loop
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._ctrl, self._warm_start = self.batch.bind("ctrl"), self.batch.bind("qacc_warmstart")
-        self._site_xpos, self._site_xmat = (
-            self.batch.bind("site_xpos"),
-            self.batch.bind("site_xmat"),
-        )
+        self._site_xpos = self.batch.bind("site_xpos")
+        self._site_xmat = self.batch.bind("site_xmat")
+        self._qacc = self.batch.bind("qacc")
         self._sensordata = self.batch.bind("sensordata")
         self.reset(np.arange(num))
 
@@ -134,6 +133,7 @@ class Simulations:
         return Snapshot(
             self.qpos,
             self.qvel,
+            self._qacc,
             self._site_xpos,
             self._site_xmat,
             self._sensordata,
@@ -154,5 +154,5 @@ class Simulations:
             failed[error.ids] = True
 
     def _finite(self) -> np.ndarray:
-        finite = np.isfinite(self.qpos).all(axis=1) & np.isfinite(self.qvel).all(axis=1)
-        return finite & np.isfinite(self._ground_force).all(axis=(1, 2))
+        arrays = (self.qpos, self.qvel, self._ground_force.reshape(self.num, -1))
+        return np.isfinite(np.concatenate(arrays, axis=1)).min(axis=1)

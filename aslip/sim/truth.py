@@ -12,9 +12,6 @@ import numpy as np
 
 from aslip.cassie.model import CassieIndices
 
-STANDARD_GRAVITY = 9.81
-"""The model's gravity [m/s^2]."""
-
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -24,6 +21,8 @@ class Snapshot:
     """(*b, 35) generalised positions; free joint first, quaternion wxyz."""
     qvel: np.ndarray
     """(*b, 32) generalised velocities; linear in the world, angular in the pelvis frame."""
+    qacc: np.ndarray
+    """(*b, 32) accelerations, as `qvel`."""
     site_xpos: np.ndarray
     """(*b, 3, 3) positions of the sites in the world [m]."""
     site_xmat: np.ndarray
@@ -37,6 +36,11 @@ class Snapshot:
     def stack(cls, snapshots: list[Snapshot]) -> Snapshot:
         """Join snapshots along a new first axis."""
         return cls(*(np.stack([getattr(s, f.name) for s in snapshots]) for f in fields(cls)))
+
+    @classmethod
+    def concatenate(cls, snapshots: list[Snapshot]) -> Snapshot:
+        """Join snapshots of (n_i, ...) arrays along their first axis; copies."""
+        return cls(*(np.concatenate([getattr(s, f.name) for s in snapshots]) for f in fields(cls)))
 
 
 def true_state(snapshot: Snapshot, indices: CassieIndices) -> dict[str, np.ndarray]:
@@ -54,11 +58,11 @@ def true_state(snapshot: Snapshot, indices: CassieIndices) -> dict[str, np.ndarr
         and `right_foot` the sole centre's `_position` 3 [m, world], `_velocity` 3 [m/s, world] and
         `_orientation` 4 (wxyz, w >= 0; identity when level with toes along x); `ground_force` 2 x 3
         [N, world], mean over the last policy period.
+
+        Accelerations and forces are those of the last substep's start, 0.5 ms before the state.
     """
     qpos, qvel, sensors = snapshot.qpos, snapshot.qvel, snapshot.sensordata
     orientation = upper_hemisphere(qpos[..., 3:7])
-    specific_force = sensors[..., indices.accelerometer]
-    gravity_b = rotate_inverse(orientation, np.array([0.0, 0.0, -STANDARD_GRAVITY]))
     state = {
         "qpos": qpos,
         "qvel": qvel,
@@ -66,7 +70,8 @@ def true_state(snapshot: Snapshot, indices: CassieIndices) -> dict[str, np.ndarr
         "pelvis_orientation": orientation,
         "pelvis_velocity": qvel[..., :3],
         "pelvis_angular_velocity": qvel[..., 3:6],
-        "pelvis_acceleration": specific_force + gravity_b,
+        # what an accelerometer at the pelvis' origin reads, less gravity
+        "pelvis_acceleration": rotate_inverse(orientation, snapshot.qacc[..., :3]),
         "motor_position": qpos[..., indices.motor_qpos],
         "motor_velocity": qvel[..., indices.motor_qvel],
         "joint_position": qpos[..., indices.joint_qpos],

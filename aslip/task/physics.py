@@ -102,6 +102,7 @@ class CassiePhysics(mujoco.Physics):
         return Snapshot(
             np.array(self.data.qpos),
             np.array(self.data.qvel),
+            np.array(self.data.qacc),
             np.array(self.data.site_xpos),
             np.array(self.data.site_xmat),
             np.array(self.data.sensordata),

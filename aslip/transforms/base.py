@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -19,7 +20,7 @@ class CassieTransform(Transform):
     TorchRL runs `_call` on steps only; a key it writes would be missing after a reset.
     """
 
-    def __init__(self, in_keys: list[NestedKey], out_keys: list[NestedKey]) -> None:
+    def __init__(self, in_keys: list[NestedKey], out_keys: Sequence[NestedKey]) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.generator = torch.Generator()
         self.set_seed(0)
@@ -53,18 +54,18 @@ class CassieTransform(Transform):
         return TensorDict(batch_size=parent.batch_size)
 
 
-def extend_spec(spec: Composite, sizes: Mapping[NestedKey, int]) -> Composite:
+def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:
     """Add unbounded single-precision leaves of the given last dimensions to a spec."""
     for key, size in sizes.items():
         parents = (key,) if isinstance(key, str) else key
         for depth in range(1, len(parents)):
             if parents[:depth] not in spec.keys(True):
                 spec[parents[:depth]] = Composite(shape=spec.shape)
-        spec[key] = Unbounded((*spec.shape, size))
+        spec[key] = Unbounded(torch.Size((*spec.shape, size)))
     return spec
 
 
-def require_keys(transform: Transform, spec: TensorSpec, keys: list[NestedKey]) -> None:
+def require_keys(transform: Transform, spec: TensorSpec, keys: Sequence[NestedKey]) -> None:
     """Check that a spec has all that a transform reads.
 
     Raises:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import torch
 from tensordict import TensorDictBase
+from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.cassie import POLICY_PERIOD
@@ -18,7 +19,8 @@ class SpeedCommand(CassieTransform):
     """Forward speed to walk at: drawn at each reset, then held.
 
     To command from outside, write `td["command"]` between steps, or pass it to `env.reset`. It acts
-    on the reference of the next policy step; the phase goes on.
+    on the reference of the next policy step; the phase goes on. A tensordict given to `env.reset`
+    keeps the command (and phase) it holds.
 
     Args:
         library: bounds the speeds.
@@ -32,6 +34,7 @@ class SpeedCommand(CassieTransform):
 
     def __init__(self, library: GaitLibrary, speeds: Sequence[float] | None = None) -> None:
         super().__init__(in_keys=[], out_keys=["command"])
+        self.speeds: Tensor
         chosen = list(library.speeds if speeds is None else speeds)
         if not chosen:
             raise ConfigurationError("speeds is empty; give at least one speed in m/s")

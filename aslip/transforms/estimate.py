@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import Final
+from typing import Final, cast
 
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Composite
@@ -43,7 +43,7 @@ class TrueState(CassieTransform):
         super().__init__(in_keys=["truth"], out_keys=["estimate"])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        truth = next_tensordict["truth"]
+        truth = cast("TensorDict", next_tensordict["truth"])
         estimate = {"height": truth["pelvis_position"][..., 2:]}
         for name in ESTIMATE_SIZES:
             if name != "height":

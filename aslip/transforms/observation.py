@@ -50,7 +50,8 @@ class AssembleObservation(CassieTransform):
     | 58-60 | right foot position from the body | m |
     | 61-63 | right foot velocity over ground | m/s |
 
-    There is neither command nor clock: speed and phase enter through the reference alone.
+    There is neither command nor clock: speed and phase enter through the reference alone. The
+    reference's feet do not move sideways: entries 56 and 62 are always zero.
 
     Args:
         in_keys: entries to join, another table for another policy input.

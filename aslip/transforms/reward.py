@@ -53,7 +53,7 @@ class RewardTerm(CassieTransform):
         """Add the term."""
         if "reward_terms" not in reward_spec:
             reward_spec["reward_terms"] = Composite(shape=reward_spec.shape)
-        reward_spec[self.out_keys[0]] = Unbounded((*reward_spec.shape, 1))
+        reward_spec[self.out_keys[0]] = Unbounded(torch.Size((*reward_spec.shape, 1)))
         return reward_spec
 
 

@@ -135,26 +135,24 @@ def test_foot_velocity_is_the_rate_of_foot_position(simulations: Simulations) ->
 
 
 def test_a_falling_robot_accelerates_with_gravity(simulations: Simulations) -> None:
-    """In free fall the accelerometer reads zero, and the acceleration is gravity's."""
+    """In free fall, joints at rest, the acceleration is gravity's, seen from the pelvis."""
     qpos, _ = _random_states(simulations, 2)
     simulations.reset(np.arange(2), qpos)
     truth = true_state(simulations.snapshot(), simulations.indices)
-    specific_force = simulations.snapshot().sensordata[:, simulations.indices.accelerometer]
-    np.testing.assert_allclose(specific_force, 0.0, atol=1e-6)
     gravity = rotate_inverse(qpos[:, 3:7], np.array([0, 0, -9.81]))
     np.testing.assert_allclose(truth["pelvis_acceleration"], gravity, atol=1e-6)
 
 
 def test_a_robot_at_rest_does_not_accelerate() -> None:
-    """An accelerometer at rest reads the reaction to gravity, whichever way it is turned."""
+    """Gravity does not show in the acceleration, whichever way the robot is turned."""
     indices = CassieIndices.from_model(load_model())
     quaternions = _random_quaternions(5)
-    sensors = np.zeros((5, 22))
-    sensors[:, indices.accelerometer] = rotate_inverse(quaternions, np.array([0, 0, 9.81]))
+    sensors = np.zeros((5, 19))
     qpos = np.zeros((5, 35))
     qpos[:, 3:7] = quaternions
     sites = np.zeros((5, 3, 3)), np.tile(np.eye(3).ravel(), (5, 3, 1))
-    snapshot = Snapshot(qpos, np.zeros((5, 32)), *sites, sensors, np.zeros((5, 2, 3)))
+    rest = np.zeros((5, 32))
+    snapshot = Snapshot(qpos, rest, rest, *sites, sensors, np.zeros((5, 2, 3)))
     truth = true_state(snapshot, indices)
     np.testing.assert_allclose(truth["pelvis_acceleration"], 0.0, atol=1e-14)
 

@@ -1,0 +1,112 @@
+"""Simulations in parts, each stepped through a policy period by one thread.
+
+One `mujoco.batch` stepped on several threads must wait for all of them 60 times a policy step, and
+meanwhile runs the drive on one. Parts never wait for each other, and one part's drive runs while
+MuJoCo steps another. Parts are small enough for their states to stay in a core's cache. Results
+equal those of a single `Simulations`, bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import mujoco
+import numpy as np
+
+from aslip.cassie.model import CassieIndices, load_model
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim.simulations import Simulations
+from aslip.sim.truth import Snapshot
+
+# larger parts fall out of the cache, smaller ones cost more Python
+_LARGEST_PART = 64
+
+
+class SimulationPool:
+    """Num simulations; the same questions and answers as `Simulations`.
+
+    Args:
+        num: number of simulations.
+        model: compiled model; by default the robot without what is only looked at.
+        num_threads: threads to step on, 0 for all processors this process may use.
+
+    Raises:
+        ConfigurationError: `num` or `num_threads` is not a count.
+    """
+
+    def __init__(
+        self, num: int, *, model: mujoco.MjModel | None = None, num_threads: int = 0
+    ) -> None:
+        if not isinstance(num, int) or num < 1:
+            raise ConfigurationError(f"the number of simulations must be 1 or more, got {num!r}")
+        if not isinstance(num_threads, int) or num_threads < 0:
+            raise ConfigurationError(f"num_threads must be 0 (all) or more, got {num_threads!r}")
+        self.num = num
+        self.model = load_model(visual=False) if model is None else model
+        self.indices = CassieIndices.from_model(self.model)
+        threads = num_threads or len(os.sched_getaffinity(0))
+        size = min(-(-num // threads), _LARGEST_PART)
+        self._starts = np.arange(0, num, size)
+        counts = np.diff([*self._starts, num])
+        self.parts = [Simulations(int(n), model=self.model, num_threads=1) for n in counts]
+        self._executor = ThreadPoolExecutor(min(threads, len(self.parts)))
+
+    @property
+    def divergences(self) -> int:
+        """Simulations put back on their feet since construction."""
+        return sum(part.divergences for part in self.parts)
+
+    def reset(
+        self, ids: np.ndarray, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None
+    ) -> None:
+        """Restart some simulations; see `Simulations.reset`.
+
+        Args:
+            ids: (k,) simulations, sorted and unique.
+            qpos: (k, 35) initial positions, the standing keyframe by default.
+            qvel: (k, 32) initial velocities, rest by default.
+
+        Raises:
+            ShapeError: an array does not fit; nothing has been reset then.
+        """
+        for name, value, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
+            if value is not None and value.shape != (len(ids), size):
+                raise ShapeError(f"{name} must have shape {(len(ids), size)}, got {value.shape}")
+        owner = np.searchsorted(self._starts, ids, side="right") - 1
+        for i in np.unique(owner):
+            rows = owner == i
+            initial = (None if value is None else value[rows] for value in (qpos, qvel))
+            self.parts[i].reset(ids[rows] - self._starts[i], *initial)
+
+    def advance(self, motor_target: np.ndarray) -> np.ndarray:
+        """Run one policy period; see `Simulations.advance`.
+
+        Args:
+            motor_target: (n, 10) joint angles the PD loops track [rad].
+
+        Returns:
+            (n,) bool, the simulations that diverged and stand at the keyframe now.
+
+        Raises:
+            ShapeError: the targets do not fit.
+        """
+        if motor_target.shape != (self.num, self.model.nu):
+            expected = (self.num, self.model.nu)
+            raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
+        shares = np.split(motor_target, self._starts[1:])
+        diverged = self._executor.map(Simulations.advance, self.parts, shares)
+        return np.concatenate(list(diverged))
+
+    def snapshot(self) -> Snapshot:
+        """Copies of everything the true state is made of."""
+        return Snapshot.concatenate([part.snapshot() for part in self.parts])
+
+    def states(self) -> np.ndarray:
+        """(n, k) copy of the full physics states, rows of `mujoco.mjtState.mjSTATE_INTEGRATION`."""
+        return np.concatenate([part.batch.state for part in self.parts])
+
+    def set_states(self, states: np.ndarray) -> None:
+        """Write what `states` returned, into these or other simulations of the same model."""
+        for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):
+            part.batch.state[:] = rows

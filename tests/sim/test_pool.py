@@ -1,0 +1,85 @@
+"""Simulations in parts equal simulations in one, bit for bit."""
+
+import numpy as np
+import pytest
+
+from aslip.cassie.model import load_model
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim import SimulationPool, Simulations
+
+# more than one part of the largest size, and a remainder
+NUM = 70
+
+
+def _assert_equal(pool: SimulationPool, simulations: Simulations) -> None:
+    ours, theirs = vars(pool.snapshot()), vars(simulations.snapshot())
+    for name, value in ours.items():
+        np.testing.assert_array_equal(value, theirs[name], err_msg=name)
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_parts_equal_the_whole(threads: int) -> None:
+    rng = np.random.default_rng(0)
+    pool, whole = SimulationPool(NUM, num_threads=threads), Simulations(NUM, num_threads=1)
+    assert len(pool.parts) >= 2
+    _assert_equal(pool, whole)
+    for step in range(4):
+        target = whole.qpos[:, whole.indices.motor_qpos] + rng.normal(0, 0.3, (NUM, 10))
+        np.testing.assert_array_equal(pool.advance(target), whole.advance(target))
+        if step == 1:
+            ids = np.array([0, 33, 34, 35, 64, NUM - 1])
+            qpos = whole.qpos[ids] + 0.0
+            qpos[:, 0] += 1.0
+            for simulations in (pool, whole):
+                simulations.reset(ids, qpos)
+        _assert_equal(pool, whole)
+
+
+def test_what_is_only_looked_at_changes_nothing() -> None:
+    rng = np.random.default_rng(1)
+    seen, unseen = (SimulationPool(3, model=load_model(visual=v)) for v in (True, False))
+    assert unseen.model.ngeom < seen.model.ngeom
+    for _ in range(10):
+        target = rng.normal(0, 0.5, (3, 10)) + seen.snapshot().qpos[:, seen.indices.motor_qpos]
+        seen.advance(target)
+        unseen.advance(target)
+        np.testing.assert_array_equal(seen.states(), unseen.states())
+
+
+def test_one_part_diverging_is_counted_and_leaves_the_others_alone() -> None:
+    pool, sane = SimulationPool(NUM), SimulationPool(NUM)
+    target = pool.snapshot().qpos[:, pool.indices.motor_qpos]
+    poisoned = target.copy()
+    poisoned[NUM - 1, 3] = np.nan
+    diverged = pool.advance(poisoned)
+    sane.advance(target)
+    assert np.flatnonzero(diverged).tolist() == [NUM - 1]
+    assert pool.divergences == 1
+    np.testing.assert_array_equal(pool.states()[:-1], sane.states()[:-1])
+
+
+def test_states_can_be_handed_on() -> None:
+    pool, other = SimulationPool(3), SimulationPool(3)
+    target = pool.snapshot().qpos[:, pool.indices.motor_qpos] + 0.2
+    pool.advance(target)
+    other.set_states(pool.states())
+    pool.advance(target)
+    other.advance(target)
+    np.testing.assert_array_equal(pool.states(), other.states())
+
+
+def test_a_refused_reset_changes_nothing() -> None:
+    pool = SimulationPool(3)
+    before = pool.states()
+    with pytest.raises(ShapeError, match="qvel"):
+        pool.reset(np.arange(3), np.zeros((3, 35)), np.zeros((3, 31)))
+    np.testing.assert_array_equal(pool.states(), before)
+
+
+def test_bad_arguments_are_named() -> None:
+    with pytest.raises(ConfigurationError, match="0"):
+        SimulationPool(0)
+    with pytest.raises(ConfigurationError, match="-1"):
+        SimulationPool(1, num_threads=-1)
+    with pytest.raises(ShapeError, match=r"\(2, 10\)"):
+        SimulationPool(2).advance(np.zeros((3, 10)))
