@@ -50,7 +50,7 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
     axes.set_yticks([-0.1, 0.1])
     axes.set_zlabel("z [m]")
     axes.view_init(elev=16, azim=-72)
-    axes.legend(handles=_mode_legend(feet=True), loc="upper left", fontsize=8)
+    figure.legend(handles=_mode_legend(feet=True), loc="center left", fontsize=8)
     axes.set_title(f"Optimal actuated-SLIP gait at {gait.speed:.1f} m/s")
     return figure
 

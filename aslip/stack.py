@@ -62,7 +62,8 @@ class CassieTransformedEnv(TransformedEnv):
     base_env: CassieEnv
 
     def __init__(self, env: CassieEnv, transforms: Mapping[str, Transform]) -> None:
-        super().__init__(env, Compose(*transforms.values()))
+        compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
+        super().__init__(env, compose)
         self.transform_names = tuple(transforms)
 
     @property

@@ -48,8 +48,10 @@ class SimulationPool:
         threads = num_threads or len(os.sched_getaffinity(0))
         size = min(-(-num // threads), _LARGEST_PART)
         self._starts = np.arange(0, num, size)
-        counts = np.diff([*self._starts, num])
-        self.parts = [Simulations(int(n), model=self.model, num_threads=1) for n in counts]
+        self.parts = [
+            Simulations(min(size, num - int(start)), model=self.model, num_threads=1)
+            for start in self._starts
+        ]
         self._executor = ThreadPoolExecutor(min(threads, len(self.parts)))
 
     @property
