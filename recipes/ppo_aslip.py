@@ -69,8 +69,10 @@ class Config:
     """Of PPO's probability ratio (Table II)."""
     max_grad_norm: float = 0.5
     """Gradient norm, of actor and critic each; the paper gives none."""
-    symmetry: bool = True
-    """Learn from the mirror image of each sample, too; not in the paper."""
+    symmetry: bool = False
+    """Learn from the mirror image of each sample, too; not in the paper. Off, as the images drift
+    away from what the policy would do: episodes were 10 % longer after 0.45 M steps, but clipping
+    had risen from 38 to 54 % of the samples."""
     eval_interval: int = 250_000
     """Policy steps between evaluations over all speeds."""
     checkpoint_interval: int = 100_000
