@@ -15,6 +15,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from aslip import errors
+
 if TYPE_CHECKING:
     from aslip.library import GaitLibrary, Reference
     from aslip.policy import load_policy
@@ -38,6 +40,7 @@ __all__ = [
     "Reference",
     "__version__",
     "default_stack",
+    "errors",
     "load_policy",
     "make_env",
 ]
@@ -47,3 +50,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module 'aslip' has no attribute {name!r}; public names: {__all__}")
     return getattr(importlib.import_module(_HOME[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

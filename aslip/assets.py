@@ -7,7 +7,9 @@ from pathlib import Path
 from aslip.errors import AssetError
 
 # a wheel carries the assets inside the package, a checkout beside it
-_ROOTS = (Path(__file__).parent / "assets", Path(__file__).parent.parent / "assets")
+_PACKAGE = Path(__file__).parent
+_CHECKOUT = _PACKAGE.parent
+_ROOT = _CHECKOUT / "assets" if (_CHECKOUT / "pyproject.toml").exists() else _PACKAGE / "_assets"
 
 
 def asset_path(name: str) -> Path:
@@ -19,10 +21,7 @@ def asset_path(name: str) -> Path:
     Raises:
         AssetError: no such file; the message lists the files there are.
     """
-    for root in _ROOTS:
-        if (root / name).exists():
-            return root / name
-    found = sorted(
-        str(path.relative_to(root)) for root in _ROOTS for path in root.rglob("*") if path.is_file()
-    )
+    if (_ROOT / name).is_file():
+        return _ROOT / name
+    found = sorted(str(path.relative_to(_ROOT)) for path in _ROOT.rglob("*") if path.is_file())
     raise AssetError(f"no asset {name!r}; the package ships {found}")

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
-
-mpl.use("Agg")
-
-import itertools
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
@@ -21,6 +19,11 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from aslip.rom import Gait, Mode
 
 MODE_COLORS = {Mode.LEFT: "tab:blue", Mode.RIGHT: "tab:red", Mode.DOUBLE: "tab:purple"}
+_PATHS: dict[str, dict[str, Any]] = {
+    "body": {"lw": 2.5},
+    "left_foot": {"lw": 1.5, "ls": "--"},
+    "right_foot": {"lw": 1.5, "ls": ":"},
+}
 _MODE_LABELS = {
     Mode.LEFT: "left single stance",
     Mode.RIGHT: "right single stance",
@@ -29,20 +32,19 @@ _MODE_LABELS = {
 
 
 def gait_figure(gait: Gait, strides: int = 2) -> Figure:
-    """Body and feet of a gait in space, the body's path coloured by contact mode.
+    """Body and feet of a gait in space, all paths coloured by contact mode.
 
     Args:
         gait: the gait.
         strides: how many strides to draw.
     """
     motion = gait.sample(np.linspace(0.0, strides, 400 * strides, endpoint=False))
-    figure = plt.figure(figsize=(9, 4.6), layout="constrained")
+    figure = Figure(figsize=(9, 4.6), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
-    for mode, points in _pieces(motion.mode, motion.body_position):
-        axes.plot(*points.T, color=MODE_COLORS[mode], lw=2.5)
-    axes.plot(*motion.left_foot_position.T, color=MODE_COLORS[Mode.LEFT], lw=1.2, ls="--")
-    axes.plot(*motion.right_foot_position.T, color=MODE_COLORS[Mode.RIGHT], lw=1.2, ls="--")
+    for path, style in _PATHS.items():
+        for mode, points in _pieces(motion.mode, getattr(motion, f"{path}_position")):
+            axes.plot(*points.T, color=MODE_COLORS[mode], **style)
     span = np.ptp(motion.body_position[:, 0])
     axes.set_box_aspect((max(span, 0.5), 0.45, 1.0), zoom=1.25)  # pyright: ignore[reportArgumentType]
     axes.set(xlabel="x [m]", zlim=(0, 1))
@@ -50,7 +52,7 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
     axes.set_yticks([-0.1, 0.1])
     axes.set_zlabel("z [m]")
     axes.view_init(elev=16, azim=-72)
-    figure.legend(handles=_mode_legend(feet=True), loc="center left", fontsize=8)
+    figure.legend(handles=_gait_legend(), loc="center left", fontsize=8)
     axes.set_title(f"Optimal actuated-SLIP gait at {gait.speed:.1f} m/s")
     return figure
 
@@ -58,10 +60,9 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
 def gait_sheet(gaits: Sequence[Gait]) -> Figure:
     """All gaits on a sheet: body height, forward speed, leg forces and swing height over phase."""
     quantities = ("body height [m]", "speed / mean", "leg force [N]", "foot height [m]")
-    figure, rows = plt.subplots(
-        len(quantities), 1, figsize=(8.5, 10), sharex=True, layout="constrained"
-    )
-    colors = plt.get_cmap("viridis")(np.linspace(0, 0.95, len(gaits)))
+    figure = Figure(figsize=(8.5, 10), layout="constrained")
+    rows = figure.subplots(len(quantities), 1, sharex=True)
+    colors = mpl.colormaps["viridis"](np.linspace(0, 0.95, len(gaits)))
     phase = np.linspace(0.0, 1.0, 400, endpoint=False)
     for gait, color in zip(gaits, colors, strict=True):
         motion = gait.sample(phase)
@@ -80,8 +81,8 @@ def gait_sheet(gaits: Sequence[Gait]) -> Figure:
     rows[2].plot([], [], "k:", label="right leg")
     rows[2].legend(loc="upper right", fontsize=8)
     rows[-1].set(xlabel="phase (0: left lift-off)", xlim=(0, 1))
-    scale = plt.cm.ScalarMappable(
-        mpl.colors.Normalize(gaits[0].speed, gaits[-1].speed), mpl.colors.ListedColormap(colors)
+    scale = ScalarMappable(
+        Normalize(gaits[0].speed, gaits[-1].speed), ListedColormap([tuple(c) for c in colors])
     )
     figure.colorbar(scale, ax=rows, label="mean speed [m/s]", aspect=50)
     rows[0].set_title(f"{len(gaits)} optimal gaits; double stance of the first one shaded")
@@ -96,7 +97,8 @@ def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure
         title: of the figure.
     """
     steps = np.asarray(history["step"]) / 1e6
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
     left.plot(steps, history["episode_length"], label="training episode length")
     left.plot(steps, history["episode_return"], label="training return")
     evaluated = ~np.isnan(history["eval_return"])
@@ -115,10 +117,9 @@ def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure
 
 
 def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure and release it."""
+    """Write a figure."""
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
-    plt.close(figure)
 
 
 def _pieces(mode: np.ndarray, points: np.ndarray) -> list[tuple[Mode, np.ndarray]]:
@@ -133,11 +134,8 @@ def _shade_modes(axes: Axes, gait: Gait) -> None:
         axes.axvspan(start, start + 0.5 - single, color="0.9", zorder=0)
 
 
-def _mode_legend(*, feet: bool) -> list[Line2D]:
+def _gait_legend() -> list[Line2D]:
     handles = [Line2D([], [], color=MODE_COLORS[m], lw=2.5, label=_MODE_LABELS[m]) for m in Mode]
-    if feet:
-        for side, mode in (("left", Mode.LEFT), ("right", Mode.RIGHT)):
-            handles.append(
-                Line2D([], [], color=MODE_COLORS[mode], lw=1.2, ls="--", label=f"{side} foot")
-            )
+    for path, style in _PATHS.items():
+        handles.append(Line2D([], [], color="0.3", label=path.replace("_", " "), **style))
     return handles

@@ -28,7 +28,8 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 def com_vel(pelvis_orientation: Tensor, pelvis_velocity: Tensor, body_velocity: Tensor) -> Tensor:
     r""":math:`\exp(-\|v_{CoM} - v_{refCoM}\|)`, both in the local pelvis frame (Eq. 2).
 
-    The frame keeps the robot from earning reward by walking sideways or diagonally. Paper: local
+    The velocity is that of the pelvis' origin ("center of mass (pelvis) velocity"). The frame keeps
+    the robot from earning reward by walking sideways or diagonally. Paper: local
     pelvis frame; public code: world frame; we follow the paper.
 
     Args:

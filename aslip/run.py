@@ -14,7 +14,9 @@ from __future__ import annotations
 import csv
 import dataclasses
 import json
+import math
 import os
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,11 @@ from typing import Any
 from torch.utils.tensorboard import SummaryWriter
 from torchrl import torchrl_logger
 from torchrl.checkpoint import Checkpoint, CheckpointRotation
+
+try:
+    import resource
+except ImportError:  # not on Windows
+    resource = None
 
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.policy import POLICY_FILE, load_components, read_manifest
@@ -39,15 +46,15 @@ class TrainingRun:
         resume: continue the run in the folder instead of starting one there.
 
     Raises:
-        ConfigurationError: the folder holds a run and `resume` is not set; or there is nothing to
-            resume; or the settings differ from the run's.
+        ConfigurationError: the folder holds a checkpoint and `resume` is not set; or there is
+            nothing to resume; or the settings differ from the run's.
     """
 
     def __init__(self, folder: Path, config: Any, *, resume: bool) -> None:
         self.folder = Path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         settings_file = self.folder / "config.json"
-        if settings_file.exists() and not resume:
+        if any((self.folder / "checkpoints").glob("checkpoint-*")) and not resume:
             raise ConfigurationError(
                 f"{str(self.folder)!r} holds a run already; continue it with --resume, or give"
                 " another folder with --out"
@@ -59,6 +66,8 @@ class TrainingRun:
         self._rotation = CheckpointRotation(self.folder / "checkpoints", keep_last=2)
         self._tensorboard: SummaryWriter | None = None
         self._csv = self.folder / "progress.csv"
+        if not resume:
+            self._csv.unlink(missing_ok=True)
 
     @property
     def policy_file(self) -> Path:
@@ -67,10 +76,9 @@ class TrainingRun:
 
     def log(self, step: int, scalars: Mapping[str, float]) -> None:
         """Add a row to the CSV and a point to each TensorBoard curve."""
-        new = not self._csv.exists()
         with self._csv.open("a", newline="") as file:
             writer = csv.writer(file)
-            if new:
+            if file.tell() == 0:
                 writer.writerow(["step", *scalars])
             writer.writerow([step, *(f"{value:.6g}" for value in scalars.values())])
         if self._tensorboard is None:
@@ -84,10 +92,10 @@ class TrainingRun:
         if not self._csv.exists():
             return {}
         with self._csv.open(newline="") as file:
-            rows = list(csv.reader(file))
+            header, *rows = list(csv.reader(file)) or [[]]
         # a killed run may leave an unfinished last row
-        rows = [row for row in rows if len(row) == len(rows[0])]
-        return {name: [float(row[i]) for row in rows[1:]] for i, name in enumerate(rows[0])}
+        rows = [row for row in rows if len(row) == len(header)]
+        return {name: [float(row[i]) for row in rows] for i, name in enumerate(header)}
 
     def save(self, step: int, metadata: Mapping[str, Any], **components: Any) -> None:
         """Write a checkpoint and drop the ones before the last two."""
@@ -146,6 +154,15 @@ class TrainingRun:
         lines = [",".join(history)]
         lines += [",".join(f"{column[i]:.10g}" for column in history.values()) for i in kept]
         write_text(self._csv, "\n".join(lines) + "\n")
+
+
+def peak_memory() -> float:
+    """The most memory this process has held [GiB]; NaN where the system does not tell."""
+    if resource is None:
+        return math.nan
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # bytes on macOS, kibibytes elsewhere
+    return peak / 2**30 if sys.platform == "darwin" else peak / 2**20
 
 
 def write_text(path: Path, text: str) -> None:

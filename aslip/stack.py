@@ -5,6 +5,7 @@ An experiment is a stack that differs from the default one in a line or two:
     make_env(drop=["foot_orient"])                               # ablate a reward term
     make_env(replace={"reward": WeightedReward({...})})          # weigh the terms otherwise
     make_env(replace={"start": ReferenceStart(library, "rest")}) # start at rest
+    make_env(stack=insert_before(stack, "reward", my_term=...))  # one more term
 
 A stack is an ordered dict of names and transforms. It is never edited in place once it belongs to
 an environment, where TorchRL would keep stale specs; build another.
@@ -31,6 +32,7 @@ from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
     CassieTransform,
+    Fall,
     LastAction,
     LowReward,
     PhaseClock,
@@ -145,10 +147,26 @@ def default_stack(library: GaitLibrary) -> Stack:
         "last_action": LastAction,
         **reward_terms(),
         "reward": lambda: WeightedReward(rewards.PAPER_WEIGHTS),
+        "fall": Fall,
         "low_reward": LowReward,
         "step_limit": lambda: StepCounter(MAX_EPISODE_STEPS),
         "episode_sum": lambda: RewardSum(in_keys=["reward"], out_keys=["episode_reward"]),
     }
+
+
+def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:
+    """A copy of a stack with more transforms, in front of the named one.
+
+    Raises:
+        UnknownNameError: the stack has no transform of that name.
+    """
+    _require_names(stack, [name])
+    longer: Stack = {}
+    for key, make in stack.items():
+        if key == name:
+            longer |= new
+        longer[key] = make
+    return longer
 
 
 def make_env(
@@ -169,7 +187,8 @@ def make_env(
         backend: "batch" for training, "dm_control" for the reference task; same keys, same states.
         num_envs: number of robots n; all tensors have it as their first dimension.
         seed: reaches every random number, also inside transforms.
-        drop: names of transforms to leave out.
+        drop: names of transforms to leave out. Without some reward terms the largest reward is
+            smaller, while an episode still ends below 0.3: consider `LowReward` along with them.
         replace: name -> transform, or something that makes it, to take the place of another.
         stack: another stack altogether; `default_stack(library)` by default.
         library: another gait library; the shipped one by default.
@@ -177,12 +196,15 @@ def make_env(
         floor_friction: sliding friction of the floor.
 
     Raises:
-        ConfigurationError: unknown backend, or a number of environments that is none.
+        ConfigurationError: unknown backend, a number of environments or a seed that is none, or a
+            reward term after the sum.
         UnknownNameError: `drop` or `replace` names no transform of the stack, or a transform reads
             what no other writes.
     """
     if backend not in get_args(Backend):
         raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
+        raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
     if stack is None:
         stack = default_stack(GaitLibrary.load() if library is None else library)
     drop = [drop] if isinstance(drop, str) else list(drop)
@@ -204,17 +226,35 @@ def _check_wiring(env: CassieTransformedEnv) -> None:
     available = env.full_observation_spec.clone()
     available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
+    summed = False
     for transform in env.transforms:
+        if isinstance(transform, RewardTerm) and summed:
+            raise ConfigurationError(
+                f"the reward term {transform.out_keys[0][-1]!r} comes after the sum and would not"
+                ' count; insert_before(stack, "reward", ...) puts it in its place'
+            )
+        summed |= isinstance(transform, WeightedReward)
         if isinstance(transform, RewardTerm | ActionDelta):
             require_keys(transform, available, transform.in_keys)
+        if isinstance(transform, LastAction):
+            require_keys(transform, available, ["action"])
 
 
 def _edited(
     stack: Stack, drop: list[str], replace: dict[str, Transform | Callable[[], Transform]]
 ) -> dict[str, Transform | Callable[[], Transform]]:
-    for name in (*drop, *replace):
+    _require_names(stack, [*drop, *replace])
+    return {name: replace.get(name, make) for name, make in stack.items() if name not in drop}
+
+
+def _require_names(stack: Stack, names: Iterable[str]) -> None:
+    """Check that a stack has transforms of these names.
+
+    Raises:
+        UnknownNameError: it lacks one; the message has the nearest name and all others.
+    """
+    for name in names:
         if name not in stack:
             close = difflib.get_close_matches(str(name), stack, n=1)
             hint = f", did you mean {close[0]!r}?" if close else ";"
             raise UnknownNameError(f"no transform {name!r}{hint} the stack has {list(stack)}")
-    return {name: replace.get(name, make) for name, make in stack.items() if name not in drop}

@@ -1,6 +1,6 @@
 """Rebuild the gait library from nothing: optimise, solve the inverse kinematics, store, draw.
 
-python recipes/gait_library.py                    # the 21 gaits that ship in assets/
+python recipes/gait_library.py --pictures docs/images    # the 21 that ship in assets/
 python recipes/gait_library.py --out my_gaits.npz --speeds 0.5 0.75 1.0
 """
 
@@ -35,14 +35,15 @@ class Config:
     """Ascending forward speeds [m/s] (Sec. III-A)."""
     samples: int = PHASE_SAMPLES
     """Samples of a stride."""
-    pictures: Path = Path("docs/images")
-    """Folder for the pictures."""
+    pictures: Path | None = None
+    """Folder for the pictures; that of the library by default."""
     figure_speed: float = 1.0
     """Speed of the gait to draw in space [m/s]; the nearest there is."""
 
 
 def main(config: Config) -> None:
     """Build, store, print and draw."""
+    pictures = config.pictures or config.out.parent
     start = time.perf_counter()
     with tqdm(total=len(config.speeds), desc="gaits", unit="gait") as bar:
 
@@ -51,23 +52,24 @@ def main(config: Config) -> None:
             bar.update()
 
         gaits, table = build_library(config.speeds, samples=config.samples, progress=progress)
+    config.out.parent.mkdir(parents=True, exist_ok=True)
     write_library(config.out, gaits, table, made_by())
     print(gait_table(gaits))
     print(f"\n{len(gaits)} gaits in {time.perf_counter() - start:.1f} s -> {config.out}")
 
     nearest = gaits[int(np.abs(table.speeds - config.figure_speed).argmin())]
-    save_figure(gait_figure(nearest), config.pictures / "gait.png")
-    save_figure(gait_sheet(gaits), config.pictures / "gaits.png")
-    print(f"pictures: {config.pictures / 'gait.png'}, {config.pictures / 'gaits.png'}")
+    save_figure(gait_figure(nearest), pictures / "gait.png")
+    save_figure(gait_sheet(gaits), pictures / "gaits.png")
+    print(f"pictures: {pictures / 'gait.png'}, {pictures / 'gaits.png'}")
 
 
 def gait_table(gaits: list[Gait]) -> str:
-    """A row a gait: what it is, and its certificate."""
+    """A row a gait: what it is, and its certificate; the margin is the smallest to any bound."""
     header = (
         "speed  stride  double  step   height  height  sway   hump  mid    cost     KKT    defect"
-        "  integ.  iter  time\n"
+        "  integ.  margin  iter  time  status\n"
         " m/s     s       s      m    min m   max m   mm     N     N    m2/s3"
-        "                     mm            s\n"
+        "                     mm             s\n"
     )
     rows = []
     for gait in gaits:
@@ -82,7 +84,8 @@ def gait_table(gaits: list[Gait]) -> str:
             f"  {1e3 * sway:4.1f}  {gait.leg_force.max():5.1f}"
             f"  {mid:4.1f}  {gait.cost:7.2f}  {certificate.kkt_residual:.0e}"
             f"  {certificate.max_defect:.0e}  {1e3 * certificate.integration_error:.4f}"
-            f"  {certificate.iterations:4d}  {certificate.solve_time:.2f}"
+            f"  {min(certificate.margins.values()):6.0e}  {certificate.iterations:4d}"
+            f"  {certificate.solve_time:.2f}  {certificate.solver_status}"
         )
     return header + "\n".join(rows)
 
@@ -91,7 +94,7 @@ def made_by() -> dict[str, str]:
     """The command and the versions, to be kept with the file."""
     packages = ("casadi", "pin", "numpy", "scipy")
     return {
-        "command": " ".join(["python", *sys.argv]),
+        "command": " ".join(["python recipes/gait_library.py", *sys.argv[1:]]),
         "aslip": aslip.__version__,
         "python": platform.python_version(),
         **{package: version(package) for package in packages},

@@ -11,12 +11,11 @@ ablation is a copy of this page in which `make_env` gets a `drop` or a `replace`
 from __future__ import annotations
 
 import contextlib
-import resource
 import time
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import torch
 import tyro
@@ -29,11 +28,11 @@ from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
 import aslip
-from aslip.errors import ConfigurationError
+from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
-from aslip.run import TrainingRun, write_text
+from aslip.run import TrainingRun, peak_memory, write_text
 from aslip.symmetry import action_mirror, observation_mirror
 
 
@@ -48,7 +47,8 @@ class Config:
     seed: int = 0
     """Reaches every random number."""
     total_steps: int = 2_000_000
-    """Policy steps to train for; the paper trains for 175 million."""
+    """Policy steps to train for; the paper trains for 175 million. As many again as one update has
+    come first, to teach the normaliser what inputs look like."""
     num_envs: int = 256
     """Robots simulated side by side."""
     samples: int = 5120
@@ -139,14 +139,16 @@ def main(config: Config) -> list[WalkResult]:
 
     # ------------------------------------------------------------------- loop
     components = {"actor": actor, "critic": critic, "optimizer": optimizer, "rng": GlobalRNGState()}
-    step, elapsed = 0, 0.0
+    step, elapsed, diverged = 0, 0.0, 0
     if config.resume:
         metadata = run.restore(**components)
         step, elapsed = int(metadata["step"]), float(metadata["elapsed_s"])
+        diverged = int(metadata["divergences"])
         env.set_seed(config.seed + step)
     start = time.perf_counter() - elapsed
     episodes: deque[tuple[float, float]] = deque(maxlen=256)  # length, return
-    next_eval, next_checkpoint = step + config.eval_interval, step + config.checkpoint_interval
+    next_eval = (step // config.eval_interval + 1) * config.eval_interval
+    next_checkpoint = (step // config.checkpoint_interval + 1) * config.checkpoint_interval
     results: list[WalkResult] = []
     collector = Collector(
         env,
@@ -157,14 +159,13 @@ def main(config: Config) -> list[WalkResult]:
         auto_register_policy_transforms=False,
     )
     bar = tqdm(total=config.total_steps, initial=step, unit="step", dynamic_ncols=True)
+    batches = collector if step < config.total_steps else ()
     with contextlib.suppress(KeyboardInterrupt), bar:
-        for data in collector:
+        for data in batches:
             if normalizer.count == 0:
                 # the first samples only teach the normaliser what inputs look like
                 normalizer.update(data["observation"])
                 continue
-            if step >= config.total_steps:
-                break
             with torch.no_grad():
                 advantage(data)
             losses = update(data, loss, optimizer, nets, config)
@@ -191,32 +192,37 @@ def main(config: Config) -> list[WalkResult]:
                     "episode_return": total,
                     **terms,
                     **losses,
-                    "divergences": env.base_env.divergences,
+                    "divergences": diverged + env.base_env.divergences,
                     **summary(results if evaluate_now else []),
                 },
             )
             if step >= next_checkpoint or step >= config.total_steps:
-                save(run, step, time.perf_counter() - start, components)
+                save(run, step, start, diverged + env.base_env.divergences, components)
                 next_checkpoint += config.checkpoint_interval
             bar.set_postfix_str(progress(length, total, terms), refresh=False)
             bar.update(data.numel())
+            if step >= config.total_steps:
+                break
     collector.shutdown()
 
     # ---------------------------------------------------------------- summary
-    save(run, step, time.perf_counter() - start, components)
-    results = evaluate(actor, eval_env, speeds)
-    save_policy(run.policy_file, actor, shape, {"settings": run.settings, "steps": step})
+    save(run, step, start, diverged + env.base_env.divergences, components)
+    if step < config.total_steps or not results:
+        results = evaluate(actor, eval_env, speeds)
+    settings = {
+        name: value for name, value in run.settings.items() if name not in ("out", "resume")
+    }
+    save_policy(run.policy_file, actor, shape, {"settings": settings, "steps": step})
     table = walk_table(results)
     minutes = (time.perf_counter() - start) / 60
-    gigabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    footer = f"{step} policy steps in {minutes:.1f} minutes, peak memory {gigabytes:.2f} GiB"
+    footer = f"{step} policy steps in {minutes:.1f} minutes, peak memory {peak_memory():.2f} GiB"
     write_text(config.out / "summary.md", f"{table}\n\n{footer}\n")
     history = run.history()
     if history:
         save_figure(
             learning_curve(history, f"seed {config.seed}"), config.out / "learning_curve.png"
         )
-    print(f"\n{table}\n\n{footer}\n{config.out}/: summary.md, learning_curve.png, policy.zip")
+    print(f"\n{table}\n\n{footer}\n{config.out}/: {', '.join(sorted(written(config.out)))}")
     run.close()
     return results
 
@@ -262,9 +268,18 @@ def mirrored(samples: TensorDict, actor: ProbabilisticActor) -> TensorDict:
     return images
 
 
-def save(run: TrainingRun, step: int, elapsed: float, components: dict) -> None:
+def save(
+    run: TrainingRun, step: int, start: float, divergences: int, components: dict[str, Any]
+) -> None:
     """Checkpoint everything that training resumes from."""
-    run.save(step, {"step": step, "elapsed_s": elapsed}, **components)
+    elapsed = time.perf_counter() - start
+    metadata = {"step": step, "elapsed_s": elapsed, "divergences": divergences}
+    run.save(step, metadata, **components)
+
+
+def written(folder: Path) -> list[str]:
+    """Names of the files in a run's folder."""
+    return [path.name for path in folder.iterdir() if path.is_file()]
 
 
 def summary(results: list[WalkResult]) -> dict[str, float]:
@@ -284,4 +299,7 @@ def progress(length: float, total: float, terms: dict[str, float]) -> str:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    try:
+        main(tyro.cli(Config))
+    except AslipError as error:
+        raise SystemExit(f"error: {error}") from None

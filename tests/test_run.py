@@ -52,7 +52,9 @@ def test_settings_are_kept(settings: Settings) -> None:
 
 
 def test_a_folder_with_a_run_is_not_overwritten(settings: Settings) -> None:
-    _open(settings).log(1, {"value": 1.0})
+    run = _open(settings)
+    run.log(1, {"value": 1.0})
+    run.save(1, {"step": 1}, counter={"n": 1})
     before = (settings.out / "progress.csv").read_bytes()
     with pytest.raises(ConfigurationError, match=r"holds a run already.*--resume.*--out"):
         _open(settings)

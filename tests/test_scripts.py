@@ -20,7 +20,7 @@ def test_a_library_of_other_speeds_can_be_built(
     gait_library.main(config)
     library = GaitLibrary.load(tmp_path / "mine.npz")
     assert library.speeds.tolist() == [0.5, 0.75]
-    assert read_made_by(tmp_path / "mine.npz")["command"].startswith("python")
+    assert read_made_by(tmp_path / "mine.npz")["command"].startswith("python recipes/")
     for picture in ("gait.png", "gaits.png"):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
     table = capsys.readouterr().out

@@ -10,10 +10,11 @@ import torch
 from torchrl.data import Unbounded
 from torchrl.envs.utils import check_env_specs
 
-from aslip.errors import UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.stack import default_stack, reward_terms
-from aslip.transforms import LowReward
+from aslip.rewards import PAPER_WEIGHTS
+from aslip.stack import default_stack, insert_before, make_env, reward_terms
+from aslip.transforms import LowReward, RewardTerm, WeightedReward
 from tests.conftest import MakeEnv
 
 
@@ -97,3 +98,38 @@ def test_no_transform_but_the_command_has_buffers_or_parameters(make: MakeEnv) -
     after = env.transform.state_dict()
     assert before.keys() == after.keys()
     assert all((after[name] == value).all() for name, value in before.items())
+
+
+def test_a_term_after_the_sum_is_refused(library: GaitLibrary) -> None:
+    late = {**default_stack(library), "late": _constant_term}
+    with pytest.raises(ConfigurationError, match="'late' comes after the sum"):
+        make_env(stack=late)
+
+
+def test_a_term_can_be_inserted_before_the_sum(library: GaitLibrary) -> None:
+    stack = insert_before(default_stack(library), "reward", late=_constant_term)
+    stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 5.0})
+    env = make_env(stack=stack)
+    td = env.reset()
+    after = env.step(td.set("action", torch.zeros(1, 10)))["next"]
+    rest = sum(PAPER_WEIGHTS[name] * after["reward_terms", name] for name in PAPER_WEIGHTS)
+    torch.testing.assert_close(after["reward"], rest + 5.0)
+    with pytest.raises(UnknownNameError, match="no transform 'sum'"):
+        insert_before(stack, "sum", late=_constant_term)
+
+
+def test_a_transform_draws_the_same_whatever_else_is_in_the_stack(library: GaitLibrary) -> None:
+    full = make_env(num_envs=8, seed=3, library=library).reset()
+    other = make_env(num_envs=8, seed=3, library=library, drop=["start", "com_vel"]).reset()
+    torch.testing.assert_close(full["command"], other["command"], rtol=0, atol=0)
+    torch.testing.assert_close(full["phase"], other["phase"], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("seed", [-1, 0.5, True, None])
+def test_a_seed_that_is_none_is_refused(seed: Any) -> None:
+    with pytest.raises(ConfigurationError, match="seed must be"):
+        make_env(seed=seed)
+
+
+def _constant_term() -> RewardTerm:
+    return RewardTerm("late", lambda height: torch.ones_like(height), [("estimate", "height")])

@@ -8,16 +8,17 @@ Keys, for n robots (shapes omit the leading n):
 | `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
 | `("truth", "diverged")` | 1 | the simulation diverged in this policy step and stands now |
 | `reward` | 1 | zero: rewards are transforms |
-| `terminated`, `done` | 1 | diverged, or fallen (pelvis below 0.4 m) |
+| `terminated`, `done` | 1 | the simulation diverged; all else is transforms |
 
-A reset may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32); without them the robot
-stands. A NaN target makes that one simulation diverge; it does not touch the others.
+A reset of the bare environment may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32),
+which in a stack `ReferenceStart` writes; without them the robot stands. A NaN target makes that one
+simulation diverge; it does not touch the others.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -30,7 +31,6 @@ from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import Snapshot, true_state
-from aslip.task import FALL_HEIGHT
 
 # the exact state, for logs and replay; all else is for networks
 _DOUBLE = ("qpos", "qvel")
@@ -42,9 +42,6 @@ class CassieEnv(EnvBase):
     Args:
         num_envs: number of robots.
         indices: where the robot's parts are in MuJoCo's arrays.
-
-    Raises:
-        ConfigurationError: `num_envs` is not 1 or more.
     """
 
     def __init__(self, num_envs: int, indices: CassieIndices) -> None:
@@ -103,7 +100,7 @@ class CassieEnv(EnvBase):
         diverged = self._advance(target.detach().double().numpy())
         self.divergences += int(diverged.sum())
         truth = self._truth(diverged)
-        terminated = truth["diverged"] | (truth["pelvis_position"][..., 2:] < FALL_HEIGHT)
+        terminated = torch.tensor(diverged[:, None])
         return TensorDict(
             {
                 "truth": truth,
@@ -122,11 +119,27 @@ class CassieEnv(EnvBase):
         if tensordict is not None:
             for i, name in enumerate(_DOUBLE):
                 value = tensordict.get(("initial", name), None)
-                initial[i] = None if value is None else value.double().numpy()[rows]
+                if value is not None:
+                    initial[i] = self._checked_initial(name, value)[rows]
         self._restart(rows, *initial)
         return TensorDict(
             {"truth": self._truth(np.zeros(self.num_envs, dtype=bool))}, batch_size=self.batch_size
         )
+
+    def _checked_initial(self, name: str, value: Tensor) -> np.ndarray:
+        """Initial positions or velocities of all robots, if they are such.
+
+        Raises:
+            ShapeError: wrong shape.
+            ConfigurationError: not finite.
+        """
+        expected = tuple(self.observation_spec["truth", name].shape)
+        if tuple(value.shape) != expected:
+            raise ShapeError(f"initial {name} must have shape {expected}, got {tuple(value.shape)}")
+        if not torch.isfinite(value).all():
+            row = int((~torch.isfinite(value)).any(-1).nonzero()[0])
+            raise ConfigurationError(f"initial {name} of robot {row} is not finite")
+        return value.double().numpy()
 
     def _truth(self, diverged: np.ndarray) -> TensorDict:
         truth = {
@@ -140,12 +153,13 @@ class CassieEnv(EnvBase):
         """The robots themselves draw nothing; transforms have their own generators."""
 
 
-def check_num_envs(num_envs: object) -> int:
+def check_num_envs(num_envs: Any) -> int:
     """The number of environments, if it is one.
 
     Raises:
         ConfigurationError: it is not a whole number of 1 or more.
     """
-    if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+    whole = isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool)
+    if not whole or num_envs < 1:
         raise ConfigurationError(f"num_envs must be a whole number of 1 or more, got {num_envs!r}")
-    return num_envs
+    return int(num_envs)

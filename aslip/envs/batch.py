@@ -25,10 +25,9 @@ class BatchCassieEnv(CassieEnv):
         num_threads: int = 0,
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
     ) -> None:
+        num_envs = check_num_envs(num_envs)
         model = load_model(floor_friction, visual=False)
-        self.simulations = SimulationPool(
-            check_num_envs(num_envs), model=model, num_threads=num_threads
-        )
+        self.simulations = SimulationPool(num_envs, model=model, num_threads=num_threads)
         super().__init__(num_envs, self.simulations.indices)
 
     def _advance(self, motor_target: np.ndarray) -> np.ndarray:

@@ -26,12 +26,13 @@ class DmControlCassieEnv(CassieEnv):
     def __init__(
         self, num_envs: int = 1, *, floor_friction: float = DEFAULT_FLOOR_FRICTION
     ) -> None:
+        num_envs = check_num_envs(num_envs)
         # time limit and falls are the transforms' and the base class's business
         self.environments = [
             walk_environment(
                 time_limit=float("inf"), terminate_on_fall=False, floor_friction=floor_friction
             )
-            for _ in range(check_num_envs(num_envs))
+            for _ in range(num_envs)
         ]
         for environment in self.environments:
             environment.reset()

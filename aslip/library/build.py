@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from aslip.errors import ConfigurationError
 from aslip.ik import BodyTarget, CassieKinematics, IkSolution, solve
 from aslip.library.file import GaitTable
 from aslip.rom import Gait, GaitSample, optimize_gaits
@@ -40,9 +42,12 @@ def build_library(
         The gaits, and their table for `GaitLibrary`.
 
     Raises:
+        ConfigurationError: speeds do not ascend, or are fewer than two.
         GaitOptimizationError: a gait was not found.
         UnreachablePoseError: the robot cannot take a pose of a gait.
     """
+    if len(speeds) < 2 or any(b <= a for a, b in itertools.pairwise(speeds)):
+        raise ConfigurationError(f"speeds must be two or more, ascending; got {list(speeds)} m/s")
     gaits = optimize_gaits(speeds, progress=progress)
     phase = np.arange(samples) / samples
     motions = [gait.sample(phase) for gait in gaits]

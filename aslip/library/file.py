@@ -15,7 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
-from aslip.errors import AslipError, AssetError, FileDamagedError
+from aslip.errors import (
+    AslipError,
+    AssetError,
+    ConfigurationError,
+    FileDamagedError,
+    ShapeError,
+)
 from aslip.rom import Gait
 
 _FORMAT = "aslip gait library 1"
@@ -56,11 +62,27 @@ class GaitTable:
     quaternions = (slice(3, 7), slice(10, 14), slice(24, 28))
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only."""
+        """Make the arrays read-only, and check that they belong together.
+
+        Raises:
+            ConfigurationError: fewer than two speeds, speeds that do not ascend, or NaN.
+            ShapeError: an array has another number of gaits.
+        """
         for field in fields(self):
             array = np.array(getattr(self, field.name), dtype=np.float64)
             array.setflags(write=False)
             object.__setattr__(self, field.name, array)
+        if len(self.speeds) < 2 or not (np.diff(self.speeds) > 0).all():
+            raise ConfigurationError(
+                f"a library needs two or more ascending speeds, got {self.speeds.tolist()} m/s"
+            )
+        for field in fields(self):
+            array = getattr(self, field.name)
+            if len(array) != len(self.speeds):
+                expected = len(self.speeds)
+                raise ShapeError(f"{field.name} must have {expected} rows, got {len(array)}")
+            if not np.isfinite(array).all():
+                raise ConfigurationError(f"{field.name} has entries that are not finite")
 
 
 def write_library(

@@ -7,7 +7,6 @@ was stored.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -85,7 +84,7 @@ class GaitLibrary:
         """
         return cls(*read_library(asset_path(GAITS_ASSET) if path is None else Path(path)))
 
-    @functools.cached_property
+    @property
     def speeds(self) -> np.ndarray:
         """(g,) speeds of the gaits [m/s], ascending, read-only."""
         return self.table.speeds

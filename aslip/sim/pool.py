@@ -8,6 +8,7 @@ equal those of a single `Simulations`, bit for bit.
 
 from __future__ import annotations
 
+import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 
@@ -45,8 +46,10 @@ class SimulationPool:
         self.num = num
         self.model = load_model(visual=False) if model is None else model
         self.indices = CassieIndices.from_model(self.model)
-        threads = num_threads or len(os.sched_getaffinity(0))
-        size = min(-(-num // threads), _LARGEST_PART)
+        threads = num_threads or _processors()
+        # equal parts, as many for each thread
+        rounds = math.ceil(num / (threads * _LARGEST_PART))
+        size = math.ceil(num / (threads * rounds))
         self._starts = np.arange(0, num, size)
         self.parts = [
             Simulations(min(size, num - int(start)), model=self.model, num_threads=1)
@@ -112,3 +115,10 @@ class SimulationPool:
         """Write what `states` returned, into these or other simulations of the same model."""
         for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):
             part.batch.state[:] = rows
+
+
+def _processors() -> int:
+    """Processors this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

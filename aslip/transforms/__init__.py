@@ -8,10 +8,11 @@ and follow `env.set_seed`.
 from aslip.transforms.action import ActionDelta, LastAction
 from aslip.transforms.base import CassieTransform
 from aslip.transforms.command import PhaseClock, SpeedCommand
+from aslip.transforms.episode import Fall, LowReward
 from aslip.transforms.estimate import ESTIMATE_SIZES, TrueState
 from aslip.transforms.observation import OBSERVATION_TABLE, AssembleObservation
 from aslip.transforms.reference import ReferenceInjection, ReferenceStart
-from aslip.transforms.reward import LowReward, RewardTerm, WeightedReward
+from aslip.transforms.reward import RewardTerm, WeightedReward
 
 __all__ = [
     "ESTIMATE_SIZES",
@@ -19,6 +20,7 @@ __all__ = [
     "ActionDelta",
     "AssembleObservation",
     "CassieTransform",
+    "Fall",
     "LastAction",
     "LowReward",
     "PhaseClock",

@@ -38,8 +38,12 @@ class CassieTransform(Transform):
     def _draw_into_reset(
         self, tensordict: TensorDictBase, key: NestedKey, draw: torch.Tensor
     ) -> TensorDictBase:
-        """Put `draw` into the request for a reset, unless the caller chose a value himself."""
-        if tensordict.get(key, None) is None:
+        """Put `draw` into the request for a reset, unless the caller chose a value.
+
+        A request that names robots to reset is a tensordict of the episode that ends; what it
+        holds is old, not chosen.
+        """
+        if tensordict.get(key, None) is None or "_reset" in tensordict:
             tensordict.set(key, draw)
         return tensordict
 

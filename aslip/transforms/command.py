@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
 from aslip.transforms.base import CassieTransform, extend_spec
 
@@ -19,8 +19,8 @@ class SpeedCommand(CassieTransform):
     """Forward speed to walk at: drawn at each reset, then held.
 
     To command from outside, write `td["command"]` between steps, or pass it to `env.reset`. It acts
-    on the reference of the next policy step; the phase goes on. A tensordict given to `env.reset`
-    keeps the command (and phase) it holds.
+    on the reference of the next policy step; the phase goes on. In a reset of some robots only,
+    with a `_reset` mask, theirs are drawn anew.
 
     Args:
         library: bounds the speeds.
@@ -44,7 +44,8 @@ class SpeedCommand(CassieTransform):
         tensordict = self._request(tensordict)
         shape = (*tensordict.batch_size, 1)
         index = torch.randint(len(self.speeds), shape, generator=self.generator)
-        return self._draw_into_reset(tensordict, "command", self.speeds[index])
+        tensordict = self._draw_into_reset(tensordict, "command", self.speeds[index])
+        return tensordict.set("command", _checked(tensordict, "command"))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -52,7 +53,7 @@ class SpeedCommand(CassieTransform):
         return tensordict_reset.set("command", tensordict["command"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set("command", tensordict["command"])
+        return next_tensordict.set("command", _checked(tensordict, "command"))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add `command`."""
@@ -68,7 +69,7 @@ class PhaseClock(CassieTransform):
 
     .. math:: \phi \leftarrow (\phi + \Delta t / T(v)) \bmod 1
 
-    Public code counts whole samples and so plays the cycle 12 to 16 % too fast; sampling by time
+    Public code counts whole samples and so plays the stride 12 to 16 % too fast; sampling by time
     keeps step length, frequency and speed consistent. A change of command keeps the phase.
 
     Args:
@@ -82,12 +83,13 @@ class PhaseClock(CassieTransform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
         draw = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
-        return self._draw_into_reset(tensordict, "phase", draw)
+        tensordict = self._draw_into_reset(tensordict, "phase", draw)
+        return tensordict.set("phase", _checked(tensordict, "phase") % 1.0)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return tensordict_reset.set("phase", tensordict["phase"] % 1.0)
+        return tensordict_reset.set("phase", tensordict["phase"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         advance = POLICY_PERIOD / self.library.stride(tensordict["command"])
@@ -100,3 +102,19 @@ class PhaseClock(CassieTransform):
     def transform_state_spec(self, state_spec: Composite) -> Composite:
         """Declare `phase` as something a caller may set."""
         return extend_spec(state_spec, {"phase": 1})
+
+
+def _checked(tensordict: TensorDictBase, key: str) -> Tensor:
+    """A value that a caller may have written, in single precision.
+
+    Raises:
+        ShapeError: it has not one number a robot.
+        ConfigurationError: a number is not finite.
+    """
+    value = torch.as_tensor(tensordict[key])
+    expected = (*tensordict.batch_size, 1)
+    if tuple(value.shape) != expected:
+        raise ShapeError(f"{key} must have shape {expected}, got {tuple(value.shape)}")
+    if not torch.isfinite(value).all():
+        raise ConfigurationError(f"{key} must be finite, got {value.tolist()}")
+    return value.float()

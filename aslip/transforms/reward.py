@@ -1,4 +1,4 @@
-"""Rewards: one transform a term, their weighted sum, and the end of a poor episode (Sec. IV-B)."""
+"""Rewards: one transform a term, and their weighted sum (Sec. IV-B)."""
 
 from __future__ import annotations
 
@@ -41,7 +41,11 @@ class RewardTerm(CassieTransform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         inputs = [next_tensordict[key] for key in self.next_keys]
         inputs += [tensordict[key] for key in self.root_keys]
-        return next_tensordict.set(self.out_keys[0], self.function(*inputs))
+        # a robot that diverged was put back on its feet, for which it deserves nothing; and what
+        # made it diverge, an action that is no number, must not become a reward
+        diverged = next_tensordict["truth", "diverged"]
+        value = torch.where(diverged, 0.0, self.function(*inputs))
+        return next_tensordict.set(self.out_keys[0], value)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -105,29 +109,3 @@ class WeightedReward(CassieTransform):
                 f" {sorted(self.weights)}"
             )
         return reward_spec
-
-
-class LowReward(CassieTransform):
-    """End an episode, without bootstrap, when the reward of a step is below a threshold.
-
-    Args:
-        threshold: "less than 0.3" in the paper (Sec. IV-B).
-    """
-
-    def __init__(self, threshold: float = 0.3) -> None:
-        super().__init__(in_keys=["reward"], out_keys=["terminated", "done"])
-        self.threshold = threshold
-
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        del tensordict
-        # a reward that is not a number is low, too
-        low = ~(next_tensordict["reward"] >= self.threshold)
-        for key in self.out_keys:
-            next_tensordict.set(key, next_tensordict[key] | low)
-        return next_tensordict
-
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        del tensordict
-        return tensordict_reset

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import io
 import zipfile
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from aslip.assets import asset_path
-from aslip.errors import AssetError, FileDamagedError
-from aslip.library import GaitLibrary
+from aslip.errors import AssetError, ConfigurationError, FileDamagedError, ShapeError
+from aslip.library import GaitLibrary, build_library
 from aslip.library.file import GaitTable, read_library, read_made_by, write_library
 from aslip.rom import Gait
 from tests.library.conftest import MADE_BY
@@ -225,3 +225,18 @@ def test_a_failed_write_leaves_the_old_file_untouched(
 def test_writing_into_no_folder_is_an_os_error(small: GaitLibrary, tmp_path: Path) -> None:
     with pytest.raises(OSError, match="nowhere"):
         write_library(tmp_path / "nowhere" / "gaits.npz", small.gaits, small.table, MADE_BY)
+
+
+@pytest.mark.parametrize("speeds", [[0.5], [1.0, 0.5], [0.5, 0.5]])
+def test_speeds_must_ascend(speeds: list[float]) -> None:
+    with pytest.raises(ConfigurationError, match="ascending"):
+        build_library(speeds)
+
+
+def test_a_table_with_holes_is_refused(small: GaitLibrary) -> None:
+    qpos = small.table.qpos.copy()
+    qpos[0, 0, 2] = np.nan
+    with pytest.raises(ConfigurationError, match="qpos"):
+        replace(small.table, qpos=qpos)
+    with pytest.raises(ShapeError, match="qpos"):
+        replace(small.table, qpos=qpos[:1])
