@@ -45,8 +45,10 @@ class Config:
     """Rounds to take the median over."""
     steps: int = 4
     """Policy steps of a round."""
+    policy: str = "aslip"
+    """Who walks, as `aslip.load_policy` names it; its own time is not counted."""
     action_std: float = 0.135
-    """Exploration noise of the random actions [rad]: robots walk, stumble, and are reset."""
+    """Exploration noise on its actions [rad]."""
 
 
 class Bound:
@@ -80,13 +82,16 @@ class Candidates:
         self.inside = base.simulations
         self.bare = SimulationPool(num_envs, num_threads=config.num_threads)
         self.bound = Bound(self.inside.model, config.num_threads)
+        self.policy = aslip.load_policy(config.policy)
         self.std = config.action_std
         self.td = self.env.reset()
 
     def step(self) -> dict[str, float]:
         """One policy step of each; seconds by name."""
         states = self.inside.states()
-        self.td["action"] = self.std * torch.randn(self.env.num_envs, 10)
+        with torch.no_grad():
+            self.policy(self.td)
+        self.td["action"] += self.std * torch.randn(self.env.num_envs, 10)
         target = self.td["reference", "motor_position"] + self.td["action"]
         targets = np.asarray(target, dtype=np.float64)
         self.bare.set_states(states)
