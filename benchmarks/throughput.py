@@ -30,6 +30,7 @@ from aslip.library import GaitLibrary
 from aslip.sim import SimulationPool
 from aslip.stack import CassieTransformedEnv
 
+_PAUSE = 0.01  # [s]
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
@@ -133,6 +134,8 @@ def _round(candidates: Candidates, steps: int) -> dict[str, float]:
 
 
 def _timed(call: Callable[[], object]) -> float:
+    # torch's threads go on spinning for a while after their work and would slow the next candidate
+    time.sleep(_PAUSE)
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
