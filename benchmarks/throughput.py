@@ -66,7 +66,8 @@ class Bound:
         list(self.pool.map(self._run, self.data, shares))
 
     def _run(self, data: mujoco.MjData, states: np.ndarray) -> None:
-        for state in states:
+        physics = mujoco.mj_stateSize(self.model, _STATE)
+        for state in states[:, :physics]:
             mujoco.mj_setState(self.model, data, state, _STATE)
             mujoco.mj_step(self.model, data, SUBSTEPS)
 

@@ -5,6 +5,8 @@ Only `aslip.cassie.model` needs a simulator; import it by its own name.
 
 from aslip.cassie.constants import (
     GEAR,
+    JOINT_ENCODER_BITS,
+    MOTOR_ENCODER_BITS,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_TORQUE_LIMIT,
     PD_DAMPING,
@@ -29,7 +31,9 @@ from aslip.cassie.names import (
 
 __all__ = [
     "GEAR",
+    "JOINT_ENCODER_BITS",
     "JOINT_NAMES",
+    "MOTOR_ENCODER_BITS",
     "MOTOR_NAMES",
     "MOTOR_NO_LOAD_SPEED",
     "MOTOR_TORQUE_LIMIT",

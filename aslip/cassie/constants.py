@@ -13,7 +13,7 @@ import numpy as np
 
 
 def _both_legs(*values: float) -> np.ndarray:
-    """(10,) read-only array from one leg's five values."""
+    """Read-only array of both legs from one leg's values."""
     array = np.array(values * 2, dtype=np.float64)
     array.setflags(write=False)
     return array
@@ -55,3 +55,9 @@ MOTOR_NO_LOAD_SPEED.setflags(write=False)
 
 SAFETY_TORQUE: Final = _both_legs(140.63, 140.63, 216.16, 216.16, 45.14)
 """Clamp on the PD torque at the joint [N m], before the motor's own limit (measured, simulator)."""
+
+MOTOR_ENCODER_BITS: Final = _both_legs(13, 13, 13, 13, 18)
+"""A motor's encoder counts so many bits in a turn of the motor, not of the joint (simulator)."""
+
+JOINT_ENCODER_BITS: Final = _both_legs(18, 18, 13)
+"""Those of shin, tarsus and foot, in a turn of the joint (simulator)."""

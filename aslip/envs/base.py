@@ -5,6 +5,7 @@ Keys, for n robots (shapes omit the leading n):
 | key | shape | meaning |
 |---|---|---|
 | `motor_target` | 10 | action: joint angles the 2 kHz PD loops track for 30 ms [rad] |
+| `("sensors", ...)` | W, k | packets of the policy period, oldest first; see `aslip.sim.Sensors` |
 | `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
 | `("truth", "diverged")` | 1 | the simulation diverged in this policy step and stands now |
 | `reward` | 1 | zero: rewards are transforms |
@@ -70,20 +71,27 @@ class CassieEnv(EnvBase):
     def _snapshot(self) -> Snapshot:
         """The arrays of all simulations, leading shape (n,)."""
 
+    @abstractmethod
+    def _packets(self) -> dict[str, np.ndarray]:
+        """What the sensors sent in the last policy period, (n, W, k) each."""
+
     # ---------------------------------------------------------------- EnvBase
 
     def _set_specs(self) -> None:
-        n, truth = self.batch_size, self._truth(np.zeros(self.batch_size, dtype=bool))
+        n, state = self.batch_size, self._observed(np.zeros(self.batch_size, dtype=bool))
         self.observation_spec = Composite(
-            truth=Composite(
-                {
-                    key: Binary(shape=value.shape, dtype=torch.bool)
-                    if value.dtype == torch.bool
-                    else Unbounded(value.shape, dtype=value.dtype)
-                    for key, value in truth.items()
-                },
-                shape=n,
-            ),
+            {
+                group: Composite(
+                    {
+                        key: Binary(shape=value.shape, dtype=torch.bool)
+                        if value.dtype == torch.bool
+                        else Unbounded(value.shape, dtype=value.dtype)
+                        for key, value in entries.items()
+                    },
+                    shape=n,
+                )
+                for group, entries in state.items()
+            },
             shape=n,
         )
         targets, single = torch.Size((*n, len(MOTOR_NAMES))), torch.Size((*n, 1))
@@ -99,11 +107,10 @@ class CassieEnv(EnvBase):
             raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
         diverged = self._advance(target.detach().double().numpy())
         self.divergences += int(diverged.sum())
-        truth = self._truth(diverged)
         terminated = torch.tensor(diverged[:, None])
         return TensorDict(
             {
-                "truth": truth,
+                **self._observed(diverged),
                 "reward": torch.zeros(*self.batch_size, 1),
                 "terminated": terminated,
                 "done": terminated.clone(),
@@ -123,7 +130,7 @@ class CassieEnv(EnvBase):
                     initial[i] = self._checked_initial(name, value)[rows]
         self._restart(rows, *initial)
         return TensorDict(
-            {"truth": self._truth(np.zeros(self.num_envs, dtype=bool))}, batch_size=self.batch_size
+            self._observed(np.zeros(self.num_envs, dtype=bool)), batch_size=self.batch_size
         )
 
     def _checked_initial(self, name: str, value: Tensor) -> np.ndarray:
@@ -141,13 +148,17 @@ class CassieEnv(EnvBase):
             raise ConfigurationError(f"initial {name} of robot {row} is not finite")
         return value.double().numpy()
 
-    def _truth(self, diverged: np.ndarray) -> TensorDict:
+    def _observed(self, diverged: np.ndarray) -> dict[str, dict[str, Tensor]]:
+        """Sensors and truth."""
         truth = {
             key: torch.tensor(value, dtype=torch.float64 if key in _DOUBLE else torch.float32)
             for key, value in true_state(self._snapshot(), self.indices).items()
         }
         truth["diverged"] = torch.tensor(diverged[:, None])
-        return TensorDict(truth, batch_size=self.batch_size)
+        sensors = {
+            key: torch.tensor(value, dtype=torch.float32) for key, value in self._packets().items()
+        }
+        return {"sensors": sensors, "truth": truth}
 
     def _set_seed(self, seed: int | None) -> None:
         """The robots themselves draw nothing; transforms have their own generators."""

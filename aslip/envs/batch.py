@@ -38,3 +38,6 @@ class BatchCassieEnv(CassieEnv):
 
     def _snapshot(self) -> Snapshot:
         return self.simulations.snapshot()
+
+    def _packets(self) -> dict[str, np.ndarray]:
+        return self.simulations.packets()

@@ -65,3 +65,7 @@ class DmControlCassieEnv(CassieEnv):
 
     def _snapshot(self) -> Snapshot:
         return Snapshot.stack([physics.snapshot() for physics in self.physics])
+
+    def _packets(self) -> dict[str, np.ndarray]:
+        packets = [physics.packets() for physics in self.physics]
+        return {name: np.stack([packet[name] for packet in packets]) for name in packets[0]}

@@ -1,8 +1,19 @@
-"""The robot's low level at 2 kHz: motor drive, torque delay, and N simulations side by side."""
+"""The robot's low level at 2 kHz: sensors, motor drive, delay, and N simulations side by side."""
 
 from aslip.sim.drive import Drive, motor_torque
 from aslip.sim.pool import SimulationPool
+from aslip.sim.sensors import PACKET_PERIOD, SENSOR_WINDOW, Sensors
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot, true_state
 
-__all__ = ["Drive", "SimulationPool", "Simulations", "Snapshot", "motor_torque", "true_state"]
+__all__ = [
+    "PACKET_PERIOD",
+    "SENSOR_WINDOW",
+    "Drive",
+    "Sensors",
+    "SimulationPool",
+    "Simulations",
+    "Snapshot",
+    "motor_torque",
+    "true_state",
+]

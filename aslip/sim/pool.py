@@ -107,14 +107,19 @@ class SimulationPool:
         """Copies of everything the true state is made of."""
         return Snapshot.concatenate([part.snapshot() for part in self.parts])
 
+    def packets(self) -> dict[str, np.ndarray]:
+        """Copies of the sensors' packets of the last policy period; see `Sensors.packets`."""
+        parts = [part.sensors.packets() for part in self.parts]
+        return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
     def states(self) -> np.ndarray:
-        """(n, k) copy of the full physics states, rows of `mujoco.mjtState.mjSTATE_INTEGRATION`."""
-        return np.concatenate([part.batch.state for part in self.parts])
+        """(n, k) copy of all that the future depends on; see `Simulations.states`."""
+        return np.concatenate([part.states() for part in self.parts])
 
     def set_states(self, states: np.ndarray) -> None:
         """Write what `states` returned, into these or other simulations of the same model."""
         for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):
-            part.batch.state[:] = rows
+            part.set_states(rows)
 
 
 def _processors() -> int:

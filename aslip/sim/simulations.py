@@ -20,6 +20,7 @@ from aslip.cassie import SUBSTEPS
 from aslip.cassie.model import CassieIndices, load_model
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim.drive import Drive
+from aslip.sim.sensors import Sensors
 from aslip.sim.truth import Snapshot
 
 # position and velocity stages: what mj_step1 computes, so that sensors match the returned state
@@ -54,8 +55,8 @@ class Simulations:
         self.divergences = 0
         """Simulations put back on their feet since construction."""
         self._drive = Drive(num)
-        self._position = np.empty((num, self.model.nu))
-        self._velocity = np.empty((num, self.model.nu))
+        self.sensors = Sensors(num, self.model)
+        """What the robots measure."""
         self._ground_force = np.zeros((num, 2, 3))
         # live arrays, looked up once: binding anew costs more than a PD law in the 2 kHz loop
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
@@ -99,6 +100,7 @@ class Simulations:
         # a cold solver start makes the first step independent of how often forward() has run
         self._warm_start[ids] = 0.0
         self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
+        self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
 
     def advance(self, motor_target: np.ndarray) -> np.ndarray:
         """Run one policy period.
@@ -119,10 +121,15 @@ class Simulations:
         self._ground_force[:] = 0.0
         failed = np.zeros(self.num, dtype=bool)
         for substep in range(SUBSTEPS):
-            self._control(motor_target)
+            # the PD loop has the readings of the step before
+            position, velocity = self.sensors.motor_position, self.sensors.motor_velocity
+            self._ctrl[:] = self._drive.torque(motor_target, position, velocity)
+            self.sensors.read(substep, self.qpos, self.qvel)
             self._step(failed, _CURRENT if substep == SUBSTEPS - 1 else _NONE)
+            self.sensors.feel(substep, self._qacc)
             self._ground_force += self._sensordata[:, self.indices.ground_force]
         self._ground_force /= SUBSTEPS
+        self.sensors.finish()
         diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
         self.divergences += int(diverged.sum())
         self.reset(np.flatnonzero(diverged))
@@ -140,10 +147,19 @@ class Simulations:
             self._ground_force,
         )
 
-    def _control(self, motor_target: np.ndarray) -> None:
-        np.take(self.qpos, self.indices.motor_qpos, axis=1, out=self._position)
-        np.take(self.qvel, self.indices.motor_qvel, axis=1, out=self._velocity)
-        self._ctrl[:] = self._drive.torque(motor_target, self._position, self._velocity)
+    def states(self) -> np.ndarray:
+        """(n, k) copy of all that the future depends on.
+
+        The physics states, rows of `mujoco.mjtState.mjSTATE_INTEGRATION`, come first; what the
+        sensors remember follows.
+        """
+        return np.concatenate([self.batch.state, self.sensors.memory()], axis=1)
+
+    def set_states(self, states: np.ndarray) -> None:
+        """Write what `states` returned, into these or other simulations of the same model."""
+        physics = self.batch.state.shape[1]
+        self.batch.state[:] = states[:, :physics]
+        self.sensors.set_memory(states[:, physics:])
 
     def _step(self, failed: np.ndarray, stage: int) -> None:
         """One substep of the simulations that have not failed; marks those that now do."""

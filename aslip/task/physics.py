@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from copy import deepcopy
 
 import mujoco as mj
 import numpy as np
@@ -14,10 +15,10 @@ with warnings.catch_warnings():
     from dm_control.mujoco.wrapper import MjData
 
 from aslip.assets import asset_path
-from aslip.cassie import MOTOR_NAMES, SIDES, Side
+from aslip.cassie import MOTOR_NAMES, SIDES, SUBSTEPS, Side
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, CassieIndices, set_floor_friction
 from aslip.errors import ShapeError
-from aslip.sim import Drive, Snapshot
+from aslip.sim import Drive, Sensors, Snapshot
 from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, true_state
 
 _VERTICAL = 8  # zz entry of a row-major rotation matrix
@@ -43,6 +44,7 @@ class CassiePhysics(mujoco.Physics):
         """Set up indices and drive; dm_control calls this from every constructor."""
         self.indices = CassieIndices.from_model(data.model.ptr)
         self._drive = Drive(1)
+        self.sensors = Sensors(1, data.model.ptr)
         # ends with after_reset(), which reads the above
         super()._reload_from_data(data)
 
@@ -53,6 +55,7 @@ class CassiePhysics(mujoco.Physics):
         np.copyto(other.data.qacc_warmstart, self.data.qacc_warmstart)
         other._motor_target = self._motor_target.copy()
         other._ground_force = self._ground_force.copy()
+        other.sensors, other._substep = deepcopy(self.sensors), self._substep
         return other
 
     # ------------------------------------------------------------------ time
@@ -72,14 +75,19 @@ class CassiePhysics(mujoco.Physics):
             PhysicsError: the simulation diverged.
         """
         self._ground_force = np.zeros_like(self._ground_force)
+        sensors = self.sensors
         for _ in range(nstep):
+            # the PD loop has the readings of the step before
             torque = self._drive.torque(
-                self._motor_target[None],
-                self.data.qpos[None, self.indices.motor_qpos],
-                self.data.qvel[None, self.indices.motor_qvel],
+                self._motor_target[None], sensors.motor_position, sensors.motor_velocity
             )
             np.copyto(self.data.ctrl, torque[0])
+            sensors.read(self._substep, self.data.qpos[None], self.data.qvel[None])
             super().step()
+            sensors.feel(self._substep, self.data.qacc[None])
+            self._substep = (self._substep + 1) % SUBSTEPS
+            if self._substep == 0:
+                sensors.finish()
             self._ground_force += self.data.sensordata[self.indices.ground_force]
         self._ground_force /= nstep
 
@@ -94,6 +102,9 @@ class CassiePhysics(mujoco.Physics):
         self.data.qacc_warmstart[:] = 0.0
         self._motor_target = self.motor_position()
         self._ground_force = self.data.sensordata[self.indices.ground_force]
+        state = (self.data.qpos, self.data.qvel, self.data.qacc)
+        self.sensors.reset(np.zeros(1, dtype=int), *(array[None] for array in state))
+        self._substep = 0
 
     # ------------------------------------------------------------- questions
 
@@ -108,6 +119,10 @@ class CassiePhysics(mujoco.Physics):
             np.array(self.data.sensordata),
             self._ground_force.copy(),
         )
+
+    def packets(self) -> dict[str, np.ndarray]:
+        """Packets of the sensors of the last whole policy period, (`SENSOR_WINDOW`, k) each."""
+        return {name: window[0].copy() for name, window in self.sensors.packets().items()}
 
     def true_state(self) -> dict[str, np.ndarray]:
         """All named quantities of `aslip.sim.true_state`."""

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.cassie import POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
+from aslip.cassie import GEAR, PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
 from aslip.cassie.model import CassieIndices, load_model
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import Simulations, motor_torque
@@ -40,7 +40,10 @@ def _assert_rows_equal(a: Simulations, b: Simulations, rows: list[int]) -> None:
 
 
 class NaiveLoop:
-    """One robot in the plainest way."""
+    """One robot in the plainest way, motor encoders and their velocity filter included."""
+
+    TAPS = (2727, 534, -2658, -795, 72, 110, 19, -6, -3)
+    COUNTS = 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / (2 * np.pi)
 
     def __init__(self) -> None:
         self.model = load_model()
@@ -54,16 +57,31 @@ class NaiveLoop:
             self.data.qpos = qpos
         if qvel is not None:
             self.data.qvel = qvel
+        angle, speed = self._motors()
+        self.history = [
+            self._count(angle - k * PHYSICS_TIMESTEP * speed) for k in range(1, len(self.TAPS) + 1)
+        ]
+
+    def _motors(self) -> tuple[np.ndarray, np.ndarray]:
+        indices = self.indices
+        return self.data.qpos[indices.motor_qpos], self.data.qvel[indices.motor_qvel]
+
+    def _count(self, angle: np.ndarray) -> np.ndarray:
+        return np.trunc(angle / (1 / self.COUNTS / GEAR))
+
+    def reading(self) -> tuple[np.ndarray, np.ndarray]:
+        """Position and velocity of the motors, from the counts of the last nine substeps."""
+        speed = sum(tap * count for tap, count in zip(self.TAPS, self.history, strict=True))
+        radians = 1 / self.COUNTS / GEAR
+        return self.history[0] * radians, speed * (radians / np.pi)
 
     def advance(self, target: np.ndarray) -> np.ndarray:
         """One policy period; returns the mean ground force."""
         force = np.zeros((2, 3))
         for _ in range(SUBSTEPS):
-            self.data.ctrl = motor_torque(
-                target,
-                self.data.qpos[self.indices.motor_qpos],
-                self.data.qvel[self.indices.motor_qvel],
-            )
+            # the PD loop has the reading of the substep before
+            self.data.ctrl = motor_torque(target, *self.reading())
+            self.history = [self._count(self._motors()[0]), *self.history[:-1]]
             mujoco.mj_step(self.model, self.data)
             force += self.data.sensordata[self.indices.ground_force]
         return force / SUBSTEPS
@@ -150,16 +168,13 @@ def test_the_delay_is_in_the_batched_simulations_too() -> None:
 
     simulations.batch.step = step
     target = _targets(1, 1)[0]
+    expected = motor_torque(
+        target[0], simulations.sensors.motor_position[0], simulations.sensors.motor_velocity[0]
+    )
     simulations.advance(target)
-    expected = motor_torque(target[0], *_motors_standing())
     assert len(seen) == SUBSTEPS
     np.testing.assert_array_equal(seen[:6], 0.0)
     np.testing.assert_array_equal(seen[6], expected)
-
-
-def _motors_standing() -> tuple[np.ndarray, np.ndarray]:
-    model = load_model()
-    return model.key("standing").qpos[CassieIndices.from_model(model).motor_qpos], np.zeros(10)
 
 
 # -------------------------------------------------------------- resets

@@ -1,0 +1,267 @@
+r"""Encoders and IMU at 2 kHz, as the robot's own electronics read, filter and send them.
+
+Encoders count, toward zero, in steps of a turn over a power of two; those of the drives sit on the
+motor side of the gear. Velocities are filtered from positions: a motor's by nine integer taps on
+its counts (gain 0.9997, delay 0.52 ms), a joint's by an IIR filter (gain 1.0019, delay 4.5 ms,
+0.75 at 50 Hz). All three are those of the public simulator.
+
+The IMU gives its attitude, angular velocity and specific force at its place in the pelvis,
+
+.. math:: f = R^T (\ddot p - g) + \alpha \times r + \omega \times (\omega \times r),
+
+which MuJoCo could compute as well, at a sixth of the cost of a physics step.
+
+A reading is of the state before a physics step, and the PD loop works on the reading before that
+one, as in the public simulator. Every three milliseconds a packet leaves the robot: encoders,
+attitude and angular velocity of that instant, and the *mean* specific force since the last packet.
+Inertial units integrate inside and give out increments of velocity; a lone sample of an impact
+would say little about what the velocity did.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import mujoco
+import numpy as np
+from scipy.signal import lfilter, lfilter_zi
+
+from aslip.cassie import (
+    GEAR,
+    JOINT_ENCODER_BITS,
+    MOTOR_ENCODER_BITS,
+    PHYSICS_TIMESTEP,
+    STANDARD_GRAVITY,
+    SUBSTEPS,
+)
+from aslip.cassie.model import CassieIndices
+
+PACKET_SUBSTEPS: Final = 6
+"""Physics steps between packets."""
+
+SENSOR_WINDOW: Final = SUBSTEPS // PACKET_SUBSTEPS
+"""Packets of a policy period, oldest first; the newest is of the last physics step's start."""
+
+PACKET_PERIOD: Final = PACKET_SUBSTEPS * PHYSICS_TIMESTEP
+"""Time between packets [s]; 333 Hz."""
+
+MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
+"""Taps on a motor's counts, newest first; the sum is in counts a step times pi (simulator)."""
+
+JOINT_VELOCITY_FILTER: Final = (
+    12.348 * np.array([1.0, 1.0, -1.0, -1.0]),
+    np.array([1.0, -1.7658, 0.79045]),
+)
+"""Numerator and denominator of the filter from a joint's angle to its velocity (simulator)."""
+
+_TAPS = len(MOTOR_VELOCITY_TAPS)
+_MEMORY_ROWS = _TAPS - 1
+_ORDER = max(map(len, JOINT_VELOCITY_FILTER)) - 1
+
+# radians at the joint of one count
+_MOTOR_STEP = 2 * np.pi / 2.0**MOTOR_ENCODER_BITS / GEAR
+_JOINT_STEP = 2 * np.pi / 2.0**JOINT_ENCODER_BITS
+_OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
+# quaternion, angular velocity, linear and angular acceleration
+_ATTITUDE, _GYRO, _LINEAR, _ANGULAR = slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13)
+_SENT = slice(PACKET_SUBSTEPS - 1, None, PACKET_SUBSTEPS)
+
+
+class Sensors:
+    """Sensors of n robots.
+
+    In every physics step the simulation calls `read`, steps, and calls `feel`; after a policy
+    period, `packets`. In between only what the PD loop needs is computed.
+
+    Args:
+        num: number of robots n.
+        model: the robot.
+    """
+
+    def __init__(self, num: int, model: mujoco.MjModel) -> None:
+        indices = CassieIndices.from_model(model)
+        self._encoder_qpos = np.concatenate([indices.motor_qpos, indices.joint_qpos])
+        self._motor_qvel, self._joint_qvel = indices.motor_qvel, indices.joint_qvel
+        self._imu = model.site("imu").pos.copy()
+        motors, joints = len(MOTOR_ENCODER_BITS), len(JOINT_ENCODER_BITS)
+        self._motors = motors
+        self._angle = np.zeros((SUBSTEPS, num, motors + joints))
+        # counts of the motors: some from before the period, then those of its steps
+        self._count = np.zeros((_MEMORY_ROWS + SUBSTEPS, num, motors))
+        self._velocity = np.zeros((SUBSTEPS, num, motors))
+        self._joint_memory = np.zeros((_ORDER, num, joints))
+        self._inertial = np.zeros((_ANGULAR.stop, SUBSTEPS, num))
+        numerator, denominator = JOINT_VELOCITY_FILTER
+        self._constant = lfilter_zi(numerator, denominator)
+        self._ramp, self._ramp_gain = _ramp_response()
+        self._packets = {
+            name: np.zeros((num, SENSOR_WINDOW, size))
+            for name, size in (
+                ("motor_position", motors),
+                ("motor_velocity", motors),
+                ("joint_position", joints),
+                ("joint_velocity", joints),
+                ("orientation", 4),
+                ("gyro", 3),
+                ("accelerometer", 3),
+            )
+        }
+        self.motor_position = np.zeros((num, motors))
+        """(n, 10) latest readings [rad]."""
+        self.motor_velocity = np.zeros((num, motors))
+        """(n, 10) [rad/s]."""
+
+    def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> None:
+        """Begin anew for some robots, as if they had always moved at their present velocities.
+
+        The filters start settled, without a trace of what was before. All packets of the window are
+        one: the reading just before.
+
+        Args:
+            ids: (k,) robots.
+            qpos: (k, 35) their positions.
+            qvel: (k, 32) velocities.
+            qacc: (k, 32) accelerations.
+        """
+        velocity = qvel[:, self._motor_qvel]
+        angle = qpos[:, self._encoder_qpos[: self._motors]]
+        ages = PHYSICS_TIMESTEP * np.arange(_TAPS, 0, -1)
+        counts = np.trunc((angle - ages[:, None, None] * velocity) / _MOTOR_STEP)
+        self._count[:_MEMORY_ROWS, ids] = counts[1:]
+        self.motor_position[ids] = counts[-1] * _MOTOR_STEP
+        self.motor_velocity[ids] = _motor_velocity(counts)
+
+        joint_velocity = qvel[:, self._joint_qvel]
+        joint = qpos[:, self._encoder_qpos[self._motors :]] - PHYSICS_TIMESTEP * joint_velocity
+        self._joint_memory[:, ids] = (
+            self._constant[:, None, None] * joint + self._ramp[:, None, None] * joint_velocity
+        )
+        inertial = np.concatenate([qpos[:, 3:7], qvel[:, 3:6], qacc[:, :6]], axis=1).T
+        first = {
+            "motor_position": self.motor_position[ids],
+            "motor_velocity": self.motor_velocity[ids],
+            "joint_position": np.trunc(joint / _JOINT_STEP) * _JOINT_STEP,
+            "joint_velocity": self._ramp_gain * joint_velocity,
+            "orientation": _upper(inertial[_ATTITUDE]).T,
+            "gyro": inertial[_GYRO].T,
+            "accelerometer": self._specific_force(inertial).T,
+        }
+        for name, values in first.items():
+            self._packets[name][ids] = values[:, None]
+
+    def read(self, substep: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
+        """Read the state before a physics step, (n, 35) and (n, 32)."""
+        angle = self._angle[substep]
+        np.take(qpos, self._encoder_qpos, axis=1, out=angle)
+        count = self._count[_MEMORY_ROWS + substep]
+        np.divide(angle[:, : self._motors], _MOTOR_STEP, out=count)
+        np.trunc(count, out=count)
+        np.multiply(count, _MOTOR_STEP, out=self.motor_position)
+        self.motor_velocity = self._velocity[substep]
+        self.motor_velocity[:] = _motor_velocity(self._count[substep : substep + _TAPS])
+        self._inertial[_ATTITUDE, substep] = qpos[:, 3:7].T
+        self._inertial[_GYRO, substep] = qvel[:, 3:6].T
+
+    def feel(self, substep: int, qacc: np.ndarray) -> None:
+        """Record the accelerations (n, 32) of the state that `read` read, known after its step."""
+        self._inertial[_LINEAR.start :, substep] = qacc[:, :6].T
+
+    def finish(self) -> None:
+        """Compute the packets of the policy period whose steps have all been read."""
+        motor_count = self._count[_MEMORY_ROWS:][_SENT]
+        joint_count = np.trunc(self._angle[..., self._motors :] / _JOINT_STEP)
+        joint_velocity, self._joint_memory = lfilter(
+            *JOINT_VELOCITY_FILTER, joint_count * _JOINT_STEP, axis=0, zi=self._joint_memory
+        )
+        force = self._specific_force(self._inertial)
+        force = force.reshape(3, SENSOR_WINDOW, PACKET_SUBSTEPS, -1).sum(2) / PACKET_SUBSTEPS
+        window = {
+            "motor_position": motor_count * _MOTOR_STEP,
+            "motor_velocity": self._velocity[_SENT],
+            "joint_position": joint_count[_SENT] * _JOINT_STEP,
+            "joint_velocity": joint_velocity[_SENT],
+            "orientation": np.moveaxis(_upper(self._inertial[_ATTITUDE, _SENT]), 0, -1),
+            "gyro": np.moveaxis(self._inertial[_GYRO, _SENT], 0, -1),
+            "accelerometer": np.moveaxis(force, 0, -1),
+        }
+        for name, values in window.items():
+            self._packets[name][:] = values.swapaxes(0, 1)
+        self._count[:_MEMORY_ROWS] = self._count[SUBSTEPS:]
+        # the buffer it lies in is written again in the next period
+        self.motor_velocity = self.motor_velocity.copy()
+
+    def packets(self) -> dict[str, np.ndarray]:
+        """Live arrays (n, `SENSOR_WINDOW`, k) of the last policy period.
+
+        `motor_position` 10, `motor_velocity` 10, `joint_position` 6, `joint_velocity` 6 [rad,
+        rad/s]; of the IMU `orientation` 4 (pelvis to world, wxyz, w >= 0), `gyro` 3 [rad/s, pelvis]
+        and `accelerometer` 3 [m/s^2, pelvis].
+        """
+        return self._packets
+
+    def memory(self) -> np.ndarray:
+        """(n, k) all that the next policy period depends on."""
+        num = len(self.motor_position)
+        parts = (
+            self._count[:_MEMORY_ROWS].swapaxes(0, 1),
+            self._joint_memory.swapaxes(0, 1),
+            self.motor_position,
+            self.motor_velocity,
+        )
+        return np.concatenate([part.reshape(num, -1) for part in parts], axis=1)
+
+    def set_memory(self, rows: np.ndarray) -> None:
+        """Write what `memory` returned."""
+        num, motors = self.motor_position.shape
+        ends = np.cumsum([_MEMORY_ROWS * motors, self._joint_memory[:, 0].size, motors])
+        count, joint, position, velocity = np.split(rows, ends, axis=1)
+        self._count[:_MEMORY_ROWS] = count.reshape(num, _MEMORY_ROWS, motors).swapaxes(0, 1)
+        self._joint_memory[:] = joint.reshape(num, _ORDER, -1).swapaxes(0, 1)
+        self.motor_position[:], self.motor_velocity[:] = position, velocity
+
+    def _specific_force(self, inertial: np.ndarray) -> np.ndarray:
+        """(3, ...) at the IMU in the pelvis frame, from the (13, ...) rows of the record."""
+        w, *u = inertial[_ATTITUDE]
+        x, y, z = inertial[_LINEAR]
+        proper = (x, y, z + STANDARD_GRAVITY)
+        # R^T a = a - 2 w (u x a) + 2 u x (u x a)
+        once = _cross(u, proper)
+        twice = _cross(u, once)
+        spin, angular, arm = inertial[_GYRO], inertial[_ANGULAR], self._imu
+        tangential = _cross(angular, arm)
+        centripetal = _cross(spin, _cross(spin, arm))
+        return np.stack(
+            [
+                proper[i] - 2 * (w * once[i] - twice[i]) + tangential[i] + centripetal[i]
+                for i in range(3)
+            ]
+        )
+
+
+def _motor_velocity(counts: np.ndarray) -> np.ndarray:
+    """(n, 10) velocities from the last nine counts (9, n, 10), oldest first.
+
+    Counts and taps are whole numbers, and so the sum is exact in whatever order it is taken.
+    """
+    flat = _OLDEST_FIRST @ counts.reshape(_TAPS, -1)
+    return flat.reshape(counts.shape[1:]) * (_MOTOR_STEP / np.pi)
+
+
+def _ramp_response() -> tuple[np.ndarray, float]:
+    """Memory of the joint filter, and its output, when the angle grows by 1 rad/s and is zero."""
+    numerator, denominator = JOINT_VELOCITY_FILTER
+    ramp = PHYSICS_TIMESTEP * np.arange(-1000.0, 1.0)
+    start = lfilter_zi(numerator, denominator) * ramp[0]
+    output, memory = lfilter(numerator, denominator, ramp, zi=start)
+    return memory, float(output[-1])
+
+
+def _upper(quaternion: np.ndarray) -> np.ndarray:
+    """The same rotations (4, ...) with w >= 0."""
+    return np.where(quaternion[:1] < 0, -quaternion, quaternion)
+
+
+def _cross(a: object, b: object) -> list[np.ndarray]:
+    """Vector product of sequences of three coordinates."""
+    (ax, ay, az), (bx, by, bz) = a, b  # pyright: ignore[reportGeneralTypeIssues]
+    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]

@@ -1,0 +1,326 @@
+"""Encoders, velocity filters and IMU against closed form and against MuJoCo's own sensors."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is a compiled module without complete type stubs
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+from scipy.signal import freqz
+
+from aslip.assets import asset_path
+from aslip.cassie import GEAR, PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.cassie.model import load_model
+from aslip.sim import SENSOR_WINDOW, SimulationPool, Simulations
+from aslip.sim.sensors import (
+    JOINT_VELOCITY_FILTER,
+    MOTOR_VELOCITY_TAPS,
+    PACKET_PERIOD,
+    PACKET_SUBSTEPS,
+    Sensors,
+)
+from aslip.task import CassiePhysics
+
+RATE = 1 / PHYSICS_TIMESTEP
+# radians of one count, at the joint: hip roll, hip yaw, hip pitch, knee, foot
+MOTOR_STEPS = np.tile([3.07e-5, 3.07e-5, 4.79e-5, 4.79e-5, 4.8e-7], 2)
+JOINT_STEPS = np.tile([2.40e-5, 2.40e-5, 7.67e-4], 2)
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return load_model(visual=False)
+
+
+class Bench:
+    """Sensors of one robot whose encoders turn as they are told."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.sensors = Sensors(1, model)
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, model.key("standing").id)
+        self.qpos, self.qvel, self.qacc = data.qpos[None], data.qvel[None] * 0, data.qacc[None] * 0
+        simulations = Simulations(1, model=model, num_threads=1)
+        self.indices = simulations.indices
+
+    def reset(self) -> None:
+        self.sensors.reset(np.array([0]), self.qpos, self.qvel, self.qacc)
+
+    def run(self, angle: Callable[[float], float], periods: int) -> dict[str, np.ndarray]:
+        """Turn motors and joints by one function of time; readings at every substep."""
+        records: dict[str, list[np.ndarray]] = {"motor_position": [], "motor_velocity": []}
+        windows: dict[str, list[np.ndarray]] = {}
+        for k in range(periods * SUBSTEPS):
+            now = angle(k * PHYSICS_TIMESTEP)
+            self.qpos[0, self.indices.motor_qpos] = now
+            self.qpos[0, self.indices.joint_qpos] = now
+            self.sensors.read(k % SUBSTEPS, self.qpos, self.qvel)
+            self.sensors.feel(k % SUBSTEPS, self.qacc)
+            for name, record in records.items():
+                record.append(getattr(self.sensors, name)[0].copy())
+            if k % SUBSTEPS == SUBSTEPS - 1:
+                self.sensors.finish()
+                for name, window in self.sensors.packets().items():
+                    windows.setdefault(name, []).append(window[0].copy())
+        return {name: np.array(record) for name, record in records.items()} | {
+            f"sent_{name}": np.concatenate(window) for name, window in windows.items()
+        }
+
+
+def _response(coefficients: tuple[np.ndarray, np.ndarray], hertz: float) -> complex:
+    """Gain and phase of a velocity filter relative to a perfect derivative."""
+    omega = 2 * np.pi * hertz
+    return complex(freqz(*coefficients, worN=[omega / RATE])[1][0]) / (1j * omega)
+
+
+MOTOR_FILTER = (MOTOR_VELOCITY_TAPS / np.pi, np.array([1.0]))
+
+
+# --------------------------------------------------------------------- encoders
+
+
+def test_encoders_have_the_declared_resolution(model: mujoco.MjModel) -> None:
+    """A slow ramp is a staircase whose treads are that wide."""
+    for name, steps in (("motor_position", MOTOR_STEPS), ("joint_position", JOINT_STEPS)):
+        bench = Bench(model)
+        seen = bench.run(lambda t: 0.5 + 1e-3 * t, 10)
+        record = seen[name if name.startswith("motor") else f"sent_{name}"]
+        sent = seen[f"sent_{name}"]
+        for channel, step in enumerate(steps):
+            counts = sent[:, channel] / step
+            np.testing.assert_allclose(counts, np.round(counts), atol=0.02 * abs(counts).max())
+            errors = 0.5 + 1e-3 * PHYSICS_TIMESTEP * np.arange(len(record)) - record[:, channel]
+            if name.startswith("motor"):
+                assert errors.min() >= 0
+                assert errors.max() < 1.01 * step
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_counts_are_cut_toward_zero(model: mujoco.MjModel, sign: float) -> None:
+    bench = Bench(model)
+    seen = bench.run(lambda t: sign * (0.3 + 0.01 * t), 2)
+    for name, steps in (("motor_position", MOTOR_STEPS), ("joint_position", JOINT_STEPS)):
+        times = (np.arange(2 * SENSOR_WINDOW) + 1) * PACKET_PERIOD - PHYSICS_TIMESTEP
+        short = (0.3 + 0.01 * times)[:, None] - sign * seen[f"sent_{name}"]
+        assert (short >= 0).all()
+        assert (short < 1.01 * steps).all()
+
+
+def test_the_resolution_is_that_of_the_bits(model: mujoco.MjModel) -> None:
+    bench = Bench(model)
+    bench.run(lambda t: 1.0, 1)
+    bits = np.array([13, 13, 13, 13, 18] * 2)
+    expected = np.trunc(GEAR / (2 * np.pi) * 2.0**bits) * (2 * np.pi / 2.0**bits / GEAR)
+    np.testing.assert_allclose(bench.sensors.motor_position[0], expected, rtol=1e-14)
+
+
+# ---------------------------------------------------------------------- filters
+
+
+def test_the_motor_filter_has_the_published_gain_and_delay() -> None:
+    gain = abs(_response(MOTOR_FILTER, 1e-3))
+    assert gain == pytest.approx(0.9997, abs=1e-4)
+    delay = -np.angle(_response(MOTOR_FILTER, 1.0)) / (2 * np.pi)
+    assert delay == pytest.approx(0.52e-3, abs=0.01e-3)
+    assert abs(_response(MOTOR_FILTER, 200.0)) / gain == pytest.approx(0.96, abs=0.01)
+
+
+def test_the_joint_filter_has_the_published_gain_and_delay() -> None:
+    assert abs(_response(JOINT_VELOCITY_FILTER, 1e-3)) == pytest.approx(1.0019, abs=1e-4)
+    delay = -np.angle(_response(JOINT_VELOCITY_FILTER, 1.0)) / (2 * np.pi)
+    assert delay == pytest.approx(4.5e-3, abs=0.1e-3)
+    assert abs(_response(JOINT_VELOCITY_FILTER, 50.0)) == pytest.approx(0.75, abs=0.01)
+    assert abs(_response(JOINT_VELOCITY_FILTER, 100.0)) == pytest.approx(0.27, abs=0.01)
+
+
+@pytest.mark.parametrize("hertz", [2.0, 20.0, 50.0])
+def test_a_sine_comes_out_as_the_transfer_function_says(
+    model: mujoco.MjModel, hertz: float
+) -> None:
+    """To within what counting does: a count more or less, through the filter's largest gain."""
+    amplitude, periods = 0.4, 30
+    omega = 2 * np.pi * hertz
+    bench = Bench(model)
+    seen = bench.run(lambda t: amplitude * np.sin(omega * t), periods)
+    times = PHYSICS_TIMESTEP * np.arange(periods * SUBSTEPS)
+    packet_times = PACKET_PERIOD * (np.arange(periods * SENSOR_WINDOW) + 1) - PHYSICS_TIMESTEP
+    cases = [
+        (MOTOR_FILTER, times, seen["motor_velocity"], MOTOR_STEPS * abs(MOTOR_VELOCITY_TAPS).sum()),
+        (JOINT_VELOCITY_FILTER, packet_times, seen["sent_joint_velocity"], JOINT_STEPS * 500),
+    ]
+    for coefficients, when, record, noise in cases:
+        response = _response(coefficients, hertz) * amplitude * omega
+        expected = (response * np.exp(1j * omega * when)).real
+        late = when > 0.3
+        worst = np.abs(record[late] - expected[late, None]).max(0)
+        assert (worst < noise / (np.pi if coefficients is MOTOR_FILTER else 1.0)).all(), worst
+
+
+def test_a_step_of_velocity_is_followed_without_overshoot_of_the_joint_filter(
+    model: mujoco.MjModel,
+) -> None:
+    """From rest to 2 rad/s: still nothing at the first sample, all of it after 30 ms."""
+    bench = Bench(model)
+    bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = 0.0
+    bench.reset()
+    seen = bench.run(lambda t: 2.0 * t, 3)
+    motor, joint = seen["motor_velocity"], seen["sent_joint_velocity"]
+    np.testing.assert_array_equal(motor[0], 0.0)
+    np.testing.assert_allclose(motor[9:].mean(0), 2.0 * 0.9997, rtol=2e-3)
+    assert (joint[0] < 1.5).all()
+    np.testing.assert_allclose(joint[10:].mean(0), 2.0 * 1.0019, rtol=5e-3)
+
+
+# ------------------------------------------------------------------------ resets
+
+
+def test_a_reset_in_motion_starts_settled(model: mujoco.MjModel) -> None:
+    """As if the joints had always turned so: no transient, and nothing of what was before."""
+    bench = Bench(model)
+    bench.run(lambda t: 1.0 - 40.0 * t, 1)  # something to forget
+    speed = 3.0
+    bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = 0.7
+    bench.qvel[0, bench.indices.motor_qvel] = bench.qvel[0, bench.indices.joint_qvel] = speed
+    bench.reset()
+    first = {name: window[0].copy() for name, window in bench.sensors.packets().items()}
+    for window in first.values():
+        np.testing.assert_array_equal(window, np.broadcast_to(window[0], window.shape))
+    before = 0.7 - PHYSICS_TIMESTEP * speed
+    np.testing.assert_allclose(first["motor_position"][0], before, atol=5e-5)
+    np.testing.assert_allclose(first["joint_position"][0], before, atol=8e-4)
+    seen = bench.run(lambda t: 0.7 + speed * t, 1)
+    velocity = np.vstack([first["motor_velocity"][:1], seen["motor_velocity"]])
+    np.testing.assert_allclose(velocity, speed, atol=MOTOR_STEPS.max() * 2500)
+    joint = np.vstack([first["joint_velocity"][:1], seen["sent_joint_velocity"]])
+    np.testing.assert_allclose(joint[:, [0, 1, 3, 4]], 1.0019 * speed, atol=0.02)
+
+
+# --------------------------------------------------------------------------- IMU
+
+
+@pytest.fixture(scope="module")
+def with_accelerometer() -> mujoco.MjModel:
+    """The robot with MuJoCo's own accelerometer at the IMU."""
+    spec = mujoco.MjSpec.from_file(str(asset_path("cassie.xml")))
+    sensor = spec.add_sensor()
+    sensor.name, sensor.type = "accelerometer", mujoco.mjtSensor.mjSENS_ACCELEROMETER
+    sensor.objtype, sensor.objname = mujoco.mjtObj.mjOBJ_SITE, "imu"
+    return spec.compile()
+
+
+def test_the_imu_equals_mujocos(with_accelerometer: mujoco.MjModel) -> None:
+    """Every packet, while the robot is thrown about by random targets."""
+    model = with_accelerometer
+    simulations = Simulations(2, model=model, num_threads=1)
+    states: list[dict[str, np.ndarray]] = []
+    names = ("orientation", "gyro", "accelerometer")
+    places = {
+        name: model.sensor(name).adr[0] + np.arange(model.sensor(name).dim[0]) for name in names
+    }
+    original = simulations._step
+
+    def step(failed: np.ndarray, stage: int) -> None:
+        original(failed, 0)  # all sensors stay those of the state before the step
+        data = simulations.snapshot().sensordata
+        states.append({name: data[:, place].copy() for name, place in places.items()})
+
+    simulations._step = step
+    rng = np.random.default_rng(0)
+    standing = simulations.qpos[:, simulations.indices.motor_qpos].copy()
+    for _ in range(5):
+        states.clear()
+        simulations.advance(standing + rng.normal(0, 0.3, (2, 10)))
+        packets = simulations.sensors.packets()
+        seen = {name: np.stack([state[name] for state in states], axis=1) for name in names}
+        sent = slice(PACKET_SUBSTEPS - 1, None, PACKET_SUBSTEPS)
+        np.testing.assert_allclose(packets["gyro"], seen["gyro"][:, sent], atol=1e-12)
+        turn = seen["orientation"][:, sent]
+        turn = turn * np.where(turn[..., :1] < 0, -1, 1)
+        np.testing.assert_allclose(packets["orientation"], turn, atol=1e-12)
+        mean = seen["accelerometer"].reshape(2, SENSOR_WINDOW, PACKET_SUBSTEPS, 3).mean(2)
+        np.testing.assert_allclose(packets["accelerometer"], mean, atol=1e-10)
+    assert np.abs(mean).max() > 10
+
+
+# ------------------------------------------------------------- many, and again
+
+
+def _targets(pool: SimulationPool, rng: np.random.Generator) -> np.ndarray:
+    standing = pool.model.key("standing").qpos[pool.indices.motor_qpos]
+    return standing + rng.normal(0, 0.3, (pool.num, 10))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_packets_do_not_depend_on_how_robots_are_shared_out(threads: int) -> None:
+    num, rng = 70, np.random.default_rng(2)
+    pool, whole = SimulationPool(num, num_threads=threads), Simulations(num, num_threads=1)
+    for step in range(3):
+        targets = _targets(pool, rng)
+        pool.advance(targets)
+        whole.advance(targets)
+        if step == 1:
+            ids = np.array([0, 33, 64])
+            for simulations in (pool, whole):
+                simulations.reset(ids)
+        for name, window in pool.packets().items():
+            np.testing.assert_array_equal(window, whole.sensors.packets()[name], err_msg=name)
+
+
+def test_both_backends_send_the_same_packets() -> None:
+    physics, pool = CassiePhysics.load(), SimulationPool(1)
+    rng = np.random.default_rng(3)
+    for _ in range(4):
+        target = _targets(pool, rng)
+        physics.set_control(target[0])
+        physics.step(SUBSTEPS)
+        pool.advance(target)
+        for name, window in physics.packets().items():
+            np.testing.assert_array_equal(window, pool.packets()[name][0], err_msg=name)
+
+
+def test_a_saved_state_resumes_with_its_sensors() -> None:
+    pool, other = SimulationPool(3), SimulationPool(3)
+    rng = np.random.default_rng(4)
+    for _ in range(3):
+        pool.advance(_targets(pool, rng))
+    saved, after = pool.states(), _targets(pool, rng)
+    pool.advance(after)
+    other.advance(_targets(other, rng))
+    other.set_states(saved)
+    other.advance(after)
+    np.testing.assert_array_equal(pool.states(), other.states())
+    for name, window in pool.packets().items():
+        np.testing.assert_array_equal(window, other.packets()[name], err_msg=name)
+
+
+def test_a_copied_physics_has_its_own_sensors() -> None:
+    physics, rng = CassiePhysics.load(), np.random.default_rng(5)
+    standing = physics.motor_position()
+    physics.set_control(standing + rng.normal(0, 0.3, 10))
+    physics.step(SUBSTEPS + 7)
+    twin = physics.copy()
+    for robot in (physics, twin):
+        robot.step(SUBSTEPS)
+    for name, window in physics.packets().items():
+        np.testing.assert_array_equal(window, twin.packets()[name], err_msg=name)
+    np.testing.assert_array_equal(physics.data.qpos, twin.data.qpos)
+
+
+def test_a_diverged_robot_does_not_touch_the_others_sensors() -> None:
+    pool, sane = SimulationPool(4), SimulationPool(4)
+    rng = np.random.default_rng(6)
+    for step in range(3):
+        targets = _targets(pool, rng)
+        sane.advance(targets)
+        if step == 1:
+            targets[2, 0] = np.nan
+        pool.advance(targets)
+        for name, window in pool.packets().items():
+            assert np.isfinite(window).all(), name
+            rows = [0, 1, 3]
+            np.testing.assert_array_equal(window[rows], sane.packets()[name][rows], err_msg=name)
+    assert pool.divergences == 1
