@@ -1,0 +1,92 @@
+"""How wrong the robot's sensors are: white noise of every packet, and bias that drifts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aslip.cassie.names import JOINT_NAMES, MOTOR_NAMES
+from aslip.errors import ConfigurationError, ShapeError
+
+NOISE_CHANNELS: Final = MappingProxyType(
+    {
+        "motor_position": len(MOTOR_NAMES),
+        "motor_velocity": len(MOTOR_NAMES),
+        "joint_position": len(JOINT_NAMES),
+        "joint_velocity": len(JOINT_NAMES),
+        "orientation": 3,
+        "gyro": 3,
+        "accelerometer": 3,
+    }
+)
+"""Sensor -> number of channels that err on their own; that of the orientation is a rotation."""
+
+
+def _frozen(name: str, value: ArrayLike) -> float | tuple[float, ...]:
+    """A standard deviation, or several, if they are such."""
+    try:
+        array = np.asarray(value)
+        numeric = array.dtype.kind in "fiu"
+    except ValueError:  # ragged
+        array, numeric = np.empty(0), False
+    if not numeric or not np.all(np.isfinite(array) & (array >= 0)):
+        raise ConfigurationError(f"{name} must be finite and 0 or more, got {value!r}")
+    if array.ndim > 1:
+        raise ShapeError(
+            f"{name} must be one number or one for each channel, got the shape {array.shape}"
+        )
+    return float(array) if array.ndim == 0 else tuple(array.astype(float).tolist())
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """Standard deviations of a sensor's errors, one for all channels or one for each.
+
+    Units are the sensor's; an orientation errs by a rotation vector in the pelvis frame [rad].
+
+    Raises:
+        ConfigurationError: a value is negative or not finite, or is no number.
+        ShapeError: the values are not in a single row.
+    """
+
+    white: ArrayLike = 0.0
+    """Drawn anew for every packet; kept as a float or a tuple of floats."""
+    bias: ArrayLike = 0.0
+    """Drifts through an episode; kept alike."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            # arrays could be altered, and do not compare
+            object.__setattr__(self, field.name, _frozen(field.name, getattr(self, field.name)))
+
+
+SENSOR_NOISE: Final = MappingProxyType(
+    {
+        "motor_position": NoiseLevel(),
+        "motor_velocity": NoiseLevel(),
+        # shin, tarsus, foot, of both legs
+        "joint_position": NoiseLevel(white=(2e-4, 2e-4, 0.0) * 2),
+        "joint_velocity": NoiseLevel(),
+        "orientation": NoiseLevel(white=5e-4, bias=1.5e-3),
+        "gyro": NoiseLevel(white=5e-4, bias=1e-3),
+        "accelerometer": NoiseLevel(white=1e-2, bias=2e-2),
+    }
+)
+"""What `aslip.transforms.ObservationNoise` adds by default [rad, rad/s, m/s^2].
+
+The model file of the robot's public simulator declares the white noise of the shin and tarsus
+encoders, gyro and accelerometer; the simulator never switches it on. For the rest it declares
+nothing, and we choose:
+
+- Motor and foot encoders have no noise beyond their quantisation.
+- Encoders have no bias: they are absolute, and calibrated at start-up.
+- Velocities have none of their own: the robot filters them out of the positions.
+- The orientation is the output of a filter in an inertial unit rated to 0.5 degrees (9e-3 rad); it
+  errs well below the rating, and more slowly than from packet to packet.
+- Gyro and accelerometer are biased by twice their white noise: over the ten packets of a policy
+  step the white noise averages out to a third, so that the bias is what a filter has to deal with.
+"""

@@ -1,0 +1,178 @@
+"""Imperfect sensors: white noise and drifting bias on the packets that the robot sends."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.cassie.sensing import NOISE_CHANNELS, SENSOR_NOISE, NoiseLevel
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+
+_SENSOR_KEYS = tuple(("sensors", name) for name in NOISE_CHANNELS)
+_BIAS_KEYS = tuple(("sensor_bias", name) for name in NOISE_CHANNELS)
+
+
+class ObservationNoise(CassieTransform):
+    r"""Noise on the packets `("sensors", name)`, each (n, W, k).
+
+    Every packet errs by its own white noise and by a bias that is one for the W packets of a policy
+    step. The bias is drawn at each reset and drifts from step to step (Ornstein-Uhlenbeck, exact
+    over the policy period):
+
+    .. math:: b \leftarrow e^{-\Delta t / \tau}\,b + \sigma_b \sqrt{1 - e^{-2 \Delta t / \tau}}\,\xi
+
+    It travels in the tensordict as `("sensor_bias", name)` (n, k), in the sensor's unit. The
+    orientation is turned by a rotation vector in the pelvis frame, k = 3 [rad], and stays a unit
+    quaternion with w >= 0. Sensors of zero level stay as they are, to the bit, and what one sensor
+    draws does not depend on the levels of others. NaN stays NaN, in its packet.
+
+    Must come before whatever reads the packets. It reads the bias before the step, so a caller who
+    makes up a tensordict must carry it on.
+
+    Args:
+        levels: sensor -> level, in place of those in `aslip.cassie.sensing.SENSOR_NOISE`.
+        scale: factor on all levels; 0 is a robot without noise.
+        bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
+
+    Raises:
+        UnknownNameError: a level is for no sensor.
+        ConfigurationError: a level has not one value a channel; the scale is negative or not
+            finite; the time constant is not positive.
+    """
+
+    _white: Tensor
+    _bias: Tensor
+
+    def __init__(
+        self,
+        levels: Mapping[str, NoiseLevel] | None = None,
+        scale: float = 1.0,
+        bias_time: float = 10.0,
+    ) -> None:
+        super().__init__(in_keys=[*_SENSOR_KEYS], out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
+        if not 0 <= scale < math.inf:
+            raise ConfigurationError(f"scale must be finite and 0 or more, got {scale!r}")
+        if not bias_time > 0:
+            raise ConfigurationError(f"bias_time must be more than 0 s, got {bias_time!r}")
+        self.levels = dict(SENSOR_NOISE) | _checked(levels or {})
+        self._decay = math.exp(-POLICY_PERIOD / bias_time)
+        self._renewal = math.sqrt(-math.expm1(-2 * POLICY_PERIOD / bias_time))
+        # all channels in a row: one draw serves all sensors; settings, which no checkpoint holds
+        for name in ("white", "bias"):
+            row = [
+                scale * _row(getattr(self.levels[sensor], name), channels)
+                for sensor, channels in NOISE_CHANNELS.items()
+            ]
+            self.register_buffer(f"_{name}", torch.cat(row), persistent=False)
+        both = self._split(torch.maximum(self._white, self._bias))
+        self._noisy = [bool(level.any()) for level in both]
+
+    def set_seed(self, seed: int) -> None:
+        """Restart the random numbers: those of steps, and, on their own, those of resets.
+
+        What is drawn in a step must not depend on whether another robot was reset before it.
+        """
+        super().set_seed(seed)
+        drawn = torch.randint(2**62, (1,), generator=self.generator)
+        self._reset_generator = torch.Generator().manual_seed(int(drawn))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        mask = tensordict.get("_reset", None)
+        generator = self._reset_generator
+        if mask is None or mask.all():
+            draw = self._draw(tensordict_reset.batch_size, generator)
+            return self._add(tensordict_reset, self._bias * draw, generator)
+        # TorchRL keeps only the rows of robots that are reset
+        rows = mask.reshape(tensordict_reset.batch_size)
+        chosen = tensordict_reset.select("sensors")[rows].clone()
+        self._add(chosen, self._bias * self._draw(chosen.batch_size, generator), generator)
+        for key, value in chosen.items(True, True):
+            full = torch.zeros(*tensordict_reset.batch_size, *value.shape[1:], dtype=value.dtype)
+            full[rows] = value
+            tensordict_reset.set(key, full)
+        return tensordict_reset
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        before = torch.cat([tensordict[key] for key in _BIAS_KEYS], dim=-1)
+        draw = self._draw(before.shape[:-1], self.generator)
+        bias = self._decay * before + self._renewal * self._bias * draw
+        return self._add(next_tensordict, bias, self.generator)
+
+    def _add(
+        self, tensordict: TensorDictBase, bias: Tensor, generator: torch.Generator
+    ) -> TensorDictBase:
+        """Make the packets noisy, with biases (*b, all channels)."""
+        for key, value in zip(_BIAS_KEYS, self._split(bias), strict=True):
+            tensordict.set(key, value)
+        if not any(self._noisy):
+            return tensordict
+        window = tensordict[_SENSOR_KEYS[0]].shape[:-1]  # (*b, W)
+        errors = self._split(self._white * self._draw(window, generator) + bias.unsqueeze(-2))
+        for key, noisy, error in zip(_SENSOR_KEYS, self._noisy, errors, strict=True):
+            if noisy:
+                packets = tensordict[key]
+                turns = key[-1] == "orientation"
+                tensordict.set(key, _turned(packets, error) if turns else packets + error)
+        return tensordict
+
+    def _draw(self, shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
+        """(*shape, all channels) independent standard normal numbers."""
+        return torch.randn((*shape, len(self._white)), generator=generator)
+
+    @staticmethod
+    def _split(row: Tensor) -> tuple[Tensor, ...]:
+        """(*b, all channels) -> one (*b, k) for each sensor."""
+        return row.split(list(NOISE_CHANNELS.values()), dim=-1)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the biases."""
+        require_keys(self, observation_spec, _SENSOR_KEYS)
+        sizes = dict(zip(_BIAS_KEYS, NOISE_CHANNELS.values(), strict=True))
+        return extend_spec(observation_spec, sizes)
+
+
+def _checked(levels: Mapping[str, NoiseLevel]) -> dict[str, NoiseLevel]:
+    """Levels by sensors there are, with as many values as these have channels."""
+    for sensor, level in levels.items():
+        if sensor not in NOISE_CHANNELS:
+            close = difflib.get_close_matches(str(sensor), NOISE_CHANNELS, n=1)
+            hint = f", did you mean {close[0]!r}?" if close else ";"
+            raise UnknownNameError(f"no sensor {sensor!r}{hint} there are {list(NOISE_CHANNELS)}")
+        if not isinstance(level, NoiseLevel):
+            raise ConfigurationError(f"the level of {sensor!r} must be a NoiseLevel, got {level!r}")
+        for name in ("white", "bias"):
+            value, channels = getattr(level, name), NOISE_CHANNELS[sensor]
+            if isinstance(value, tuple) and len(value) != channels:
+                raise ConfigurationError(
+                    f"{name} of {sensor!r} must be one number or {channels}, got the"
+                    f" {len(value)} of {value!r}"
+                )
+    return dict(levels)
+
+
+def _row(value: float | tuple[float, ...], channels: int) -> Tensor:
+    """(channels,) of one value or all."""
+    return torch.tensor(value, dtype=torch.float32).expand(channels)
+
+
+def _turned(quaternion: Tensor, rotation: Tensor) -> Tensor:
+    """Orientations (*b, 4) followed by rotation vectors (*b, 3) [rad] in their own frame."""
+    angle = rotation.norm(dim=-1, keepdim=True)
+    w, u = (angle / 2).cos(), torch.sinc(angle / (2 * math.pi)) / 2 * rotation
+    scalar, vector = quaternion[..., :1], quaternion[..., 1:]
+    product = (
+        scalar * w - (vector * u).sum(-1, keepdim=True),
+        scalar * u + w * vector + torch.linalg.cross(vector, u),
+    )
+    turned = torch.nn.functional.normalize(torch.cat(product, dim=-1), dim=-1)
+    return torch.where(turned[..., :1] < 0, -turned, turned)

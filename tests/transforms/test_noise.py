@@ -1,0 +1,497 @@
+"""Sensors err as much as they are told to, and no more.
+
+Statistics are compared within 5 standard errors of the estimate, with fixed seeds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import FrozenInstanceError, replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Composite, Unbounded
+from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs.utils import check_env_specs
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.cassie.sensing import NOISE_CHANNELS
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.transforms import SENSOR_NOISE, NoiseLevel, ObservationNoise
+from tests.conftest import differing, leaves
+
+WINDOW = 10
+SIZES = NOISE_CHANNELS | {"orientation": 4}
+SILENT = dict.fromkeys(NOISE_CHANNELS, NoiseLevel())
+
+
+def _clean(num: int, window: int = WINDOW, seed: int = 7) -> TensorDict:
+    """Arbitrary packets of a robot."""
+    generator = torch.Generator().manual_seed(seed)
+    sensors = {
+        name: torch.randn(num, window, size, generator=generator) for name, size in SIZES.items()
+    }
+    unit = torch.nn.functional.normalize(sensors["orientation"], dim=-1)
+    sensors["orientation"] = torch.where(unit[..., :1] < 0, -unit, unit)
+    return TensorDict(sensors=TensorDict(sensors, batch_size=num), batch_size=num)
+
+
+def _start(noise: ObservationNoise, packets: TensorDict) -> TensorDictBase:
+    """The packets after a reset of all robots."""
+    return noise._reset(TensorDict(batch_size=packets.batch_size), packets.clone())
+
+
+def _next(noise: ObservationNoise, td: TensorDictBase, packets: TensorDict) -> TensorDictBase:
+    """The packets after a step."""
+    return noise._step(td, packets.clone())
+
+
+def _errors(noisy: TensorDictBase, clean: TensorDict) -> dict[str, Tensor]:
+    """(n, W, k) of each sensor, in double precision; of the orientation the rotation vector."""
+    errors = {}
+    for name in NOISE_CHANNELS:
+        before, after = (td["sensors", name].double() for td in (clean, noisy))
+        errors[name] = _turn(before, after) if name == "orientation" else after - before
+    return errors
+
+
+def _turn(before: Tensor, after: Tensor) -> Tensor:
+    """Rotation vector, in the frame of `before`, from one orientation to another."""
+    w, v = before[..., :1], -before[..., 1:]
+    scalar, vector = after[..., :1], after[..., 1:]
+    real = w * scalar - (v * vector).sum(-1, keepdim=True)
+    imaginary = w * vector + scalar * v + torch.linalg.cross(v, vector)
+    sine = imaginary.norm(dim=-1, keepdim=True)
+    angle = 2 * torch.atan2(sine, real.abs())
+    return torch.where(sine > 0, angle / sine * imaginary * real.sign(), 0.0)
+
+
+def _norm(vector: Tensor) -> Tensor:
+    return torch.linalg.vector_norm(vector, dim=-1)
+
+
+def _join(by_sensor: dict[str, Tensor]) -> Tensor:
+    return torch.cat([by_sensor[name] for name in NOISE_CHANNELS], dim=-1)
+
+
+def _bias(td: TensorDictBase) -> Tensor:
+    """(n, 41)."""
+    return torch.cat([td["sensor_bias", name] for name in NOISE_CHANNELS], dim=-1)
+
+
+def _everywhere(white: float = 0.0, bias: float = 0.0) -> dict[str, NoiseLevel]:
+    return dict.fromkeys(NOISE_CHANNELS, NoiseLevel(white, bias))
+
+
+# ------------------------------------------------------------- white noise
+
+
+def test_every_channel_has_its_own_white_noise() -> None:
+    """Of the standard deviation that was asked for, relative error 1 / sqrt(2 N); mean zero."""
+    levels, num = {}, 500
+    for name, channels in NOISE_CHANNELS.items():
+        levels[name] = NoiseLevel(white=0.01 + 0.01 * np.arange(channels))
+    clean = _clean(num)
+    errors = _errors(_start(ObservationNoise(levels), clean), clean)
+    for name, error in errors.items():
+        samples = error.flatten(0, 1)
+        count, expected = len(samples), torch.tensor(levels[name].white)
+        assert ((samples.std(0) / expected - 1).abs() < 5 / math.sqrt(2 * count)).all(), name
+        assert ((samples.mean(0) / expected).abs() < 5 / math.sqrt(count)).all(), name
+
+
+def test_white_noise_is_independent_across_packets_channels_robots_and_steps() -> None:
+    """Correlations vanish, standard error 1 / sqrt(N)."""
+    num = 400
+    clean = _clean(num)
+    noise = ObservationNoise(_everywhere(white=1e-2))
+    first = _start(noise, clean)
+    a, b = (_join(_errors(td, clean)) / 1e-2 for td in (first, _next(noise, first, clean)))
+    for x, y in (
+        (a[:, 1:], a[:, :-1]),
+        (a[..., 1:], a[..., :-1]),
+        (a[1:], a[:-1]),
+        (a, b),
+    ):
+        assert abs((x * y).mean()) < 5 / math.sqrt(x.numel())
+
+
+def test_the_packets_of_a_reset_differ() -> None:
+    """The robot reads the same ten times, its sensors do not."""
+    clean = _clean(1, window=1)["sensors", "gyro"].expand(1, WINDOW, 3)
+    packets = _clean(1)
+    packets["sensors", "gyro"] = clean.clone()
+    gyro = _start(ObservationNoise(), packets)["sensors", "gyro"]
+    assert len(gyro[0].unique(dim=0)) == WINDOW
+
+
+# ------------------------------------------------------------------- bias
+
+
+def test_the_bias_is_one_for_a_window_and_is_reported() -> None:
+    clean = _clean(5)
+    noise = ObservationNoise(_everywhere(bias=0.2))
+    td = _start(noise, clean)
+    for _ in range(2):
+        for name, error in _errors(td, clean).items():
+            bias = td["sensor_bias", name].double()[:, None].expand_as(error)
+            torch.testing.assert_close(error, bias, rtol=0, atol=2e-6, msg=name)
+        td = _next(noise, td, clean)
+
+
+@pytest.mark.parametrize(("bias_time", "steps"), [(0.3, 1), (0.3, 10), (10.0, 333)])
+def test_the_bias_is_stationary_and_forgets_in_its_time(bias_time: float, steps: int) -> None:
+    """N values: std within 5 / sqrt(2 N), correlation r over t/tau within 5 (1 - r^2) / sqrt(N)."""
+    num, level = 500, 0.3
+    clean = _clean(num, window=1)
+    noise = ObservationNoise(_everywhere(bias=level), bias_time=bias_time)
+    td = first = _start(noise, clean)
+    for _ in range(steps):
+        td = _next(noise, td, clean)
+    start, end = _bias(first).double() / level, _bias(td).double() / level
+    count = start.numel()
+    for value in (start, end):
+        assert abs(value.mean()) < 5 / math.sqrt(count)
+        assert abs(value.std() - 1) < 5 / math.sqrt(2 * count)
+    expected = math.exp(-steps * POLICY_PERIOD / bias_time)
+    tolerance = 5 * (1 - expected**2) / math.sqrt(count)
+    correlation = torch.corrcoef(torch.stack([start.flatten(), end.flatten()]))[0, 1]
+    assert abs(correlation - expected) < tolerance
+
+
+def test_biases_of_robots_and_channels_are_independent() -> None:
+    """Correlations vanish, standard error 1 / sqrt(N)."""
+    bias = _bias(_start(ObservationNoise(_everywhere(bias=1.0)), _clean(1000, window=1)))
+    for x, y in ((bias[1:], bias[:-1]), (bias[:, 1:], bias[:, :-1])):
+        assert abs((x * y).mean()) < 5 / math.sqrt(x.numel())
+
+
+def test_the_bias_drifts_from_what_the_tensordict_holds() -> None:
+    """Not from anything the transform remembers: two episodes through one transform, in turns."""
+    clean = _clean(3)
+    noise = ObservationNoise(_everywhere(bias=1.0), bias_time=math.inf)
+    one, other = _start(noise, clean), _start(noise, clean)
+    for _ in range(3):
+        after_one, after_other = _next(noise, one, clean), _next(noise, other, clean)
+        assert torch.equal(_bias(after_one), _bias(one))
+        assert torch.equal(_bias(after_other), _bias(other))
+        one, other = after_one, after_other
+    assert not torch.equal(_bias(one), _bias(other))
+
+
+# ------------------------------------------------------------ orientation
+
+
+def test_the_orientation_turns_by_as_much_as_asked() -> None:
+    """Angles have a Maxwell distribution: mean sqrt(8/pi) s, mean square 3 s^2.
+
+    Of one angle they deviate by sqrt(3 - 8/pi) s and sqrt(6) s^2.
+    """
+    level, clean = 0.02, _clean(1000)
+    noise = ObservationNoise({"orientation": NoiseLevel(white=level)})
+    angle = _errors(_start(noise, clean), clean)["orientation"].norm(dim=-1) / level
+    root = math.sqrt(angle.numel())
+    assert abs(angle.mean() - math.sqrt(8 / math.pi)) < 5 * math.sqrt(3 - 8 / math.pi) / root
+    assert abs((angle**2).mean() - 3) < 5 * math.sqrt(6) / root
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_the_orientation_turns_about_axes_of_the_pelvis(axis: int) -> None:
+    level = np.zeros(3)
+    level[axis] = 0.3
+    clean = _clean(200)
+    noise = ObservationNoise({**SILENT, "orientation": NoiseLevel(white=level, bias=level)})
+    error = _errors(_start(noise, clean), clean)["orientation"]
+    others = [i for i in range(3) if i != axis]
+    assert error[..., others].abs().max() < 2e-6
+    assert error[..., axis].abs().max() > 0.5
+
+
+def test_the_orientation_stays_a_unit_quaternion_of_the_upper_half() -> None:
+    """Also next to w = 0, where noise would take it to the other half."""
+    clean = _clean(200)
+    clean["sensors", "orientation"] = torch.tensor([1e-4, 0.6, 0.0, 0.8]).expand(200, WINDOW, 4)
+    noise = ObservationNoise({"orientation": NoiseLevel(white=0.1, bias=0.1)})
+    after = _start(noise, clean)["sensors", "orientation"]
+    assert (after[..., 0] >= 0).all()
+    assert (after[..., 1] < 0).any()  # some did change sides
+    torch.testing.assert_close(_norm(after), torch.ones(200, WINDOW), rtol=0, atol=2e-7)
+
+
+# ------------------------------------------------------- none, and scales
+
+
+@pytest.mark.parametrize(
+    "noise", [ObservationNoise(scale=0.0), ObservationNoise(SILENT), ObservationNoise(SILENT, 3.0)]
+)
+def test_without_noise_the_packets_are_the_same_to_the_bit(noise: ObservationNoise) -> None:
+    clean = _clean(4)
+    td = _start(noise, clean)
+    for _ in range(2):
+        for name in SIZES:
+            assert torch.equal(td["sensors", name], clean["sensors", name]), name
+            assert (td["sensor_bias", name] == 0).all()
+        td = _next(noise, td, clean)
+
+
+def test_channels_without_noise_are_the_same_to_the_bit() -> None:
+    """By default the motors, all velocities, and the encoders of the feet."""
+    clean = _clean(4)
+    noisy = _start(ObservationNoise(), clean)
+    changed = {name: noisy["sensors", name] != clean["sensors", name] for name in SIZES}
+    for name in ("motor_position", "motor_velocity", "joint_velocity"):
+        assert not changed[name].any(), name
+    assert changed["joint_position"].any(1).any(0).tolist() == [True, True, False] * 2
+    for name in ("orientation", "gyro", "accelerometer"):
+        assert changed[name].any(-1).all(), name
+
+
+def test_an_orientation_without_noise_is_not_even_normalised() -> None:
+    clean = _clean(4)
+    clean["sensors", "orientation"] *= 1.001
+    noise = ObservationNoise({**_everywhere(0.1, 0.1), "orientation": NoiseLevel()})
+    td = _next(noise, _start(noise, clean), clean)
+    assert torch.equal(td["sensors", "orientation"], clean["sensors", "orientation"])
+
+
+def test_the_scale_multiplies_noise_and_bias() -> None:
+    clean = _clean(4)
+    whole, half = (_start(ObservationNoise(scale=scale), clean) for scale in (1.0, 0.5))
+    torch.testing.assert_close(_bias(half), 0.5 * _bias(whole))
+    left, right = (_join(_errors(td, clean)) for td in (half, whole))
+    torch.testing.assert_close(left, 0.5 * right, rtol=0, atol=1e-6)
+
+
+def test_the_packets_that_came_in_are_not_written_to() -> None:
+    packets, clean = _clean(3), _clean(3)
+    held = leaves(packets)
+    ObservationNoise(_everywhere(1.0, 1.0))._reset(TensorDict(batch_size=3), packets)
+    for key, value in leaves(clean).items():
+        assert torch.equal(held[key], value)
+
+
+def test_a_packet_that_is_no_number_stays_its_own() -> None:
+    clean = _clean(3)
+    broken = clean.clone()
+    for name in SIZES:
+        broken["sensors", name][1, 4] = torch.nan
+    noisy = {}
+    for packets in (clean, broken):
+        noise = ObservationNoise(_everywhere(0.1, 0.1))
+        noisy[packets is broken] = _next(noise, _start(noise, packets), packets)
+    for name in SIZES:
+        value = noisy[True]["sensors", name]
+        assert value[1, 4].isnan().all(), name
+        expected = noisy[False]["sensors", name].clone()
+        expected[1, 4] = torch.nan
+        torch.testing.assert_close(value, expected, rtol=0, atol=0, equal_nan=True)
+    assert torch.equal(_bias(noisy[True]), _bias(noisy[False]))
+
+
+# ------------------------------------------------------------------ seeds
+
+
+def _two_steps(noise: ObservationNoise) -> TensorDictBase:
+    td = _start(noise, _clean(4))
+    return _next(noise, td, _clean(4))
+
+
+def test_the_same_seed_gives_the_same_noise() -> None:
+    noise, other = ObservationNoise(), ObservationNoise()
+    noise.set_seed(3)
+    other.set_seed(3)
+    torch.manual_seed(1)  # of no concern to the transform
+    first = _two_steps(noise)
+    assert not differing(first, _two_steps(other))
+    assert differing(first, _two_steps(other))
+    other.set_seed(3)
+    assert not differing(first, _two_steps(other))
+    other.set_seed(4)
+    after = _two_steps(other)
+    assert not torch.equal(after["sensors", "gyro"], first["sensors", "gyro"])
+
+
+def test_what_a_sensor_draws_does_not_depend_on_other_levels() -> None:
+    alone = ObservationNoise({**SILENT, "gyro": SENSOR_NOISE["gyro"]})
+    among, single = _two_steps(ObservationNoise()), _two_steps(alone)
+    for group in ("sensors", "sensor_bias"):
+        assert torch.equal(among[group, "gyro"], single[group, "gyro"])
+
+
+# ----------------------------------------------------------------- levels
+
+
+def test_the_default_levels_are_the_declared_and_the_chosen_ones() -> None:
+    """White noise from the model file of the public simulator, where it declares any."""
+    assert SENSOR_NOISE["joint_position"].white == (2e-4, 2e-4, 0.0, 2e-4, 2e-4, 0.0)
+    assert SENSOR_NOISE["gyro"] == NoiseLevel(white=5e-4, bias=1e-3)
+    assert SENSOR_NOISE["accelerometer"] == NoiseLevel(white=1e-2, bias=2e-2)
+    assert SENSOR_NOISE["orientation"] == NoiseLevel(white=5e-4, bias=1.5e-3)
+    silent = {name for name, level in SENSOR_NOISE.items() if level == NoiseLevel()}
+    assert silent == {"motor_position", "motor_velocity", "joint_velocity"}
+    assert set(SENSOR_NOISE) == set(NOISE_CHANNELS)
+
+
+def test_levels_take_the_place_of_those_named_only() -> None:
+    noise = ObservationNoise({"gyro": NoiseLevel(0.1)})
+    assert noise.levels == {**SENSOR_NOISE, "gyro": NoiseLevel(0.1)}
+
+
+def test_a_level_cannot_be_altered() -> None:
+    values = np.array([1.0, 2.0, 3.0])
+    level = NoiseLevel(white=values)
+    values[0] = 9.0
+    assert level == NoiseLevel(white=(1.0, 2.0, 3.0))
+    assert replace(level, bias=1).bias == 1.0
+    with pytest.raises(FrozenInstanceError):
+        level.white = 0.0  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    "value", [-1.0, math.nan, math.inf, [0.1, -0.1], "0.1", None, True, 1j, [[0.1], [0.1, 0.2]]]
+)
+@pytest.mark.parametrize("name", ["white", "bias"])
+def test_a_standard_deviation_that_is_none_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(ConfigurationError, match=f"{name} must be finite and 0 or more, got"):
+        NoiseLevel(**{name: value})
+
+
+def test_a_table_of_standard_deviations_is_refused() -> None:
+    with pytest.raises(ShapeError, match=r"one for each channel, got the shape \(2, 3\)"):
+        NoiseLevel(white=np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize(("sensor", "channels"), [("gyro", 3), ("orientation", 3), ("gyro", 1)])
+def test_another_number_of_channels_is_refused(sensor: str, channels: int) -> None:
+    level = NoiseLevel(bias=[0.1] * (4 if channels == 3 else channels))
+    with pytest.raises(ConfigurationError, match=f"bias of '{sensor}' must be one number or 3"):
+        ObservationNoise({sensor: level})
+
+
+def test_an_unknown_sensor_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="no sensor 'gyros', did you mean 'gyro'"):
+        ObservationNoise({"gyros": NoiseLevel()})
+    with pytest.raises(UnknownNameError, match=r"no sensor 'sonar'; there are.*'accelerometer'"):
+        ObservationNoise({"sonar": NoiseLevel()})
+
+
+def test_a_bare_number_is_no_level() -> None:
+    with pytest.raises(ConfigurationError, match=r"'gyro' must be a NoiseLevel, got 0\.1"):
+        ObservationNoise({"gyro": 0.1})  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("scale", [-1.0, math.nan, math.inf])
+def test_a_scale_that_is_none_is_refused(scale: float) -> None:
+    with pytest.raises(ConfigurationError, match="scale must be finite and 0 or more, got"):
+        ObservationNoise(scale=scale)
+
+
+@pytest.mark.parametrize("bias_time", [0.0, -1.0, math.nan])
+def test_a_time_constant_that_is_none_is_refused(bias_time: float) -> None:
+    with pytest.raises(ConfigurationError, match="bias_time must be more than 0 s, got"):
+        ObservationNoise(bias_time=bias_time)
+
+
+# --------------------------------------------------------- in environments
+
+
+class _Sensing(EnvBase):
+    """N robots at rest, each with its own readings, that never change.
+
+    Args:
+        num: number of robots.
+        names: sensors they have.
+    """
+
+    def __init__(self, num: int, names: tuple[str, ...] = tuple(SIZES)) -> None:
+        super().__init__(device="cpu", batch_size=torch.Size([num]))
+        clean = _clean(num).select(*(("sensors", name) for name in names))
+        self.clean = clean
+        self.observation_spec = Composite(
+            sensors=Composite(
+                {name: Unbounded(value.shape) for name, value in clean["sensors"].items()},
+                shape=(num,),
+            ),
+            shape=(num,),
+        )
+        single = torch.Size((num, 1))
+        self.action_spec = Composite(action=Unbounded(single), shape=(num,))
+        self.reward_spec = Unbounded(single)
+        flag = Binary(shape=single, dtype=torch.bool)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=(num,))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        del tensordict
+        flag = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
+        rest = {"reward": flag.float(), "done": flag, "terminated": flag.clone()}
+        return self.clean.clone().update(rest)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        del tensordict, kwargs
+        return self.clean.clone()
+
+    def _set_seed(self, seed: int | None) -> None: ...
+
+
+def _noisy_env(num: int) -> TransformedEnv:
+    return TransformedEnv(_Sensing(num), ObservationNoise(_everywhere(0.1, 0.1)))
+
+
+def test_the_specs_hold() -> None:
+    env = _noisy_env(3)
+    check_env_specs(env)
+    spec = env.observation_spec["sensor_bias"]
+    assert {name: tuple(leaf.shape) for name, leaf in spec.items()} == {
+        name: (3, channels) for name, channels in NOISE_CHANNELS.items()
+    }
+
+
+def test_an_environment_that_lacks_a_sensor_is_refused() -> None:
+    env = TransformedEnv(_Sensing(2, ("gyro", "orientation")), ObservationNoise())
+    with pytest.raises(UnknownNameError, match=r"reads \('sensors', 'motor_position'\)"):
+        _ = env.observation_spec
+
+
+def test_the_bias_travels_through_a_rollout() -> None:
+    """Steps of it are small: sqrt(1 - exp(-2 dt/tau)), 0.08 of the level with the default time."""
+    steps = 20
+    env = _noisy_env(200)
+    bias = _bias(env.rollout(steps)["next"]).double() / 0.1  # (n, steps, 41)
+    moves = bias[:, 1:] - math.exp(-POLICY_PERIOD / 10) * bias[:, :-1]
+    expected = math.sqrt(-math.expm1(-2 * POLICY_PERIOD / 10))
+    assert abs(moves.std() / expected - 1) < 5 / math.sqrt(2 * moves.numel())
+
+
+@pytest.mark.parametrize("explicit", [False, True])
+def test_a_partial_reset_draws_for_the_rows_that_are_reset_only(explicit: bool) -> None:
+    """Both ways TorchRL has: by `done`, and by a `_reset` mask in the old tensordict."""
+    env = _noisy_env(4)
+    td = env.step(env.reset().set("action", torch.zeros(4, 1)))["next"]
+    old = td.clone()
+    rows, kept, new = torch.tensor([[False], [True], [False], [True]]), [0, 2], [1, 3]
+    if explicit:
+        after = env.reset(td.set("_reset", rows))
+    else:
+        td["done"], td["terminated"] = rows, rows.clone()
+        after = env.maybe_reset(td)
+    for key, value in leaves(old.select("sensors", "sensor_bias")).items():
+        assert torch.equal(after[key][kept], value[kept]), key
+        # level 0.1: no draw comes close to the one before in all channels
+        assert _norm((after[key][new] - value[new]).flatten(1)).min() > 1e-2, key
+    # what is kept goes on from where it was, and the rest from what was drawn
+    following = env.step(after.clone().set("action", torch.zeros(4, 1)))["next"]
+    change = (_bias(following) - _bias(after)).std() / 0.1
+    assert change == pytest.approx(math.sqrt(-math.expm1(-2 * POLICY_PERIOD / 10)), rel=0.3)
+
+
+def test_the_bias_drawn_at_partial_resets_is_stationary() -> None:
+    """Std within 5 / sqrt(2 N)."""
+    env = _noisy_env(300)
+    td = env.reset()
+    rows = torch.arange(300)[:, None] % 2 == 0
+    bias = _bias(env.reset(td.set("_reset", rows)))[::2].double() / 0.1
+    assert abs(bias.std() - 1) < 5 / math.sqrt(2 * bias.numel())
