@@ -5,6 +5,9 @@ An experiment is a stack that differs from the default one in a line or two:
     make_env(drop=["foot_orient"])                               # ablate a reward term
     make_env(replace={"reward": WeightedReward({...})})          # weigh the terms otherwise
     make_env(replace={"start": ReferenceStart(library, "rest")}) # start at rest
+    make_env(replace={"estimator": TrueState()})                 # perfect knowledge of the state
+    make_env(drop=["noise"])                                     # perfect sensors
+    make_env(reward_on="estimate")                               # reward what the robot knows
     make_env(stack=insert_before(stack, "reward", my_term=...))  # one more term
 
 A stack is an ordered dict of names and transforms. It is never edited in place once it belongs to
@@ -16,10 +19,12 @@ from __future__ import annotations
 import difflib
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose, RewardSum, StepCounter, Transform
 
@@ -32,20 +37,23 @@ from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
     CassieTransform,
+    EstimatedState,
     Fall,
     LastAction,
     LowReward,
+    ObservationNoise,
     PhaseClock,
     ReferenceInjection,
     ReferenceStart,
     RewardTerm,
     SpeedCommand,
-    TrueState,
     WeightedReward,
 )
 from aslip.transforms.base import require_keys
 
 Backend = Literal["batch", "dm_control"]
+
+RewardSource = Literal["truth", "estimate"]
 
 Stack = dict[str, Callable[[], Transform]]
 
@@ -92,60 +100,56 @@ class CassieTransformedEnv(TransformedEnv):
         return super().set_seed(seed, static_seed=static_seed)
 
 
-def reward_terms() -> Stack:
-    """The paper's five reward terms, by their names there (Sec. IV-B)."""
-    return {
-        "com_vel": lambda: RewardTerm(
-            "com_vel",
-            rewards.com_vel,
-            [
-                ("truth", "pelvis_orientation"),
-                ("truth", "pelvis_velocity"),
-                ("reference", "body_velocity"),
-            ],
-        ),
-        "foot_pos": lambda: RewardTerm(
-            "foot_pos",
-            rewards.foot_pos,
-            [
-                ("truth", "pelvis_orientation"),
-                ("truth", "pelvis_position"),
-                ("truth", "left_foot_position"),
-                ("truth", "right_foot_position"),
-                ("reference", "left_foot_position"),
-                ("reference", "right_foot_position"),
-            ],
-        ),
-        "straight_diff": lambda: RewardTerm(
-            "straight_diff", rewards.straight_diff, [("truth", "pelvis_position")]
-        ),
-        "foot_orient": lambda: RewardTerm(
-            "foot_orient",
-            rewards.foot_orient,
-            [("truth", "left_foot_orientation"), ("truth", "right_foot_orientation")],
-        ),
-        "action_diff": lambda: RewardTerm(
-            "action_diff", rewards.action_diff, [], root_keys=["action", "last_action"]
-        ),
+def reward_terms(reward_on: RewardSource = "truth") -> Stack:
+    """The paper's five reward terms, by their names there (Sec. IV-B).
+
+    Args:
+        reward_on: where pelvis and feet are taken from, the simulator's truth or the odometry of
+            the state estimator.
+    """
+    source = "truth" if reward_on == "truth" else "odometry"
+
+    def body(*names: str) -> list[NestedKey]:
+        return [(source, name) for name in names]
+
+    def reference(*names: str) -> list[NestedKey]:
+        return [("reference", name) for name in names]
+
+    feet = ("left_foot_position", "right_foot_position")
+    reads = {
+        rewards.com_vel: body("pelvis_orientation", "pelvis_velocity") + reference("body_velocity"),
+        rewards.foot_pos: body("pelvis_orientation", "pelvis_position", *feet) + reference(*feet),
+        rewards.straight_diff: body("pelvis_position"),
+        rewards.foot_orient: body("left_foot_orientation", "right_foot_orientation"),
     }
+    terms: Stack = {
+        function.__name__: partial(RewardTerm, function.__name__, function, keys)
+        for function, keys in reads.items()
+    }
+    terms["action_diff"] = lambda: RewardTerm(
+        "action_diff", rewards.action_diff, [], root_keys=["action", "last_action"]
+    )
+    return terms
 
 
-def default_stack(library: GaitLibrary) -> Stack:
+def default_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> Stack:
     """The paper's stack in order: name -> what makes the transform.
 
-    Rewards read the truth, as usual when training in simulation; the policy's input reads the
-    estimate alone.
+    The policy never sees the truth: its input is what a state estimator makes of noisy sensors.
+    Rewards read the truth, as usual when training in simulation, where the simulator knows what a
+    robot could only guess; with `reward_on="estimate"` they read the estimator's odometry instead.
     """
     return {
         "start": lambda: ReferenceStart(library),
         "command": lambda: SpeedCommand(library),
         "clock": lambda: PhaseClock(library),
         "reference": lambda: ReferenceInjection(library),
-        "estimator": TrueState,
+        "noise": ObservationNoise,
+        "estimator": EstimatedState,
         "observation": AssembleObservation,
         "action": ActionDelta,
         "last_action": LastAction,
-        **reward_terms(),
+        **reward_terms(reward_on),
         "reward": lambda: WeightedReward(rewards.PAPER_WEIGHTS),
         "fall": Fall,
         "low_reward": LowReward,
@@ -177,6 +181,7 @@ def make_env(
     drop: Iterable[str] = (),
     replace: Mapping[str, Transform | Callable[[], Transform]] | None = None,
     stack: Stack | None = None,
+    reward_on: RewardSource = "truth",
     library: GaitLibrary | None = None,
     num_threads: int = 0,
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
@@ -190,7 +195,8 @@ def make_env(
         drop: names of transforms to leave out. Without some reward terms the largest reward is
             smaller, while an episode still ends below 0.3: consider `LowReward` along with them.
         replace: name -> transform, or something that makes it, to take the place of another.
-        stack: another stack altogether; `default_stack(library)` by default.
+        stack: another stack altogether; `default_stack(library, reward_on)` by default.
+        reward_on: what the default stack's rewards read, "truth" or "estimate".
         library: another gait library; the shipped one by default.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.
@@ -203,10 +209,14 @@ def make_env(
     """
     if backend not in get_args(Backend):
         raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+    if reward_on not in get_args(RewardSource):
+        raise ConfigurationError(
+            f"reward_on must be one of {get_args(RewardSource)}, got {reward_on!r}"
+        )
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
     if stack is None:
-        stack = default_stack(GaitLibrary.load() if library is None else library)
+        stack = default_stack(GaitLibrary.load() if library is None else library, reward_on)
     drop = [drop] if isinstance(drop, str) else list(drop)
     chosen = _edited(stack, drop, dict(replace or {}))
     base: CassieEnv

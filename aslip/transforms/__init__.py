@@ -5,11 +5,13 @@ resets, several processes and replay need no care. Those that draw random number
 and follow `env.set_seed`.
 """
 
+from aslip.cassie.sensing import SENSOR_NOISE, NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
 from aslip.transforms.base import CassieTransform
 from aslip.transforms.command import PhaseClock, SpeedCommand
 from aslip.transforms.episode import Fall, LowReward
-from aslip.transforms.estimate import ESTIMATE_SIZES, TrueState
+from aslip.transforms.estimate import ESTIMATE_SIZES, ODOMETRY_SIZES, EstimatedState, TrueState
+from aslip.transforms.noise import ObservationNoise
 from aslip.transforms.observation import OBSERVATION_TABLE, AssembleObservation
 from aslip.transforms.reference import ReferenceInjection, ReferenceStart
 from aslip.transforms.reward import RewardTerm, WeightedReward
@@ -17,12 +19,17 @@ from aslip.transforms.reward import RewardTerm, WeightedReward
 __all__ = [
     "ESTIMATE_SIZES",
     "OBSERVATION_TABLE",
+    "ODOMETRY_SIZES",
+    "SENSOR_NOISE",
     "ActionDelta",
     "AssembleObservation",
     "CassieTransform",
+    "EstimatedState",
     "Fall",
     "LastAction",
     "LowReward",
+    "NoiseLevel",
+    "ObservationNoise",
     "PhaseClock",
     "ReferenceInjection",
     "ReferenceStart",

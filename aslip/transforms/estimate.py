@@ -1,13 +1,25 @@
-"""What the robot believes about its state, under `("estimate", ...)`."""
+"""What the robot believes about its state, under `("estimate", ...)` and `("odometry", ...)`."""
 
 from __future__ import annotations
 
 from types import MappingProxyType
 from typing import Final, cast
 
+import numpy as np
+import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Composite
+from tensordict.utils import NestedKey
+from torchrl.data import Binary, Composite, Unbounded
 
+from aslip.cassie import SIDES
+from aslip.estimation import (
+    FAULTS,
+    PACKET_SIZES,
+    TRACKING_SIZE,
+    Estimate,
+    StateEstimator,
+    Tracking,
+)
 from aslip.transforms.base import CassieTransform, extend_spec, require_keys
 
 ESTIMATE_SIZES: Final = MappingProxyType(
@@ -28,6 +40,21 @@ orientation (wxyz, w >= 0), velocity in the world [m/s], angular velocity in the
 [rad/s], acceleration in the pelvis frame without gravity [m/s^2], motors and joints [rad, rad/s].
 Frames are those of the robot's own estimator, measured in its public simulator."""
 
+ODOMETRY_SIZES: Final = MappingProxyType(
+    {
+        "pelvis_position": 3,
+        "pelvis_orientation": 4,
+        "pelvis_velocity": 3,
+        "left_foot_position": 3,
+        "left_foot_orientation": 4,
+        "right_foot_position": 3,
+        "right_foot_orientation": 4,
+    }
+)
+"""Entries of `("odometry", ...)`: where pelvis and soles are believed to be, by the names and in
+the frames of `("truth", ...)`. The way along the ground is counted from the start, and drifts; it
+is no part of the policy's input, but rewards can be given on it."""
+
 _TRUTH_OF = {
     "orientation": "pelvis_orientation",
     "velocity": "pelvis_velocity",
@@ -36,11 +63,25 @@ _TRUTH_OF = {
 }
 
 
-class TrueState(CassieTransform):
+class _Estimator(CassieTransform):
+    """Writes `("estimate", ...)` and `("odometry", ...)`."""
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the entries of `ESTIMATE_SIZES` and `ODOMETRY_SIZES`."""
+        require_keys(self, observation_spec, self.in_keys)
+        sizes = {("estimate", name): size for name, size in ESTIMATE_SIZES.items()}
+        sizes |= {("odometry", name): size for name, size in ODOMETRY_SIZES.items()}
+        return extend_spec(observation_spec, sizes)
+
+
+class TrueState(_Estimator):
     """The truth in place of an estimate: a perfect estimator, to compare others with."""
 
     def __init__(self) -> None:
-        super().__init__(in_keys=["truth"], out_keys=["estimate"])
+        names = {"pelvis_position", *ODOMETRY_SIZES}
+        names |= {_TRUTH_OF.get(name, name) for name in ESTIMATE_SIZES if name != "height"}
+        keys: list[NestedKey] = [("truth", name) for name in sorted(names)]
+        super().__init__(in_keys=keys, out_keys=["estimate", "odometry"])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         truth = cast("TensorDict", next_tensordict["truth"])
@@ -48,12 +89,92 @@ class TrueState(CassieTransform):
         for name in ESTIMATE_SIZES:
             if name != "height":
                 estimate[name] = truth[_TRUTH_OF.get(name, name)]
-        return next_tensordict.set(
-            "estimate", TensorDict(estimate, batch_size=next_tensordict.batch_size)
+        odometry = {name: truth[name] for name in ODOMETRY_SIZES}
+        return next_tensordict.update({"estimate": estimate, "odometry": odometry})
+
+
+class EstimatedState(_Estimator):
+    """State estimated from the packets `("sensors", ...)`; see `aslip.estimation`.
+
+    What the estimator remembers between steps travels as `("estimator", "memory")`, doubles. What
+    was wrong with a step's packets is `("estimator", "faults")` (n, 4) bool, in the order of
+    `aslip.estimation.FAULTS`; `("estimator", "contact")` (n, 2) tells which feet are loaded. A
+    robot that is reset is estimated afresh from its first packets.
+
+    Args:
+        estimator: another one, or with other settings.
+    """
+
+    def __init__(self, estimator: StateEstimator | None = None) -> None:
+        super().__init__(
+            in_keys=[("sensors", name) for name in PACKET_SIZES],
+            out_keys=["estimate", "odometry", "estimator"],
         )
+        self.estimator = StateEstimator() if estimator is None else estimator
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        memory = cast("torch.Tensor", tensordict["estimator", "memory"])
+        tracking = Tracking.from_rows(memory.numpy())
+        estimate = self.estimator.update(tracking, self._packets(next_tensordict))
+        return next_tensordict.update(_entries(tracking, estimate))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        # TorchRL takes only the rows that are reset; to start the others would be for nothing
+        mask = tensordict.get("_reset", None)
+        packets = self._packets(tensordict_reset)
+        if mask is None or mask.all():
+            return tensordict_reset.update(_entries(*self.estimator.start(packets)))
+        rows = mask.reshape(-1)
+        started = TensorDict(
+            _entries(*self.estimator.start(packets[rows.numpy()])), batch_size=[int(rows.sum())]
+        )
+        for key, value in started.items(True, True):
+            full = torch.zeros(len(rows), *value.shape[1:], dtype=value.dtype)
+            full[rows] = value
+            tensordict_reset.set(key, full)
+        return tensordict_reset
+
+    def _packets(self, tensordict: TensorDictBase) -> np.ndarray:
+        """(n, w, 42) the sensors' packets."""
+        entries = [cast("torch.Tensor", tensordict[key]) for key in self.in_keys]
+        return torch.cat(entries, dim=-1).double().numpy()
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the entries of `ESTIMATE_SIZES`."""
-        require_keys(self, observation_spec, [("truth", "pelvis_position")])
-        sizes = {("estimate", name): size for name, size in ESTIMATE_SIZES.items()}
-        return extend_spec(observation_spec, sizes)
+        """Add the entries of `ESTIMATE_SIZES`, `ODOMETRY_SIZES`, and the estimator's own."""
+        spec = super().transform_observation_spec(observation_spec)
+        shape = tuple(spec.shape)
+        spec["estimator"] = Composite(
+            memory=Unbounded(torch.Size((*shape, TRACKING_SIZE)), dtype=torch.float64),
+            faults=Binary(shape=torch.Size((*shape, len(FAULTS))), dtype=torch.bool),
+            contact=Binary(shape=torch.Size((*shape, len(SIDES))), dtype=torch.bool),
+            shape=spec.shape,
+        )
+        return spec
+
+
+def _entries(tracking: Tracking, estimate: Estimate) -> dict[str, dict[str, torch.Tensor]]:
+    """What an estimate is in a tensordict."""
+    odometry = {
+        "pelvis_position": estimate.position,
+        "pelvis_orientation": estimate.orientation,
+        "pelvis_velocity": estimate.velocity,
+    }
+    for i, side in enumerate(SIDES):
+        odometry[f"{side}_foot_position"] = estimate.foot_position[:, i]
+        odometry[f"{side}_foot_orientation"] = estimate.foot_orientation[:, i]
+    single = {
+        "estimate": {name: getattr(estimate, name) for name in ESTIMATE_SIZES},
+        "odometry": odometry,
+    }
+    entries = {
+        group: {name: torch.tensor(value, dtype=torch.float32) for name, value in values.items()}
+        for group, values in single.items()
+    }
+    entries["estimator"] = {
+        "memory": torch.from_numpy(tracking.to_rows()),
+        "faults": torch.from_numpy(estimate.faults),
+        "contact": torch.tensor(estimate.contact),
+    }
+    return entries

@@ -7,7 +7,13 @@ import torch
 from torchrl.envs.utils import check_env_specs
 
 from aslip.errors import UnknownNameError
-from aslip.transforms import ESTIMATE_SIZES, OBSERVATION_TABLE, AssembleObservation
+from aslip.transforms import (
+    ESTIMATE_SIZES,
+    OBSERVATION_TABLE,
+    ODOMETRY_SIZES,
+    AssembleObservation,
+    TrueState,
+)
 from tests.conftest import MakeEnv
 
 # first index of each entry, as the docstring of AssembleObservation has it
@@ -53,7 +59,7 @@ def test_every_entry_is_where_the_table_says(make: MakeEnv, when: str) -> None:
 
 
 def test_the_perfect_estimate_is_the_truth(make: MakeEnv) -> None:
-    env = make(num_envs=2)
+    env = make(num_envs=2, drop=["noise"], replace={"estimator": TrueState})
     td = env.reset()
     td = env.step(td.set("action", torch.full((2, 10), 0.1)))["next"]
     truth, estimate = td["truth"], td["estimate"]
@@ -70,6 +76,9 @@ def test_the_perfect_estimate_is_the_truth(make: MakeEnv) -> None:
     }.items():
         torch.testing.assert_close(estimate[name], truth[source], rtol=0, atol=0)
         assert estimate[name].shape[-1] == ESTIMATE_SIZES[name]
+    for name, size in ODOMETRY_SIZES.items():
+        torch.testing.assert_close(td["odometry", name], truth[name], rtol=0, atol=0)
+        assert truth[name].shape[-1] == size
 
 
 def test_no_element_of_the_observation_is_constant(make: MakeEnv) -> None:

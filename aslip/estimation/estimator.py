@@ -1,0 +1,368 @@
+"""From sensor packets to the state of the robot, for many robots or a stream from one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from aslip.cassie import STANDARD_GRAVITY
+from aslip.cassie.model import CassieIndices, load_model
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.estimation.filter import Belief, ContactFilter, FilterNoise, Motion, P, V
+from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
+from aslip.estimation.packets import PACKET_SIZE, SLICES, Screen, join
+
+PACKET_PERIOD = 0.003
+"""Time between packets [s]; 333 Hz."""
+
+# deviation [m/s^2] of an acceleration that had to be made up
+_DOUBT = 5.0
+# [s] step to differentiate the legs' kinematics by
+_DIFFERENCE = 1e-5
+
+
+@dataclass
+class Tracking:
+    """All that is remembered of n robots between packets."""
+
+    belief: Belief
+    reading: np.ndarray
+    """(n, 42) last good readings."""
+    jumps: np.ndarray
+    """(n,) packets in a row whose IMU was not believed."""
+
+    def to_rows(self) -> np.ndarray:
+        """(n, `TRACKING_SIZE`) all of it as numbers."""
+        belief = self.belief
+        fields = (
+            belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
+            belief.adrift, self.reading, self.jumps,
+        )  # fmt: skip
+        num = len(self.reading)
+        return np.concatenate([field.reshape(num, -1) for field in fields], axis=1)
+
+    @classmethod
+    def from_rows(cls, rows: np.ndarray) -> Tracking:
+        """What `to_rows` wrote; copies.
+
+        Raises:
+            ShapeError: the rows have another length.
+        """
+        if rows.ndim != 2 or rows.shape[1] != TRACKING_SIZE:
+            raise ShapeError(f"rows must have the shape (n, {TRACKING_SIZE}), got {rows.shape}")
+        num = len(rows)
+        mean, covariance, half_sole, loaded, resting, adrift, reading, jumps = np.split(
+            rows.copy(), _TRACKING_ENDS, axis=1
+        )
+        belief = Belief(
+            # robots last in memory; see `ContactFilter.start`
+            mean=np.asfortranarray(mean.reshape(num, 3, 5)),
+            covariance=np.asfortranarray(covariance.reshape(num, 3, 5, 5)),
+            half_sole=half_sole.reshape(num, 2, 3),
+            loaded=loaded != 0,
+            resting=resting != 0,
+            adrift=adrift[:, 0],
+            innovation=np.full((num, 2, 3), np.nan),
+        )
+        return cls(belief, reading, jumps[:, 0])
+
+
+_TRACKING_SIZES = (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, PACKET_SIZE, 1)
+_TRACKING_ENDS = np.cumsum(_TRACKING_SIZES)[:-1]
+
+TRACKING_SIZE = sum(_TRACKING_SIZES)
+"""Numbers to remember of a robot between packets."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What is known of n robots after their last packet."""
+
+    height: np.ndarray
+    """(n, 1) of the pelvis above the ground [m]."""
+    orientation: np.ndarray
+    """(n, 4) pelvis to world, wxyz with w >= 0."""
+    velocity: np.ndarray
+    """(n, 3) of the pelvis [m/s, world]."""
+    angular_velocity: np.ndarray
+    """(n, 3) [rad/s, pelvis]."""
+    acceleration: np.ndarray
+    """(n, 3) of the pelvis' origin, without gravity [m/s^2, pelvis]."""
+    motor_position: np.ndarray
+    """(n, 10) [rad]."""
+    motor_velocity: np.ndarray
+    """(n, 10) [rad/s]."""
+    joint_position: np.ndarray
+    """(n, 6) [rad]."""
+    joint_velocity: np.ndarray
+    """(n, 6) [rad/s]."""
+    position: np.ndarray
+    """(n, 3) of the pelvis, from where it was at the start and from the ground [m, world]."""
+    sole: np.ndarray
+    """(n, 2, 3) centres of the axes of the soles' contact capsules from the pelvis [m, world]."""
+    forward: np.ndarray
+    """(n, 2, 3) unit vectors to the toes [world]."""
+    left: np.ndarray
+    """(n, 2, 3) unit vectors to the left, across the feet [world]."""
+    sole_radius: float
+    """Of the capsules [m]."""
+    contact: np.ndarray
+    """(n, 2) bool, the leg's springs say that its foot is loaded."""
+    innovation: np.ndarray
+    """(n, w, 2, 3) normalised innovation squared by packet, foot and axis; NaN in the air."""
+    resting: np.ndarray
+    """(n, w, 2) bool, the foot took part in the update."""
+    faults: np.ndarray
+    """(n, 4) bool, what was wrong with any of the packets; see `FAULTS`."""
+
+    # not every packet's feet are looked at, and a robot has little time
+    @cached_property
+    def up(self) -> np.ndarray:
+        """(n, 2, 3) unit vectors out of the feet, opposite to the soles [world]."""
+        return _cross(self.forward, self.left)
+
+    @cached_property
+    def foot_position(self) -> np.ndarray:
+        """(n, 2, 3) sole centres [m, world]."""
+        return self.position[:, None] + self.sole - self.sole_radius * self.up
+
+    @cached_property
+    def foot_orientation(self) -> np.ndarray:
+        """(n, 2, 4) soles to world, wxyz with w >= 0, identity when level with the toes along x."""
+        frame = np.stack([self.forward, self.left, self.up], axis=-1)
+        turn = Rotation.from_matrix(frame.reshape(-1, 3, 3))
+        return turn.as_quat(canonical=True, scalar_first=True).reshape(-1, 2, 4)
+
+
+class StateEstimator:
+    """Pelvis, legs and feet of n robots from packets of their sensors.
+
+    It holds no state: what it remembers of the robots is a `Tracking`. As on a robot:
+
+        estimator = StateEstimator()
+        tracking, estimate = estimator.start(packet)
+        while True:
+            estimate = estimator.update(tracking, packet)
+
+    A packet is a mapping of the entries of `PACKET_SIZES`, or those joined to an array. Windows
+    of packets of several robots, oldest first, have the leading shape (n, w).
+
+    A packet with NaN, with values out of range, with a spike of the IMU, or of an IMU that repeats
+    itself, is recognised (`Estimate.faults`), and what it lacks is bridged: by the last good
+    reading, more doubt about the acceleration, and no measurement with that leg. `None` is a packet
+    that got lost. Robots do not touch each other.
+
+    Args:
+        model: the robot; `assets/cassie.xml` by default.
+        period: time between packets [s].
+        noise: what the filter assumes.
+
+    Raises:
+        ConfigurationError: the period is none.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel | None = None,
+        *,
+        period: float = PACKET_PERIOD,
+        noise: FilterNoise | None = None,
+    ) -> None:
+        if not 0 < period < 1:
+            raise ConfigurationError(f"period must be the seconds between packets, got {period!r}")
+        model = load_model(visual=False) if model is None else model
+        self.period = period
+        self._legs = LegKinematics(model)
+        self._filter = ContactFilter(
+            period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
+        )
+        self._screen = Screen()
+        self._imu = model.site("imu").pos.copy()
+        # alpha x r = alpha @ arm
+        self._arm = np.cross(np.eye(3), self._imu)
+        self._standing = _standing(model)
+
+    def start(self, packets: Mapping[str, np.ndarray] | np.ndarray) -> tuple[Tracking, Estimate]:
+        """Begin with robots whose lower foot rests on the ground.
+
+        The velocity is that which keeps the foot at rest, the height that which puts it there.
+        Readings that are missing are those of a standing robot until better ones come.
+
+        Args:
+            packets: the last packet of each window is taken.
+
+        Raises:
+            ShapeError, UnknownNameError: the packets are none.
+        """
+        rows = _windows(packets)[:, -1:]
+        first = np.broadcast_to(self._standing, (len(rows), PACKET_SIZE))
+        readings, faults, _, _ = self._screen(rows, first, np.full(len(rows), np.inf))
+        reading = readings[:, 0]
+        tracking = Tracking(None, reading, np.zeros(len(rows)))  # pyright: ignore[reportArgumentType]
+        motions, geometry = self._interpret(reading, readings, *_all_good(len(rows)))
+        tracking.belief = self._filter.start(motions[0], self._sole_velocity(reading))
+        resting = np.zeros((len(rows), 1, 2), dtype=bool)
+        return tracking, self._describe(
+            tracking, geometry, faults, np.full((len(rows), 1, 2, 3), np.nan), resting
+        )
+
+    def update(
+        self, tracking: Tracking, packets: Mapping[str, np.ndarray] | np.ndarray | None
+    ) -> Estimate:
+        """Take packets into account; `tracking` changes in place.
+
+        Args:
+            tracking: from `start`.
+            packets: one packet of one robot, or (n, w) of them.
+
+        Raises:
+            ShapeError, UnknownNameError: the packets are none, or of another number of robots.
+        """
+        num = len(tracking.reading)
+        rows = np.full((num, 1, PACKET_SIZE), np.nan) if packets is None else _windows(packets)
+        if len(rows) != num:
+            raise ShapeError(f"packets must be those of {num} robots, got {len(rows)}")
+        readings, faults, legs, imu = self._screen(rows, tracking.reading, tracking.jumps)
+        motions, geometry = self._interpret(tracking.reading, readings, legs, imu)
+        innovation = np.empty((num, len(motions), 2, 3))
+        resting = np.empty((num, len(motions), 2), dtype=bool)
+        for k, motion in enumerate(motions):
+            self._filter.step(tracking.belief, motion)
+            innovation[:, k] = tracking.belief.innovation
+            resting[:, k] = tracking.belief.resting
+        tracking.reading = readings[:, -1]
+        return self._describe(tracking, geometry, faults, innovation, resting)
+
+    def _interpret(
+        self, before: np.ndarray, readings: np.ndarray, legs: np.ndarray, imu: np.ndarray
+    ) -> tuple[list[Motion], _Geometry]:
+        """What readings say about motion: packet by packet, and in detail for the last."""
+        num, window, _ = readings.shape
+        both = np.concatenate([before[:, None], readings], axis=1)
+        orientation = both[..., SLICES["orientation"]].reshape(-1, 4)
+        turn = Rotation.from_quat(orientation, scalar_first=True).as_matrix()
+        turn = turn.reshape(num, window + 1, 3, 3)
+        gyro = both[..., SLICES["gyro"]]
+        # the accelerometer gives means over the time since the packet before
+        middle = (gyro[:, 1:] + gyro[:, :-1]) / 2
+        angular = (gyro[:, 1:] - gyro[:, :-1]) / self.period
+        # of the pelvis' origin: a - alpha x r - omega x (omega x r)
+        proper = readings[..., SLICES["accelerometer"]] - angular @ self._arm
+        proper -= (middle @ self._imu)[..., None] * middle
+        proper += (middle**2).sum(-1, keepdims=True) * self._imu
+        mean_turn = (turn[:, 1:] + turn[:, :-1]) / 2
+        acceleration = (mean_turn @ proper[..., None])[..., 0]
+        acceleration[..., 2] -= STANDARD_GRAVITY
+
+        vectors = self._legs(
+            readings[..., SLICES["motor_position"]], readings[..., SLICES["joint_position"]]
+        )
+        vectors = vectors @ turn[:, 1:, None].swapaxes(-1, -2)
+        sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
+        half = vectors[..., TOE, :] - sole
+        load, doubt = vectors[..., FORCE, 2], np.where(imu, 0.0, _DOUBT)
+        motions = [
+            Motion(acceleration[:, k], doubt[:, k], sole[:, k], half[:, k], load[:, k], legs[:, k])
+            for k in range(window)
+        ]
+        gravity = STANDARD_GRAVITY * turn[:, -1, 2]
+        lateral = vectors[:, -1, :, LATERAL]
+        return motions, _Geometry(sole[:, -1], half[:, -1], lateral, proper[:, -1] - gravity)
+
+    def _sole_velocity(self, reading: np.ndarray) -> np.ndarray:
+        """(n, 2, 3) velocities of the soles relative to the pelvis [m/s, world]."""
+        motors, joints = (
+            (
+                reading[:, SLICES[f"{kind}_position"]],
+                reading[:, SLICES[f"{kind}_velocity"]] * _DIFFERENCE,
+            )
+            for kind in ("motor", "joint")
+        )
+        feet = [
+            self._legs(motors[0] + sign * motors[1], joints[0] + sign * joints[1])
+            for sign in (-1, 1)
+        ]
+        soles = [foot[:, :, [HEEL, TOE]].mean(2) for foot in feet]
+        velocity = (soles[1] - soles[0]) / (2 * _DIFFERENCE)
+        gyro = reading[:, None, SLICES["gyro"]]
+        velocity += np.cross(gyro, (soles[0] + soles[1]) / 2)
+        turn = Rotation.from_quat(reading[:, SLICES["orientation"]], scalar_first=True).as_matrix()
+        return velocity @ turn.swapaxes(-1, -2)
+
+    def _describe(
+        self,
+        tracking: Tracking,
+        geometry: _Geometry,
+        faults: np.ndarray,
+        innovation: np.ndarray,
+        resting: np.ndarray,
+    ) -> Estimate:
+        mean, reading = tracking.belief.mean, tracking.reading
+        position = mean[..., P].copy()
+        return Estimate(
+            height=position[:, 2:],
+            orientation=reading[:, SLICES["orientation"]],
+            velocity=mean[..., V].copy(),
+            angular_velocity=reading[:, SLICES["gyro"]],
+            acceleration=geometry.acceleration,
+            motor_position=reading[:, SLICES["motor_position"]],
+            motor_velocity=reading[:, SLICES["motor_velocity"]],
+            joint_position=reading[:, SLICES["joint_position"]],
+            joint_velocity=reading[:, SLICES["joint_velocity"]],
+            position=position,
+            sole=geometry.sole,
+            forward=geometry.half_sole / self._legs.half_length,
+            left=geometry.lateral,
+            sole_radius=self._legs.sole_radius,
+            contact=tracking.belief.loaded,
+            innovation=innovation,
+            resting=resting,
+            faults=faults.any(1),
+        )
+
+
+@dataclass(frozen=True)
+class _Geometry:
+    """Feet and acceleration at the last packet."""
+
+    sole: np.ndarray
+    half_sole: np.ndarray
+    lateral: np.ndarray
+    acceleration: np.ndarray
+
+
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Vector product along the last axis; NumPy's own takes ten times as long for one robot."""
+    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+
+
+def _all_good(num: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.ones((num, 1, 2), dtype=bool), np.ones((num, 1), dtype=bool)
+
+
+def _windows(packets: Mapping[str, np.ndarray] | np.ndarray) -> np.ndarray:
+    """(n, w, 42) from any way to write packets."""
+    rows = join(packets) if isinstance(packets, Mapping) else np.asarray(packets, dtype=np.float64)
+    if rows.ndim == 1:
+        rows = rows[None, None]
+    if rows.ndim != 3 or rows.shape[-1] != PACKET_SIZE:
+        raise ShapeError(
+            f"packets must have the shape ({PACKET_SIZE},) or (n, w, {PACKET_SIZE}), got {rows.shape}"
+        )
+    return rows
+
+
+def _standing(model: mujoco.MjModel) -> np.ndarray:
+    """(42,) readings of a robot that stands upright."""
+    indices, qpos = CassieIndices.from_model(model), model.key("standing").qpos
+    reading = np.zeros(PACKET_SIZE)
+    reading[SLICES["motor_position"]] = qpos[indices.motor_qpos]
+    reading[SLICES["joint_position"]] = qpos[indices.joint_qpos]
+    reading[SLICES["orientation"]] = [1.0, 0.0, 0.0, 0.0]
+    reading[SLICES["accelerometer"]] = [0.0, 0.0, STANDARD_GRAVITY]
+    return reading
