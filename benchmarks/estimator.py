@@ -31,8 +31,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.model import CassieIndices
+from aslip.cassie.sensing import PACKET_SIZES
 from aslip.envs import BatchCassieEnv
-from aslip.estimation import PACKET_SIZES, StateEstimator
+from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.library import GaitLibrary
 from aslip.plots import save_figure

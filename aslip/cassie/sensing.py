@@ -1,4 +1,4 @@
-"""How wrong the robot's sensors are: white noise of every packet, and bias that drifts."""
+"""What the robot's sensors send, how often, and how wrong it is."""
 
 from __future__ import annotations
 
@@ -9,20 +9,35 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aslip.cassie.constants import PHYSICS_TIMESTEP, SUBSTEPS
 from aslip.cassie.names import JOINT_NAMES, MOTOR_NAMES
 from aslip.errors import ConfigurationError, ShapeError
 
-NOISE_CHANNELS: Final = MappingProxyType(
+PACKET_SUBSTEPS: Final = 6
+"""Physics steps between packets."""
+
+PACKET_PERIOD: Final = PACKET_SUBSTEPS * PHYSICS_TIMESTEP
+"""Time between packets [s]; 333 Hz."""
+
+SENSOR_WINDOW: Final = SUBSTEPS // PACKET_SUBSTEPS
+"""Packets of a policy period, oldest first; the newest is of the last physics step's start."""
+
+PACKET_SIZES: Final = MappingProxyType(
     {
         "motor_position": len(MOTOR_NAMES),
         "motor_velocity": len(MOTOR_NAMES),
         "joint_position": len(JOINT_NAMES),
         "joint_velocity": len(JOINT_NAMES),
-        "orientation": 3,
+        "orientation": 4,
         "gyro": 3,
         "accelerometer": 3,
     }
 )
+"""Entries of a packet in the order of its numbers: motors and joints [rad, rad/s], orientation
+(pelvis to world, wxyz), angular velocity [rad/s] and specific force [m/s^2] of the IMU, whose axes
+are the pelvis'."""
+
+NOISE_CHANNELS: Final = MappingProxyType({**PACKET_SIZES, "orientation": 3})
 """Sensor -> number of channels that err on their own; that of the orientation is a rotation."""
 
 

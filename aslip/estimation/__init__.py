@@ -5,7 +5,6 @@ turned into foot positions and forces (`legs`), and both joined with the IMU (`f
 """
 
 from aslip.estimation.estimator import (
-    PACKET_PERIOD,
     TRACKING_SIZE,
     Estimate,
     StateEstimator,
@@ -13,13 +12,11 @@ from aslip.estimation.estimator import (
 )
 from aslip.estimation.filter import Belief, FilterNoise
 from aslip.estimation.legs import LegKinematics
-from aslip.estimation.packets import FAULTS, PACKET_SIZE, PACKET_SIZES
+from aslip.estimation.packets import FAULTS, PACKET_SIZE
 
 __all__ = [
     "FAULTS",
-    "PACKET_PERIOD",
     "PACKET_SIZE",
-    "PACKET_SIZES",
     "TRACKING_SIZE",
     "Belief",
     "Estimate",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -12,13 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from aslip.cassie import STANDARD_GRAVITY
 from aslip.cassie.model import CassieIndices, load_model
+from aslip.cassie.sensing import PACKET_PERIOD
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation.filter import Belief, ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.packets import PACKET_SIZE, SLICES, Screen, join
-
-PACKET_PERIOD = 0.003
-"""Time between packets [s]; 333 Hz."""
 
 # deviation [m/s^2] of an acceleration that had to be made up
 _DOUBT = 5.0
@@ -149,8 +148,8 @@ class StateEstimator:
         while True:
             estimate = estimator.update(tracking, packet)
 
-    A packet is a mapping of the entries of `PACKET_SIZES`, or those joined to an array. Windows
-    of packets of several robots, oldest first, have the leading shape (n, w).
+    A packet is a mapping of the entries of `aslip.cassie.sensing.PACKET_SIZES`, or those joined to
+    an array. Windows of packets of several robots, oldest first, have the leading shape (n, w).
 
     A packet with NaN, with values out of range, with a spike of the IMU, or of an IMU that repeats
     itself, is recognised (`Estimate.faults`), and what it lacks is bridged: by the last good
@@ -175,17 +174,17 @@ class StateEstimator:
     ) -> None:
         if not 0 < period < 1:
             raise ConfigurationError(f"period must be the seconds between packets, got {period!r}")
-        model = load_model(visual=False) if model is None else model
+        robot: Any = load_model(visual=False) if model is None else model
         self.period = period
-        self._legs = LegKinematics(model)
+        self._legs = LegKinematics(robot)
         self._filter = ContactFilter(
             period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
         )
         self._screen = Screen()
-        self._imu = model.site("imu").pos.copy()
+        self._imu = robot.site("imu").pos.copy()
         # alpha x r = alpha @ arm
         self._arm = np.cross(np.eye(3), self._imu)
-        self._standing = _standing(model)
+        self._standing = _standing(robot)
 
     def start(self, packets: Mapping[str, np.ndarray] | np.ndarray) -> tuple[Tracking, Estimate]:
         """Begin with robots whose lower foot rests on the ground.
@@ -322,7 +321,7 @@ class StateEstimator:
             contact=tracking.belief.loaded,
             innovation=innovation,
             resting=resting,
-            faults=faults.any(1),
+            faults=faults.max(1),
         )
 
 
@@ -352,7 +351,8 @@ def _windows(packets: Mapping[str, np.ndarray] | np.ndarray) -> np.ndarray:
         rows = rows[None, None]
     if rows.ndim != 3 or rows.shape[-1] != PACKET_SIZE:
         raise ShapeError(
-            f"packets must have the shape ({PACKET_SIZE},) or (n, w, {PACKET_SIZE}), got {rows.shape}"
+            f"packets must have the shape ({PACKET_SIZE},) or (n, w, {PACKET_SIZE}),"
+            f" got {rows.shape}"
         )
     return rows
 

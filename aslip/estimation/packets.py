@@ -13,22 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from aslip.cassie.sensing import PACKET_SIZES
 from aslip.errors import ShapeError, UnknownNameError
-
-PACKET_SIZES: Final = MappingProxyType(
-    {
-        "motor_position": 10,
-        "motor_velocity": 10,
-        "joint_position": 6,
-        "joint_velocity": 6,
-        "orientation": 4,
-        "gyro": 3,
-        "accelerometer": 3,
-    }
-)
-"""Entries of a packet in the order of its numbers: motors and joints [rad, rad/s], orientation
-(pelvis to world, wxyz), angular velocity [rad/s] and specific force [m/s^2] of the IMU, whose axes
-are the pelvis'."""
 
 PACKET_SIZE: Final = sum(PACKET_SIZES.values())
 """Numbers in a packet."""
@@ -67,8 +53,9 @@ _PERSISTENT = 3
 _LIMIT = np.concatenate([np.full(size, _LARGEST[name]) for name, size in PACKET_SIZES.items()])
 _ORIENTATION, _IMU = SLICES["orientation"], slice(SLICES["gyro"].start, PACKET_SIZE)
 
-# the readings that come and go together
-_LEG_OF = np.array([0] * 5 + [1] * 5 + [0] * 5 + [1] * 5 + [0] * 3 + [1] * 3 + [0] * 3 + [1] * 3)
+# channels of either leg: half of each entry before the IMU's
+_ENCODERS = np.split(np.arange(_ORIENTATION.start), _ENDS[1:4])
+_LEG = [np.concatenate([np.split(entry, 2)[leg] for entry in _ENCODERS]) for leg in (0, 1)]
 
 
 def join(packet: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -119,7 +106,8 @@ class Screen:
         imu = np.concatenate([last[:, None, _IMU], packets[..., _IMU]], axis=1)
         change = np.abs(imu[:, 1:] - imu[:, :-1])
         smooth = (change <= _LARGEST_JUMP).all(-1)
-        moving = change.any(-1)
+        # not equal, rather than more: a change of NaN is no standstill
+        moving = change.max(-1) != 0
         faults = np.zeros((num, window, len(FAULTS)), dtype=bool)
         if good.all() and smooth.all() and moving.all():
             jumps[:] = 0
@@ -150,5 +138,5 @@ class Screen:
             good[:, k, _IMU] &= ~jump[:, None]
             last = np.where(good[:, k], packets[:, k], last)
             readings[:, k] = last
-        legs = np.stack([good[..., :32][..., _LEG_OF == leg].all(-1) for leg in (0, 1)], axis=-1)
-        return readings, faults, legs, good[..., 32:].all(-1)
+        legs = np.stack([good[..., channels].min(-1) for channels in _LEG], axis=-1)
+        return readings, faults, legs, good[..., SLICES["orientation"].start :].min(-1)

@@ -2,13 +2,11 @@
 
 from aslip.sim.drive import Drive, motor_torque
 from aslip.sim.pool import SimulationPool
-from aslip.sim.sensors import PACKET_PERIOD, SENSOR_WINDOW, Sensors
+from aslip.sim.sensors import Sensors
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot, true_state
 
 __all__ = [
-    "PACKET_PERIOD",
-    "SENSOR_WINDOW",
     "Drive",
     "Sensors",
     "SimulationPool",

@@ -35,15 +35,7 @@ from aslip.cassie import (
     SUBSTEPS,
 )
 from aslip.cassie.model import CassieIndices
-
-PACKET_SUBSTEPS: Final = 6
-"""Physics steps between packets."""
-
-SENSOR_WINDOW: Final = SUBSTEPS // PACKET_SUBSTEPS
-"""Packets of a policy period, oldest first; the newest is of the last physics step's start."""
-
-PACKET_PERIOD: Final = PACKET_SUBSTEPS * PHYSICS_TIMESTEP
-"""Time between packets [s]; 333 Hz."""
+from aslip.cassie.sensing import PACKET_SIZES, PACKET_SUBSTEPS, SENSOR_WINDOW
 
 MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
 """Taps on a motor's counts, newest first; the sum is in counts a step times pi (simulator)."""
@@ -95,16 +87,7 @@ class Sensors:
         self._constant = lfilter_zi(numerator, denominator)
         self._ramp, self._ramp_gain = _ramp_response()
         self._packets = {
-            name: np.zeros((num, SENSOR_WINDOW, size))
-            for name, size in (
-                ("motor_position", motors),
-                ("motor_velocity", motors),
-                ("joint_position", joints),
-                ("joint_velocity", joints),
-                ("orientation", 4),
-                ("gyro", 3),
-                ("accelerometer", 3),
-            )
+            name: np.zeros((num, SENSOR_WINDOW, size)) for name, size in PACKET_SIZES.items()
         }
         self.motor_position = np.zeros((num, motors))
         """(n, 10) latest readings [rad]."""

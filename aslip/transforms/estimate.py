@@ -12,9 +12,9 @@ from tensordict.utils import NestedKey
 from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.cassie import SIDES
+from aslip.cassie.sensing import PACKET_SIZES
 from aslip.estimation import (
     FAULTS,
-    PACKET_SIZES,
     TRACKING_SIZE,
     Estimate,
     StateEstimator,

@@ -10,17 +10,15 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
-from scipy.signal import freqz
 
 from aslip.assets import asset_path
 from aslip.cassie import GEAR, PHYSICS_TIMESTEP, SUBSTEPS
 from aslip.cassie.model import load_model
-from aslip.sim import SENSOR_WINDOW, SimulationPool, Simulations
+from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SUBSTEPS, SENSOR_WINDOW
+from aslip.sim import SimulationPool, Simulations
 from aslip.sim.sensors import (
     JOINT_VELOCITY_FILTER,
     MOTOR_VELOCITY_TAPS,
-    PACKET_PERIOD,
-    PACKET_SUBSTEPS,
     Sensors,
 )
 from aslip.task import CassiePhysics
@@ -74,7 +72,8 @@ class Bench:
 def _response(coefficients: tuple[np.ndarray, np.ndarray], hertz: float) -> complex:
     """Gain and phase of a velocity filter relative to a perfect derivative."""
     omega = 2 * np.pi * hertz
-    return complex(freqz(*coefficients, worN=[omega / RATE])[1][0]) / (1j * omega)
+    numerator, denominator = (np.polyval(c[::-1], np.exp(-1j * omega / RATE)) for c in coefficients)
+    return complex(numerator / denominator) / (1j * omega)
 
 
 MOTOR_FILTER = (MOTOR_VELOCITY_TAPS / np.pi, np.array([1.0]))
