@@ -347,13 +347,13 @@ def _all_good(num: int) -> tuple[np.ndarray, np.ndarray]:
 def _windows(packets: Mapping[str, np.ndarray] | np.ndarray) -> np.ndarray:
     """(n, w, 42) from any way to write packets."""
     rows = join(packets) if isinstance(packets, Mapping) else np.asarray(packets, dtype=np.float64)
-    if rows.ndim == 1:
-        rows = rows[None, None]
-    if rows.ndim != 3 or rows.shape[-1] != PACKET_SIZE:
+    if rows.ndim not in (1, 3) or rows.shape[-1] != PACKET_SIZE:
         raise ShapeError(
             f"packets must have the shape ({PACKET_SIZE},) or (n, w, {PACKET_SIZE}),"
             f" got {rows.shape}"
         )
+    if rows.ndim == 1:
+        return rows[None, None]
     return rows
 
 

@@ -132,7 +132,8 @@ class Screen:
         readings = packets.copy()
         for k in range(packets.shape[1]):
             change = np.abs(packets[:, k, _IMU] - last[:, _IMU])
-            jump = (change > _LARGEST_JUMP).any(-1) & (jumps < _PERSISTENT)
+            fast = (change > _LARGEST_JUMP).any(-1) & good[:, k, _IMU].all(-1)
+            jump = fast & (jumps < _PERSISTENT)
             jumps[:] = np.where(jump, jumps + 1, 0)
             faults[:, k, JUMP] = jump
             good[:, k, _IMU] &= ~jump[:, None]

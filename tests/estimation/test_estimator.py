@@ -1,0 +1,316 @@
+"""Packets of a walking robot through the whole estimator, whole and broken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs.utils import step_mdp
+
+import aslip
+from aslip.cassie.sensing import PACKET_SIZES, SENSOR_WINDOW
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.estimation import FAULTS, PACKET_SIZE, TRACKING_SIZE, StateEstimator, Tracking
+from aslip.estimation.packets import SLICES, join
+from aslip.transforms import TrueState
+
+STEPS, ROBOTS = 50, 3
+JUDGES = ["low_reward", "fall", "step_limit"]
+
+
+class Walk:
+    """Packets and truth of some robots that walk."""
+
+    def __init__(self) -> None:
+        env = aslip.make_env(
+            num_envs=ROBOTS,
+            num_threads=1,
+            seed=1,
+            drop=["noise", *JUDGES],
+            replace={"estimator": TrueState},
+        )
+        policy = aslip.load_policy("aslip")
+        td = cast("TensorDictBase", env.reset())
+        packets, velocity, height = [], [], []
+        with torch.no_grad():
+            for _ in range(STEPS):
+                entries = [cast("torch.Tensor", td["sensors", name]) for name in PACKET_SIZES]
+                packets.append(torch.cat(entries, -1).double().numpy())
+                velocity.append(np.asarray(td["truth", "pelvis_velocity"]))
+                height.append(np.asarray(td["truth", "pelvis_position"])[:, 2])
+                td = step_mdp(env.step(policy(td)))
+        self.packets = np.stack(packets, axis=1)  # (n, steps, W, 42); the first are of the reset
+        self.velocity, self.height = np.stack(velocity, axis=1), np.stack(height, axis=1)
+
+
+@pytest.fixture(scope="module")
+def walk() -> Walk:
+    return Walk()
+
+
+Spoil = Callable[[int, np.ndarray], np.ndarray]
+
+
+def _follow(walk: Walk, spoil: Spoil | None = None) -> list[dict[str, np.ndarray]]:
+    """Estimates at each policy step, with what `spoil` makes of step and windows."""
+    estimator = StateEstimator()
+    tracking, first = estimator.start(walk.packets[:, 0])
+    estimates = [first]
+    for step in range(1, STEPS):
+        windows = walk.packets[:, step].copy()
+        estimates.append(estimator.update(tracking, spoil(step, windows) if spoil else windows))
+    names = ("velocity", "height", "orientation", "joint_position", "acceleration", "faults")
+    return [{name: np.array(getattr(e, name)) for name in names} for e in estimates]
+
+
+@pytest.fixture(scope="module")
+def sound(walk: Walk) -> list[dict[str, np.ndarray]]:
+    return _follow(walk)
+
+
+# ----------------------------------------------------------------------- accuracy
+
+
+def test_it_knows_at_once_how_a_moving_robot_moves(
+    walk: Walk, sound: list[dict[str, np.ndarray]]
+) -> None:
+    """From the first packet: the lower foot is at rest, on the ground."""
+    assert np.abs(walk.velocity[:, 0]).max() > 0.5
+    np.testing.assert_allclose(sound[0]["velocity"], walk.velocity[:, 0], atol=0.06)
+    np.testing.assert_allclose(sound[0]["height"][:, 0], walk.height[:, 0], atol=3e-3)
+
+
+def test_it_stays_with_the_truth(walk: Walk, sound: list[dict[str, np.ndarray]]) -> None:
+    errors = np.array([e["velocity"] - walk.velocity[:, k] for k, e in enumerate(sound)])[12:]
+    assert (np.sqrt((errors**2).mean((0, 1))) < [0.03, 0.03, 0.02]).all()
+    heights = np.array([e["height"][:, 0] - walk.height[:, k] for k, e in enumerate(sound)])[12:]
+    assert np.sqrt((heights**2).mean()) < 2e-3
+    assert not any(estimate["faults"].any() for estimate in sound)
+
+
+# ------------------------------------------------------------------- alone, together
+
+
+def test_a_stream_of_one_robot_gives_what_the_batch_does(
+    walk: Walk, sound: list[dict[str, np.ndarray]]
+) -> None:
+    """Packet by packet, as on a robot; equal but for the order of sums."""
+    estimator = StateEstimator()
+    packets = [
+        {name: packet[SLICES[name]] for name in PACKET_SIZES}
+        for packet in walk.packets[1].reshape(-1, PACKET_SIZE)
+    ]
+    tracking, estimate = estimator.start(packets[SENSOR_WINDOW - 1])
+    for packet in packets[SENSOR_WINDOW:]:
+        estimate = estimator.update(tracking, packet)
+    for name in ("velocity", "height", "orientation", "acceleration"):
+        np.testing.assert_allclose(getattr(estimate, name)[0], sound[-1][name][1], atol=1e-9)
+
+
+def test_what_is_remembered_can_be_handed_on(walk: Walk) -> None:
+    estimator = StateEstimator()
+    tracking, _ = estimator.start(walk.packets[:, 0])
+    for step in range(1, 20):
+        estimator.update(tracking, walk.packets[:, step])
+    rows = tracking.to_rows()
+    assert rows.shape == (ROBOTS, TRACKING_SIZE)
+    copy = Tracking.from_rows(rows)
+    np.testing.assert_array_equal(copy.to_rows(), rows)
+    before = rows.copy()
+    ours = estimator.update(tracking, walk.packets[:, 20])
+    theirs = StateEstimator().update(copy, walk.packets[:, 20])
+    np.testing.assert_array_equal(ours.velocity, theirs.velocity)
+    np.testing.assert_array_equal(tracking.to_rows(), copy.to_rows())
+    np.testing.assert_array_equal(rows, before)  # it was copied
+
+
+def test_estimates_do_not_change_afterwards(walk: Walk) -> None:
+    estimator = StateEstimator()
+    tracking, first = estimator.start(walk.packets[:, 0])
+    kept = {name: np.array(value) for name, value in vars(first).items()}
+    for step in range(1, 6):
+        estimator.update(tracking, walk.packets[:, step])
+    for name, value in kept.items():
+        np.testing.assert_array_equal(getattr(first, name), value, err_msg=name)
+
+
+# ----------------------------------------------------------------------------- faults
+
+SPOILED = 20
+
+
+def _set(channels: slice, value: float, packets: slice, *, add: bool = False) -> Spoil:
+    def spoil(step: int, windows: np.ndarray) -> np.ndarray:
+        if step == SPOILED:
+            window = windows[1, packets]
+            window[..., channels] = value + (window[..., channels] if add else 0.0)
+        return windows
+
+    return spoil
+
+
+def _freeze(step: int, windows: np.ndarray) -> np.ndarray:
+    if step == SPOILED:
+        windows[1, 3:6] = windows[1, 2]
+    return windows
+
+
+def _apart(
+    ours: list[dict[str, np.ndarray]], theirs: list[dict[str, np.ndarray]], name: str
+) -> np.ndarray:
+    """What robot 1 is estimated otherwise, at each policy step."""
+    return np.array([a[name][1] - b[name][1] for a, b in zip(ours, theirs, strict=True)])
+
+
+GYRO, ACCELEROMETER = SLICES["gyro"], SLICES["accelerometer"]
+ONE_GYRO = slice(GYRO.start + 1, GYRO.start + 2)
+ONE_JOINT = slice(SLICES["joint_position"].start + 4, SLICES["joint_position"].start + 5)
+
+
+@pytest.mark.parametrize(
+    ("fault", "spoil"),
+    [
+        pytest.param("missing", _set(slice(None), np.nan, slice(4, 5)), id="packet lost"),
+        pytest.param("missing", _set(slice(None), np.nan, slice(0, 10)), id="ten packets lost"),
+        pytest.param("missing", _set(ONE_JOINT, np.nan, slice(2, 6)), id="NaN of an encoder"),
+        pytest.param("missing", _set(ONE_GYRO, np.nan, slice(2, 3)), id="NaN of the gyro"),
+        pytest.param(
+            "missing", _set(SLICES["orientation"], np.nan, slice(2, 4)), id="NaN of the attitude"
+        ),
+        pytest.param("frozen", _freeze, id="frozen packets"),
+        pytest.param(
+            "implausible", _set(ACCELEROMETER, 500.0, slice(5, 6)), id="spike beyond the range"
+        ),
+        pytest.param(
+            "jump", _set(ACCELEROMETER, 70.0, slice(5, 6), add=True), id="spike within the range"
+        ),
+        pytest.param("jump", _set(ONE_GYRO, 10.0, slice(5, 6), add=True), id="spike of the gyro"),
+        pytest.param("implausible", _set(ONE_JOINT, 40.0, slice(5, 6)), id="encoder out of range"),
+        pytest.param(
+            "implausible", _set(SLICES["orientation"], 0.1, slice(5, 6)), id="no unit quaternion"
+        ),
+    ],
+)
+def test_a_fault_is_told_survived_and_stays_with_its_robot(
+    walk: Walk, sound: list[dict[str, np.ndarray]], fault: str, spoil: Spoil
+) -> None:
+    estimates = _follow(walk, spoil)
+    for step, (ours, theirs) in enumerate(zip(sound, estimates, strict=True)):
+        for name, value in theirs.items():
+            assert np.isfinite(value).all(), (step, name)
+            np.testing.assert_array_equal(value[[0, 2]], ours[name][[0, 2]], err_msg=name)
+        told = [name for name, flag in zip(FAULTS, theirs["faults"][1], strict=True) if flag]
+        assert told == ([fault] if step == SPOILED else [])
+    # at worst as far off as a robot that has just begun, and as good as ever ten steps later
+    off = np.array(
+        [e["velocity"][1] - s["velocity"][1] for e, s in zip(estimates, sound, strict=True)]
+    )
+    assert np.abs(off[SPOILED:]).max() < 0.3
+    assert np.abs(off[SPOILED + 10 :]).max() < 0.03
+    rise = np.array(
+        [e["height"][1] - s["height"][1] for e, s in zip(estimates, sound, strict=True)]
+    )
+    assert np.abs(rise[SPOILED + 10 :]).max() < 2e-3
+
+
+def test_a_moderate_spike_that_looks_possible_does_little(
+    walk: Walk, sound: list[dict[str, np.ndarray]]
+) -> None:
+    """40 m/s^2 in one packet: it is taken for real, and the feet set it right."""
+    estimates = _follow(walk, _set(ACCELEROMETER, 40.0, slice(5, 6), add=True))
+    off = np.array(
+        [e["velocity"][1] - s["velocity"][1] for e, s in zip(estimates, sound, strict=True)]
+    )
+    assert np.abs(off[SPOILED:]).max() < 0.4
+    assert np.abs(off[SPOILED + 10 :]).max() < 0.03
+
+
+def test_a_change_that_lasts_is_believed(walk: Walk) -> None:
+    """An IMU whose readings stay where they jumped to is right in the end."""
+
+    def spoil(step: int, windows: np.ndarray) -> np.ndarray:
+        if step >= SPOILED:
+            windows[1, :, ONE_GYRO] += 5.0
+        return windows
+
+    told = [estimate["faults"][1, FAULTS.index("jump")] for estimate in _follow(walk, spoil)]
+    assert told[SPOILED]
+    assert not any(told[SPOILED + 1 :])
+
+
+def test_with_an_encoder_dead_for_good_the_other_leg_carries_on(
+    walk: Walk, sound: list[dict[str, np.ndarray]]
+) -> None:
+    def spoil(step: int, windows: np.ndarray) -> np.ndarray:
+        if step >= SPOILED:
+            windows[1, :, ONE_JOINT] = np.nan
+        return windows
+
+    estimates = _follow(walk, spoil)
+    held = [estimate["joint_position"][1, 4] for estimate in estimates[SPOILED:]]
+    assert len(set(held)) == 1
+    assert all(estimate["faults"][1].tolist() == [True, False, False, False]
+               for estimate in estimates[SPOILED:])  # fmt: skip
+    off = np.array(
+        [e["velocity"][1] - s["velocity"][1] for e, s in zip(estimates, sound, strict=True)]
+    )
+    assert np.abs(off[SPOILED:]).max() < 0.3
+
+
+def test_a_lost_packet_of_a_stream_is_none(walk: Walk) -> None:
+    estimator = StateEstimator()
+    packets = walk.packets[0].reshape(-1, PACKET_SIZE)
+    tracking, _ = estimator.start(packets[9])
+    for packet in packets[10:200]:
+        estimator.update(tracking, packet)
+    estimate = estimator.update(tracking, None)
+    assert estimate.faults[0].tolist() == [True, False, False, False]
+    assert np.isfinite(estimate.velocity).all()
+
+
+def test_a_robot_that_starts_blind_sees_later(walk: Walk) -> None:
+    """Nothing but NaN at first: a standing robot is assumed, until packets come."""
+    estimator = StateEstimator()
+    tracking, first = estimator.start(np.full((ROBOTS, 1, PACKET_SIZE), np.nan))
+    assert np.isfinite(first.velocity).all()
+    assert first.faults.tolist() == [[True, False, False, False]] * ROBOTS
+    for step in range(1, 40):
+        estimate = estimator.update(tracking, walk.packets[:, step])
+    np.testing.assert_allclose(estimate.velocity, walk.velocity[:, 39], atol=0.1)
+
+
+# ------------------------------------------------------------------------------ errors
+
+
+def test_packets_of_a_wrong_shape_are_refused(walk: Walk) -> None:
+    estimator = StateEstimator()
+    with pytest.raises(ShapeError, match=r"\(41,\)"):
+        estimator.start(np.zeros(41))
+    with pytest.raises(ShapeError, match=r"\(3, 42\)"):
+        estimator.start(np.zeros((3, 42)))
+    tracking, _ = estimator.start(walk.packets[:, 0])
+    with pytest.raises(ShapeError, match="3 robots, got 2"):
+        estimator.update(tracking, walk.packets[:2, 1])
+    with pytest.raises(ShapeError, match=str(TRACKING_SIZE)):
+        Tracking.from_rows(np.zeros((2, 7)))
+
+
+def test_packets_lacking_an_entry_are_refused() -> None:
+    packet = {name: np.zeros(size) for name, size in PACKET_SIZES.items()}
+    assert join(packet).shape == (PACKET_SIZE,)
+    with pytest.raises(UnknownNameError, match="'gyro' is missing"):
+        join({name: value for name, value in packet.items() if name != "gyro"})
+    with pytest.raises(ShapeError, match=r"orientation.*4 numbers.*\(3,\)"):
+        join(packet | {"orientation": np.zeros(3)})
+    with pytest.raises(ShapeError, match="leading shape"):
+        join(packet | {"gyro": np.zeros((2, 3))})
+
+
+@pytest.mark.parametrize("period", [0.0, -0.003, float("nan"), 3.0])
+def test_a_period_that_is_none_is_refused(period: float) -> None:
+    with pytest.raises(ConfigurationError, match="period"):
+        StateEstimator(period=period)

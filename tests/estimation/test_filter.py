@@ -1,0 +1,276 @@
+"""The filter on motions with a known answer, and against matrices written out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from aslip.estimation.filter import LEFT, RIGHT, B, Belief, ContactFilter, FilterNoise, Motion, P, V
+
+PERIOD, RADIUS, HALF = 0.003, 0.02, 0.08
+LOADED, FREE = 200.0, 0.0
+
+Path = Callable[[float], np.ndarray]
+
+
+def _filter(**noise: float) -> ContactFilter:
+    return ContactFilter(PERIOD, RADIUS, HALF, replace(FilterNoise(), **noise))
+
+
+def _body(t: float) -> np.ndarray:
+    """A pelvis that goes on at 0.7 m/s and sways in all directions."""
+    return np.array(
+        [0.7 * t + 0.02 * np.sin(9 * t), 0.03 * np.sin(7 * t), 0.9 + 0.03 * np.sin(13 * t)]
+    )
+
+
+def _derivative(path: Path, t: float, order: int = 1) -> np.ndarray:
+    h = 1e-4
+    if order == 1:
+        return (path(t + h) - path(t - h)) / (2 * h)
+    return (path(t + h) - 2 * path(t) + path(t - h)) / h**2
+
+
+def _motion(
+    t: float,
+    feet: np.ndarray,
+    load: tuple[float, float],
+    path: Path = _body,
+    bias: np.ndarray | float = 0.0,
+    num: int = 1,
+) -> Motion:
+    """A packet of `num` robots at time t, with feet (2, 3) in the world."""
+    # what an accelerometer that integrates gives: the mean over the packet
+    acceleration = (_derivative(path, t) - _derivative(path, t - PERIOD)) / PERIOD + bias
+    rows = np.ones(num)
+    half = np.zeros((num, 2, 3))
+    half[..., 0] = HALF
+    return Motion(
+        acceleration=rows[:, None] * acceleration,
+        doubt=np.zeros(num),
+        sole=rows[:, None, None] * (feet - path(t)),
+        half_sole=half,
+        load=rows[:, None] * np.array(load),
+        fresh=np.ones((num, 2), dtype=bool),
+    )
+
+
+STANDING = np.array([[0.0, 0.1, RADIUS], [0.0, -0.1, RADIUS]])
+
+
+def _started(filter_: ContactFilter, velocity: np.ndarray | None = None, num: int = 1) -> Belief:
+    """At time 0 on both feet, with the true velocity or another."""
+    motion = _motion(0.0, STANDING, (LOADED, LOADED), num=num)
+    velocity = _derivative(_body, 0.0) if velocity is None else velocity
+    return filter_.start(motion, np.broadcast_to(-velocity, (num, 2, 3)))
+
+
+def _run(filter_: ContactFilter, belief: Belief, packets: int, **settings: object) -> None:
+    for k in range(1, packets + 1):
+        filter_.step(belief, _motion(k * PERIOD, STANDING, (LOADED, LOADED), **settings))  # pyright: ignore[reportArgumentType]
+
+
+# --------------------------------------------------------------- known answers
+
+
+def test_it_starts_on_the_lower_foot() -> None:
+    motion = _motion(0.0, np.array([[0.3, 0.1, 0.25], [0.0, -0.1, RADIUS]]), (FREE, FREE))
+    swinging = np.array([[[5.0, 0.0, 1.0], [-0.8, 0.1, 0.2]]])
+    belief = _filter().start(motion, swinging)
+    np.testing.assert_allclose(belief.mean[0, :, V], [0.8, -0.1, -0.2])
+    np.testing.assert_allclose(belief.mean[0, 2, P], 0.9)
+    np.testing.assert_allclose(belief.mean[0, :, RIGHT], [0.0, -0.1, RADIUS], atol=1e-12)
+
+
+def test_a_motion_without_noise_is_followed_exactly() -> None:
+    filter_ = _filter()
+    belief = _started(filter_)
+    _run(filter_, belief, 400)
+    t = 400 * PERIOD
+    np.testing.assert_allclose(belief.mean[0, :, V], _derivative(_body, t), atol=1e-3)
+    np.testing.assert_allclose(belief.mean[0, :, P] + _body(0) * [1, 1, 0], _body(t), atol=1e-3)
+    assert belief.resting.all()
+
+
+@pytest.mark.parametrize("error", [[0.3, -0.3, 0.0], [-0.2, 0.2, 0.2]])
+def test_a_wrong_velocity_is_corrected_within_ten_policy_steps(error: list[float]) -> None:
+    filter_ = _filter()
+    belief = _started(filter_, _derivative(_body, 0.0) + error)
+    _run(filter_, belief, 100)
+    error_left = belief.mean[0, :, V] - _derivative(_body, 100 * PERIOD)
+    assert np.abs(error_left).max() < 0.02
+
+
+def test_a_biased_accelerometer_is_found_out() -> None:
+    """Tilt of the attitude shows as such a bias, too."""
+    bias = np.array([0.08, -0.05, 0.03])
+    filter_ = _filter()
+    belief = _started(filter_)
+    _run(filter_, belief, 4000, bias=bias)
+    np.testing.assert_allclose(belief.mean[0, :, B], -bias, atol=0.01)
+
+
+def test_walking_from_foot_to_foot_loses_no_way() -> None:
+    """2 m in 100 alternating stances; only then is anything lost."""
+    filter_ = _filter()
+    belief = _started(filter_)
+    feet = STANDING.copy()
+    stance = 40
+    for k in range(1, 1001):
+        side = (k // stance) % 2
+        swing = 1 - side
+        t = k * PERIOD
+        # the swing foot moves on its way to where it will stand, above the ground
+        fraction = (k % stance + 1) / stance
+        feet[swing] = [
+            _body(t)[0] + 0.05,
+            STANDING[swing, 1],
+            RADIUS + 0.1 * np.sin(np.pi * fraction),
+        ]
+        if fraction == 1:
+            feet[swing, 2] = RADIUS
+        load = (LOADED, FREE) if side == 0 else (FREE, LOADED)
+        filter_.step(belief, _motion(t, feet, load))
+    np.testing.assert_allclose(belief.mean[0, :, V], _derivative(_body, 3.0), atol=5e-3)
+    np.testing.assert_allclose(belief.mean[0, :, P] + _body(0) * [1, 1, 0], _body(3.0), atol=5e-3)
+
+
+def test_a_skidding_foot_is_no_foot_at_rest() -> None:
+    """The right foot slides at 1 m/s, loaded as it is: the velocity stays that of the left."""
+    filter_ = _filter()
+    belief = _started(filter_)
+    _run(filter_, belief, 100)
+    feet = STANDING.copy()
+    for k in range(101, 150):
+        feet[1, 0] += 1.0 * PERIOD
+        filter_.step(belief, _motion(k * PERIOD, feet, (LOADED, LOADED)))
+        assert belief.resting[0].tolist() == [True, False]
+        error = belief.mean[0, :, V] - _derivative(_body, k * PERIOD)
+        assert np.abs(error).max() < 0.01
+
+
+def test_a_shaken_spring_in_the_air_is_no_contact() -> None:
+    """A foot that hangs still, 15 cm above the ground, with its spring deflected."""
+    filter_ = _filter()
+    feet = STANDING + np.array([[0, 0, 0], [0, 0, 0.15]])
+    belief = _filter().start(_motion(0.0, feet, (FREE, FREE)), np.zeros((1, 2, 3)))
+    for k in range(1, 20):
+        filter_.step(belief, _motion(k * PERIOD, feet, (FREE, LOADED)))
+        assert not belief.resting.any()
+
+
+def test_a_sole_that_rocks_over_its_heel_does_not_move_the_robot() -> None:
+    """The toes come up by 0.15 rad in 0.1 s; the heel stays, the centre rises and goes back."""
+    filter_ = _filter()
+    still: Path = lambda t: np.array([0.0, 0.0, 0.9])  # noqa: E731
+    belief = filter_.start(_motion(0.0, STANDING, (LOADED, LOADED), still), np.zeros((1, 2, 3)))
+    for k in range(1, 100):
+        pitch = 0.15 * min(max(k - 60, 0) / 33, 1)
+        toward_toe = HALF * np.array([np.cos(pitch), 0, np.sin(pitch)])
+        feet = STANDING - [HALF, 0, 0] + toward_toe
+        motion = _motion(k * PERIOD, feet, (LOADED, LOADED), still)
+        half = np.broadcast_to(toward_toe, (1, 2, 3)).copy()
+        filter_.step(belief, replace(motion, half_sole=half))
+    assert belief.resting.all()
+    assert np.abs(belief.mean[0, :, V]).max() < 0.01
+    assert abs(belief.mean[0, 2, P] - 0.9) < 2e-3
+
+
+def test_a_confident_error_is_doubted_after_a_while() -> None:
+    """Feet at rest look as if they moved; after 0.1 s of that the filter blames itself."""
+    filter_ = _filter()
+    belief = _started(filter_)
+    _run(filter_, belief, 200)
+    belief.mean[0, 0, V] += 3.0
+    for k in range(201, 301):
+        filter_.step(belief, _motion(k * PERIOD, STANDING, (LOADED, LOADED)))
+    error = belief.mean[0, :, V] - _derivative(_body, 300 * PERIOD)
+    assert np.abs(error).max() < 0.05
+    assert belief.resting.all()
+
+
+def test_covariances_stay_covariances() -> None:
+    filter_, rng = _filter(), np.random.default_rng(0)
+    belief = _started(filter_, num=8)
+    for k in range(1, 3000):
+        motion = _motion(k * PERIOD, STANDING, (LOADED, LOADED), num=8)
+        load = np.where(rng.random((8, 2)) < 0.02, FREE, motion.load)
+        filter_.step(belief, replace(motion, load=load))
+    cov = belief.covariance
+    np.testing.assert_allclose(cov, cov.swapaxes(-1, -2), atol=1e-14)
+    assert np.linalg.eigvalsh(cov).min() > -1e-12
+
+
+# --------------------------------------------------------------------- equations
+
+
+def test_it_is_the_kalman_filter_of_the_textbook() -> None:
+    """Matrices written out, both feet at rest: equal to rounding, mean and covariance.
+
+    The covariance is predicted with F = 1 + dt N, the mean with its second-order term.
+    """
+    filter_ = _filter()
+    noise = filter_.noise
+    belief = _started(filter_)
+    mean, cov = belief.mean[0].copy(), belief.covariance[0].copy()
+    dynamics = np.eye(5)
+    dynamics[P, V] = dynamics[V, B] = PERIOD
+    push = np.array([PERIOD**2 / 2, PERIOD, 0, 0, 0])
+    second_order = np.zeros((5, 5))
+    second_order[P, B] = PERIOD**2 / 2
+    for k in range(1, 40):
+        motion = _motion(k * PERIOD, STANDING, (LOADED, LOADED))
+        filter_.step(belief, motion)
+        for axis in range(3):
+            a = motion.acceleration[0, axis]
+            x = (dynamics + second_order) @ mean[axis] + push * a
+            walk = noise.slip if axis < 2 else noise.sink
+            shaken = noise.acceleration**2 + noise.shock**2 * (motion.acceleration[0] ** 2).sum()
+            added = [0, PERIOD**2 * shaken, PERIOD * noise.acceleration_error**2]
+            q = np.diag([*added, PERIOD * walk**2, PERIOD * walk**2])
+            p = dynamics @ cov[axis] @ dynamics.T + q
+            for foot, column in enumerate((LEFT, RIGHT)):
+                rows = [
+                    (np.eye(5)[column] - np.eye(5)[P], noise.leg**2, motion.sole[0, foot, axis])
+                ]
+                if axis == 2:
+                    rows.append((np.eye(5)[column], noise.ground**2, RADIUS))
+                for h, r, y in rows:
+                    gain = p @ h / (h @ p @ h + r)
+                    x = x + gain * (y - h @ x)
+                    p = (np.eye(5) - np.outer(gain, h)) @ p
+            mean[axis], cov[axis] = x, p
+        assert belief.resting.all()
+        np.testing.assert_allclose(belief.mean[0], mean, atol=1e-10)
+        np.testing.assert_allclose(belief.covariance[0], cov, atol=1e-12)
+
+
+def test_its_errors_are_as_large_as_it_says() -> None:
+    """With noise as it assumes, 300 robots standing: NIS and NEES are one an axis.
+
+    Bands are five standard errors of means of squared normal numbers; those of velocity are taken
+    at one instant and independent, innovations at many.
+    """
+    num, rng = 300, np.random.default_rng(1)
+    filter_ = _filter(shock=0.0, gate=1e9)
+    noise = filter_.noise
+    belief = _started(filter_, num=num)
+    belief.mean[..., V] += noise.initial_velocity * rng.normal(size=(num, 3))
+    bias = noise.initial_acceleration_error * rng.normal(size=(num, 3))
+    feet = np.broadcast_to(STANDING, (num, 2, 3)).copy()
+    nis = []
+    for k in range(1, 300):
+        motion = _motion(k * PERIOD, STANDING, (LOADED, LOADED), num=num)
+        bias += noise.acceleration_error * np.sqrt(PERIOD) * rng.normal(size=(num, 3))
+        feet[..., :2] += noise.slip * np.sqrt(PERIOD) * rng.normal(size=(num, 2, 2))
+        measured = motion.acceleration - bias + noise.acceleration * rng.normal(size=(num, 3))
+        sole = feet - _body(k * PERIOD) + noise.leg * rng.normal(size=(num, 2, 3))
+        filter_.step(belief, replace(motion, acceleration=measured, sole=sole))
+        nis.append(belief.innovation[..., :2].mean())
+    error = belief.mean[..., V] - _derivative(_body, 299 * PERIOD)
+    nees = (error**2 / belief.covariance[..., V, V])[:, :2].mean()
+    assert nees == pytest.approx(1.0, abs=5 * np.sqrt(2 / (2 * num)))
+    assert np.mean(nis) == pytest.approx(1.0, abs=0.05)
