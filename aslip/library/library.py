@@ -155,8 +155,8 @@ class _PeriodicTable:
     def locate_speed(self, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Row below a speed, and the weight of the row above; shapes of `speed`."""
         speed = speed.double().clamp(self._speeds[0], self._speeds[-1])
-        row = torch.searchsorted(self._speeds, speed, right=True) - 1
-        row = row.clamp(0, len(self._speeds) - 2)
+        # of so few gaits, counting those below is faster than a search
+        row = (speed.unsqueeze(-1) >= self._speeds[1:-1]).sum(-1)
         low, high = self._speeds[row], self._speeds[row + 1]
         return row, (speed - low) / (high - low)
 
@@ -169,9 +169,15 @@ class _PeriodicTable:
         column = left.long().squeeze(-1) % samples
         after = (column + 1) % samples
         row = row.squeeze(-1)
-        low = _hermite(self._nodes[row, column], self._nodes[row, after], t)
-        high = _hermite(self._nodes[row + 1, column], self._nodes[row + 1, after], t)
+        low = _hermite(self._at(row, column), self._at(row, after), t)
+        high = _hermite(self._at(row + 1, column), self._at(row + 1, after), t)
         return torch.lerp(low, high, weight)
+
+    def _at(self, row: Tensor, column: Tensor) -> Tensor:
+        """(*b, 2, k) nodes; selecting whole rows is several times faster than indexing twice."""
+        index = row * self._nodes.shape[1] + column
+        nodes = self._nodes.flatten(0, 1).index_select(0, index.flatten())
+        return nodes.reshape(*index.shape, *nodes.shape[1:])
 
 
 def _hermite(left: Tensor, right: Tensor, t: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import fields
 from typing import Literal, get_args
 
 import torch
@@ -36,11 +36,13 @@ class ReferenceInjection(CassieTransform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         command, phase = next_tensordict["command"], next_tensordict["phase"]
-        present = self.library.lookup(phase, command)
         lead = self.motor_lead * POLICY_PERIOD / self.library.stride(command)
-        ahead = self.library.lookup(phase + lead, command)
-        reference = replace(present, motor_position=ahead.motor_position)
-        return next_tensordict.set("reference", reference.to_tensordict())
+        # one lookup for both instants costs half of two
+        phases = torch.stack([phase, phase + lead])
+        both = self.library.lookup(phases, command.expand_as(phases))
+        values = {field.name: getattr(both, field.name)[0] for field in fields(both)}
+        values["motor_position"] = both.motor_position[1]
+        return next_tensordict.set("reference", Reference(**values).to_tensordict())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of `aslip.library.Reference`."""
