@@ -1,5 +1,6 @@
 """Recipes and benchmarks run from start to end on small settings."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -7,7 +8,7 @@ import pytest
 from aslip import GaitLibrary
 from aslip.errors import SpeedOutOfRangeError
 from aslip.library.file import read_made_by
-from benchmarks import throughput
+from benchmarks import estimator, learning_curves, throughput
 from recipes import gait_library
 
 
@@ -40,3 +41,54 @@ def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixtur
     rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
     assert len(rows) == 6
     assert all(row.endswith("% |") for row in rows)
+
+
+def test_the_estimator_is_measured_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = estimator.Config(
+        steps=12,
+        repeats=1,
+        falls=2,
+        num_envs=2,
+        rounds=1,
+        picture=tmp_path / "estimator.png",
+        report=tmp_path / "estimator.json",
+    )
+    estimator.main(config)
+    printed = capsys.readouterr().out
+    assert [line[:7] for line in printed.splitlines() if line[2:3] in "012"][:5] == [
+        f"| {speed:.1f} |" for speed in (0.0, 0.5, 1.0, 1.5, 2.0)
+    ]
+    assert "estimator and noise" in printed
+    numbers = json.loads((tmp_path / "estimator.json").read_text())
+    assert all(max(row["velocity"]) < 0.3 for row in numbers["walks"])
+    assert sum(row["samples"] for row in numbers["recovery"]) > 0
+    assert (tmp_path / "estimator.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_learning_curves_are_reported_from_what_there_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header = "step,episode_length,episode_return,eval_return,eval_survived"
+    for name, walks_at in (("truth-0", 20), ("estimate-0", 30), ("estimate-2", 90)):
+        (tmp_path / name).mkdir()
+        rows = [f"{k},{400 if k >= walks_at else 20},{k},nan,nan" for k in range(0, 60, 10)]
+        lines = [header, *rows, "60,300,250,333,1.0", "70,4"]  # the last is being written
+        (tmp_path / name / "progress.csv").write_text("\n".join(lines))
+    config = learning_curves.Config(out=tmp_path, train=False, picture=tmp_path / "curves.png")
+    learning_curves.main(config)
+    table = capsys.readouterr().out
+    assert "| truth | 0 | 60 | 20 | 300 | 250 | 333 | 100 % |" in table
+    assert "| estimate | 0 | 60 | 30 |" in table
+    assert "| estimate | 2 | 60 | not yet |" in table
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+def test_learning_curves_train_what_is_missing_and_resume(tmp_path: Path) -> None:
+    settings = {"out": tmp_path, "seeds": (0,), "jobs": 2, "picture": tmp_path / "curves.png"}
+    for steps in (5120, 10240):
+        learning_curves.main(learning_curves.Config(total_steps=steps, **settings))
+        for variant in learning_curves.VARIANTS:
+            assert learning_curves._steps(tmp_path / f"{variant}-0") == steps
