@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -28,7 +29,7 @@ from aslip.cassie import SUBSTEPS
 from aslip.envs import BatchCassieEnv
 from aslip.library import GaitLibrary
 from aslip.sim import SimulationPool
-from aslip.stack import CassieTransformedEnv
+from aslip.transforms import TrueState
 
 _PAUSE = 0.01  # [s]
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -73,41 +74,53 @@ class Bound:
 
 
 class Candidates:
-    """The bound, bare simulations, and the environment with all transforms, kept in step."""
+    """The bound, bare simulations, and environments with transforms, kept in step."""
 
     def __init__(self, num_envs: int, config: Config, library: GaitLibrary) -> None:
-        self.env = aslip.make_env(
-            num_envs=num_envs, seed=0, library=library, num_threads=config.num_threads
-        )
-        base = self.env.base_env
-        assert isinstance(base, BatchCassieEnv)
-        self.inside = base.simulations
+        edits: dict[str, dict[str, Any]] = {
+            "environment on the truth": {"drop": ["noise"], "replace": {"estimator": TrueState}},
+            "environment, all transforms": {},
+        }
+        self.envs = {
+            name: aslip.make_env(
+                num_envs=num_envs, library=library, num_threads=config.num_threads, **edit
+            )
+            for name, edit in edits.items()
+        }
+        self.pools: list[SimulationPool] = []
+        for env in self.envs.values():
+            assert isinstance(env.base_env, BatchCassieEnv)
+            self.pools.append(env.base_env.simulations)
         self.bare = SimulationPool(num_envs, num_threads=config.num_threads)
-        self.bound = Bound(self.inside.model, config.num_threads)
+        self.bound = Bound(self.bare.model, config.num_threads)
         self.policy = aslip.load_policy(config.policy)
         self.std = config.action_std
-        self.td = self.env.reset()
+        self.states = {name: env.reset() for name, env in self.envs.items()}
 
     def step(self) -> dict[str, float]:
-        """One policy step of each; seconds by name."""
-        states = self.inside.states()
+        """One policy step of each from the last one's states; seconds by name."""
+        states = self.pools[-1].states()
+        for pool in (self.bare, *self.pools):
+            pool.set_states(states)
+        td = list(self.states.values())[-1]
         with torch.no_grad():
-            self.policy(self.td)
-        self.td["action"] += self.std * torch.randn(self.env.num_envs, 10)
-        target = self.td["reference", "motor_position"] + self.td["action"]
-        targets = np.asarray(target, dtype=np.float64)
-        self.bare.set_states(states)
+            self.policy(td)
+        td["action"] += self.std * torch.randn(self.bare.num, 10)
+        for other in self.states.values():
+            other["action"] = td["action"].clone()
+        targets = np.asarray(td["reference", "motor_position"] + td["action"], dtype=np.float64)
         seconds = {
             "mj_step (bound)": _timed(lambda: self.bound.advance(states)),
-            "simulations: drive, delay, checks": _timed(lambda: self.bare.advance(targets)),
-            "environment, all transforms": _timed(lambda: self._step_env(self.env)),
+            "simulations": _timed(lambda: self.bare.advance(targets)),
         }
+        for name in self.envs:
+            seconds[name] = _timed(lambda name=name: self._step_env(name))
         return seconds
 
-    def _step_env(self, env: CassieTransformedEnv) -> None:
-        _, following = env.step_and_maybe_reset(self.td)
+    def _step_env(self, name: str) -> None:
+        _, following = self.envs[name].step_and_maybe_reset(self.states[name])
         assert isinstance(following, TensorDictBase)
-        self.td = following
+        self.states[name] = following
 
 
 def main(config: Config) -> None:

@@ -39,7 +39,7 @@ def test_a_library_of_impossible_speeds_leaves_no_file(tmp_path: Path) -> None:
 def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
     throughput.main(throughput.Config(num_envs=(2, 3), rounds=1, steps=1))
     rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
-    assert len(rows) == 6
+    assert len(rows) == 8
     assert all(row.endswith("% |") for row in rows)
 
 
