@@ -17,7 +17,7 @@ from aslip.cassie.sensing import PACKET_PERIOD
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation.filter import Belief, ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
-from aslip.estimation.packets import PACKET_SIZE, SLICES, Screen, join
+from aslip.estimation.packets import PACKET_SIZE, SLICES, join, screen
 
 # deviation [m/s^2] of an acceleration that had to be made up
 _DOUBT = 5.0
@@ -150,6 +150,7 @@ class StateEstimator:
 
     A packet is a mapping of the entries of `aslip.cassie.sensing.PACKET_SIZES`, or those joined to
     an array. Windows of packets of several robots, oldest first, have the leading shape (n, w).
+    The accelerometer's value is the mean since the packet before.
 
     A packet with NaN, with values out of range, with a spike of the IMU, or of an IMU that repeats
     itself, is recognised (`Estimate.faults`), and what it lacks is bridged: by the last good
@@ -180,7 +181,6 @@ class StateEstimator:
         self._filter = ContactFilter(
             period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
         )
-        self._screen = Screen()
         self._imu = robot.site("imu").pos.copy()
         # alpha x r = alpha @ arm
         self._arm = np.cross(np.eye(3), self._imu)
@@ -200,8 +200,8 @@ class StateEstimator:
         """
         rows = _windows(packets)[:, -1:]
         first = np.broadcast_to(self._standing, (len(rows), PACKET_SIZE))
-        readings, faults, _, _ = self._screen(rows, first, np.full(len(rows), np.inf))
-        reading = readings[:, 0]
+        readings, faults, _, _ = screen(rows, first, np.full(len(rows), np.inf))
+        reading = readings[:, 0].copy()
         tracking = Tracking(None, reading, np.zeros(len(rows)))  # pyright: ignore[reportArgumentType]
         motions, geometry = self._interpret(reading, readings, *_all_good(len(rows)))
         tracking.belief = self._filter.start(motions[0], self._sole_velocity(reading))
@@ -226,7 +226,7 @@ class StateEstimator:
         rows = np.full((num, 1, PACKET_SIZE), np.nan) if packets is None else _windows(packets)
         if len(rows) != num:
             raise ShapeError(f"packets must be those of {num} robots, got {len(rows)}")
-        readings, faults, legs, imu = self._screen(rows, tracking.reading, tracking.jumps)
+        readings, faults, legs, imu = screen(rows, tracking.reading, tracking.jumps)
         motions, geometry = self._interpret(tracking.reading, readings, legs, imu)
         innovation = np.empty((num, len(motions), 2, 3))
         resting = np.empty((num, len(motions), 2), dtype=bool)
@@ -234,7 +234,8 @@ class StateEstimator:
             self._filter.step(tracking.belief, motion)
             innovation[:, k] = tracking.belief.innovation
             resting[:, k] = tracking.belief.resting
-        tracking.reading = readings[:, -1]
+        # a copy: the packets may lie in a buffer that the caller fills again
+        tracking.reading = readings[:, -1].copy()
         return self._describe(tracking, geometry, faults, innovation, resting)
 
     def _interpret(

@@ -82,62 +82,59 @@ def join(packet: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.concatenate(entries, axis=-1)
 
 
-class Screen:
-    """Finds bad readings in windows of packets and puts the last good ones in their place."""
+def screen(
+    packets: np.ndarray, last: np.ndarray, jumps: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Find bad readings in windows of packets, and put the last good ones in their place.
 
-    def __call__(
-        self, packets: np.ndarray, last: np.ndarray, jumps: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Check windows of packets, oldest first.
+    Args:
+        packets: (n, w, 42), oldest first.
+        last: (n, 42) last good readings before.
+        jumps: (n,) jumps in a row before; advanced in place.
 
-        Args:
-            packets: (n, w, 42).
-            last: (n, 42) last good readings before.
-            jumps: (n,) jumps in a row before; advanced in place.
+    Returns:
+        (n, w, 42) readings, the packets themselves if nothing is wrong; (n, w, 4) bool, the
+        `FAULTS`; (n, w, 2) bool, all readings of a leg are good; (n, w) bool, all of the IMU are.
+    """
+    num, window, _ = packets.shape
+    good = np.abs(packets) <= _LIMIT
+    length = (packets[..., _ORIENTATION] ** 2).sum(-1)
+    good[..., _ORIENTATION] &= (np.abs(length - 1) <= _UNIT)[..., None]
+    imu = np.concatenate([last[:, None, _IMU], packets[..., _IMU]], axis=1)
+    change = np.abs(imu[:, 1:] - imu[:, :-1])
+    smooth = (change <= _LARGEST_JUMP).all(-1)
+    # not equal, rather than more: a change of NaN is no standstill
+    moving = change.max(-1) != 0
+    faults = np.zeros((num, window, len(FAULTS)), dtype=bool)
+    if good.all() and smooth.all() and moving.all():
+        jumps[:] = 0
+        legs = np.ones((num, window, 2), dtype=bool)
+        return packets, faults, legs, np.ones((num, window), dtype=bool)
+    return _mend(packets, last, jumps, good, moving, faults)
 
-        Returns:
-            (n, w, 42) readings; (n, w, 4) bool, the `FAULTS`; (n, w, 2) bool, all readings of a leg
-            are good; (n, w) bool, all of the IMU are.
-        """
-        num, window, _ = packets.shape
-        good = np.abs(packets) <= _LIMIT
-        length = (packets[..., _ORIENTATION] ** 2).sum(-1)
-        good[..., _ORIENTATION] &= (np.abs(length - 1) <= _UNIT)[..., None]
-        imu = np.concatenate([last[:, None, _IMU], packets[..., _IMU]], axis=1)
-        change = np.abs(imu[:, 1:] - imu[:, :-1])
-        smooth = (change <= _LARGEST_JUMP).all(-1)
-        # not equal, rather than more: a change of NaN is no standstill
-        moving = change.max(-1) != 0
-        faults = np.zeros((num, window, len(FAULTS)), dtype=bool)
-        if good.all() and smooth.all() and moving.all():
-            jumps[:] = 0
-            legs = np.ones((num, window, 2), dtype=bool)
-            return packets, faults, legs, np.ones((num, window), dtype=bool)
-        return self._mend(packets, last, jumps, good, moving, faults)
 
-    @staticmethod
-    def _mend(
-        packets: np.ndarray,
-        last: np.ndarray,
-        jumps: np.ndarray,
-        good: np.ndarray,
-        moving: np.ndarray,
-        faults: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        number = np.isfinite(packets)
-        faults[..., MISSING] = ~number.all(-1)
-        faults[..., IMPLAUSIBLE] = (number & ~good).any(-1)
-        faults[..., FROZEN] = ~moving
-        good = good & moving[..., None]
-        readings = packets.copy()
-        for k in range(packets.shape[1]):
-            change = np.abs(packets[:, k, _IMU] - last[:, _IMU])
-            fast = (change > _LARGEST_JUMP).any(-1) & good[:, k, _IMU].all(-1)
-            jump = fast & (jumps < _PERSISTENT)
-            jumps[:] = np.where(jump, jumps + 1, 0)
-            faults[:, k, JUMP] = jump
-            good[:, k, _IMU] &= ~jump[:, None]
-            last = np.where(good[:, k], packets[:, k], last)
-            readings[:, k] = last
-        legs = np.stack([good[..., channels].min(-1) for channels in _LEG], axis=-1)
-        return readings, faults, legs, good[..., SLICES["orientation"].start :].min(-1)
+def _mend(
+    packets: np.ndarray,
+    last: np.ndarray,
+    jumps: np.ndarray,
+    good: np.ndarray,
+    moving: np.ndarray,
+    faults: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    number = np.isfinite(packets)
+    faults[..., MISSING] = ~number.all(-1)
+    faults[..., IMPLAUSIBLE] = (number & ~good).any(-1)
+    faults[..., FROZEN] = ~moving
+    good = good & moving[..., None]
+    readings = packets.copy()
+    for k in range(packets.shape[1]):
+        change = np.abs(packets[:, k, _IMU] - last[:, _IMU])
+        fast = (change > _LARGEST_JUMP).any(-1) & good[:, k, _IMU].all(-1)
+        jump = fast & (jumps < _PERSISTENT)
+        jumps[:] = np.where(jump, jumps + 1, 0)
+        faults[:, k, JUMP] = jump
+        good[:, k, _IMU] &= ~jump[:, None]
+        last = np.where(good[:, k], packets[:, k], last)
+        readings[:, k] = last
+    legs = np.stack([good[..., channels].min(-1) for channels in _LEG], axis=-1)
+    return readings, faults, legs, good[..., SLICES["orientation"].start :].min(-1)

@@ -129,13 +129,19 @@ def test_what_is_remembered_can_be_handed_on(walk: Walk) -> None:
 
 
 def test_estimates_do_not_change_afterwards(walk: Walk) -> None:
-    estimator = StateEstimator()
-    tracking, first = estimator.start(walk.packets[:, 0])
-    kept = {name: np.array(value) for name, value in vars(first).items()}
+    """Nor does anything when the caller fills the buffer of packets again."""
+    estimator, buffer = StateEstimator(), walk.packets[:, 0].copy()
+    tracking, first = estimator.start(buffer)
+    kept = [(first, {name: np.array(value) for name, value in vars(first).items()})]
     for step in range(1, 6):
-        estimator.update(tracking, walk.packets[:, step])
-    for name, value in kept.items():
-        np.testing.assert_array_equal(getattr(first, name), value, err_msg=name)
+        buffer[:] = walk.packets[:, step]
+        estimate = estimator.update(tracking, buffer)
+        kept.append((estimate, {name: np.array(value) for name, value in vars(estimate).items()}))
+    buffer[:] = np.nan
+    for estimate, values in kept:
+        for name, value in values.items():
+            np.testing.assert_array_equal(getattr(estimate, name), value, err_msg=name)
+    assert np.isfinite(tracking.to_rows()).all()
 
 
 # ----------------------------------------------------------------------------- faults
