@@ -33,6 +33,8 @@ except ImportError:  # not on Windows
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.policy import POLICY_FILE, load_components, read_manifest
 
+_PROGRESS_FILE = "progress.csv"
+
 # settings that may differ between a run and its continuation
 _MAY_DIFFER = ("resume", "out", "total_steps")
 
@@ -65,7 +67,7 @@ class TrainingRun:
         write_text(settings_file, json.dumps(self.settings, indent=1) + "\n")
         self._rotation = CheckpointRotation(self.folder / "checkpoints", keep_last=2)
         self._tensorboard: SummaryWriter | None = None
-        self._csv = self.folder / "progress.csv"
+        self._csv = self.folder / _PROGRESS_FILE
         if not resume:
             self._csv.unlink(missing_ok=True)
 
@@ -89,13 +91,7 @@ class TrainingRun:
 
     def history(self) -> dict[str, list[float]]:
         """The CSV's columns; empty if there is none yet."""
-        if not self._csv.exists():
-            return {}
-        with self._csv.open(newline="") as file:
-            header, *rows = list(csv.reader(file)) or [[]]
-        # a killed run may leave an unfinished last row
-        rows = [row for row in rows if len(row) == len(header)]
-        return {name: [float(row[i]) for row in rows] for i, name in enumerate(header)}
+        return read_progress(self.folder)
 
     def save(self, step: int, metadata: Mapping[str, Any], **components: Any) -> None:
         """Write a checkpoint and drop the ones before the last two."""
@@ -154,6 +150,18 @@ class TrainingRun:
         lines = [",".join(history)]
         lines += [",".join(f"{column[i]:.10g}" for column in history.values()) for i in kept]
         write_text(self._csv, "\n".join(lines) + "\n")
+
+
+def read_progress(folder: Path) -> dict[str, list[float]]:
+    """Columns of a run's `progress.csv`; empty if there is none yet."""
+    file_name = folder / _PROGRESS_FILE
+    if not file_name.exists():
+        return {}
+    with file_name.open(newline="") as file:
+        header, *rows = list(csv.reader(file)) or [[]]
+    # a run that was killed, or writes at this moment, may have an unfinished last row
+    rows = [row for row in rows if len(row) == len(header)]
+    return {name: [float(row[i]) for row in rows] for i, name in enumerate(header)}
 
 
 def peak_memory() -> float:

@@ -11,7 +11,6 @@ their range.
 
 from __future__ import annotations
 
-import csv
 import os
 import subprocess
 import sys
@@ -27,7 +26,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from aslip.plots import save_figure
-from aslip.run import write_text
+from aslip.run import read_progress, write_text
 
 VARIANTS: Final = MappingProxyType({"truth": ("--truth",), "estimate": ()})
 """Name -> flags of the recipe."""
@@ -119,28 +118,20 @@ def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Pop
 
 def _steps(folder: Path) -> int:
     """Policy steps a run has done."""
-    rows = _history(folder).get("step", np.zeros(1))
-    return int(rows[-1]) if len(rows) else 0
+    steps = read_progress(folder).get("step")
+    return int(steps[-1]) if steps else 0
 
 
 # ---------------------------------------------------------------------- reports
 
 
-def _history(folder: Path) -> dict[str, np.ndarray]:
-    """Columns of a run's progress; empty when there is none."""
-    file = folder / "progress.csv"
-    if not file.exists():
-        return {}
-    with file.open(newline="") as lines:
-        header, *rows = list(csv.reader(lines)) or [[]]
-    # a run that writes at this moment may have half a row there
-    rows = [row for row in rows if len(row) == len(header)]
-    return {name: np.array([float(row[i]) for row in rows]) for i, name in enumerate(header)}
-
-
 def _curves(config: Config, variant: str) -> Curves:
-    histories = {seed: _history(_folder(config, variant, seed)) for seed in config.seeds}
-    return {seed: run for seed, run in histories.items() if len(run.get("step", []))}
+    histories = {seed: read_progress(_folder(config, variant, seed)) for seed in config.seeds}
+    return {
+        seed: {name: np.array(column) for name, column in history.items()}
+        for seed, history in histories.items()
+        if history.get("step")
+    }
 
 
 def report(curves: dict[str, Curves]) -> str:
