@@ -116,14 +116,16 @@ class Sensors:
 
         joint_velocity = qvel[:, self._joint_qvel]
         joint = qpos[:, self._encoder_qpos[self._motors :]] - PHYSICS_TIMESTEP * joint_velocity
+        # counted angles, or the filter would take the lost part of a count for a step
+        counted = np.trunc(joint / _JOINT_STEP) * _JOINT_STEP
         self._joint_memory[:, ids] = (
-            self._constant[:, None, None] * joint + self._ramp[:, None, None] * joint_velocity
+            self._constant[:, None, None] * counted + self._ramp[:, None, None] * joint_velocity
         )
         inertial = np.concatenate([qpos[:, 3:7], qvel[:, 3:6], qacc[:, :6]], axis=1).T
         first = {
             "motor_position": self.motor_position[ids],
             "motor_velocity": self.motor_velocity[ids],
-            "joint_position": np.trunc(joint / _JOINT_STEP) * _JOINT_STEP,
+            "joint_position": counted,
             "joint_velocity": self._ramp_gain * joint_velocity,
             "orientation": _upper(inertial[_ATTITUDE]).T,
             "gyro": inertial[_GYRO].T,

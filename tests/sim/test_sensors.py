@@ -10,12 +10,13 @@ from collections.abc import Callable
 import mujoco
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from aslip.assets import asset_path
 from aslip.cassie import GEAR, PHYSICS_TIMESTEP, SUBSTEPS
 from aslip.cassie.model import load_model
 from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SUBSTEPS, SENSOR_WINDOW
-from aslip.sim import SimulationPool, Simulations
+from aslip.sim import SimulationPool, Simulations, motor_torque
 from aslip.sim.sensors import (
     JOINT_VELOCITY_FILTER,
     MOTOR_VELOCITY_TAPS,
@@ -83,19 +84,11 @@ MOTOR_FILTER = (MOTOR_VELOCITY_TAPS / np.pi, np.array([1.0]))
 
 
 def test_encoders_have_the_declared_resolution(model: mujoco.MjModel) -> None:
-    """A slow ramp is a staircase whose treads are that wide."""
-    for name, steps in (("motor_position", MOTOR_STEPS), ("joint_position", JOINT_STEPS)):
-        bench = Bench(model)
-        seen = bench.run(lambda t: 0.5 + 1e-3 * t, 10)
-        record = seen[name if name.startswith("motor") else f"sent_{name}"]
-        sent = seen[f"sent_{name}"]
-        for channel, step in enumerate(steps):
-            counts = sent[:, channel] / step
-            np.testing.assert_allclose(counts, np.round(counts), atol=0.02 * abs(counts).max())
-            errors = 0.5 + 1e-3 * PHYSICS_TIMESTEP * np.arange(len(record)) - record[:, channel]
-            if name.startswith("motor"):
-                assert errors.min() >= 0
-                assert errors.max() < 1.01 * step
+    """A slow ramp of a motor is a staircase whose treads are that wide."""
+    seen = Bench(model).run(lambda t: 0.5 + 1e-3 * t, 10)["motor_position"]
+    errors = 0.5 + 1e-3 * PHYSICS_TIMESTEP * np.arange(len(seen))[:, None] - seen
+    assert (errors >= 0).all()
+    assert (errors < 1.01 * MOTOR_STEPS).all()
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -109,12 +102,16 @@ def test_counts_are_cut_toward_zero(model: mujoco.MjModel, sign: float) -> None:
         assert (short < 1.01 * steps).all()
 
 
-def test_the_resolution_is_that_of_the_bits(model: mujoco.MjModel) -> None:
-    bench = Bench(model)
-    bench.run(lambda t: 1.0, 1)
-    bits = np.array([13, 13, 13, 13, 18] * 2)
-    expected = np.trunc(GEAR / (2 * np.pi) * 2.0**bits) * (2 * np.pi / 2.0**bits / GEAR)
-    np.testing.assert_allclose(bench.sensors.motor_position[0], expected, rtol=1e-14)
+@pytest.mark.parametrize("angle", [-1.0, -0.35007, 0.7003, 1.0])
+def test_the_resolution_is_that_of_the_bits(model: mujoco.MjModel, angle: float) -> None:
+    seen = Bench(model).run(lambda t: angle, 1)
+    for name, bits, gear in (
+        ("motor_position", [13, 13, 13, 13, 18] * 2, GEAR),
+        ("joint_position", [18, 18, 13] * 2, 1.0),
+    ):
+        step = 2 * np.pi / 2.0 ** np.array(bits) / gear
+        expected = np.broadcast_to(np.trunc(angle / step) * step, seen[f"sent_{name}"].shape)
+        np.testing.assert_allclose(seen[f"sent_{name}"], expected, rtol=1e-14)
 
 
 # ---------------------------------------------------------------------- filters
@@ -159,6 +156,29 @@ def test_a_sine_comes_out_as_the_transfer_function_says(
         assert (worst < noise / (np.pi if coefficients is MOTOR_FILTER else 1.0)).all(), worst
 
 
+def test_a_step_of_angle_comes_out_as_the_difference_equations_say(model: mujoco.MjModel) -> None:
+    """Exactly, from the counted angles; packets hold every sixth of the motors' velocities."""
+    bench = Bench(model)
+    bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = -0.2
+    bench.reset()
+    seen = bench.run(lambda t: -0.2 if t < 0.0101 else 0.1, 3)
+    sent = slice(PACKET_SUBSTEPS - 1, None, PACKET_SUBSTEPS)
+
+    padding = len(MOTOR_VELOCITY_TAPS)
+    angle = np.repeat([-0.2, 0.1], [padding + 21, 3 * SUBSTEPS - 21])[:, None]
+    for bits, gear, coefficients, found in (
+        ([13, 13, 13, 13, 18] * 2, GEAR, MOTOR_FILTER, seen["motor_velocity"]),
+        ([18, 18, 13] * 2, 1.0, JOINT_VELOCITY_FILTER, seen["sent_joint_velocity"]),
+    ):
+        step = 2 * np.pi / 2.0 ** np.array(bits) / gear
+        counted = np.trunc(angle / step) * step
+        # a constant gives no velocity: the filters are settled where the difference is zero
+        response = lfilter(*coefficients, counted - counted[0], axis=0)[padding:]
+        response = response if coefficients is MOTOR_FILTER else response[sent]
+        np.testing.assert_allclose(found, response, atol=1e-8)
+    np.testing.assert_array_equal(seen["sent_motor_velocity"], seen["motor_velocity"][sent])
+
+
 def test_a_step_of_velocity_is_followed_without_overshoot_of_the_joint_filter(
     model: mujoco.MjModel,
 ) -> None:
@@ -196,6 +216,18 @@ def test_a_reset_in_motion_starts_settled(model: mujoco.MjModel) -> None:
     np.testing.assert_allclose(velocity, speed, atol=MOTOR_STEPS.max() * 2500)
     joint = np.vstack([first["joint_velocity"][:1], seen["sent_joint_velocity"]])
     np.testing.assert_allclose(joint[:, [0, 1, 3, 4]], 1.0019 * speed, atol=0.02)
+
+
+@pytest.mark.parametrize("angle", [-0.3501, 0.7003, 1.2345])
+def test_a_reset_at_rest_sends_no_velocity(model: mujoco.MjModel, angle: float) -> None:
+    """Not even that of the part of a count by which an angle is cut."""
+    bench = Bench(model)
+    bench.run(lambda t: 1.0 - 40.0 * t, 1)  # something to forget
+    bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = angle
+    bench.reset()
+    seen = bench.run(lambda t: angle, 1)
+    np.testing.assert_array_equal(seen["motor_velocity"], 0.0)
+    np.testing.assert_allclose(seen["sent_joint_velocity"], 0.0, atol=1e-10)
 
 
 # --------------------------------------------------------------------------- IMU
@@ -245,6 +277,21 @@ def test_the_imu_equals_mujocos(with_accelerometer: mujoco.MjModel) -> None:
     assert np.abs(mean).max() > 10
 
 
+def test_the_first_packets_have_the_force_at_the_reset(with_accelerometer: mujoco.MjModel) -> None:
+    """MuJoCo's own at that state, the pelvis turned and turning."""
+    simulations = Simulations(2, model=with_accelerometer, num_threads=1)
+    rng = np.random.default_rng(1)
+    qpos = np.stack([with_accelerometer.key("standing").qpos] * 2)
+    qpos[:, 3:7] += rng.normal(0, 0.1, (2, 4))
+    qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
+    simulations.reset(np.arange(2), qpos, rng.uniform(-1, 1, (2, 32)))
+    address = with_accelerometer.sensor("accelerometer").adr[0]
+    expected = simulations.snapshot().sensordata[:, None, address : address + 3]
+    assert np.abs(expected).max() > 1
+    sent = simulations.sensors.packets()["accelerometer"]
+    np.testing.assert_allclose(sent, np.repeat(expected, SENSOR_WINDOW, axis=1), atol=1e-9)
+
+
 # ------------------------------------------------------------- many, and again
 
 
@@ -267,6 +314,47 @@ def test_packets_do_not_depend_on_how_robots_are_shared_out(threads: int) -> Non
                 simulations.reset(ids)
         for name, window in pool.packets().items():
             np.testing.assert_array_equal(window, whole.sensors.packets()[name], err_msg=name)
+
+
+def test_torque_is_commanded_from_the_state_one_substep_before() -> None:
+    """The first from the reading at the reset, 0.5 ms before it; each later one a substep late."""
+    simulations = Simulations(1, num_threads=1)
+    states: list[np.ndarray] = []
+    torques: list[np.ndarray] = []
+    original = simulations._step
+
+    def step(failed: np.ndarray, stage: int) -> None:
+        states.append(simulations.qpos[0, simulations.indices.motor_qpos].copy())
+        torques.append(simulations.batch.bind("ctrl")[0].copy())
+        original(failed, stage)
+
+    simulations._step = step
+    standing = simulations.qpos[:, simulations.indices.motor_qpos].copy()
+    target = standing + np.random.default_rng(7).normal(0, 0.3, (1, 10))
+    simulations.advance(target)
+    step_size = 2 * np.pi / 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / GEAR
+    counts = np.trunc(np.array(states) / step_size)
+    # the robot has always stood there
+    counts = np.concatenate([np.repeat(counts[:1], len(MOTOR_VELOCITY_TAPS), axis=0), counts])
+    velocity = lfilter(MOTOR_VELOCITY_TAPS / np.pi, 1.0, counts, axis=0) * step_size
+    last = slice(len(MOTOR_VELOCITY_TAPS) - 1, -1)
+    expected = motor_torque(target, counts[last] * step_size, velocity[last])
+    np.testing.assert_allclose(torques, expected, atol=1e-9)
+    assert np.ptp(torques, axis=0).max() > 0.1
+
+
+def test_a_reset_leaves_nothing_in_the_packets() -> None:
+    used, fresh = SimulationPool(2), SimulationPool(2)
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        used.advance(_targets(used, rng))
+    used.reset(np.arange(2))
+    for _ in range(2):
+        for name, window in used.packets().items():
+            np.testing.assert_array_equal(window, fresh.packets()[name], err_msg=name)
+        targets = _targets(used, rng)
+        used.advance(targets)
+        fresh.advance(targets)
 
 
 def test_both_backends_send_the_same_packets() -> None:
