@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from typing import cast
 
 import torch
 from tensordict import TensorDictBase
@@ -48,9 +49,6 @@ class ObservationNoise(CassieTransform):
             finite; the time constant is not positive.
     """
 
-    _white: Tensor
-    _bias: Tensor
-
     def __init__(
         self,
         levels: Mapping[str, NoiseLevel] | None = None,
@@ -65,74 +63,78 @@ class ObservationNoise(CassieTransform):
         self.levels = dict(SENSOR_NOISE) | _checked(levels or {})
         self._decay = math.exp(-POLICY_PERIOD / bias_time)
         self._renewal = math.sqrt(-math.expm1(-2 * POLICY_PERIOD / bias_time))
-        # all channels in a row: one draw serves all sensors; settings, which no checkpoint holds
-        for name in ("white", "bias"):
-            row = [
+        # settings, which no checkpoint holds
+        self._levels: dict[str, tuple[Tensor, Tensor]] = {}
+        for sensor, channels in NOISE_CHANNELS.items():
+            white, bias = (
                 scale * _row(getattr(self.levels[sensor], name), channels)
-                for sensor, channels in NOISE_CHANNELS.items()
-            ]
-            self.register_buffer(f"_{name}", torch.cat(row), persistent=False)
-        both = self._split(torch.maximum(self._white, self._bias))
-        self._noisy = [bool(level.any()) for level in both]
+                for name in ("white", "bias")
+            )
+            if white.any() or bias.any():
+                self._levels[sensor] = white, bias
 
     def set_seed(self, seed: int) -> None:
-        """Restart the random numbers: those of steps, and, on their own, those of resets.
+        """Restart the random numbers: of each sensor its own, and of resets others than of steps.
 
-        What is drawn in a step must not depend on whether another robot was reset before it.
+        What is drawn for a sensor must not depend on the levels of another, nor what is drawn in a
+        step on whether another robot was reset before it.
         """
         super().set_seed(seed)
-        drawn = torch.randint(2**62, (1,), generator=self.generator)
-        self._reset_generator = torch.Generator().manual_seed(int(drawn))
+        seeds = torch.randint(2**62, (2, len(NOISE_CHANNELS)), generator=self.generator)
+        self._of_steps, self._of_resets = (
+            {
+                sensor: torch.Generator().manual_seed(value)
+                for sensor, value in zip(NOISE_CHANNELS, row, strict=True)
+            }
+            for row in seeds.tolist()
+        )
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         mask = tensordict.get("_reset", None)
-        generator = self._reset_generator
         if mask is None or mask.all():
-            draw = self._draw(tensordict_reset.batch_size, generator)
-            return self._add(tensordict_reset, self._bias * draw, generator)
+            return self._begin(tensordict_reset)
         # TorchRL keeps only the rows of robots that are reset
         rows = mask.reshape(tensordict_reset.batch_size)
-        chosen = tensordict_reset.select("sensors")[rows].clone()
-        self._add(chosen, self._bias * self._draw(chosen.batch_size, generator), generator)
+        chosen = self._begin(tensordict_reset.select("sensors")[rows].clone())
         for key, value in chosen.items(True, True):
             full = torch.zeros(*tensordict_reset.batch_size, *value.shape[1:], dtype=value.dtype)
             full[rows] = value
             tensordict_reset.set(key, full)
         return tensordict_reset
 
+    def _begin(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Draw the biases of robots, and make their packets noisy."""
+        for sensor, channels in NOISE_CHANNELS.items():
+            drawn = torch.zeros(*tensordict.batch_size, channels)
+            if sensor in self._levels:
+                drawn = self._levels[sensor][1] * _normal(drawn.shape, self._of_resets[sensor])
+            tensordict.set(("sensor_bias", sensor), drawn)
+        return self._spoil(tensordict, self._of_resets)
+
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        before = torch.cat([tensordict[key] for key in _BIAS_KEYS], dim=-1)
-        draw = self._draw(before.shape[:-1], self.generator)
-        bias = self._decay * before + self._renewal * self._bias * draw
-        return self._add(next_tensordict, bias, self.generator)
+        for key in _BIAS_KEYS:
+            bias, sensor = cast("Tensor", tensordict[key]), key[1]
+            if sensor in self._levels:
+                fresh = self._levels[sensor][1] * _normal(bias.shape, self._of_steps[sensor])
+                bias = self._decay * bias + self._renewal * fresh
+            next_tensordict.set(key, bias)
+        return self._spoil(next_tensordict, self._of_steps)
 
-    def _add(
-        self, tensordict: TensorDictBase, bias: Tensor, generator: torch.Generator
+    def _spoil(
+        self, tensordict: TensorDictBase, generators: Mapping[str, torch.Generator]
     ) -> TensorDictBase:
-        """Make the packets noisy, with biases (*b, all channels)."""
-        for key, value in zip(_BIAS_KEYS, self._split(bias), strict=True):
-            tensordict.set(key, value)
-        if not any(self._noisy):
-            return tensordict
-        window = tensordict[_SENSOR_KEYS[0]].shape[:-1]  # (*b, W)
-        errors = self._split(self._white * self._draw(window, generator) + bias.unsqueeze(-2))
-        for key, noisy, error in zip(_SENSOR_KEYS, self._noisy, errors, strict=True):
-            if noisy:
-                packets = tensordict[key]
-                turns = key[-1] == "orientation"
-                tensordict.set(key, _turned(packets, error) if turns else packets + error)
+        """Add the biases there are, and white noise, to the packets."""
+        for sensor, (white, _) in self._levels.items():
+            packets = cast("Tensor", tensordict["sensors", sensor])
+            shape = (*packets.shape[:-1], len(white))
+            bias = cast("Tensor", tensordict["sensor_bias", sensor])
+            error = white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2)
+            turns = sensor == "orientation"
+            noisy = _turned(packets, error) if turns else packets + error
+            tensordict.set(("sensors", sensor), noisy)
         return tensordict
-
-    def _draw(self, shape: tuple[int, ...], generator: torch.Generator) -> Tensor:
-        """(*shape, all channels) independent standard normal numbers."""
-        return torch.randn((*shape, len(self._white)), generator=generator)
-
-    @staticmethod
-    def _split(row: Tensor) -> tuple[Tensor, ...]:
-        """(*b, all channels) -> one (*b, k) for each sensor."""
-        return row.split(list(NOISE_CHANNELS.values()), dim=-1)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the biases."""
@@ -158,6 +160,11 @@ def _checked(levels: Mapping[str, NoiseLevel]) -> dict[str, NoiseLevel]:
                     f" {len(value)} of {value!r}"
                 )
     return dict(levels)
+
+
+def _normal(shape: Sequence[int], generator: torch.Generator) -> Tensor:
+    """Independent standard normal numbers."""
+    return torch.randn(*shape, generator=generator)
 
 
 def _row(value: float | tuple[float, ...], channels: int) -> Tensor:
