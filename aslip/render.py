@@ -10,13 +10,13 @@ import contextlib
 import itertools
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from aslip.cassie.model import load_model
 from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+from aslip.ghost import Ghost
 
 # groups of geoms in cassie.xml
 _APPEARANCE_GROUP, _COLLISION_GROUP = 1, 3
@@ -35,25 +35,6 @@ _LEFT_COLOR = (0.12, 0.47, 0.71, 1.0)
 _RIGHT_COLOR = (0.84, 0.19, 0.18, 1.0)
 # of a swing leg's colour, how much is replaced by white
 _SWING_FADE = 0.55
-
-
-@dataclass(frozen=True, eq=False)
-class Ghost:
-    """One instant of the reduced-order model in the world frame: a point body on two spring legs.
-
-    A leg in stance has its full colour (left blue, right red); in swing it is pale.
-    """
-
-    body: np.ndarray
-    """(3,) position of the body [m]."""
-    left: np.ndarray
-    """(3,) position of the left foot [m]."""
-    right: np.ndarray
-    """(3,) position of the right foot [m]."""
-    left_stance: bool = True
-    """Whether the left leg carries."""
-    right_stance: bool = True
-    """Whether the right leg carries."""
 
 
 def render_robot(

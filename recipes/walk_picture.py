@@ -28,8 +28,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
+from aslip.ghost import Ghost
 from aslip.plots import save_figure
-from aslip.render import Ghost, render_robot, strip
+from aslip.render import render_robot, strip
 
 # a foot of the reference that moves slower over ground is in stance [m/s]
 _STANCE_SPEED = 0.05

@@ -60,6 +60,8 @@ class CassieIndices:
     """(2, 3) ground reaction of each foot in `sensordata`, world frame."""
     foot_velocity: np.ndarray
     """(2, 3) velocity of each sole centre in `sensordata`, world frame."""
+    pelvis_body: int
+    """Id of the pelvis, whose origin is pushed."""
 
     @classmethod
     def from_model(cls, model: mujoco.MjModel) -> CassieIndices:
@@ -72,9 +74,11 @@ class CassieIndices:
             foot_site=np.array([model.site(foot_site(side)).id for side in SIDES]),
             ground_force=np.stack([_sensor(model, f"{side}_ground_force") for side in SIDES]),
             foot_velocity=np.stack([_sensor(model, f"{side}_foot_velocity") for side in SIDES]),
+            pelvis_body=model.body("pelvis").id,
         )
         for table in vars(tables).values():
-            table.setflags(write=False)
+            if isinstance(table, np.ndarray):
+                table.setflags(write=False)
         return tables
 
 

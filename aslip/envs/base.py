@@ -5,6 +5,7 @@ Keys, for n robots (shapes omit the leading n):
 | key | shape | meaning |
 |---|---|---|
 | `motor_target` | 10 | action: joint angles the 2 kHz PD loops track for 30 ms [rad] |
+| `push` | 3 | optional input: force on the pelvis for these 30 ms [N, world] |
 | `("sensors", ...)` | W, k | packets of the policy period, oldest first; see `aslip.sim.Sensors` |
 | `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
 | `("truth", "diverged")` | 1 | the simulation diverged in this policy step and stands now |
@@ -13,7 +14,10 @@ Keys, for n robots (shapes omit the leading n):
 
 A reset of the bare environment may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32),
 which in a stack `ReferenceStart` writes; without them the robot stands. A NaN target makes that one
-simulation diverge; it does not touch the others.
+simulation diverge; it does not touch the others. TorchRL carries keys that no one writes from step
+to step, so whoever sets `push` takes it out again.
+
+Beside the keys there are, for logs and replay, `states`, `set_states` and `watch`.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import Any, cast
 
+import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -60,8 +65,13 @@ class CassieEnv(EnvBase):
     # -------------------------------------------------- what a backend gives
 
     @abstractmethod
-    def _advance(self, motor_target: np.ndarray) -> np.ndarray:
-        """Run one policy period with (n, 10) targets [rad]; return (n,) bool, who diverged."""
+    def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
+        """Run one policy period; return (n,) bool, who diverged.
+
+        Args:
+            motor_target: (n, 10) [rad].
+            push: (n, 3) forces on the pelvis [N, world], or none.
+        """
 
     @abstractmethod
     def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
@@ -74,6 +84,39 @@ class CassieEnv(EnvBase):
     @abstractmethod
     def _packets(self) -> dict[str, np.ndarray]:
         """What the sensors sent in the last policy period, (n, W, k) each."""
+
+    @property
+    @abstractmethod
+    def model(self) -> mujoco.MjModel:
+        """The robots' model."""
+
+    @abstractmethod
+    def states(self) -> np.ndarray:
+        """(n, k) copy of all that the simulations' future depends on, between policy steps.
+
+        `mjSTATE_INTEGRATION` first, then the sensors' memory; the same for both backends. What
+        transforms remember travels in the tensordict.
+        """
+
+    @abstractmethod
+    def set_states(self, states: np.ndarray) -> None:
+        """Write what `states` returned, of this or another environment of the same model."""
+
+    @abstractmethod
+    def watch(self, index: int | None) -> None:
+        """Keep every substep of one robot in `watched` from now on; None for none.
+
+        Raises:
+            ConfigurationError: there is no such robot.
+        """
+
+    @property
+    @abstractmethod
+    def watched(self) -> np.ndarray:
+        """(60, 77) substeps of the watched robot's last policy step.
+
+        `qpos` 35, `qvel` 32 and motor torques 10 [N m, at the joint].
+        """
 
     # ---------------------------------------------------------------- EnvBase
 
@@ -105,7 +148,9 @@ class CassieEnv(EnvBase):
         expected = (*self.batch_size, len(MOTOR_NAMES))
         if target.shape != expected:
             raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
-        diverged = self._advance(target.detach().double().numpy())
+        push = tensordict.get("push", None)
+        forces = None if push is None else self._checked_push(push)
+        diverged = self._advance(target.detach().double().numpy(), forces)
         self.divergences += int(diverged.sum())
         terminated = torch.tensor(diverged[:, None])
         return TensorDict(
@@ -132,6 +177,20 @@ class CassieEnv(EnvBase):
         return TensorDict(
             self._observed(np.zeros(self.num_envs, dtype=bool)), batch_size=self.batch_size
         )
+
+    def _checked_push(self, push: Tensor) -> np.ndarray:
+        """Forces on all robots, if they are such.
+
+        Raises:
+            ShapeError: wrong shape.
+            ConfigurationError: not finite.
+        """
+        expected = (*self.batch_size, 3)
+        if tuple(push.shape) != expected:
+            raise ShapeError(f"push must have shape {expected}, got {tuple(push.shape)}")
+        if not torch.isfinite(push).all():
+            raise ConfigurationError(f"push must be finite, got {push.tolist()}")
+        return push.detach().double().numpy()
 
     def _checked_initial(self, name: str, value: Tensor) -> np.ndarray:
         """Initial positions or velocities of all robots, if they are such.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, load_model
@@ -30,8 +31,30 @@ class BatchCassieEnv(CassieEnv):
         self.simulations = SimulationPool(num_envs, model=model, num_threads=num_threads)
         super().__init__(num_envs, self.simulations.indices)
 
-    def _advance(self, motor_target: np.ndarray) -> np.ndarray:
-        return self.simulations.advance(motor_target)
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The robots' model, without what is only looked at."""
+        return self.simulations.model
+
+    def states(self) -> np.ndarray:
+        """See `CassieEnv.states`."""
+        return self.simulations.states()
+
+    def set_states(self, states: np.ndarray) -> None:
+        """See `CassieEnv.set_states`."""
+        self.simulations.set_states(states)
+
+    def watch(self, index: int | None) -> None:
+        """See `CassieEnv.watch`."""
+        self.simulations.watch(index)
+
+    @property
+    def watched(self) -> np.ndarray:
+        """See `CassieEnv.watched`."""
+        return self.simulations.watched
+
+    def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
+        return self.simulations.advance(motor_target, push)
 
     def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
         self.simulations.reset(ids, qpos, qvel)

@@ -6,11 +6,13 @@ dm_control's tools are wanted.
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from dm_control.rl.control import PhysicsError
 
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
 from aslip.envs.base import CassieEnv, check_num_envs
+from aslip.errors import ConfigurationError
 from aslip.sim import Snapshot
 from aslip.task import CassiePhysics, walk_environment
 
@@ -43,9 +45,39 @@ class DmControlCassieEnv(CassieEnv):
         """The robots' physics."""
         return [environment.physics for environment in self.environments]
 
-    def _advance(self, motor_target: np.ndarray) -> np.ndarray:
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The robots' model, all of it."""
+        return self.physics[0].model.ptr
+
+    def states(self) -> np.ndarray:
+        """See `CassieEnv.states`."""
+        return np.stack([physics.full_state() for physics in self.physics])
+
+    def set_states(self, states: np.ndarray) -> None:
+        """See `CassieEnv.set_states`."""
+        for physics, state in zip(self.physics, states, strict=True):
+            physics.set_full_state(state)
+
+    def watch(self, index: int | None) -> None:
+        """See `CassieEnv.watch`."""
+        if index is not None and not 0 <= index < self.num_envs:
+            raise ConfigurationError(f"no robot {index!r}; there are {self.num_envs}, from 0")
+        for i, physics in enumerate(self.physics):
+            physics.watch(i == index)
+
+    @property
+    def watched(self) -> np.ndarray:
+        """See `CassieEnv.watched`."""
+        for physics in self.physics:
+            if physics.watched is not None:
+                return physics.watched
+        raise ConfigurationError("no robot is watched; call watch(index) first")
+
+    def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
         diverged = np.zeros(self.num_envs, dtype=bool)
         for i, environment in enumerate(self.environments):
+            self.physics[i].push(np.zeros(3) if push is None else push[i])
             try:
                 environment.step(motor_target[i])
             except PhysicsError:

@@ -56,6 +56,7 @@ class SimulationPool:
             for start in self._starts
         ]
         self._executor = ThreadPoolExecutor(min(threads, len(self.parts)))
+        self._watched_part = 0
 
     @property
     def divergences(self) -> int:
@@ -84,11 +85,31 @@ class SimulationPool:
             initial = (None if value is None else value[rows] for value in (qpos, qvel))
             self.parts[i].reset(ids[rows] - self._starts[i], *initial)
 
-    def advance(self, motor_target: np.ndarray) -> np.ndarray:
+    def watch(self, index: int | None) -> None:
+        """Keep every substep of one simulation in `watched` from now on; None for none.
+
+        Raises:
+            ConfigurationError: there is no such simulation.
+        """
+        if index is not None and not 0 <= index < self.num:
+            raise ConfigurationError(f"no simulation {index!r}; there are {self.num}, from 0")
+        owner = 0 if index is None else int(np.searchsorted(self._starts, index, side="right")) - 1
+        for i, part in enumerate(self.parts):
+            part.watch(None if index is None or i != owner else index - int(self._starts[i]))
+        self._watched_part = owner
+
+    @property
+    def watched(self) -> np.ndarray:
+        """(60, 77) every substep of the watched simulation; see `Simulations.watched`."""
+        return self.parts[self._watched_part].watched
+
+    def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
         """Run one policy period; see `Simulations.advance`.
 
         Args:
             motor_target: (n, 10) joint angles the PD loops track [rad].
+            push: (n, 3) forces on the pelvis' origin throughout the period [N, world]; none by
+                default.
 
         Returns:
             (n,) bool, the simulations that diverged and stand at the keyframe now.
@@ -99,8 +120,11 @@ class SimulationPool:
         if motor_target.shape != (self.num, self.model.nu):
             expected = (self.num, self.model.nu)
             raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
+        if push is not None and push.shape != (self.num, 3):
+            raise ShapeError(f"push must have shape {(self.num, 3)}, got {push.shape}")
         shares = np.split(motor_target, self._starts[1:])
-        diverged = self._executor.map(Simulations.advance, self.parts, shares)
+        pushes = [None] * len(shares) if push is None else np.split(push, self._starts[1:])
+        diverged = self._executor.map(Simulations.advance, self.parts, shares, pushes)
         return np.concatenate(list(diverged))
 
     def snapshot(self) -> Snapshot:

@@ -58,12 +58,19 @@ class Simulations:
         self.sensors = Sensors(num, self.model)
         """What the robots measure."""
         self._ground_force = np.zeros((num, 2, 3))
+        self._watched: int | None = None
+        self.watched = np.zeros((SUBSTEPS, self.model.nq + self.model.nv + self.model.nu))
+        """(60, 77) `qpos`, `qvel` and motor torques [N m, at the joint] after each substep of the
+        last policy period, of the simulation that `watch` chose."""
         # live arrays, looked up once: binding anew costs more than a PD law in the 2 kHz loop
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._ctrl, self._warm_start = self.batch.bind("ctrl"), self.batch.bind("qacc_warmstart")
         self._site_xpos = self.batch.bind("site_xpos")
         self._site_xmat = self.batch.bind("site_xmat")
         self._qacc = self.batch.bind("qacc")
+        self._qfrc_actuator = self.batch.bind("qfrc_actuator")
+        self._push = self.batch.bind("xfrc_applied")[:, self.indices.pelvis_body, :3]
+        self._pushed = False
         self._sensordata = self.batch.bind("sensordata")
         self.reset(np.arange(num))
 
@@ -102,11 +109,17 @@ class Simulations:
         self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
 
-    def advance(self, motor_target: np.ndarray) -> np.ndarray:
+    def watch(self, index: int | None) -> None:
+        """Keep every substep of one simulation in `watched` from now on; None for none."""
+        self._watched = index
+
+    def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
         """Run one policy period.
 
         Args:
             motor_target: (n, 10) joint angles the PD loops track [rad].
+            push: (n, 3) forces on the pelvis' origin throughout the period [N, world]; none by
+                default.
 
         Returns:
             (n,) bool, the simulations that diverged and stand at the keyframe now.
@@ -117,6 +130,11 @@ class Simulations:
         if motor_target.shape != (self.num, self.model.nu):
             expected = (self.num, self.model.nu)
             raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
+        if push is not None and push.shape != (self.num, 3):
+            raise ShapeError(f"push must have shape {(self.num, 3)}, got {push.shape}")
+        if push is not None or self._pushed:
+            self._push[:] = 0.0 if push is None else push
+            self._pushed = push is not None
         self.batch.warning[:] = 0
         self._ground_force[:] = 0.0
         failed = np.zeros(self.num, dtype=bool)
@@ -128,6 +146,8 @@ class Simulations:
             self._step(failed, _CURRENT if substep == SUBSTEPS - 1 else _NONE)
             self.sensors.feel(substep, self._qacc)
             self._ground_force += self._sensordata[:, self.indices.ground_force]
+            if self._watched is not None:
+                self._record(substep, self._watched)
         self._ground_force /= SUBSTEPS
         self.sensors.finish()
         diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
@@ -145,6 +165,7 @@ class Simulations:
             self._site_xmat,
             self._sensordata,
             self._ground_force,
+            self._qfrc_actuator,
         )
 
     def states(self) -> np.ndarray:
@@ -156,10 +177,14 @@ class Simulations:
         return np.concatenate([self.batch.state, self.sensors.memory()], axis=1)
 
     def set_states(self, states: np.ndarray) -> None:
-        """Write what `states` returned, into these or other simulations of the same model."""
+        """Write what `states` returned, into these or other simulations of the same model.
+
+        What follows from the states, such as `snapshot`, is right again after the next `advance`.
+        """
         physics = self.batch.state.shape[1]
         self.batch.state[:] = states[:, :physics]
         self.sensors.set_memory(states[:, physics:])
+        self._pushed = bool(self._push.any())
 
     def _step(self, failed: np.ndarray, stage: int) -> None:
         """One substep of the simulations that have not failed; marks those that now do."""
@@ -168,6 +193,13 @@ class Simulations:
             self.batch.step(ids, stage=stage)
         except SimulationError as error:
             failed[error.ids] = True
+
+    def _record(self, substep: int, index: int) -> None:
+        """Put the state after a substep into `watched`."""
+        row, nq, nv = self.watched[substep], self.model.nq, self.model.nv
+        row[:nq] = self.qpos[index]
+        row[nq : nq + nv] = self.qvel[index]
+        row[nq + nv :] = self._qfrc_actuator[index, self.indices.motor_qvel]
 
     def _finite(self) -> np.ndarray:
         arrays = (self.qpos, self.qvel, self._ground_force.reshape(self.num, -1))

@@ -31,6 +31,8 @@ class Snapshot:
     """(*b, k) all sensors."""
     ground_force: np.ndarray
     """(*b, 2, 3) force of the floor on each foot, mean over the last policy period [N, world]."""
+    qfrc_actuator: np.ndarray
+    """(*b, 32) torques of the motors at the joints, as `qvel`."""
 
     @classmethod
     def stack(cls, snapshots: list[Snapshot]) -> Snapshot:
@@ -54,12 +56,14 @@ def true_state(snapshot: Snapshot, indices: CassieIndices) -> dict[str, np.ndarr
         `qpos` 35, `qvel` 32; `pelvis_position` 3 [m, world], `pelvis_orientation` 4 (wxyz, w >= 0),
         `pelvis_velocity` 3 [m/s, world], `pelvis_angular_velocity` 3 [rad/s, pelvis],
         `pelvis_acceleration` 3 [m/s^2, pelvis, gravity removed]; `motor_position` 10,
-        `motor_velocity` 10, `joint_position` 6, `joint_velocity` 6 [rad, rad/s]; for `left_foot`
+        `motor_velocity` 10, `joint_position` 6, `joint_velocity` 6 [rad, rad/s]; `motor_torque` 10
+        [N m, at the joint, after limits and delay]; for `left_foot`
         and `right_foot` the sole centre's `_position` 3 [m, world], `_velocity` 3 [m/s, world] and
         `_orientation` 4 (wxyz, w >= 0; identity when level with toes along x); `ground_force` 2 x 3
         [N, world], mean over the last policy period.
 
-        Accelerations and forces are those of the last substep's start, 0.5 ms before the state.
+        Accelerations, torques and forces are those of the last substep's start, 0.5 ms before the
+        state.
     """
     qpos, qvel, sensors = snapshot.qpos, snapshot.qvel, snapshot.sensordata
     orientation = upper_hemisphere(qpos[..., 3:7])
@@ -76,6 +80,7 @@ def true_state(snapshot: Snapshot, indices: CassieIndices) -> dict[str, np.ndarr
         "motor_velocity": qvel[..., indices.motor_qvel],
         "joint_position": qpos[..., indices.joint_qpos],
         "joint_velocity": qvel[..., indices.joint_qvel],
+        "motor_torque": snapshot.qfrc_actuator[..., indices.motor_qvel],
         "ground_force": snapshot.ground_force,
     }
     for i, foot in enumerate(("left_foot", "right_foot")):

@@ -22,6 +22,7 @@ from aslip.sim import Drive, Sensors, Snapshot
 from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, true_state
 
 _VERTICAL = 8  # zz entry of a row-major rotation matrix
+_INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
 
 
 class CassiePhysics(mujoco.Physics):
@@ -45,6 +46,9 @@ class CassiePhysics(mujoco.Physics):
         self.indices = CassieIndices.from_model(data.model.ptr)
         self._drive = Drive(1)
         self.sensors = Sensors(1, data.model.ptr)
+        self.watched: np.ndarray | None = None
+        """(60, 77) every substep of the last policy period, as `aslip.sim.Simulations.watched`,
+        once `watch` was called."""
         # ends with after_reset(), which reads the above
         super()._reload_from_data(data)
 
@@ -56,6 +60,7 @@ class CassiePhysics(mujoco.Physics):
         other._motor_target = self._motor_target.copy()
         other._ground_force = self._ground_force.copy()
         other.sensors, other._substep = deepcopy(self.sensors), self._substep
+        np.copyto(other.data.xfrc_applied, self.data.xfrc_applied)
         return other
 
     # ------------------------------------------------------------------ time
@@ -67,6 +72,16 @@ class CassiePhysics(mujoco.Physics):
             expected = self._motor_target.shape
             raise ShapeError(f"motor target must have shape {expected}, got {control.shape}")
         self._motor_target = control
+
+    def push(self, force: np.ndarray) -> None:
+        """Push the pelvis' origin with a force (3,) [N, world], until told otherwise."""
+        self.data.xfrc_applied[self.indices.pelvis_body, :3] = force
+
+    def watch(self, watched: bool = True) -> None:
+        """Keep every substep in `watched` from now on, or no more."""
+        model = self.model.ptr
+        shape = (SUBSTEPS, model.nq + model.nv + model.nu)
+        self.watched = np.zeros(shape) if watched else None
 
     def step(self, nstep: int = 1) -> None:
         """Advance by substeps of PD control, motor limits and physics.
@@ -85,6 +100,11 @@ class CassiePhysics(mujoco.Physics):
             sensors.read(self._substep, self.data.qpos[None], self.data.qvel[None])
             super().step()
             sensors.feel(self._substep, self.data.qacc[None])
+            if self.watched is not None:
+                torque = self.data.qfrc_actuator[self.indices.motor_qvel]
+                self.watched[self._substep] = np.concatenate(
+                    [self.data.qpos, self.data.qvel, torque]
+                )
             self._substep = (self._substep + 1) % SUBSTEPS
             if self._substep == 0:
                 sensors.finish()
@@ -118,7 +138,23 @@ class CassiePhysics(mujoco.Physics):
             np.array(self.data.site_xmat),
             np.array(self.data.sensordata),
             self._ground_force.copy(),
+            np.array(self.data.qfrc_actuator),
         )
+
+    def full_state(self) -> np.ndarray:
+        """(k,) all that the future depends on between policy periods; see `Simulations.states`."""
+        physics = np.empty(mj.mj_stateSize(self.model.ptr, _INTEGRATION))
+        mj.mj_getState(self.model.ptr, self.data.ptr, physics, _INTEGRATION)
+        return np.concatenate([physics, self.sensors.memory()[0]])
+
+    def set_full_state(self, state: np.ndarray) -> None:
+        """Write what `full_state` returned, of this or another physics of the same model."""
+        size = mj.mj_stateSize(self.model.ptr, _INTEGRATION)
+        mj.mj_setState(self.model.ptr, self.data.ptr, state[:size], _INTEGRATION)
+        # dm_control's step begins with what the one before has computed of positions, velocities
+        mj.mj_step1(self.model.ptr, self.data.ptr)
+        self.sensors.set_memory(state[None, size:])
+        self._substep = 0
 
     def packets(self) -> dict[str, np.ndarray]:
         """Packets of the sensors of the last whole policy period, (`SENSOR_WINDOW`, k) each."""

@@ -18,9 +18,9 @@ def _spy(env: CassieTransformedEnv) -> list[np.ndarray]:
     targets: list[np.ndarray] = []
     advance = env.base_env._advance
 
-    def spy(motor_target: np.ndarray) -> np.ndarray:
+    def spy(motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
         targets.append(motor_target.copy())
-        return advance(motor_target)
+        return advance(motor_target, push)
 
     env.base_env._advance = spy  # pyright: ignore[reportAttributeAccessIssue]
     return targets
