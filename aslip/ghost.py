@@ -7,6 +7,8 @@ the robot's yaw: the frame in which the reward compares feet.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import cast
 
@@ -20,6 +22,9 @@ from aslip.rom import Mode
 
 # a foot of the reference that moves slower over ground is in stance [m/s]
 _STANCE_SPEED = 0.05
+
+_FEET = [f"{side}_foot_position" for side in SIDES]
+_FOOT_VELOCITIES = [f"{side}_foot_velocity" for side in SIDES]
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +50,19 @@ class Ghost:
             tensordict: has `("reference", ...)` and `("truth", ...)` of n robots.
             robot: which of them.
         """
-        reference = {key: value[robot].numpy() for key, value in tensordict["reference"].items()}
-        truth = cast("TensorDictBase", tensordict["truth"])
-        body = truth["pelvis_position"][robot].double().numpy().copy()
+        groups = (cast("TensorDictBase", tensordict.get(name)) for name in ("reference", "truth"))
+        return cls.of_rows(*({k: v[robot].numpy() for k, v in group.items()} for group in groups))
+
+    @classmethod
+    def of_rows(cls, reference: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> Ghost:
+        """The same from one robot's entries of `("reference", ...)` and `("truth", ...)`."""
+        body = truth["pelvis_position"].astype(np.float64)
         body[2] = reference["body_position"][2]
-        turn = yaw_rotation(truth["pelvis_orientation"][robot].double().numpy())
-        feet = [body + turn @ reference[f"{side}_foot_position"] for side in SIDES]
-        stance = [
-            bool(np.linalg.norm(reference[f"{side}_foot_velocity"]) < _STANCE_SPEED)
-            for side in SIDES
-        ]
-        return cls(body, *feet, *stance)
+        turn = yaw_rotation(truth["pelvis_orientation"])
+        left, right = (body + turn @ reference[key] for key in _FEET)
+        velocities = (reference[key].tolist() for key in _FOOT_VELOCITIES)
+        stance = [math.hypot(*velocity) < _STANCE_SPEED for velocity in velocities]
+        return cls(body, left, right, *stance)
 
 
 class Footholds:
@@ -105,9 +112,9 @@ class Footholds:
 
 def yaw_rotation(orientation: np.ndarray) -> np.ndarray:
     """(3, 3) rotation about the vertical that is part of an orientation (4,), wxyz."""
-    w, x, y, z = orientation
-    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-    cosine, sine = np.cos(yaw), np.sin(yaw)
+    w, x, y, z = orientation.tolist()
+    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    cosine, sine = math.cos(yaw), math.sin(yaw)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 

@@ -187,7 +187,7 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
         FileDamagedError: it is truncated, altered, or no policy.
         ConfigurationError: it expects another observation than this version of the package gives.
     """
-    path = _find(name_or_path)
+    path = find_policy(name_or_path)
     card = read_manifest(path).get("metadata", {})
     try:
         shape = PolicyShape(**{**card["shape"], "hidden": tuple(card["shape"]["hidden"])})
@@ -202,6 +202,26 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
     actor = make_actor(RunningNormalizer(shape.observation_size), shape)
     load_components(path, actor=actor)
     return actor.eval()
+
+
+def find_policy(name_or_path: str | Path) -> Path:
+    """The file of a policy: given, inside the folder of a run, or shipped.
+
+    Raises:
+        AssetError: there is no such policy.
+    """
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    if (path / POLICY_FILE).is_file():
+        return path / POLICY_FILE
+    try:
+        return asset_path(f"policies/{name_or_path}.zip")
+    except AssetError:
+        raise AssetError(
+            f"no policy {str(name_or_path)!r}: it is neither a file, nor the folder of a run with"
+            f" a {POLICY_FILE}, nor the name of a shipped policy"
+        ) from None
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
@@ -232,22 +252,6 @@ def _damaged(path: Path, error: Exception) -> FileDamagedError:
     return FileDamagedError(
         f"{str(path)!r} is no intact policy or checkpoint ({type(error).__name__}: {error})"
     )
-
-
-def _find(name_or_path: str | Path) -> Path:
-    """The policy's file: given, inside a run, or shipped."""
-    path = Path(name_or_path)
-    if path.is_file():
-        return path
-    if (path / POLICY_FILE).is_file():
-        return path / POLICY_FILE
-    try:
-        return asset_path(f"policies/{name_or_path}.zip")
-    except AssetError:
-        raise AssetError(
-            f"no policy {str(name_or_path)!r}: it is neither a file, nor the folder of a run with"
-            f" a {POLICY_FILE}, nor the name of a shipped policy"
-        ) from None
 
 
 def _entry_names() -> list[str]:

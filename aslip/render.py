@@ -69,14 +69,50 @@ def render_robot(
         ConfigurationError: a size is less than 1, or exceeds the model's off-screen buffer.
         RenderingError: no OpenGL works here.
     """
+    frames = render_frames(
+        qpos,
+        camera=camera,
+        width=width,
+        height=height,
+        model=model,
+        ghosts=ghosts,
+        robot=robot,
+        supersampling=supersampling,
+    )
+    return np.stack(list(frames))
+
+
+def render_frames(
+    qpos: np.ndarray,
+    *,
+    camera: str = "side",
+    width: int = 640,
+    height: int = 480,
+    model: mujoco.MjModel | None = None,
+    ghosts: Sequence[Ghost] | None = None,
+    robot: bool = True,
+    supersampling: int = 1,
+) -> Iterator[np.ndarray]:
+    """The same as `render_robot`, a picture (height, width, 3) at a time: for films."""
     model = load_model() if model is None else model
     qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
     _check(model, qpos, camera, (width, height, supersampling), ghosts)
+    return _frames(model, qpos, camera, (width, height, supersampling), ghosts, robot)
+
+
+def _frames(
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    camera: str,
+    sizes: tuple[int, int, int],
+    ghosts: Sequence[Ghost] | None,
+    robot: bool,
+) -> Iterator[np.ndarray]:
+    width, height, supersampling = sizes
     data, option = mujoco.MjData(model), mujoco.MjvOption()
     option.geomgroup[_COLLISION_GROUP] = False
     option.geomgroup[_APPEARANCE_GROUP] = robot
     option.sitegroup[:] = False
-    frames = np.empty((len(qpos), height, width, 3), dtype=np.uint8)
     with _renderer(model, width * supersampling, height * supersampling) as renderer:
         for i, configuration in enumerate(qpos):
             data.qpos[:] = configuration
@@ -84,8 +120,7 @@ def render_robot(
             renderer.update_scene(data, camera, option)
             if ghosts is not None:
                 add_ghost(renderer.scene, ghosts[i])
-            frames[i] = _shrink(renderer.render(), supersampling)
-    return frames
+            yield _shrink(renderer.render(), supersampling)
 
 
 def strip(frames: np.ndarray) -> np.ndarray:
@@ -101,6 +136,8 @@ def strip(frames: np.ndarray) -> np.ndarray:
 
 def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
     """Add a reduced-order model to a scene: a sphere and two coil springs with round feet.
+
+    A leg in stance has its full colour (left blue, right red); in swing it is pale.
 
     Args:
         scene: what is about to be drawn; the next `update_scene` of a renderer clears it.

@@ -75,6 +75,8 @@ class CassieTransformedEnv(TransformedEnv):
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
         self.transform_names = tuple(transforms)
+        self.seed: int | None = None
+        """The last seed that was set."""
 
     @property
     def transforms(self) -> list[Transform]:
@@ -93,6 +95,7 @@ class CassieTransformedEnv(TransformedEnv):
         A transform thus draws the same numbers whichever others are dropped or replaced.
         """
         if seed is not None:
+            self.seed = seed
             for name, transform in zip(self.transform_names, self.transforms, strict=True):
                 if isinstance(transform, CassieTransform):
                     entropy = np.random.SeedSequence([seed, zlib.crc32(name.encode())])

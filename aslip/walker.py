@@ -58,9 +58,7 @@ class Schedule:
             if ":" not in text:
                 return cls((0.0,), (float(text),))
             pairs = [entry.split(":") for entry in text.split(",")]
-            times, speeds = zip(
-                *((float(time), float(speed)) for time, speed in pairs), strict=True
-            )
+            times, speeds = zip(*((float(at), float(to)) for at, to in pairs), strict=True)
         except ValueError as error:
             if isinstance(error, ConfigurationError):
                 raise
@@ -73,6 +71,38 @@ class Schedule:
         """The speed commanded at a time [m/s]."""
         # half a substep of tolerance: policy steps add up to 3.9999999 s
         return self.speeds[int(np.searchsorted(self.times, time + 2.5e-4, side="right")) - 1]
+
+
+@dataclass(frozen=True)
+class Push:
+    """A force on the pelvis for a while."""
+
+    time: float
+    """When it begins [s]."""
+    force: tuple[float, float, float]
+    """[N, world]."""
+    duration: float = 0.1
+    """[s]."""
+
+    @classmethod
+    def parse(cls, text: str) -> Push:
+        """Read "time:x,y,z" or "time:x,y,z:duration".
+
+        Raises:
+            ConfigurationError: the text is something else.
+        """
+        try:
+            time, force, *duration = text.split(":")
+            x, y, z = map(float, force.split(","))
+            push = cls(float(time), (x, y, z), *map(float, duration))
+        except (ValueError, TypeError):
+            push = None
+        numbers = () if push is None else (push.time, *push.force, push.duration)
+        if push is None or not all(map(math.isfinite, numbers)) or push.duration <= 0:
+            raise ConfigurationError(
+                f'a push is "time:x,y,z" or "time:x,y,z:duration" in s and N, got {text!r}'
+            )
+        return push
 
 
 class Walker:

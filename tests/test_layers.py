@@ -28,7 +28,8 @@ _MAY_IMPORT = {
     "estimation": {"cassie", "sim"},
     "transforms": {"cassie", "sim", "task", "library", "envs", "estimation", "rewards"},
 }
-_TOP = {"stack", "policy", "evaluation", "run", "plots", "render", "symmetry", "log", "__init__"}
+_TOP = {"stack", "policy", "evaluation", "run", "plots", "render", "symmetry", "__init__"}
+_TOP |= {"ghost", "walker", "video", "log", "live"}
 _FOREIGN = {
     "errors": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "assets": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},

@@ -12,7 +12,8 @@ import pytest
 
 from aslip.cassie.model import load_model
 from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
-from aslip.render import Ghost, add_ghost, render_robot, spring_path, strip
+from aslip.ghost import Ghost
+from aslip.render import add_ghost, render_robot, spring_path, strip
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
 

@@ -365,7 +365,7 @@ def test_states_go_from_one_backend_to_the_other(make: MakeEnv) -> None:
         tds = [env.step(td.set("action", action).set("push", push))["next"] for env, td in
                zip(envs, tds, strict=True)]  # fmt: skip
     bases = [env.base_env for env in envs]
-    np.testing.assert_array_equal(*[base.states() for base in bases])
+    np.testing.assert_array_equal(bases[0].states(), bases[1].states())
     fresh = [_base(backend) for backend in reversed(BACKENDS)]
     target = _standing_targets(bases[0])
     for old, new in zip(bases, fresh, strict=True):

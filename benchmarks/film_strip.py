@@ -1,7 +1,8 @@
-"""Draw one stride of the robot beneath the reduced-order model that guides it.
+"""Film strip of a stride: the reduced-order model above the robot at the same phases.
 
-    python recipes/walk_picture.py --policy runs/ppo_aslip --speed 1.0
-    python recipes/walk_picture.py --out docs/images/reference.png      # no policy: the reference
+    python -m benchmarks.film_strip --speed 1.0                # the shipped policy, as in the paper
+    python -m benchmarks.film_strip --policy runs/ppo_aslip --overlay
+    python -m benchmarks.film_strip --reference --out docs/images/reference.png
 
 Above: body and spring legs of the actuated SLIP as the policy is told to follow them. Below: the
 robot at the same instants. Without a display: MUJOCO_GL=egl, or MUJOCO_GL=osmesa in software.
@@ -23,7 +24,6 @@ import torch
 import tyro
 from matplotlib.figure import Figure
 from tensordict import TensorDict
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
@@ -31,21 +31,20 @@ from aslip.errors import ConfigurationError
 from aslip.ghost import Ghost
 from aslip.plots import save_figure
 from aslip.render import render_robot, strip
-
-# a foot of the reference that moves slower over ground is in stance [m/s]
-_STANCE_SPEED = 0.05
+from aslip.walker import Walker
 
 
 @dataclass(frozen=True)
 class Config:
     """What to draw."""
 
-    policy: str | None = None
-    """Name of a shipped policy, its file, or the folder of a run; without one, the robot is put
-    on the reference motion, without physics."""
+    policy: str = "aslip"
+    """Name of a shipped policy, its file, or the folder of a run."""
+    reference: bool = False
+    """Put the robot on the reference motion, without physics and policy."""
     speed: float = 1.0
     """Commanded speed [m/s]."""
-    out: Path = Path("docs/images/walking.png")
+    out: Path = Path("runs/film_strip.png")
     """Where the picture goes."""
     frames: int = 6
     """Instants of the stride, at equal steps of phase."""
@@ -85,88 +84,65 @@ def main(config: Config) -> None:
     library = aslip.GaitLibrary.load()
     speed = library.check_speed(config.speed)
     wanted = np.arange(config.frames) / config.frames
-    if config.policy is None:
-        phase, qpos = kinematic_stride(library, speed, wanted)
+    if config.reference:
+        stride = kinematic_stride(library, speed, wanted)
     else:
-        phase, qpos = walked_stride(library, config.policy, speed, wanted, config.settle)
-    stride = Stride(phase, qpos, reference_ghosts(library, speed, phase, qpos))
+        walker = Walker(config.policy, library=library, speed=speed)
+        stride = walked_stride(walker, wanted, config.settle)
     save_figure(draw(stride, config), config.out)
     print(config.out)
 
 
-def kinematic_stride(
-    library: aslip.GaitLibrary, speed: float, phase: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """The robot on the reference: phases as given (n,) and configurations (n, 35)."""
+def kinematic_stride(library: aslip.GaitLibrary, speed: float, phase: np.ndarray) -> Stride:
+    """The robot on the reference at (n,) phases."""
     column = torch.from_numpy(phase)[:, None]
-    qpos, _ = library.initial_state(column, torch.full_like(column, speed))
+    speeds = torch.full_like(column, speed)
+    qpos, _ = library.initial_state(column, speeds)
     # the library's motion is relative to uniform motion
     qpos[:, 0] += column[:, 0] * speed * stride_duration(library, speed)
-    return phase, qpos.numpy()
+    instants = TensorDict(
+        reference=library.lookup(column, speeds).to_tensordict(),
+        truth=TensorDict(
+            pelvis_position=qpos[:, :3], pelvis_orientation=qpos[:, 3:7], batch_size=len(phase)
+        ),
+        batch_size=len(phase),
+    )
+    return Stride(phase, qpos.numpy(), [Ghost.of(instants, i) for i in range(len(phase))])
 
 
-@torch.no_grad()
-def walked_stride(
-    library: aslip.GaitLibrary, policy: str, speed: float, wanted: np.ndarray, settle: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """The first whole stride after a while of walking.
+def walked_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Stride:
+    """The first whole stride after a while of walking, at the policy steps nearest to the phases.
 
     Args:
-        library: gives the duration of a stride.
-        policy: what `aslip.load_policy` takes.
-        speed: commanded speed [m/s].
+        walker: at its start.
         wanted: (n,) ascending phases in [0, 1).
         settle: time to walk before [s].
-
-    Returns:
-        Phases (n,) of the policy steps nearest to those wanted, and configurations (n, 35).
 
     Raises:
         ConfigurationError: the robot fell before the stride was over.
     """
-    actor = aslip.load_policy(policy)
-    env = aslip.make_env(num_envs=1, num_threads=1, library=library)
-    duration = stride_duration(library, speed)
-    first = int(np.ceil(settle / duration))
-    time = (first + wanted) * duration
-    steps = np.rint(time / POLICY_PERIOD).astype(int)
-    command = torch.full((1, 1), speed)
-    td = env.reset(TensorDict(command=command, phase=torch.zeros(1, 1), batch_size=1))
-    path = [td["truth", "qpos"][0].numpy()]
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        while len(path) <= steps[-1]:
-            after = env.step(actor(td))["next"]
-            path.append(after["truth", "qpos"][0].numpy().copy())
-            if after["terminated"].item():
-                raise ConfigurationError(
-                    f"the robot fell after {len(path) * POLICY_PERIOD:.2f} s; the stride to draw"
-                    f" ends at {steps[-1] * POLICY_PERIOD:.2f} s: lower --settle"
-                )
-            td = step_mdp(td.set("next", after))
-    return steps * POLICY_PERIOD / duration % 1.0, np.stack(path)[steps]
+    duration = stride_duration(walker.library, walker.command)
+    first = np.ceil(settle / duration)
+    steps = np.rint((first + wanted) * duration / POLICY_PERIOD).astype(int)
+    phases, path, ghosts = [], [], []
+    while walker.steps <= steps[-1]:
+        if walker.steps in steps:
+            td = walker.td
+            phases.append(float(td["phase"]))
+            path.append(td["truth", "qpos"][0].numpy().copy())
+            ghosts.append(Ghost.of(td))
+        walker.step()
+        if walker.fallen:
+            raise ConfigurationError(
+                f"the robot fell after {walker.time:.2f} s; the stride to draw ends at"
+                f" {steps[-1] * POLICY_PERIOD:.2f} s: lower --settle"
+            )
+    return Stride(np.array(phases), np.stack(path), ghosts)
 
 
 def stride_duration(library: aslip.GaitLibrary, speed: float) -> float:
     """Duration of a stride [s]."""
     return float(library.stride(torch.tensor([[speed]], dtype=torch.float64)))
-
-
-def reference_ghosts(
-    library: aslip.GaitLibrary, speed: float, phase: np.ndarray, qpos: np.ndarray
-) -> list[Ghost]:
-    """The reduced-order model at (n,) phases, over the ground under the robot's pelvis."""
-    column = torch.from_numpy(phase)[:, None]
-    motion = library.lookup(column, torch.full_like(column, speed))
-    body = qpos[:, :3].copy()
-    body[:, 2] = motion.body_position[:, 2].numpy()
-    left, right = (
-        body + foot.numpy() for foot in (motion.left_foot_position, motion.right_foot_position)
-    )
-    stance = [
-        velocity.norm(dim=-1).numpy() < _STANCE_SPEED
-        for velocity in (motion.left_foot_velocity, motion.right_foot_velocity)
-    ]
-    return [Ghost(*row) for row in zip(body, left, right, *stance, strict=True)]
 
 
 def draw(stride: Stride, config: Config) -> Figure:

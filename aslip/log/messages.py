@@ -1,0 +1,168 @@
+"""What a log is made of: topics, ROS 2 message types, and the order of numbers in them.
+
+| topic | rate | content |
+|---|---|---|
+| `/robot_description` | once | URDF of the bodies, primitive shapes only |
+| `/tf` | 33 Hz | world to each body, and to the reduced-order model's body and feet |
+| `/joint_states` | 33 Hz or 2 kHz | `LOGGED_JOINTS`: position, velocity, effort [rad, rad/s, N m] |
+| `/truth`, `/estimate`, `/reference` | 33 Hz | by the names of the tensordict's entries |
+| `/step` | 33 Hz | phase, command, action, motor target, push; reward, its terms, ground force |
+| `/touchdown` | a footstep | side (0 left, 1 right), where, and where it was planned [m] |
+| `/state` | 1 Hz, resets | physics state and sensors' memory, to replay from and compare with |
+| `/log` | events | beginning and end of episodes, notes |
+
+Messages are plain ROS 2 types or flat lists of named numbers, so that viewers show them without
+set-up and plots can name every curve. A message tells of the instant at its time; `/step` of the
+policy step that ends then. Units are SI and radians; frames are those of the tensordict's entries
+(see `aslip.sim.true_state`). Quaternions are xyzw in `/tf`, as ROS has them, and name their
+components elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from types import SimpleNamespace
+from typing import Any, Final
+
+from mcap_ros2.writer import serialize_dynamic  # pyright: ignore[reportPrivateImportUsage]
+
+from aslip.cassie import JOINT_NAMES, MOTOR_NAMES, SIDES
+
+FORMAT: Final = "1"
+"""Version of this layout; readers refuse others."""
+
+LOGGED_JOINTS: Final = (
+    *MOTOR_NAMES,
+    *(f"{side}_{joint}" for side in SIDES for joint in ("shin", "tarsus", "heel_spring")),
+)
+"""The 16 joints of `/joint_states`: motors, then the passive joints of the legs."""
+
+ROM_FRAMES: Final = ("rom_body", "rom_left_foot", "rom_right_foot")
+"""Frames of the reduced-order model in `/tf`, children of the world as the robot's bodies are."""
+
+WORLD_FRAME: Final = "world"
+
+_SEPARATOR = "\n" + "=" * 80 + "\n"
+_TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
+_HEADER = "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id"
+
+
+@dataclass(frozen=True)
+class MessageType:
+    """A ROS 2 message type."""
+
+    name: str
+    """Package, "msg" and type."""
+    text: str
+    """Definition, with those of the types it uses."""
+
+    @cached_property
+    def _encode(self) -> Any:
+        return serialize_dynamic(self.name, self.text)[self.name]
+
+    def encode(self, message: Mapping[str, Any]) -> bytes:
+        """CDR bytes of a message given as nested dicts and lists."""
+        return bytes(self._encode(_namespace(message)))
+
+
+STRING = MessageType("std_msgs/msg/String", "string data")
+
+TRANSFORMS = MessageType(
+    "tf2_msgs/msg/TFMessage",
+    _SEPARATOR.join(
+        [
+            "geometry_msgs/TransformStamped[] transforms",
+            "MSG: geometry_msgs/TransformStamped\nstd_msgs/Header header\nstring child_frame_id\n"
+            "geometry_msgs/Transform transform",
+            "MSG: geometry_msgs/Transform\ngeometry_msgs/Vector3 translation\n"
+            "geometry_msgs/Quaternion rotation",
+            "MSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z",
+            "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w",
+            _HEADER,
+            _TIME,
+        ]
+    ),
+)
+
+JOINT_STATE = MessageType(
+    "sensor_msgs/msg/JointState",
+    _SEPARATOR.join(
+        [
+            "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\n"
+            "float64[] effort",
+            _HEADER,
+            _TIME,
+        ]
+    ),
+)
+
+LOG = MessageType(
+    "rcl_interfaces/msg/Log",
+    _SEPARATOR.join(
+        [
+            "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\n"
+            "string function\nuint32 line",
+            _TIME,
+        ]
+    ),
+)
+INFO, WARN = 20, 30
+"""Levels of `LOG`."""
+
+STATE = MessageType(
+    "aslip_msgs/msg/State",
+    "float64 episode\nfloat64 step\nfloat64[] integration\nfloat64[] sensors",
+)
+
+TOUCHDOWN = MessageType(
+    "aslip_msgs/msg/Touchdown",
+    "uint8 side\nfloat64 x\nfloat64 y\nfloat64 x_planned\nfloat64 y_planned\nfloat64 speed",
+)
+
+
+def flat_type(name: str, number: str, fields: Sequence[str]) -> MessageType:
+    """A message of named numbers.
+
+    Args:
+        name: of the type, without its package.
+        number: "float32" or "float64".
+        fields: names of the numbers, in order.
+    """
+    return MessageType(f"aslip_msgs/msg/{name}", "\n".join(f"{number} {f}" for f in fields))
+
+
+def component_names(name: str, size: int) -> list[str]:
+    """Names of an entry's numbers: axes, quaternion components, motors, joints, feet.
+
+    Args:
+        name: of the entry, such as "pelvis_position".
+        size: how many numbers it has.
+    """
+    if size == 1:
+        return [name]
+    if size == len(MOTOR_NAMES):
+        return [f"{name}_{motor}" for motor in MOTOR_NAMES]
+    if size == len(JOINT_NAMES) and "joint" in name:
+        return [f"{name}_{joint}" for joint in JOINT_NAMES]
+    if size == 2 * 3:
+        return [f"{name}_{side}_{axis}" for side in SIDES for axis in "xyz"]
+    if size == len(SIDES):
+        return [f"{name}_{side}" for side in SIDES]
+    axes = {3: "xyz", 4: "wxyz"}.get(size)
+    return [f"{name}_{part}" for part in axes or range(size)]
+
+
+def stamp(time_ns: int) -> dict[str, int]:
+    """A ROS time."""
+    seconds, nanoseconds = divmod(time_ns, 10**9)
+    return {"sec": seconds, "nanosec": nanoseconds}
+
+
+def _namespace(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return SimpleNamespace(**{key: _namespace(item) for key, item in value.items()})
+    if isinstance(value, list | tuple):
+        return [_namespace(item) for item in value]
+    return value

@@ -1,0 +1,101 @@
+"""Messages whose strings and lengths never change, encoded by putting numbers in place.
+
+The ROS 2 library encodes a message in 0.7 ms if it holds 28 transforms, a tenth of a policy step;
+it does so once, on marked numbers, which tells where numbers go. From then on encoding is a copy.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from aslip.log.messages import MessageType
+
+# marks: exact in single precision, and no bytes that strings or counts would have
+_MARK = 2.0**20 + 0.5
+_STAMP = (0x5EC05EC0, 0x7A50C0DE)
+
+
+class Marks:
+    """Numbers of a message that are to be put in place, in the order they are asked for."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def number(self) -> float:
+        """One number."""
+        self.count += 1
+        return _MARK + self.count - 1
+
+    def numbers(self, count: int) -> list[float]:
+        """Some numbers."""
+        return [self.number() for _ in range(count)]
+
+    def stamp(self) -> dict[str, int]:
+        """The message's time."""
+        return {"sec": _STAMP[0], "nanosec": _STAMP[1]}
+
+
+class Template:
+    """A message with places for numbers of one precision, and for its time.
+
+    Args:
+        kind: of the message.
+        build: makes the message, with marks where its numbers and times go; marks must be asked for
+            in the order in which the message has them.
+        dtype: of the numbers.
+    """
+
+    def __init__(
+        self,
+        kind: MessageType,
+        build: Callable[[Marks], Mapping[str, Any]],
+        dtype: type[np.floating] = np.float64,
+    ) -> None:
+        marks = Marks()
+        encoded = kind.encode(build(marks))
+        self.kind = kind
+        self.count = marks.count
+        self._dtype = np.dtype(dtype).newbyteorder("<")
+        self._bytes = np.frombuffer(encoded, np.uint8)
+        code = "<d" if dtype is np.float64 else "<f"
+        starts, after = [], 0
+        for i in range(marks.count):
+            start = encoded.find(struct.pack(code, _MARK + i), after)
+            if start < 0:
+                raise ValueError(f"number {i} of {kind.name} is not where the message has it")
+            after = start + self._dtype.itemsize
+            starts.append(start)
+        offsets = np.array(starts, dtype=np.intp)[:, None] + np.arange(self._dtype.itemsize)
+        self._places = offsets.ravel()
+        pattern, self._stamps = struct.pack("<iI", *_STAMP), []
+        found = encoded.find(pattern)
+        while found >= 0:
+            self._stamps.append(found)
+            found = encoded.find(pattern, found + 1)
+        # numbers that lie side by side, as in flat messages, are put in at once
+        together = np.array_equal(self._places, self._places[0] + np.arange(len(self._places)))
+        self._flat = together and not self._stamps
+        self._head = encoded[: self._places[0]]
+        self._tail = encoded[self._places[-1] + 1 :]
+        self._stamp_places = (np.array(self._stamps, dtype=np.intp)[:, None] + np.arange(8)).ravel()
+
+    def encode(self, time_ns: int, values: np.ndarray) -> bytes:
+        """CDR bytes.
+
+        Args:
+            time_ns: for every stamp in the message.
+            values: (k,) in the order of the marks.
+        """
+        numbers = np.ascontiguousarray(values, self._dtype)
+        if self._flat:
+            return self._head + numbers.tobytes() + self._tail
+        message = self._bytes.copy()
+        message[self._places] = numbers.view(np.uint8)
+        if self._stamps:
+            time = struct.pack("<iI", *divmod(time_ns, 10**9)) * len(self._stamps)
+            message[self._stamp_places] = np.frombuffer(time, np.uint8)
+        return message.tobytes()

@@ -1,0 +1,270 @@
+"""Let a policy walk through a schedule of speeds: to log, film, watch or steer it.
+
+    python recipes/walk.py                                      # the shipped policy; prints a table
+    python recipes/walk.py --command "0:0.0,4:1.0,8:0.5" --log walk.mcap
+    python recipes/walk.py --policy runs/ppo_aslip --push "3:0,60,0" --video walk.mp4
+    python recipes/walk.py --viewer                             # MuJoCo's window, in real time
+    python recipes/walk.py --live                               # a page in your browser to steer it
+
+A log replays with `python -m aslip.log replay --verify walk.mcap`, and opens in Foxglove, Rerun and
+PlotJuggler. Without a display, films need MUJOCO_GL=egl, or MUJOCO_GL=osmesa in software.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import tyro
+from tensordict import TensorDictBase
+from torch import Tensor
+from tqdm import tqdm
+
+import aslip
+from aslip.cassie import POLICY_PERIOD
+from aslip.errors import AslipError, ConfigurationError
+from aslip.ghost import Ghost
+from aslip.log import JointRate, Recorder
+from aslip.stack import Backend, default_stack
+from aslip.transforms import TrueState
+from aslip.walker import ENDLESS, Push, Schedule, Walker
+
+# how long the last speed of a schedule is held [s]
+_LAST_SPEED = 4.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to do."""
+
+    policy: str = "aslip"
+    """Name of a shipped policy, its file, or the folder of a run."""
+    command: str = "0:0.0,4:1.0,8:0.5"
+    """Speeds over time, "seconds:m/s,..."; each holds until the next begins."""
+    push: tuple[str, ...] = ()
+    """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world; 0.1 s]."""
+    duration: float | None = None
+    """How long to walk [s]; 4 s longer than the schedule by default. Live, until Ctrl-C."""
+    seed: int = 0
+    """Of sensor noise."""
+    truth: bool = False
+    """Show the policy the simulator's truth instead of what an estimator makes of noisy sensors."""
+    backend: Backend = "batch"
+    """What simulates; states are the same to the bit."""
+    log: Path | None = None
+    """Where to write an MCAP log."""
+    joint_rate: JointRate = "policy"
+    """Log joints at the policy's rate or at that of the physics, 2 kHz."""
+    video: Path | None = None
+    """Where to write a film, such as walk.mp4."""
+    camera: str = "follow"
+    """Of the film: side, follow or front."""
+    width: int = 640
+    """Of the film [pixels]."""
+    height: int = 480
+    """Of the film [pixels]."""
+    rom: bool = True
+    """Draw the reduced-order model into film and viewer."""
+    viewer: bool = False
+    """Show it in MuJoCo's viewer, in real time."""
+    live: bool = False
+    """Serve a page to watch and steer it; needs the extra aslip[live]."""
+    host: str = "127.0.0.1"
+    """Address of the page; 0.0.0.0 opens it to the network."""
+    port: int = 8080
+    """Of the page."""
+
+    def __post_init__(self) -> None:
+        """Check what would fail late."""
+        if self.duration is not None and not 0 < self.duration < math.inf:
+            raise ConfigurationError(f"duration must be a positive time [s], got {self.duration}")
+        if self.live and (self.viewer or self.video or self.push):
+            raise ConfigurationError("--live steers by itself: leave out --viewer --video --push")
+        for name in ("log", "video"):
+            path = getattr(self, name)
+            if path is not None and path.is_dir():
+                raise ConfigurationError(f"--{name} must be a file, {str(path)!r} is a folder")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One instant to draw."""
+
+    qpos: np.ndarray
+    """(35,) the robot."""
+    ghost: Ghost
+    """The reduced-order model."""
+
+
+def main(config: Config) -> None:
+    """Walk."""
+    schedule = Schedule.parse(config.command)
+    pushes = [Push.parse(text) for text in config.push]
+    walker = make_walker(config, schedule)
+    with contextlib.closing(walker.env):
+        if config.live:
+            from aslip.live import LivePage
+
+            LivePage(walker, host=config.host, port=config.port).serve()
+            return
+        steps = walk(config, walker, schedule, pushes)
+    print(table(schedule, steps))
+    if config.log is not None:
+        print(config.log)
+
+
+def make_walker(config: Config, schedule: Schedule) -> Walker:
+    """The robot on its environment, recorded if so asked."""
+    library = aslip.GaitLibrary.load()
+    for speed in schedule.speeds:
+        library.check_speed(speed)
+    stack = {name: t for name, t in default_stack(library).items() if name not in ENDLESS}
+    if config.truth:
+        del stack["noise"]
+        stack["estimator"] = TrueState
+    if config.log is not None:
+        stack["recorder"] = partial(
+            Recorder,
+            config.log,
+            joint_rate=config.joint_rate,
+            policy=config.policy,
+            config=config,
+            library=library,
+        )
+    env = aslip.make_env(config.backend, seed=config.seed, stack=stack, num_threads=1)
+    return Walker(config.policy, env, library=library, speed=schedule.at(0.0))
+
+
+def walk(
+    config: Config, walker: Walker, schedule: Schedule, pushes: list[Push]
+) -> list[dict[str, float]]:
+    """Walk through the schedule, or until a fall; returns a row a policy step."""
+    duration = schedule.times[-1] + _LAST_SPEED if config.duration is None else config.duration
+    waiting = sorted(pushes, key=lambda push: push.time, reverse=True)
+    rows, frames = [], [frame(walker.td)]
+    with contextlib.ExitStack() as stack:
+        show = stack.enter_context(viewer(config)) if config.viewer else None
+        for _ in tqdm(range(math.ceil(duration / POLICY_PERIOD - 1e-9)), unit="step"):
+            walker.command = schedule.at(walker.time)
+            if waiting and waiting[-1].time <= walker.time + 1e-9:
+                push = waiting.pop()
+                walker.push(push.force, push.duration)
+            td = walker.step()
+            rows.append(row(walker, td))
+            if config.video is not None or show is not None:
+                frames.append(frame(td["next"]))
+            if show is not None:
+                show(frames[-1])
+            if walker.fallen:
+                print(f"fell after {walker.time:.2f} s")
+                break
+    if config.video is not None:
+        film(config, frames)
+    return rows
+
+
+def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
+    """Numbers of a policy step."""
+    return {
+        "time": walker.time,
+        "speed": float(td["next", "truth", "pelvis_velocity"][0, 0]),
+        "reward": float(td["next", "reward"]),
+    }
+
+
+def frame(td: TensorDictBase) -> Frame:
+    """What is to be drawn of an instant."""
+    qpos = cast("Tensor", td["truth", "qpos"])
+    return Frame(qpos[0].numpy().copy(), Ghost.of(td))
+
+
+def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
+    """Commanded and walked speed of each part of the schedule, over its second half."""
+    lines = ["| from s | command m/s | speed m/s | mean reward |", "|---:|---:|---:|---:|"]
+    times = np.array([row["time"] for row in rows])
+    ends = [*schedule.times[1:], math.inf]
+    for start, end, speed in zip(schedule.times, ends, schedule.speeds, strict=True):
+        middle = (start + min(end, times[-1])) / 2
+        part = [row for row in rows if middle < row["time"] <= end]
+        if part:
+            walked = np.mean([row["speed"] for row in part])
+            reward = np.mean([row["reward"] for row in part])
+            lines.append(f"| {start:g} | {speed:.2f} | {walked:.3f} | {reward:.3f} |")
+    return "\n".join(lines)
+
+
+def film(config: Config, frames: list[Frame]) -> None:
+    """Render and write the film."""
+    from aslip.render import render_frames
+    from aslip.video import write_video
+
+    assert config.video is not None
+    pictures = render_frames(
+        np.stack([frame.qpos for frame in frames]),
+        camera=config.camera,
+        width=config.width,
+        height=config.height,
+        ghosts=[frame.ghost for frame in frames] if config.rom else None,
+    )
+    shown = tqdm(pictures, total=len(frames), unit="frame")
+    write_video(config.video, shown, 1 / POLICY_PERIOD, (config.width, config.height))
+    print(config.video)
+
+
+@contextlib.contextmanager
+def viewer(config: Config) -> Any:
+    """MuJoCo's viewer; yields what shows an instant, and waits for its time.
+
+    Raises:
+        RenderingError: there is no display.
+    """
+    import mujoco
+    import mujoco.viewer
+
+    from aslip.cassie.model import load_model
+    from aslip.errors import RenderingError
+    from aslip.render import add_ghost
+
+    model = load_model()
+    data = mujoco.MjData(model)
+    try:
+        window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+    except Exception as error:  # each platform has its own
+        raise RenderingError(
+            f"MuJoCo's viewer cannot open a window ({error}); without a display use --video"
+        ) from error
+    with window:
+        window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        window.cam.trackbodyid = model.body("pelvis").id
+        due = time.perf_counter()
+
+        def show(instant: Frame) -> None:
+            nonlocal due
+            if not window.is_running():
+                raise KeyboardInterrupt
+            with window.lock():
+                data.qpos[:] = instant.qpos
+                mujoco.mj_forward(model, data)
+                if config.rom and window.user_scn is not None:
+                    window.user_scn.ngeom = 0
+                    add_ghost(window.user_scn, instant.ghost)
+            window.sync()
+            due = max(due + POLICY_PERIOD, time.perf_counter())
+            time.sleep(max(0.0, due - time.perf_counter()))
+
+        yield show
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except AslipError as error:
+        raise SystemExit(f"error: {error}") from None
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None

@@ -1,0 +1,70 @@
+"""A log of a short walk, with a push, a change of command, a fall and a second episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+import aslip
+from aslip.library import GaitLibrary
+from aslip.log import Recorder, Recording, read
+from aslip.stack import CassieTransformedEnv, default_stack
+
+MakeRecorded = Callable[..., CassieTransformedEnv]
+
+
+@pytest.fixture(scope="session")
+def make_recorded(library: GaitLibrary) -> MakeRecorded:
+    """`aslip.make_env` with a recorder as the last transform."""
+
+    def make(path: Path, backend: str = "batch", num_envs: int = 1, **settings: Any) -> Any:
+        stack = default_stack(library)
+        stack["recorder"] = lambda: Recorder(path, library=library, **settings)
+        return aslip.make_env(
+            backend,  # pyright: ignore[reportArgumentType]
+            num_envs=num_envs,
+            seed=4,
+            stack=stack,
+            num_threads=1,
+        )
+
+    return make
+
+
+def run(env: CassieTransformedEnv, steps: int, size: float = 0.1) -> list[TensorDict]:
+    """Steps of random actions, each with what came before; episodes begin anew when they end."""
+    generator = torch.Generator().manual_seed(0)
+    seen, td = [], env.reset()
+    for step in range(steps):
+        action = size * torch.randn(env.num_envs, 10, generator=generator)
+        td["action"] = action
+        if step in (3, 4):
+            td["push"] = torch.tensor([[0.0, 20.0, 0.0]]).expand(env.num_envs, 3).clone()
+        stepped, td = env.step_and_maybe_reset(td)
+        seen.append(stepped.clone())
+        td = td.exclude("push")
+    return seen
+
+
+@pytest.fixture(scope="session")
+def walk(
+    make_recorded: MakeRecorded, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, list[TensorDict]]:
+    """A log of 80 policy steps and some episodes, and what happened."""
+    path = tmp_path_factory.mktemp("logs") / "walk.mcap"
+    env = make_recorded(path, policy="aslip", config={"why": "a test"})
+    seen = run(env, 80)
+    assert sum(bool(td["next", "done"]) for td in seen) >= 2
+    env.close()
+    return path, seen
+
+
+@pytest.fixture(scope="session")
+def recording(walk: tuple[Path, list[TensorDict]]) -> Recording:
+    """The same, read."""
+    return read(walk[0])

@@ -1,0 +1,303 @@
+"""What a log has is what happened."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+import aslip
+from aslip.assets import asset_path
+from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD
+from aslip.cassie.model import load_model
+from aslip.errors import AssetError, ConfigurationError, UnknownNameError
+from aslip.ghost import Ghost
+from aslip.library import GaitLibrary
+from aslip.log import Recorder, Recording, check, read
+from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
+from aslip.stack import default_stack
+from tests.log.conftest import MakeRecorded, run
+
+Walk = tuple[Path, list[TensorDict]]
+
+
+def _ends(seen: list[TensorDict]) -> np.ndarray:
+    """Ticks at which the policy steps of a walk end; a reset takes the time of one."""
+    done = np.array([bool(td["next", "done"]) for td in seen])
+    return 1 + np.arange(len(seen)) + np.concatenate([[0], np.cumsum(done)[:-1]])
+
+
+def _at(recording: Recording, topic: str, seen: list[TensorDict]) -> np.ndarray:
+    """Rows of a topic that belong to the ends of the policy steps."""
+    ticks = np.rint(recording[topic].time / POLICY_PERIOD).astype(int)
+    return np.searchsorted(ticks, _ends(seen))
+
+
+def test_steps_have_what_was_done_and_what_came_of_it(walk: Walk, recording: Recording) -> None:
+    seen, step = walk[1], recording["/step"]
+    np.testing.assert_allclose(step.time, _ends(seen) * POLICY_PERIOD, atol=1e-12)
+    for i, td in enumerate(seen):
+        after = td["next"]
+        assert step["phase"][i] == float(td["phase"])
+        assert step["command"][i] == float(td["command"])
+        assert step["reward"][i] == float(after["reward"])
+        assert step["terminated"][i] == float(after["terminated"])
+        for name, term in after["reward_terms"].items():
+            assert step[f"term_{name}"][i] == float(term)
+        actions = [step[f"action_{name}"][i] for name in MOTOR_NAMES]
+        assert actions == td["action"][0].tolist()
+        targets = [step[f"motor_target_{name}"][i] for name in MOTOR_NAMES]
+        assert targets == (td["reference", "motor_position"] + td["action"])[0].tolist()
+        force = [step[f"ground_force_{side}_z"][i] for side in ("left", "right")]
+        assert force == after["truth", "ground_force"][0, :, 2].tolist()
+    np.testing.assert_array_equal(np.flatnonzero(step["push_y"]), [3, 4])
+    assert set(step["push_y"]) == {0.0, 20.0}
+
+
+@pytest.mark.parametrize("group", ["truth", "estimate", "reference"])
+def test_instants_have_the_tensordicts_entries(
+    walk: Walk, recording: Recording, group: str
+) -> None:
+    seen, series = walk[1], recording[f"/{group}"]
+    rows = _at(recording, f"/{group}", seen)
+    compared = 0
+    for key, values in seen[0]["next", group].items():
+        size = values[0].numel()
+        names = {1: [key], 3: [f"{key}_{a}" for a in "xyz"], 4: [f"{key}_{a}" for a in "wxyz"]}
+        names[10] = [f"{key}_{motor}" for motor in MOTOR_NAMES]
+        for i, name in enumerate(names.get(size, [])):
+            if name in series.columns:
+                compared += 1
+                expected = [float(td["next", group, key][0, i]) for td in seen]
+                np.testing.assert_array_equal(series[name][rows], expected, err_msg=name)
+    assert compared >= {"truth": 46, "estimate": 34, "reference": 28}[group]
+
+
+def test_joints_have_positions_velocities_and_efforts(walk: Walk, recording: Recording) -> None:
+    model, series = load_model(), recording["/joint_states"]
+    rows, seen = _at(recording, "/joint_states", walk[1]), walk[1]
+    assert series["name"][0].tolist() == list(LOGGED_JOINTS)
+    for k, td in enumerate(seen):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:] = td["next", "truth", "qpos"][0], td["next", "truth", "qvel"][0]
+        mujoco.mj_forward(model, data)
+        for i, name in enumerate(LOGGED_JOINTS):
+            joint = data.joint(name)
+            assert series["position"][rows[k], i] == joint.qpos[0]
+            assert series["velocity"][rows[k], i] == joint.qvel[0]
+            effort = series["effort"][rows[k], i]
+            if i < len(MOTOR_NAMES):
+                assert effort == float(td["next", "truth", "motor_torque"][0, i])
+            else:
+                np.testing.assert_allclose(effort, joint.qfrc_passive[0], rtol=1e-9, atol=1e-9)
+
+
+def test_transforms_place_robot_and_reduced_order_model(walk: Walk, recording: Recording) -> None:
+    model, series = load_model(), recording["/tf"]
+    rows, seen = _at(recording, "/tf", walk[1]), walk[1]
+    frames = series["transforms.child_frame_id"][0].tolist()
+    assert set(series["transforms.header.frame_id"].ravel()) == {"world"}
+    position, turn = (
+        np.stack([series[f"transforms.transform.{part}.{axis}"] for axis in axes], axis=-1)
+        for part, axes in (("translation", "xyz"), ("rotation", "wxyz"))
+    )
+    for k, td in enumerate(seen):
+        data = mujoco.MjData(model)
+        data.qpos[:] = td["next", "truth", "qpos"][0]
+        mujoco.mj_kinematics(model, data)
+        for body in range(1, model.nbody):
+            i = frames.index(model.body(body).name)
+            np.testing.assert_array_equal(position[rows[k], i], data.xpos[body])
+            np.testing.assert_array_equal(turn[rows[k], i], data.xquat[body])
+        ghost = Ghost.of(td["next"])
+        for name, place in zip(ROM_FRAMES, (ghost.body, ghost.left, ghost.right), strict=True):
+            np.testing.assert_array_equal(position[rows[k], frames.index(name)], place)
+    seconds = series["transforms.header.stamp.sec"][:, 0]
+    stamps = seconds + 1e-9 * series["transforms.header.stamp.nanosec"][:, 0]
+    np.testing.assert_allclose(stamps, series.time, atol=1e-9)
+
+
+def test_files_and_settings_are_attached(recording: Recording) -> None:
+    files = recording.attachments
+    assert files["model.xml"] == asset_path("cassie.xml").read_bytes()
+    assert files["policy.zip"] == asset_path("policies/aslip.zip").read_bytes()
+    config = json.loads(files["config.json"])
+    assert config["settings"] == {"why": "a test"}
+    assert config["seed"] == 4
+    assert config["backend"] == "BatchCassieEnv"
+    assert config["stack"]["reward"] == "WeightedReward"
+    assert recording.metadata["seed"] == "4"
+    assert recording.metadata["version/mujoco"] == mujoco.__version__
+    assert recording.end["policy_steps"] == "80"
+
+
+def test_episodes_and_their_ends_are_told(walk: Walk, recording: Recording) -> None:
+    notes = recording["/log"]
+    done = [i for i, td in enumerate(walk[1]) if td["next", "done"]]
+    begun = [text for text in notes["msg"] if "begins" in text]
+    assert len(begun) == len(done) + 1
+    ended = [text for text in notes["msg"] if "ends" in text]
+    assert ended[0] == f"episode 0 ends after {done[0] + 1} steps: terminated"
+    assert recording.end["episodes"] == str(len(done) + 1)
+
+
+def test_touchdowns_are_where_the_foot_is_and_where_it_was_planned(
+    make_recorded: MakeRecorded, tmp_path: Path, library: GaitLibrary
+) -> None:
+    env = make_recorded(tmp_path / "walk.mcap")
+    policy = aslip.load_policy("aslip")
+    start = TensorDict(command=torch.full((1, 1), 1.0), phase=torch.zeros(1, 1), batch_size=1)
+    env.rollout(70, policy, auto_reset=False, tensordict=env.reset(start))
+    env.close()
+    log = read(tmp_path / "walk.mcap")
+    events, truth = log["/touchdown"], log["/truth"]
+    assert events["side"].tolist() in ([0, 1, 0, 1, 0], [1, 0, 1, 0, 1])
+    gait = library.gaits[10]
+    for i, side in enumerate(events["side"]):
+        k = int(np.searchsorted(truth.time, events.time[i]))
+        landing, stance = (("left", "right"), ("right", "left"))[side]
+        assert events["x"][i] == truth[f"{landing}_foot_position_x"][k]
+        # an ideal footstep: half a stride ahead of the other foot, twenty centimetres beside it
+        ahead = events["x_planned"][i] - truth[f"{stance}_foot_position_x"][k]
+        beside = events["y_planned"][i] - truth[f"{stance}_foot_position_y"][k]
+        assert ahead == pytest.approx(0.5 * gait.stride * gait.speed, abs=0.02)
+        assert beside == pytest.approx((0.2, -0.2)[side], abs=0.04)
+        assert abs(events["x"][i] - events["x_planned"][i]) < 0.1
+        # it was in the air just before
+        force = log["/step"][f"ground_force_{landing}_z"]
+        step = int(np.searchsorted(log["/step"].time, events.time[i]))
+        assert force[step] > 20 >= force[step - 3 : step].max()
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_every_substep_can_be_logged(
+    make_recorded: MakeRecorded, tmp_path: Path, backend: str
+) -> None:
+    path = tmp_path / "fast.mcap"
+    env = make_recorded(path, backend, joint_rate="physics")
+    seen = run(env, 4, size=0.0)
+    env.close()
+    joints = read(path)["/joint_states"]
+    assert len(joints) == 1 + 4 * 60
+    np.testing.assert_allclose(np.diff(joints.time), 0.0005, atol=1e-12)
+    knee = load_model().joint("left_knee").qposadr[0]
+    ends = [float(td["next", "truth", "qpos"][0, knee]) for td in seen]
+    np.testing.assert_array_equal(joints["position"][60::60, 3], ends)
+    # smooth in between
+    speed = np.diff(joints["position"][:, 3]) / 0.0005
+    np.testing.assert_allclose(speed, joints["velocity"][1:, 3], atol=0.1)
+
+
+def test_backends_and_robots_of_a_batch_write_the_same(
+    make_recorded: MakeRecorded, tmp_path: Path
+) -> None:
+    """Robot 2 of three, on both backends; the other robots are reset meanwhile."""
+    logs = []
+    for backend in ("batch", "dm_control"):
+        path = tmp_path / f"{backend}.mcap"
+        env = make_recorded(path, backend, num_envs=3, robot=2)
+        run(env, 50)
+        env.close()
+        assert check(path) == []
+        logs.append(read(path))
+    first, second = logs
+    assert first.end == second.end
+    assert first.series.keys() == second.series.keys()
+    for topic, series in first.series.items():
+        np.testing.assert_array_equal(series.time, second[topic].time, err_msg=topic)
+        for name, column in series.columns.items():
+            np.testing.assert_array_equal(column, second[topic][name], err_msg=name)
+
+
+def test_recording_changes_nothing(
+    make_recorded: MakeRecorded, tmp_path: Path, walk: Walk, library: GaitLibrary
+) -> None:
+    bare = aslip.make_env(stack=default_stack(library), seed=4, num_threads=1)
+    for td, other in zip(run(bare, 40), walk[1], strict=False):
+        torch.testing.assert_close(td["next", "truth", "qpos"], other["next", "truth", "qpos"])
+        assert float(td["next", "reward"]) == float(other["next", "reward"])
+
+
+def test_same_seed_same_messages(make_recorded: MakeRecorded, tmp_path: Path, walk: Walk) -> None:
+    again = tmp_path / "again.mcap"
+    env = make_recorded(again, policy="aslip", config={"why": "a test"})
+    run(env, 80)
+    env.close()
+    one, two = walk[0].read_bytes(), again.read_bytes()
+    # all but the metadata, where the clock is: from the attachments to the summary
+    start = one.index(b"<mujoco model")
+    assert two.index(b"<mujoco model") == start
+    assert one[start : int(0.9 * len(one))] == two[start : int(0.9 * len(two))]
+
+
+def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> None:
+    """Without estimator state, fewer terms, and another friction."""
+    stack = default_stack(library)
+    for name in ("noise", "foot_orient", "reward"):
+        del stack[name]
+    from aslip.transforms import TrueState, WeightedReward
+
+    stack["estimator"] = TrueState
+    weights = {"com_vel": 0.5, "foot_pos": 0.5, "straight_diff": 0.0, "action_diff": 0.0}
+    names = list(stack)
+    ordered = {name: stack[name] for name in names[: names.index("action_diff") + 1]}
+    ordered["reward"] = lambda: WeightedReward(weights)
+    ordered["recorder"] = lambda: Recorder(tmp_path / "a.mcap", library=library)
+    env = aslip.make_env(stack=ordered, num_threads=1, floor_friction=0.6)
+    run(env, 3)
+    env.close()
+    log = read(tmp_path / "a.mcap")
+    assert "term_foot_orient" not in log["/step"].columns
+    assert "contact_left" not in log["/estimate"].columns
+    assert json.loads(log.attachments["model.json"])["fields"] == [["geom_friction", [0, 0], 0.6]]
+
+
+# ------------------------------------------------------------------- mistakes
+
+
+def test_the_file_has_its_name_only_when_it_is_whole(
+    make_recorded: MakeRecorded, tmp_path: Path
+) -> None:
+    path = tmp_path / "walk.mcap"
+    env = make_recorded(path)
+    env.rollout(2)
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.mcap.part"]
+    env.close()
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.mcap"]
+
+
+def test_an_unfinished_log_is_not_overwritten(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+    (tmp_path / "walk.mcap.part").write_bytes(b"precious")
+    with pytest.raises(ConfigurationError, match="recover"):
+        make_recorded(tmp_path / "walk.mcap").reset()
+    assert (tmp_path / "walk.mcap.part").read_bytes() == b"precious"
+
+
+def test_a_recorder_that_cannot_begin_leaves_no_file(
+    make_recorded: MakeRecorded, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigurationError, match="no robot 7"):
+        make_recorded(tmp_path / "walk.mcap", robot=7).reset()
+    env = make_recorded(tmp_path / "walk.mcap")
+    env.base_env.model.geom_size[0] = 1.0  # a change is written down; another robot is not
+    env.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_settings_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="joint_rate"):
+        Recorder(tmp_path / "a.mcap", joint_rate="fast")  # pyright: ignore
+    with pytest.raises(AssetError, match="nobody"):
+        Recorder(tmp_path / "a.mcap", policy="nobody")
+
+
+def test_unknown_topics_and_columns_are_named(recording: Recording) -> None:
+    with pytest.raises(UnknownNameError, match=r"/steps.*has no topic|no topic.*/steps"):
+        _ = recording["/steps"]
+    with pytest.raises(UnknownNameError, match="rewards"):
+        _ = recording["/step"]["rewards"]

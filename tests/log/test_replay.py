@@ -1,0 +1,183 @@
+"""A log's simulation is repeated bit for bit, or it is said why not."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.log import Recording, read, replay
+from aslip.log import replay as package
+from aslip.log.__main__ import main
+from aslip.log.replay import low_level_differs
+from tests.log.conftest import MakeRecorded, run
+
+
+def test_every_state_is_equal_from_everywhere(recording: Recording) -> None:
+    """From each of the log's states, through pushes, falls and resets."""
+    states = recording["/state"]
+    assert len(states) > 4
+    for time in states.time[:-1]:
+        result = replay(recording, float(time))
+        assert result.equal
+        assert result.start == pytest.approx(time)
+        assert result.compared >= 1
+        assert result.steps > 0
+    assert replay(recording).steps == 80
+
+
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_logs_of_both_backends_replay(
+    make_recorded: MakeRecorded, tmp_path: Path, backend: str
+) -> None:
+    path = tmp_path / "walk.mcap"
+    env = make_recorded(path, backend, num_envs=2, robot=1)
+    run(env, 40)
+    env.close()
+    result = replay(path)
+    assert result.equal
+    assert result.compared >= 2
+    # what it gives back is the robot's path
+    truth = read(path)["/truth"]
+    rows = np.searchsorted(np.rint(truth.time / 0.03), np.rint(result.time / 0.03))
+    np.testing.assert_array_equal(
+        result.qpos[:, 2].astype(np.float32), truth["pelvis_position_z"][rows].astype(np.float32)
+    )
+
+
+def _changed(recording: Recording, topic: str, name: str, row: int, by: float) -> Recording:
+    series = recording[topic]
+    column = series[name].copy()
+    column[row] += by
+    columns = {**series.columns, name: column}
+    return replace(recording, series={**recording.series, topic: replace(series, columns=columns)})
+
+
+def test_a_changed_target_is_seen_from_then_on(recording: Recording) -> None:
+    row = int(np.searchsorted(recording["/step"].time, 1.0))
+    other = _changed(recording, "/step", "motor_target_left_knee", row, 1e-9)
+    result = replay(other)
+    assert not result.equal
+    assert result.diverged_at is not None
+    assert result.diverged_at >= 1.0
+    assert result.largest_difference > 0
+
+
+def test_a_changed_push_is_seen(recording: Recording) -> None:
+    assert not replay(_changed(recording, "/step", "push_y", 3, 1e-6)).equal
+
+
+def test_the_last_bit_of_a_state_is_seen(recording: Recording) -> None:
+    states = recording["/state"]
+    integration = states["integration"].copy()
+    integration[-1, 5] = np.nextafter(integration[-1, 5], np.inf)
+    columns = {**states.columns, "integration": integration}
+    series = {**recording.series, "/state": replace(states, columns=columns)}
+    result = replay(replace(recording, series=series))
+    assert result.diverged_at == pytest.approx(states.time[-1])
+
+
+def test_another_mujoco_is_told_as_such(recording: Recording) -> None:
+    other = replace(recording, metadata={**recording.metadata, "version/mujoco": "3.99.0"})
+    with pytest.raises(ConfigurationError, match=r"mujoco==3\.99\.0"):
+        replay(other)
+
+
+def test_a_changed_model_is_told_as_such(recording: Recording) -> None:
+    changes = json.loads(recording.attachments["model.json"])
+    changes["fields"] = [["geom_friction", [0, 0], 0.5]]
+    files = {**recording.attachments, "model.json": json.dumps(changes).encode()}
+    with pytest.raises(ConfigurationError, match="compiles to another"):
+        replay(replace(recording, attachments=files))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [b"", b"{", b"[]", b'{"visual": false, "fields": [["nothing", [0], 1.0]]}',
+     b'{"visual": false, "fields": [["geom_friction", [900, 0], 1.0]]}'],
+)  # fmt: skip
+def test_a_model_that_cannot_be_built_is_told_as_such(recording: Recording, damage: bytes) -> None:
+    files = {**recording.attachments, "model.json": damage}
+    with pytest.raises(FileDamagedError, match="model of the log"):
+        replay(replace(recording, attachments=files))
+
+
+def test_a_log_without_states_is_told_as_such(recording: Recording) -> None:
+    series = {topic: s for topic, s in recording.series.items() if topic != "/state"}
+    with pytest.raises(FileDamagedError, match="/state"):
+        replay(replace(recording, series=series))
+    with pytest.raises(ConfigurationError, match="no state at -1"):
+        replay(recording, -1.0)
+
+
+def test_changed_code_is_recognised(recording: Recording) -> None:
+    assert not low_level_differs(recording)
+    digest = hashlib.sha256(b"other").hexdigest()
+    other = {**recording.metadata, "low_level_digest": digest}
+    assert low_level_differs(replace(recording, metadata=other))
+
+
+# ----------------------------------------------------------------- from a shell
+
+
+def test_commands_say_what_they_find(
+    walk: tuple[Path, list], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(walk[0])
+    assert main(["info", log]) == 0
+    told = capsys.readouterr().out
+    assert "/joint_states" in told
+    assert "model.xml" in told
+    assert main(["check", log]) == 0
+    assert "whole and intact" in capsys.readouterr().out
+    assert main(["replay", "--verify", log]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("from 0.00 s: 80 policy steps")
+    assert all(line.endswith("all equal bit for bit") for line in lines)
+    assert not lines[1].startswith("from 0.00 s")
+
+
+def test_commands_fail_on_a_damaged_log(
+    walk: tuple[Path, list], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "walk.mcap.part"
+    cut.write_bytes(walk[0].read_bytes()[:-1000])
+    assert main(["check", str(cut)]) == 1
+    assert "unfinished" in capsys.readouterr().out
+    assert main(["replay", "--verify", str(cut)]) == 2
+    assert "recover" in capsys.readouterr().err
+    assert main(["recover", str(cut)]) == 0
+    assert "walk.recovered.mcap" in capsys.readouterr().out
+    assert main(["replay", "--verify", str(tmp_path / "walk.recovered.mcap")]) == 0
+
+
+def test_verifying_fails_when_the_simulation_differs(
+    walk: tuple[Path, list], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As it would after a change of the drive, which is then named."""
+    from aslip.log import replay as _  # noqa: F401
+    from aslip.sim import drive
+
+    module = sys.modules["aslip.log.replay"]
+    monkeypatch.setattr(drive, "PD_STIFFNESS", drive.PD_STIFFNESS * 1.01)
+    monkeypatch.setattr(module, "low_level_digest", lambda: "other")
+    assert main(["replay", "--verify", str(walk[0])]) == 1
+    told = capsys.readouterr().out
+    assert "differs at" in told
+    assert "another version of this package" in told
+
+
+def test_the_module_runs_from_a_shell(walk: tuple[Path, list]) -> None:
+    command = [sys.executable, "-m", "aslip.log", "check", str(walk[0])]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    assert "intact" in result.stdout
+    assert package is replay
