@@ -28,6 +28,7 @@ from tqdm import tqdm
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
+from aslip.cassie.model import load_model
 from aslip.errors import AslipError, ConfigurationError
 from aslip.ghost import Ghost
 from aslip.log import JointRate, Recorder
@@ -106,6 +107,8 @@ def main(config: Config) -> None:
     """Walk."""
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
+    if config.video is not None:
+        check_rendering()  # before the walk, not after it
     walker = make_walker(config, schedule)
     with contextlib.closing(walker.env):
         if config.live:
@@ -199,6 +202,17 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     return "\n".join(lines)
 
 
+def check_rendering() -> None:
+    """Draw something.
+
+    Raises:
+        RenderingError: no OpenGL works.
+    """
+    from aslip.render import render_robot
+
+    render_robot(load_model().key("standing").qpos, width=16, height=16)
+
+
 def film(config: Config, frames: list[Frame]) -> None:
     """Render and write the film."""
     from aslip.render import render_frames
@@ -227,7 +241,6 @@ def viewer(config: Config) -> Any:
     import mujoco
     import mujoco.viewer
 
-    from aslip.cassie.model import load_model
     from aslip.errors import RenderingError
     from aslip.render import add_ghost
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from aslip import GaitLibrary
-from aslip.errors import SpeedOutOfRangeError
+from aslip.errors import ConfigurationError, RenderingError, SpeedOutOfRangeError
 from aslip.library.file import read_made_by
-from benchmarks import estimator, learning_curves, throughput
+from benchmarks import black_box, estimator, film_strip, learning_curves, throughput
 from recipes import gait_library
 
 
@@ -83,6 +83,39 @@ def test_learning_curves_are_reported_from_what_there_is(
     assert "| estimate | 0 | 60 | 30 |" in table
     assert "| estimate | 2 | 60 | not yet |" in table
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_logs_are_measured_killed_cut_and_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(black_box, "_EPISODE", 40)
+    config = black_box.Config(
+        rounds=1, kills=1, cuts=4, replays=1, report=tmp_path / "black_box.json"
+    )
+    black_box.main(config)
+    printed = capsys.readouterr().out
+    assert "| joints at 2 kHz |" in printed
+    numbers = json.loads((tmp_path / "black_box.json").read_text())
+    assert numbers["kills"]["failures"] == 0
+    assert numbers["cuts"]["wrong"] == 0
+    assert numbers["replays"]["equal"] == 1
+    assert numbers["overhead"]["physics_bytes"] > numbers["overhead"]["policy_bytes"]
+
+
+def test_a_film_strip_is_drawn(tmp_path: Path) -> None:
+    small = {"frames": 3, "settle": 0.0, "width": 80, "height": 100}
+    for reference in (False, True):
+        out = tmp_path / f"{reference}.png"
+        try:
+            film_strip.main(film_strip.Config(out=out, reference=reference, **small))
+        except RenderingError as error:
+            pytest.skip(str(error))
+        assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_film_strip_of_a_fall_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="settle"):
+        film_strip.Config(settle=20.0)
 
 
 @pytest.mark.slow
