@@ -113,10 +113,7 @@ class CassieEnv(EnvBase):
     @property
     @abstractmethod
     def watched(self) -> np.ndarray:
-        """(60, 77) substeps of the watched robot's last policy step.
-
-        `qpos` 35, `qvel` 32 and motor torques 10 [N m, at the joint].
-        """
+        """(60, 83) substeps of the watched robot's last policy step; see `Simulations.watched`."""
 
     # ---------------------------------------------------------------- EnvBase
 

@@ -477,7 +477,7 @@ class _Kinematics:
         """Positions, velocities and efforts of `LOGGED_JOINTS`, from `qpos`, `qvel` and torques.
 
         Args:
-            rows: (*b, 77) as `CassieEnv.watched` has them.
+            rows: (*b, 77 or more) as `CassieEnv.watched` has them.
 
         Returns:
             (*b, 48). The effort of a motor is its torque at the joint, of a spring what it and its

@@ -100,7 +100,7 @@ class SimulationPool:
 
     @property
     def watched(self) -> np.ndarray:
-        """(60, 77) every substep of the watched simulation; see `Simulations.watched`."""
+        """(60, 83) every substep of the watched simulation; see `Simulations.watched`."""
         return self.parts[self._watched_part].watched
 
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:

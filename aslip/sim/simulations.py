@@ -59,9 +59,10 @@ class Simulations:
         """What the robots measure."""
         self._ground_force = np.zeros((num, 2, 3))
         self._watched: int | None = None
-        self.watched = np.zeros((SUBSTEPS, self.model.nq + self.model.nv + self.model.nu))
-        """(60, 77) `qpos`, `qvel` and motor torques [N m, at the joint] after each substep of the
-        last policy period, of the simulation that `watch` chose."""
+        self.watched = np.zeros((SUBSTEPS, watched_size(self.model)))
+        """(60, 83) `qpos` 35, `qvel` 32, motor torques 10 [N m, at the joint] and ground forces
+        2 x 3 [N, world] after each substep of the last policy period, of the simulation that
+        `watch` chose. Torques and forces are those that acted in the substep."""
         # live arrays, looked up once: binding anew costs more than a PD law in the 2 kHz loop
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._ctrl, self._warm_start = self.batch.bind("ctrl"), self.batch.bind("qacc_warmstart")
@@ -196,11 +197,21 @@ class Simulations:
 
     def _record(self, substep: int, index: int) -> None:
         """Put the state after a substep into `watched`."""
-        row, nq, nv = self.watched[substep], self.model.nq, self.model.nv
-        row[:nq] = self.qpos[index]
-        row[nq : nq + nv] = self.qvel[index]
-        row[nq + nv :] = self._qfrc_actuator[index, self.indices.motor_qvel]
+        np.concatenate(
+            [
+                self.qpos[index],
+                self.qvel[index],
+                self._qfrc_actuator[index, self.indices.motor_qvel],
+                self._sensordata[index, self.indices.ground_force.ravel()],
+            ],
+            out=self.watched[substep],
+        )
 
     def _finite(self) -> np.ndarray:
         arrays = (self.qpos, self.qvel, self._ground_force.reshape(self.num, -1))
         return np.isfinite(np.concatenate(arrays, axis=1)).min(axis=1)
+
+
+def watched_size(model: mujoco.MjModel) -> int:
+    """Numbers of a substep in `Simulations.watched`."""
+    return model.nq + model.nv + model.nu + 2 * 3

@@ -19,6 +19,7 @@ from aslip.cassie import MOTOR_NAMES, SIDES, SUBSTEPS, Side
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, CassieIndices, set_floor_friction
 from aslip.errors import ShapeError
 from aslip.sim import Drive, Sensors, Snapshot
+from aslip.sim.simulations import watched_size
 from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, true_state
 
 _VERTICAL = 8  # zz entry of a row-major rotation matrix
@@ -47,7 +48,7 @@ class CassiePhysics(mujoco.Physics):
         self._drive = Drive(1)
         self.sensors = Sensors(1, data.model.ptr)
         self.watched: np.ndarray | None = None
-        """(60, 77) every substep of the last policy period, as `aslip.sim.Simulations.watched`,
+        """(60, 83) every substep of the last policy period, as `aslip.sim.Simulations.watched`,
         once `watch` was called."""
         # ends with after_reset(), which reads the above
         super()._reload_from_data(data)
@@ -79,8 +80,7 @@ class CassiePhysics(mujoco.Physics):
 
     def watch(self, watched: bool = True) -> None:
         """Keep every substep in `watched` from now on, or no more."""
-        model = self.model.ptr
-        shape = (SUBSTEPS, model.nq + model.nv + model.nu)
+        shape = (SUBSTEPS, watched_size(self.model.ptr))
         self.watched = np.zeros(shape) if watched else None
 
     def step(self, nstep: int = 1) -> None:
@@ -102,8 +102,9 @@ class CassiePhysics(mujoco.Physics):
             sensors.feel(self._substep, self.data.qacc[None])
             if self.watched is not None:
                 torque = self.data.qfrc_actuator[self.indices.motor_qvel]
+                force = self.data.sensordata[self.indices.ground_force.ravel()]
                 self.watched[self._substep] = np.concatenate(
-                    [self.data.qpos, self.data.qvel, torque]
+                    [self.data.qpos, self.data.qvel, torque, force]
                 )
             self._substep = (self._substep + 1) % SUBSTEPS
             if self._substep == 0:

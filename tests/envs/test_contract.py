@@ -389,8 +389,10 @@ def test_every_substep_of_one_robot_can_be_watched() -> None:
         seen.append(base.watched.copy())
         state = torch.cat([td["truth", name][2] for name in ("qpos", "qvel")])
         np.testing.assert_array_equal(base.watched[-1, :67], state)
-        torque = base.watched[-1, 67:].astype(np.float32)
+        torque = base.watched[-1, 67:77].astype(np.float32)
         np.testing.assert_array_equal(torque, td["truth", "motor_torque"][2])
+        force = base.watched[:, 77:].mean(axis=0).reshape(2, 3)
+        np.testing.assert_allclose(force, td["truth", "ground_force"][2], rtol=1e-5, atol=1e-5)
         base.watch(None)
         base.step(TensorDict(motor_target=_standing_targets(base), batch_size=3))
         with pytest.raises(ConfigurationError, match=r"no (robot|simulation) 3"):

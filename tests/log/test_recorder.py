@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -42,7 +43,7 @@ def test_steps_have_what_was_done_and_what_came_of_it(walk: Walk, recording: Rec
     seen, step = walk[1], recording["/step"]
     np.testing.assert_allclose(step.time, _ends(seen) * POLICY_PERIOD, atol=1e-12)
     for i, td in enumerate(seen):
-        after = td["next"]
+        after: Any = td["next"]
         assert step["phase"][i] == float(td["phase"])
         assert step["command"][i] == float(td["command"])
         assert step["reward"][i] == float(after["reward"])
