@@ -75,6 +75,7 @@ class Footholds:
     def __init__(self, library: GaitLibrary) -> None:
         self._speeds = library.speeds
         self._phases = np.array([_touchdown_phases(gait.mode, gait.time) for gait in library.gaits])
+        self._strides = np.array([gait.stride for gait in library.gaits])
         speeds = torch.tensor(np.array(library.speeds))[:, None]
         self._steps = np.empty((2, len(speeds), 2))
         for i, side in enumerate(SIDES):
@@ -82,6 +83,10 @@ class Footholds:
             left, right = motion.left_foot_position, motion.right_foot_position
             step = left - right if side == "left" else right - left
             self._steps[i] = step[:, :2].double().numpy()
+
+    def stride(self, speed: float) -> float:
+        """Duration of a stride of the reduced-order model [s]."""
+        return float(np.interp(speed, self._speeds, self._strides))
 
     def touchdown_phase(self, side: Side, speed: float) -> float:
         """Stride fraction at which a foot of the reduced-order model touches down."""

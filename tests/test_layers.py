@@ -25,11 +25,12 @@ _MAY_IMPORT = {
     "task": {"cassie", "sim"},
     "envs": {"cassie", "sim", "task"},
     "rewards": set(),
+    "metrics": {"cassie"},
     "estimation": {"cassie", "sim"},
     "transforms": {"cassie", "sim", "task", "library", "envs", "estimation", "rewards"},
 }
 _TOP = {"stack", "policy", "evaluation", "run", "plots", "render", "symmetry", "__init__"}
-_TOP |= {"ghost", "walker", "video", "log", "live"}
+_TOP |= {"ghost", "walker", "walks", "video", "log", "live"}
 _FOREIGN = {
     "errors": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "assets": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
@@ -40,6 +41,7 @@ _FOREIGN = {
     "sim": {"torch", "torchrl", "tensordict", "casadi", "pinocchio", "dm_control"},
     "task": {"torch", "torchrl", "tensordict", "casadi", "pinocchio"},
     "envs": {"casadi", "pinocchio"},
+    "metrics": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "rewards": {"torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "transforms": {"mujoco", "casadi", "pinocchio", "dm_control"},
 }

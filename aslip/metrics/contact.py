@@ -1,0 +1,124 @@
+"""When feet are on the ground."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from aslip.errors import ConfigurationError, ShapeError
+
+CONTACT_FORCE = 20.0
+"""A foot that carries more is on the ground [N], 6 % of the robot's weight."""
+
+SHORTEST_CONTACT = 0.05
+"""Contacts and gaps that are shorter are bounces [s]."""
+
+
+def stances(
+    force: np.ndarray,
+    period: float,
+    *,
+    threshold: float = CONTACT_FORCE,
+    shortest: float = SHORTEST_CONTACT,
+) -> np.ndarray:
+    """Stances of one foot that begin and end within the record.
+
+    A foot is on the ground while its vertical force exceeds a threshold. A foot that lands bounces:
+    gaps shorter than `shortest` are closed first, then contacts shorter than that are dropped.
+
+    Args:
+        force: (m,) vertical ground force [N].
+        period: between samples [s].
+        threshold: [N].
+        shortest: [s].
+
+    Returns:
+        (k, 2) first sample of each stance, and one past its last.
+
+    Raises:
+        ShapeError: `force` is not one-dimensional.
+        ConfigurationError: the period is not positive, or a force not finite.
+    """
+    force = _checked(force, period)
+    loaded = merge_short(force > threshold, round(shortest / period))
+    edges = np.diff(loaded.astype(int))
+    begins, ends = np.flatnonzero(edges == 1) + 1, np.flatnonzero(edges == -1) + 1
+    # what had begun before the record, or goes on after it, has no length
+    ends = ends[ends > begins[0]] if len(begins) else ends[:0]
+    begins = begins[: len(ends)]
+    return np.stack([begins, ends], axis=1)
+
+
+def merge_short(flags: np.ndarray, shortest: int) -> np.ndarray:
+    """Booleans (m,) without inner runs shorter than `shortest`, first of False, then of True."""
+    flags = flags.copy()
+    for value in (False, True):
+        edges = np.flatnonzero(np.diff(flags.astype(int))) + 1
+        bounds = np.concatenate([[0], edges, [len(flags)]])
+        for start, stop in itertools.pairwise(bounds[1:-1]):
+            if flags[start] == value and stop - start < shortest:
+                flags[start:stop] = not value
+    return flags
+
+
+def touchdown_times(force: np.ndarray, period: float) -> np.ndarray:
+    """(k,) instants at which one foot touches down [s], of stances within the record.
+
+    Between two samples the force is taken to grow linearly, so that records of the policy's rate
+    resolve less than their period.
+
+    Args:
+        force: (m,) vertical ground force [N].
+        period: between samples [s].
+    """
+    first = stances(force, period)[:, 0]
+    before, after = force[first - 1], force[first]
+    share = (CONTACT_FORCE - before) / (after - before)
+    return (first - 1 + np.clip(share, 0.0, 1.0)) * period
+
+
+def step_frequency(left: np.ndarray, right: np.ndarray, period: float) -> float:
+    """Steps of both feet a second: twice the frequency of strides [Hz].
+
+    From the mean time between touchdowns of the same foot, first to last, so that an uneven gait
+    counts as its mean. NaN if neither foot touches down twice.
+
+    Args:
+        left: (m,) vertical ground force of the left foot [N].
+        right: (m,) of the right foot.
+        period: between samples [s].
+    """
+    strides, duration = 0, 0.0
+    for force in (left, right):
+        times = touchdown_times(force, period)
+        if len(times) >= 2:
+            strides += len(times) - 1
+            duration += times[-1] - times[0]
+    return 2 * strides / duration if strides else float("nan")
+
+
+def duty_factor(force: np.ndarray, period: float) -> float:
+    """Share of the stride that one foot is on the ground; NaN without two touchdowns.
+
+    Args:
+        force: (m,) vertical ground force [N].
+        period: between samples [s].
+    """
+    found = stances(force, period)
+    if len(found) < 2:
+        return float("nan")
+    strides = np.diff(found[:, 0])
+    return float(np.diff(found, axis=1)[:-1, 0].sum() / strides.sum())
+
+
+def _checked(force: np.ndarray, period: float) -> np.ndarray:
+    force = np.asarray(force, dtype=np.float64)
+    if force.ndim != 1:
+        raise ShapeError(f"force must be of one foot, (m,), got shape {force.shape}")
+    if not period > 0:
+        raise ConfigurationError(f"period must be positive [s], got {period!r}")
+    if not np.isfinite(force).all():
+        row = int(np.flatnonzero(~np.isfinite(force))[0])
+        raise ConfigurationError(f"force must be finite, sample {row} is {force[row]}")
+    return force

@@ -1,0 +1,141 @@
+"""What the benchmarks of a policy share: flags, walks, intervals, reports."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from scipy import stats
+
+import aslip
+from aslip.cassie import POLICY_PERIOD
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.plots import save_figure
+from aslip.run import write_text
+from aslip.stack import CassieTransformedEnv
+from aslip.transforms import TrueState
+from aslip.walker import ENDLESS
+from aslip.walks import Walks, record_walks
+
+_CONFIDENCE = 0.95
+_RESAMPLES = 2000
+
+
+@dataclass(frozen=True)
+class Common:
+    """Flags of every benchmark of a policy."""
+
+    policy: tuple[str, ...] = ("aslip",)
+    """Policies to measure, as `aslip.load_policy` takes them; several count as seeds of one."""
+    truth: bool = False
+    """Show them the simulator's truth instead of what an estimator makes of noisy sensors."""
+    seed: int = 0
+    """Of sensor noise."""
+    out: Path = Path("runs/benchmarks")
+    """Folder of table, numbers and picture."""
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if not self.policy:
+            raise ConfigurationError("name at least one policy")
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean and its 95 % confidence interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, groups: Sequence[np.ndarray]) -> Interval:
+        """Of the mean over groups, one a seed.
+
+        With several groups Student's interval over their means, which is about what another seed
+        would bring; with one group a bootstrap over its values. NaN are left out.
+        """
+        kept = [group[np.isfinite(group)] for group in map(np.asarray, groups)]
+        kept = [group for group in kept if len(group)]
+        if not kept:
+            return cls(np.nan, np.nan, np.nan)
+        means = np.array([group.mean() for group in kept])
+        mean = float(means.mean())
+        if len(means) > 1:
+            half = stats.t.ppf(0.5 + _CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
+            return cls(mean, mean - float(half), mean + float(half))
+        values = kept[0]
+        if len(values) < 2 or np.ptp(values) == 0:
+            return cls(mean, mean, mean)
+        rng = np.random.default_rng(0)
+        drawn = rng.choice(values, (_RESAMPLES, len(values))).mean(axis=1)
+        low, high = np.quantile(drawn, [0.5 - _CONFIDENCE / 2, 0.5 + _CONFIDENCE / 2])
+        return cls(mean, float(low), float(high))
+
+    def text(self, digits: int, scale: float = 1.0) -> str:
+        """Mean and interval, with so many digits, times `scale`."""
+        mean, low, high = (scale * value for value in (self.mean, self.low, self.high))
+        return f"{mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def environment(config: Common, num_envs: int, **settings: Any) -> CassieTransformedEnv:
+    """The full stack without an end of episodes but falls."""
+    drop = [*ENDLESS, *(["noise"] if config.truth else [])]
+    replace = {"estimator": TrueState} if config.truth else {}
+    return aslip.make_env(
+        num_envs=num_envs, seed=config.seed, drop=drop, replace=replace, **settings
+    )
+
+
+def constant_walks(config: Common, speeds: Sequence[float], duration: float) -> list[Walks]:
+    """Walks at constant speeds side by side, one `Walks` a policy.
+
+    Args:
+        config: which policies.
+        speeds: commanded [m/s].
+        duration: [s].
+    """
+    steps = round(duration / POLICY_PERIOD)
+    command = np.tile(np.array(speeds), (steps, 1))
+    return [walks_of(config, policy, command) for policy in config.policy]
+
+
+def walks_of(config: Common, policy: str, command: np.ndarray) -> Walks:
+    """Walks of one policy through commands (m, n) [m/s]."""
+    env = environment(config, command.shape[1])
+    try:
+        return record_walks(aslip.load_policy(policy), env, command)
+    finally:
+        env.close()
+
+
+def strides(library: GaitLibrary, speeds: Sequence[float]) -> np.ndarray:
+    """(n,) durations of the library's strides [s]."""
+    column = torch.tensor(np.array(speeds, dtype=np.float64))[:, None]
+    return library.stride(column)[:, 0].numpy()
+
+
+def write_report(
+    config: Common, name: str, numbers: dict[str, Any], table: str, figure: Figure | None = None
+) -> None:
+    """Print the table; write it, the numbers and the picture."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    print(table)
+    write_text(config.out / f"{name}.md", table + "\n")
+    about = {"policies": list(config.policy), "seed": config.seed, "truth": config.truth}
+    write_text(config.out / f"{name}.json", json.dumps({**about, **numbers}, indent=1) + "\n")
+    if figure is not None:
+        save_figure(figure, config.out / f"{name}.png")
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table, numbers to the right."""
+    lines = [list(header), ["---:"] * len(header), *map(list, rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

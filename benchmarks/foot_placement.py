@@ -1,0 +1,179 @@
+"""Foot-placement error against the reduced-order model, as in the paper's figure (Sec. V-A).
+
+    python -m benchmarks.foot_placement                                   # the shipped policy
+    python -m benchmarks.foot_placement --policy runs/seed0 runs/seed1 runs/seed2
+    python -m benchmarks.foot_placement --log walk.mcap                   # of a log at one speed
+
+At each speed, after a while of walking, 15 footsteps in a row: the ideal place of each is the
+actual place of the other foot plus the step of the reduced-order model. The place of a foot is that
+of its sole in the middle of its stance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+
+from aslip.cassie import POLICY_PERIOD, SIDES
+from aslip.errors import AslipError, ConfigurationError
+from aslip.ghost import Footholds
+from aslip.library import GaitLibrary
+from aslip.log import read
+from aslip.metrics import Placement, footsteps, placement
+from aslip.walks import Walks
+from benchmarks.common import Common, Interval, constant_walks, markdown, write_report
+
+PUBLISHED: Final = MappingProxyType(
+    {
+        0.0: (0.0480, 0.0154), 0.1: (0.0462, 0.0073), 0.2: (0.0435, 0.0039), 0.3: (0.0380, 0.0098),
+        0.4: (0.0465, 0.0159), 0.5: (0.0625, 0.0164), 0.6: (0.0535, 0.0060), 0.7: (0.0639, 0.0094),
+        0.8: (0.0662, 0.0093), 0.9: (0.0720, 0.0140), 1.0: (0.0922, 0.0169), 1.1: (0.1160, 0.0226),
+        1.2: (0.1461, 0.0253), 1.3: (0.1775, 0.0280), 1.4: (0.2098, 0.0282), 1.5: (0.2452, 0.0258),
+        1.6: (0.2878, 0.0267), 1.7: (0.3265, 0.0281), 1.8: (0.3625, 0.0350), 1.9: (0.3978, 0.0399),
+        2.0: (0.4319, 0.0423),
+    }
+)  # fmt: skip
+"""Speed [m/s] -> mean error and standard deviation [m], from the data of the paper's figure."""
+
+_FOOTSTEPS = 15
+# walking before the first footstep counts, and time for so many and a few more [s]
+_SETTLE, _WALK = 4.0, 12.0
+
+
+@dataclass(frozen=True)
+class Config(Common):
+    """What to measure."""
+
+    speeds: tuple[float, ...] = tuple(PUBLISHED)
+    """Commanded [m/s]."""
+    log: Path | None = None
+    """Measure the walk in a log, at the speed it has been commanded at."""
+
+
+def main(config: Config) -> dict[float, list[Placement]]:
+    """Measure, print and draw; returns the placements at each speed, one a policy."""
+    library = GaitLibrary.load()
+    footholds = Footholds(library)
+    if config.log is not None:
+        walk = Walks.from_log(read(config.log))
+        speeds = np.unique(walk.command)
+        if len(speeds) != 1:
+            raise ConfigurationError(
+                f"{str(config.log)!r} has {len(speeds)} commanded speeds; record one at a time:"
+                " recipes/walk.py --command 1.0"
+            )
+        measured = {float(speeds[0]): [placed(walk, 0, float(speeds[0]), footholds)]}
+    else:
+        walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
+        measured = {
+            speed: [placed(walk, i, speed, footholds) for walk in walks]
+            for i, speed in enumerate(config.speeds)
+        }
+    write_report(config, "foot_placement", numbers(measured), table(measured), picture(measured))
+    return measured
+
+
+def placed(walk: Walks, index: int, speed: float, footholds: Footholds) -> Placement:
+    """Placement of one walk's footsteps after it has settled, none if it fell."""
+    one = walk.one(index)
+    step = np.stack([footholds.step(side, speed) for side in SIDES])
+    if not one.survived[0]:
+        nothing = np.full((1, 2), np.nan)
+        return Placement(np.zeros(1, dtype=int), nothing, nothing[:, 0])
+    found = placement(
+        footsteps(one.ground_force[:, 0, :, 2], one.foot_position[:, 0], POLICY_PERIOD),
+        step,
+    )
+    first = round(2 * _SETTLE / float(footholds.stride(speed)))
+    rows = slice(first, first + _FOOTSTEPS)
+    return Placement(found.side[rows], found.offset[rows], found.width[rows])
+
+
+def numbers(measured: dict[float, list[Placement]]) -> dict[str, list[dict[str, float | None]]]:
+    """Everything, for machines."""
+    rows = []
+    for speed, placements in measured.items():
+        interval = Interval.of([p.error for p in placements])
+        sides = {
+            f"{side}_{axis}": float(np.mean([p.offset[p.side == i, k].mean() for p in placements]))
+            for i, side in enumerate(SIDES)
+            for k, axis in enumerate("xy")
+        }
+        rows.append(
+            {
+                "speed": speed,
+                **vars(interval),
+                "std": float(np.mean([p.error.std() for p in placements])),
+                "outward": float(np.mean([p.outward.mean() for p in placements])),
+                "footsteps": sum(len(p.error) for p in placements),
+                "published": PUBLISHED.get(speed, (None, None))[0],
+                **sides,
+            }
+        )
+    return {"rows": rows}
+
+
+def table(measured: dict[float, list[Placement]]) -> str:
+    """A row a speed."""
+    header = [
+        "command m/s", "error cm", "std cm", "forward cm", "outward cm", "width cm",
+        "published cm",
+    ]  # fmt: skip
+    rows = []
+    for speed, placements in measured.items():
+        error = Interval.of([p.error for p in placements])
+        forward = Interval.of([p.offset[:, 0] for p in placements])
+        outward = Interval.of([p.outward for p in placements])
+        width = Interval.of([p.width for p in placements])
+        published = next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), np.nan)
+        rows.append(
+            [
+                f"{speed:.1f}",
+                error.text(1, 100),
+                f"{100 * np.mean([p.error.std() for p in placements]):.1f}",
+                f"{100 * forward.mean:+.1f}",
+                f"{100 * outward.mean:+.1f}",
+                f"{100 * width.mean:.1f}",
+                f"{100 * published:.1f}" if np.isfinite(published) else "",
+            ]
+        )
+    return markdown(header, rows)
+
+
+def picture(measured: dict[float, list[Placement]]) -> Figure:
+    """Mean and standard deviation over speed, beside the published ones."""
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    speeds = list(measured)
+    means = [100 * np.mean([p.error.mean() for p in ps]) for ps in measured.values()]
+    spread = [100 * np.mean([p.error.std() for p in ps]) for ps in measured.values()]
+    published = np.array(list(PUBLISHED.values())).T * 100
+    left.errorbar(list(PUBLISHED), *published, color="tab:gray", capsize=3, label="published")
+    left.errorbar(speeds, means, spread, color="tab:red", capsize=3, label="here")
+    left.set(xlabel="commanded speed [m/s]", ylabel="foot-placement error [cm]", ylim=(0, None))
+    left.legend()
+    for name, pick, color in (
+        ("forward", lambda p: p.offset[:, 0], "tab:blue"),
+        ("outward", lambda p: p.outward, "tab:orange"),
+    ):
+        means = [100 * np.mean([pick(p).mean() for p in ps]) for ps in measured.values()]
+        right.plot(speeds, means, "o-", color=color, label=name)
+    right.axhline(0, color="black", lw=0.8)
+    right.set(xlabel="commanded speed [m/s]", ylabel="actual minus ideal place [cm]")
+    right.legend()
+    for axis in (left, right):
+        axis.grid(alpha=0.3)
+    return figure
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except AslipError as error:
+        raise SystemExit(f"error: {error}") from None

@@ -1,0 +1,93 @@
+"""Step frequency of the robot against that of the reduced-order model, at each speed.
+
+python -m benchmarks.step_frequency --policy runs/seed0 runs/seed1 runs/seed2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import tyro
+from matplotlib.figure import Figure
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.errors import AslipError
+from aslip.library import GaitLibrary
+from aslip.metrics import duty_factor, step_frequency
+from aslip.walks import Walks
+from benchmarks.common import Common, Interval, constant_walks, markdown, strides, write_report
+
+# walking before footsteps count, and while they do [s]
+_SETTLE, _WALK = 4.0, 16.0
+
+
+@dataclass(frozen=True)
+class Config(Common):
+    """What to measure."""
+
+    speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
+    """Commanded [m/s]."""
+
+
+def main(config: Config) -> list[dict[str, float]]:
+    """Measure, print and draw; returns a row a speed."""
+    library = GaitLibrary.load()
+    model = 2 / strides(library, config.speeds)
+    walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
+    first = round(_SETTLE / POLICY_PERIOD)
+    rows = []
+    for i, speed in enumerate(config.speeds):
+        found = [measured(walk.one(i, first)) for walk in walks]
+        frequency = Interval.of([np.array([f]) for f, _ in found])
+        rows.append(
+            {
+                "speed": speed,
+                "model": float(model[i]),
+                **vars(frequency),
+                "off": frequency.mean / float(model[i]) - 1,
+                "duty": float(np.mean([duty for _, duty in found])),
+            }
+        )
+    cells = [
+        [
+            f"{row['speed']:.1f}",
+            f"{row['model']:.3f}",
+            f"{row['mean']:.3f}",
+            f"{100 * row['off']:+.2f} %",
+            f"{row['duty']:.2f}",
+        ]
+        for row in rows
+    ]
+    header = ["command m/s", "model Hz", "robot Hz", "off", "duty factor"]
+    write_report(config, "step_frequency", {"rows": rows}, markdown(header, cells), picture(rows))
+    return rows
+
+
+def measured(walk: Walks) -> tuple[float, float]:
+    """Step frequency [Hz] and duty factor of a walk, NaN if it fell."""
+    if not walk.survived[0]:
+        return np.nan, np.nan
+    left, right = walk.ground_force[:, 0, :, 2].T
+    duty = np.mean([duty_factor(force, POLICY_PERIOD) for force in (left, right)])
+    return step_frequency(left, right, POLICY_PERIOD), float(duty)
+
+
+def picture(rows: list[dict[str, float]]) -> Figure:
+    """Both frequencies over speed."""
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axis = figure.subplots()
+    speeds = [row["speed"] for row in rows]
+    axis.plot(speeds, [row["model"] for row in rows], color="tab:gray", lw=3, label="model")
+    axis.plot(speeds, [row["mean"] for row in rows], "o", color="tab:red", label="robot")
+    axis.set(xlabel="commanded speed [m/s]", ylabel="steps a second")
+    axis.grid(alpha=0.3)
+    axis.legend()
+    return figure
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except AslipError as error:
+        raise SystemExit(f"error: {error}") from None
