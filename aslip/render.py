@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 
 import mujoco
@@ -16,25 +17,24 @@ import numpy as np
 
 from aslip.cassie.model import load_model
 from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
-from aslip.ghost import Ghost
+from aslip.ghost import (
+    BODY_COLOR,
+    BODY_RADIUS,
+    FOOT_RADIUS,
+    LEG_COLORS,
+    SWING_FADE,
+    WIRE_RADIUS,
+    Ghost,
+)
 
 # groups of geoms in cassie.xml
 _APPEARANCE_GROUP, _COLLISION_GROUP = 1, 3
 
-_BODY_RADIUS = 0.07
-_FOOT_RADIUS = 0.017
 _COIL_RADIUS = 0.027
-_WIRE_RADIUS = 0.0055
 _COILS = 7
 _SEGMENTS_PER_COIL = 12
 # share of a leg at each end that is a straight rod; the rest is the coil
 _ROD_SHARE = 0.2
-
-_BODY_COLOR = (0.20, 0.24, 0.32, 1.0)
-_LEFT_COLOR = (0.12, 0.47, 0.71, 1.0)
-_RIGHT_COLOR = (0.84, 0.19, 0.18, 1.0)
-# of a swing leg's colour, how much is replaced by white
-_SWING_FADE = 0.55
 
 
 def render_robot(
@@ -144,18 +144,18 @@ def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
         ghost: where body and feet are.
     """
     body = np.asarray(ghost.body, dtype=np.float64)
-    _add_sphere(scene, body, _BODY_RADIUS, np.array(_BODY_COLOR))
+    _add_sphere(scene, body, BODY_RADIUS, np.array(BODY_COLOR))
     for foot, stance, color in (
-        (ghost.left, ghost.left_stance, _LEFT_COLOR),
-        (ghost.right, ghost.right_stance, _RIGHT_COLOR),
+        (ghost.left, ghost.left_stance, LEG_COLORS["left"]),
+        (ghost.right, ghost.right_stance, LEG_COLORS["right"]),
     ):
         rgba = np.array(color)
         if not stance:
-            rgba += _SWING_FADE * (1.0 - rgba)
+            rgba += SWING_FADE * (1.0 - rgba)
         path = spring_path(body, np.asarray(foot, dtype=np.float64))
         for start, end in itertools.pairwise(path):
             _add_capsule(scene, start, end, rgba)
-        _add_sphere(scene, path[-1], _FOOT_RADIUS, rgba)
+        _add_sphere(scene, path[-1], FOOT_RADIUS, rgba)
 
 
 def spring_path(start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -214,6 +214,7 @@ def _check(
 @contextlib.contextmanager
 def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
     try:
+        _check_display()
         renderer = mujoco.Renderer(model, height, width)
     except Exception as error:  # every backend has its own way to say that it is not there
         chosen = os.environ.get("MUJOCO_GL")
@@ -227,6 +228,23 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
         yield renderer
     finally:
         renderer.close()
+
+
+def _check_display() -> None:
+    """Refuse to go on without an OpenGL context.
+
+    MuJoCo reports that once; the third time, its own report ends the process.
+    """
+    context = getattr(mujoco, "GLContext", None)
+    if context is None:
+        raise RuntimeError("OpenGL is disabled")
+    if context.__module__ == "mujoco.glfw":
+        import glfw
+
+        with warnings.catch_warnings(record=True) as reasons:
+            warnings.simplefilter("always")
+            if not glfw.init():
+                raise RuntimeError("; ".join(str(reason.message) for reason in reasons))
 
 
 def _shrink(image: np.ndarray, factor: int) -> np.ndarray:
@@ -249,7 +267,7 @@ def _add_capsule(
 ) -> None:
     kind = mujoco.mjtGeom.mjGEOM_CAPSULE
     geom = _next_geom(scene, kind, np.zeros(3), np.zeros(3), rgba)
-    mujoco.mjv_connector(geom, kind, _WIRE_RADIUS, start, end)
+    mujoco.mjv_connector(geom, kind, WIRE_RADIUS, start, end)
 
 
 def _next_geom(

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes.util
+import os
 from collections.abc import Callable
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDictBase
+
+# pictures are tested in software where there is no display; MuJoCo asks once, at its import
+if "DISPLAY" not in os.environ and ctypes.util.find_library("OSMesa"):
+    os.environ.setdefault("MUJOCO_GL", "osmesa")
 
 import aslip
 from aslip.library import GaitLibrary

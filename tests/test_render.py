@@ -130,20 +130,26 @@ def test_wrong_arguments_are_named(model):
         render_robot(qpos, model=model, height=0)
 
 
-def test_without_opengl_the_error_says_what_to_set():
+@pytest.mark.parametrize("backend", ["disable", "glfw"])
+def test_without_opengl_the_error_says_what_to_set(backend: str):
     code = (
         "from aslip.cassie.model import load_model\n"
         "from aslip.errors import RenderingError\n"
         "from aslip.render import render_robot\n"
-        "try:\n"
-        "    render_robot(load_model().key('standing').qpos)\n"
-        "except RenderingError as error:\n"
-        "    print(error)\n"
+        "for _ in range(4):\n"
+        "    try:\n"
+        "        render_robot(load_model().key('standing').qpos)\n"
+        "    except RenderingError as error:\n"
+        "        print(error)\n"
     )
-    environment = os.environ | {"MUJOCO_GL": "disable"}
+    environment = os.environ | {"MUJOCO_GL": backend}
+    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
+        environment.pop(display, None)
     root = Path(__file__).parent.parent
     result = subprocess.run(
         [sys.executable, "-c", code], env=environment, cwd=root, capture_output=True, text=True
     )
-    assert all(f"MUJOCO_GL={name}" in result.stdout for name in ("egl", "osmesa", "glfw")), result
+    assert result.returncode == 0, result
+    for name in ("egl", "osmesa", "glfw"):
+        assert result.stdout.count(f"MUJOCO_GL={name}") == 4, result
     assert result.stderr == ""
