@@ -53,7 +53,7 @@ def test_rows_are_instants_a_policy_step_apart(logged: tuple[Walks, Path]) -> No
     assert walk.command[[0, 19, 20, -1], 0].tolist() == [0.5, 0.5, 1.0, 1.0]
     assert walk.survived.tolist() == [True]
     # the model's feet do not go below the floor
-    assert (walk.body_position[:, 0, 2:] + walk.body_to_foot[:, 0, :, 2] > -1e-6).all()
+    assert (walk.body_position[:, 0, 2:] + walk.body_to_foot[:, 0, :, 2] > -2e-3).all()
 
 
 def test_what_comes_after_a_fall_is_no_number(make: MakeEnv) -> None:

@@ -260,7 +260,6 @@ class _Session:
         self._airborne = [0, 0]
         self._state_due = False
         self._kinematics = _Kinematics(base.model)
-        self._urdf = robot_description(load_model())
         self._events = {
             topic: (kind, writer.open_channel(topic, kind))
             for topic, kind in (
@@ -300,10 +299,12 @@ class _Session:
         self._ticks += 1
         self._episode, self._episode_step = self._episode + 1, 0
         self._airborne = [0, 0]
-        if self._ticks == 0:
-            self._event("/robot_description", {"data": self._urdf})
-        self.note(f"episode {self._episode} begins")
         rows = self._rows(td)
+        self._place(rows)
+        if self._ticks == 0:
+            urdf = robot_description(load_model(), self._poses)
+            self._event("/robot_description", {"data": urdf})
+        self.note(f"episode {self._episode} begins")
         self._instant(rows)
         self._joint_states(rows["truth"])
         self._keep_state()
@@ -322,6 +323,7 @@ class _Session:
             self._substeps()
         else:
             self._joint_states(rows["truth"])
+        self._place(rows)
         self._instant(rows)
         self._touchdowns(before, rows["truth"])
         self._write_step(before, after, rows["truth"])
@@ -375,16 +377,19 @@ class _Session:
             rows["reference"] |= {key: td.get(key)[self._robot].numpy() for key in _CLOCK}
         return rows
 
-    def _instant(self, rows: dict[str, Row]) -> None:
-        """Where everything is."""
-        for name, topic in self._flat.items():
-            topic.write(self._time, rows[name])
+    def _place(self, rows: dict[str, Row]) -> None:
+        """Find out where everything is."""
         poses = self._poses
         self._kinematics.poses(rows["truth"]["qpos"], poses[: -len(ROM_FRAMES)])
         if "reference" in rows:
             rom = Ghost.of_rows(rows["reference"], rows["truth"])
             poses[-len(ROM_FRAMES) :, :3] = rom.body, rom.left, rom.right
-        self._put(self._transforms, self._time, poses)
+
+    def _instant(self, rows: dict[str, Row]) -> None:
+        """What is so at this instant."""
+        for name, topic in self._flat.items():
+            topic.write(self._time, rows[name])
+        self._put(self._transforms, self._time, self._poses)
 
     def _write_step(self, before: Row, after: TensorDictBase, truth: Row) -> None:
         """What was done, and what came of it."""

@@ -14,31 +14,36 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from aslip.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
 from aslip.log.messages import ROM_FRAMES, WORLD_FRAME
 
 _APPEARANCE_GROUP = 1
-_ROM_RADII = (0.07, 0.03, 0.03)
-_ROM_COLORS = ("0.20 0.24 0.32 0.6", "0.12 0.47 0.71 0.8", "0.84 0.19 0.18 0.8")
+# feet larger than the model's, since nothing is drawn between them and the body
+_ROM_RADII = (BODY_RADIUS, 0.03, 0.03)
+_ROM_COLORS = (BODY_COLOR, *LEG_COLORS.values())
+_ROM_OPACITY = 0.7
 
 
-def robot_description(model: mujoco.MjModel) -> str:
+def robot_description(model: mujoco.MjModel, poses: np.ndarray) -> str:
     """URDF of the robot and of the reduced-order model's body and feet.
 
     Args:
         model: the robot with what is looked at, `aslip.cassie.model.load_model()`.
+        poses: (b, 7) where the model's bodies but the world, then `ROM_FRAMES`, are at the log's
+            first instant: positions [m] and quaternions (xyzw). Viewers that take a joint's origin
+            for a transform of its own show it beside the first one of `/tf`.
     """
     robot = ET.Element("robot", name="cassie")
     ET.SubElement(robot, "link", name=WORLD_FRAME)
-    data = mujoco.MjData(model)
-    mujoco.mj_resetDataKeyframe(model, data, model.key("standing").id)
-    mujoco.mj_kinematics(model, data)
     for body in range(1, model.nbody):
-        link = _link(robot, model.body(body).name, data.xpos[body], data.xquat[body])
+        link = _link(robot, model.body(body).name, poses[body - 1])
         for geom in range(model.body_geomadr[body], _end(model, body)):
             if model.geom_group[geom] == _APPEARANCE_GROUP:
                 _geom(link, model, geom)
-    for name, radius, rgba in zip(ROM_FRAMES, _ROM_RADII, _ROM_COLORS, strict=True):
-        link = _link(robot, name, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+    frames = zip(ROM_FRAMES, poses[model.nbody - 1 :], _ROM_RADII, _ROM_COLORS, strict=True)
+    for name, pose, radius, color in frames:
+        rgba = _text(*color[:3], _ROM_OPACITY)
+        link = _link(robot, name, pose)
         shape = _visual(link, name, rgba, np.zeros(3), np.eye(3))
         ET.SubElement(shape, "sphere", radius=_text(radius))
     ET.indent(robot)
@@ -49,12 +54,12 @@ def _end(model: mujoco.MjModel, body: int) -> int:
     return model.body_geomadr[body] + model.body_geomnum[body]
 
 
-def _link(robot: ET.Element, name: str, position: np.ndarray, quaternion: np.ndarray) -> ET.Element:
-    """A link hung from the world by a floating joint at a pose (wxyz)."""
+def _link(robot: ET.Element, name: str, pose: np.ndarray) -> ET.Element:
+    """A link hung from the world by a floating joint at a pose (7)."""
     joint = ET.SubElement(robot, "joint", name=f"{name}_pose", type="floating")
     ET.SubElement(joint, "parent", link=WORLD_FRAME)
     ET.SubElement(joint, "child", link=name)
-    _origin(joint, position, Rotation.from_quat(quaternion, scalar_first=True).as_matrix())
+    _origin(joint, pose[:3], Rotation.from_quat(pose[3:]).as_matrix())
     return ET.SubElement(robot, "link", name=name)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
 import aslip
@@ -302,3 +304,26 @@ def test_unknown_topics_and_columns_are_named(recording: Recording) -> None:
         _ = recording["/steps"]
     with pytest.raises(UnknownNameError, match="rewards"):
         _ = recording["/step"]["rewards"]
+
+
+def test_the_robot_description_begins_where_the_log_begins(recording: Recording) -> None:
+    """Viewers show it before they have the first transform."""
+    robot = ET.fromstring(recording["/robot_description"]["data"][0].encode())
+    tf = recording["/tf"]
+    frames = tf["transforms.child_frame_id"][0].tolist()
+    joints = {str(joint.find("child").get("link")): joint for joint in robot.iter("joint")}  # pyright: ignore
+    assert sorted(joints) == sorted(frames)
+    assert {link.get("name") for link in robot.iter("link")} == {"world", *frames}
+    for i, frame in enumerate(frames):
+        origin = joints[frame].find("origin")
+        assert origin is not None
+        place = [float(part) for part in str(origin.get("xyz")).split()]
+        angles = [float(part) for part in str(origin.get("rpy")).split()]
+        first = [tf[f"transforms.transform.translation.{axis}"][0, i] for axis in "xyz"]
+        turn = [tf[f"transforms.transform.rotation.{axis}"][0, i] for axis in "xyzw"]
+        np.testing.assert_allclose(place, first, atol=1e-5)
+        difference = Rotation.from_euler("xyz", angles) * Rotation.from_quat(turn).inv()
+        assert difference.magnitude() < 1e-4
+    model = load_model()
+    shown = sum(model.geom_group == 1)
+    assert len(list(robot.iter("visual"))) >= shown + len(ROM_FRAMES)
