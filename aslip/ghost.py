@@ -23,6 +23,18 @@ from aslip.rom import Mode
 # a foot of the reference that moves slower over ground is in stance [m/s]
 _STANCE_SPEED = 0.05
 
+BODY_COLOR = (0.20, 0.24, 0.32, 1.0)
+"""Of its body wherever it is drawn, red, green, blue and opacity."""
+LEG_COLORS: dict[Side, tuple[float, float, float, float]] = {
+    "left": (0.12, 0.47, 0.71, 1.0),
+    "right": (0.84, 0.19, 0.18, 1.0),
+}
+"""Of its legs in stance."""
+SWING_FADE = 0.55
+"""How much of a swing leg's colour is replaced by white."""
+BODY_RADIUS, FOOT_RADIUS, WIRE_RADIUS = 0.07, 0.017, 0.0055
+"""Of its body, its feet, and the wire of its springs [m]."""
+
 _FEET = [f"{side}_foot_position" for side in SIDES]
 _FOOT_VELOCITIES = [f"{side}_foot_velocity" for side in SIDES]
 

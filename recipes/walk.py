@@ -76,6 +76,8 @@ class Config:
     """Show it in MuJoCo's viewer, in real time."""
     live: bool = False
     """Serve a page to watch and steer it; needs the extra aslip[live]."""
+    policies: tuple[str, ...] = ()
+    """More policies to choose from on the page."""
     host: str = "127.0.0.1"
     """Address of the page; 0.0.0.0 opens it to the network."""
     port: int = 8080
@@ -114,7 +116,11 @@ def main(config: Config) -> None:
         if config.live:
             from aslip.live import LivePage
 
-            LivePage(walker, host=config.host, port=config.port).serve()
+            policies = dict.fromkeys([config.policy, *config.policies])
+            page = LivePage(
+                walker, {name: name for name in policies}, host=config.host, port=config.port
+            )
+            page.serve()
             return
         steps = walk(config, walker, schedule, pushes)
     print(table(schedule, steps))

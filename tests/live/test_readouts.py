@@ -1,0 +1,78 @@
+"""Numbers, bars and curves say what happened."""
+
+import re
+
+import numpy as np
+import pytest
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.live.readouts import PLOT_SPAN, Readouts, Status
+from aslip.rewards import PAPER_WEIGHTS
+from aslip.walker import Walker
+
+STATUS = Status(
+    time=12.34, speed=1.02, height=0.871, distance=12.1, falls=3, factor=0.98, message="<fallen>"
+)
+
+
+@pytest.fixture
+def readouts(server) -> Readouts:
+    return Readouts(server.gui, (0.0, 2.0))
+
+
+@pytest.fixture
+def shown(server, monkeypatch) -> dict:
+    """Everything that the readouts put on the page, by kind."""
+    made = {}
+    for kind in ("html", "uplot"):
+        add = getattr(server.gui, f"add_{kind}")
+
+        def keep(*args, add=add, kind=kind, **settings):
+            made.setdefault(kind, []).append(add(*args, **settings))
+            return made[kind][-1]
+
+        monkeypatch.setattr(server.gui, f"add_{kind}", keep)
+    return made
+
+
+def test_lines_tell_the_status_and_are_no_markup_of_others(shown, readouts):
+    readouts.show(STATUS)
+    text = re.sub("<.*?>", " ", shown["html"][0].content)
+    for part in ("12.34 s", "1.02 m/s", "0.871 m", "12.10 m", "3 falls", "0.98", "&lt;fallen&gt;"):
+        assert part in text
+
+
+def test_bars_have_the_names_values_and_lengths_of_the_terms(shown, readouts, library):
+    td = Walker(library=library, speed=1.0).step()
+    readouts.add(td)
+    readouts.show(STATUS)
+    content = shown["html"][1].content
+    rows = re.findall(r"<td.*?>(\w+)</td>.*?width:([\d.]+)%.*?>([\d.]+)</td>", content)
+    expected = {name: float(td["next", "reward_terms", name]) for name in PAPER_WEIGHTS}
+    expected["reward"] = float(td["next", "reward"])
+    assert [name for name, _, _ in rows] == list(expected)
+    for name, width, value in rows:
+        assert float(width) == pytest.approx(100 * expected[name], abs=0.06)
+        assert float(value) == pytest.approx(expected[name], abs=0.006)
+
+
+def test_curves_are_the_last_seconds_of_model_robot_and_command(shown, readouts, library):
+    walker = Walker(library=library, speed=0.5)
+    steps = [walker.step() for _ in range(3)]
+    walker.command = 1.0
+    steps.append(walker.step())
+    for td in steps:
+        readouts.add(td)
+    readouts.show(STATUS)
+    time, model, robot, command = shown["uplot"][0].data
+    np.testing.assert_allclose(time, POLICY_PERIOD * np.arange(-3, 1))
+    np.testing.assert_allclose(command, [0.5, 0.5, 0.5, 1.0])
+    for i, td in enumerate(steps):
+        assert model[i] == float(td["next", "reference", "body_velocity"][0, 0])
+        assert robot[i] == float(td["next", "truth", "pelvis_velocity"][0, 0])
+    for _ in range(400):
+        readouts.add(steps[0])
+    readouts.show(STATUS)
+    data = shown["uplot"][0].data
+    assert {len(column) for column in data} == {round(PLOT_SPAN / POLICY_PERIOD)}
+    assert data[0][0] >= -PLOT_SPAN
