@@ -1,0 +1,339 @@
+"""Rebuild the layouts that show a log in Foxglove, Rerun and PlotJuggler: assets/viewers/.
+
+    python recipes/viewer_layouts.py
+
+All three plot the same velocities, reward terms, forces and joints. The fields are those of the
+default stack: where an experiment leaves a reward term out, its curve stays empty.
+"""
+
+from __future__ import annotations
+
+import json
+import xml.etree.ElementTree as ET
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+import rerun.blueprint as rrb
+import tyro
+from rerun.blueprint.encodings import VisualizerComponentMapping
+
+from aslip.cassie import MOTOR_NAMES, SIDES
+from aslip.cassie.model import load_model
+from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
+from aslip.rewards import PAPER_WEIGHTS
+
+APPLICATION = "aslip"
+"""Rerun applies a blueprint to recordings of the same application only."""
+
+_JOINTS = "/joint_states"
+# blue and red are left and right in all pictures of this project
+_BLUE, _RED, _GREEN, _ORANGE, _PURPLE = "#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd"
+_COLORS = (_BLUE, _ORANGE, _GREEN, _RED, _PURPLE)
+_FOLLOWED = "pelvis"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A number of a topic over time."""
+
+    topic: str
+    field: str
+    label: str
+    color: str
+    joint: str | None = None
+    """Of `/joint_states`, where a field has a number for each joint."""
+
+    @property
+    def foxglove(self) -> str:
+        """Message path."""
+        index = "" if self.joint is None else f"[{LOGGED_JOINTS.index(self.joint)}]"
+        return f"{self.topic}.{self.field}{index}"
+
+    @property
+    def plotjuggler(self) -> str:
+        """Name of the series."""
+        joint = "" if self.joint is None else f"/{self.joint}"
+        return f"{self.topic}{joint}/{self.field}"
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves on one pair of axes."""
+
+    title: str
+    curves: tuple[Curve, ...]
+
+
+VELOCITY = Plot(
+    "Forward velocity [m/s]",
+    (
+        Curve("/step", "command", "command", "#7f7f7f"),
+        Curve("/reference", "body_velocity_x", "reduced-order model", _BLUE),
+        Curve("/truth", "pelvis_velocity_x", "robot", _RED),
+        Curve("/estimate", "velocity_x", "estimate", _GREEN),
+    ),
+)
+REWARD = Plot(
+    "Reward terms",
+    tuple(
+        Curve("/step", f"term_{name}", name, color)
+        for name, color in zip(PAPER_WEIGHTS, _COLORS, strict=True)
+    ),
+)
+FORCE = Plot(
+    "Vertical ground force [N]",
+    tuple(
+        Curve("/step", f"ground_force_{side}_z", side, color)
+        for side, color in zip(SIDES, (_BLUE, _RED), strict=True)
+    ),
+)
+
+
+def motors(side: str, field: str, unit: str) -> Plot:
+    """A leg's motors.
+
+    Args:
+        side: of the robot.
+        field: "position", "velocity" or "effort".
+        unit: of the field.
+    """
+    names = [name for name in MOTOR_NAMES if name.startswith(side)]
+    curves = (
+        Curve(_JOINTS, field, name, color, joint=name)
+        for name, color in zip(names, _COLORS, strict=True)
+    )
+    return Plot(f"{side.title()} motors: {field} [{unit}]", tuple(curves))
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where to."""
+
+    out: Path = Path("assets/viewers")
+    """Folder of the layouts."""
+
+
+def main(config: Config) -> None:
+    """Write all three."""
+    config.out.mkdir(parents=True, exist_ok=True)
+    foxglove, rerun, plotjuggler = (
+        config.out / name for name in ("foxglove.json", "rerun.rbl", "plotjuggler.xml")
+    )
+    foxglove.write_text(json.dumps(foxglove_layout(), indent=1) + "\n", encoding="utf-8")
+    rerun_blueprint().save(APPLICATION, rerun)
+    layout = ET.ElementTree(plotjuggler_layout())
+    ET.indent(layout)
+    layout.write(plotjuggler, encoding="UTF-8", xml_declaration=True)
+    for path in (foxglove, rerun, plotjuggler):
+        print(f"{path}: {path.stat().st_size} bytes")
+
+
+# -------------------------------------------------------------------- Foxglove
+
+
+def foxglove_layout() -> dict[str, Any]:
+    """The layout as the app exports and imports it."""
+    panels = {
+        "3D!robot": _foxglove_scene(),
+        "RosOut!log": {"topicToRender": "/log", "minLogLevel": 1, "searchTerms": []},
+    }
+    plots = [VELOCITY, REWARD, FORCE, *(motors(side, "position", "rad") for side in SIDES)]
+    names = [f"Plot!{i}" for i in range(len(plots))]
+    panels |= {name: _foxglove_plot(plot) for name, plot in zip(names, plots, strict=True)}
+    left = _split("column", ["3D!robot", "RosOut!log"], [80, 20])
+    right = _split("column", names, [1] * len(names))
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("row", [left, right], [55, 45]),
+    }
+
+
+def _split(direction: str, parts: Sequence[Any], shares: Sequence[float]) -> Any:
+    """Panels beside or below each other, as the nested pairs that layouts are made of."""
+    if len(parts) == 1:
+        return parts[0]
+    return {
+        "direction": direction,
+        "first": parts[0],
+        "second": _split(direction, parts[1:], shares[1:]),
+        "splitPercentage": round(100 * shares[0] / sum(shares), 1),
+    }
+
+
+def _foxglove_scene() -> dict[str, Any]:
+    """The robot, followed; axes are drawn at the frames of the reduced-order model only."""
+    model = load_model()
+    bodies = [model.body(i).name for i in range(1, model.nbody)]
+    shown = {WORLD_FRAME: False, **dict.fromkeys(bodies, False), **dict.fromkeys(ROM_FRAMES, True)}
+    grid = {
+        "layerId": "foxglove.Grid",
+        "instanceId": "grid",
+        "label": "Floor",
+        "visible": True,
+        "frameId": WORLD_FRAME,
+        "size": 100,
+        "divisions": 100,
+        "color": "#80808080",
+        "position": [0, 0, 0],
+        "rotation": [0, 0, 0],
+    }
+    return {
+        "foxglovePanelTitle": "Robot",
+        "fixedFrame": WORLD_FRAME,
+        "followTf": _FOLLOWED,
+        "followMode": "follow-position",
+        "cameraState": {
+            "distance": 2.5,
+            "perspective": True,
+            "phi": 75,
+            "thetaOffset": -25,
+            "target": [0, 0, 0],
+            "targetOffset": [0, 0, -0.35],
+            "targetOrientation": [0, 0, 0, 1],
+            "fovy": 45,
+            "near": 0.05,
+            "far": 500,
+        },
+        "scene": {"transforms": {"lineWidth": 0, "showLabel": False}},
+        "transforms": {f"frame:{name}": {"visible": visible} for name, visible in shown.items()},
+        "topics": {"/robot_description": {"visible": True, "displayMode": "visual"}},
+        "layers": {"grid": grid},
+    }
+
+
+def _foxglove_plot(plot: Plot) -> dict[str, Any]:
+    return {
+        "foxglovePanelTitle": plot.title,
+        "paths": [
+            {
+                "value": curve.foxglove,
+                "label": curve.label,
+                "color": curve.color,
+                "enabled": True,
+                "timestampMethod": "receiveTime",
+            }
+            for curve in plot.curves
+        ],
+        "xAxisVal": "timestamp",
+        "isSynced": True,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": False,
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+    }
+
+
+# ----------------------------------------------------------------------- Rerun
+
+
+def rerun_blueprint() -> rrb.Blueprint:
+    """The blueprint."""
+    solid = [
+        shape.from_fields(fill_mode="solid")
+        for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)
+    ]
+    scene = rrb.Spatial3DView(
+        name="Robot",
+        origin="/cassie",
+        defaults=solid,
+        eye_controls=rrb.EyeControls3D(
+            position=[0.8, -1.8, 1.1],
+            look_target=[0.0, 0.0, 0.6],
+            tracking_entity=f"/cassie/visual_geometries/{_FOLLOWED}/visual_0",
+        ),
+    )
+    plots = [_rerun_plot(plot) for plot in (VELOCITY, REWARD, FORCE)]
+    joints = rrb.TimeSeriesView(name="Joint positions [rad]", origin=f"{_JOINTS}/position")
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                scene, rrb.TextLogView(name="Episodes", origin="/log"), row_shares=[80, 20]
+            ),
+            rrb.Vertical(*plots, joints),
+            column_shares=[55, 45],
+        ),
+        rrb.TimePanel(timeline="message_log_time", state="collapsed"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _rerun_plot(plot: Plot) -> rrb.TimeSeriesView:
+    """Fields of messages, which Rerun keeps as structures, shown as scalars."""
+    topics = list(dict.fromkeys(curve.topic for curve in plot.curves))
+    overrides: dict[Any, Any] = {
+        topic: [
+            rr.SeriesLines(names=curve.label, colors=_rgb(curve.color)).visualizer(
+                mappings=[
+                    VisualizerComponentMapping(
+                        "Scalars:scalars",
+                        "SourceComponent",
+                        source_component=f"aslip_msgs.msg.{topic.strip('/').title()}:message",
+                        selector=f".{curve.field}",
+                    )
+                ]
+            )
+            for curve in plot.curves
+            if curve.topic == topic
+        ]
+        for topic in topics
+    }
+    return rrb.TimeSeriesView(name=plot.title, origin="/", contents=topics, overrides=overrides)
+
+
+def _rgb(color: str) -> list[int]:
+    return list(bytes.fromhex(color.removeprefix("#")))
+
+
+# ----------------------------------------------------------------- PlotJuggler
+
+
+def plotjuggler_layout() -> ET.Element:
+    """The layout; tabs of plots below each other, beside each other for the two legs."""
+    legs = [
+        [motors(side, field, unit) for side in SIDES]
+        for field, unit in (("position", "rad"), ("velocity", "rad/s"), ("effort", "N m"))
+    ]
+    tabs = {
+        "Velocity": [[VELOCITY]],
+        "Reward": [[REWARD]],
+        "Ground forces": [[FORCE]],
+        "Motors": legs,
+    }
+    root = ET.Element("root")
+    window = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
+    for name, rows in tabs.items():
+        tab = ET.SubElement(window, "Tab", tab_name=name, containers="1")
+        column = _splitter(ET.SubElement(tab, "Container"), "-", len(rows))
+        for row in rows:
+            parent = column if len(row) == 1 else _splitter(column, "|", len(row))
+            for plot in row:
+                _plotjuggler_plot(parent, plot)
+    ET.SubElement(window, "currentTabIndex", index="0")
+    ET.SubElement(root, "use_relative_time_offset", enabled="1")
+    return root
+
+
+def _splitter(parent: ET.Element, orientation: str, count: int) -> ET.Element:
+    sizes = ";".join([f"{1 / count:.6f}"] * count)
+    return ET.SubElement(
+        parent, "DockSplitter", orientation=orientation, count=str(count), sizes=sizes
+    )
+
+
+def _plotjuggler_plot(parent: ET.Element, plot: Plot) -> None:
+    area = ET.SubElement(parent, "DockArea", name=plot.title)
+    axes = ET.SubElement(area, "plot", mode="TimeSeries", style="Lines")
+    for curve in plot.curves:
+        ET.SubElement(axes, "curve", name=curve.plotjuggler, color=curve.color)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Config))
