@@ -8,7 +8,7 @@ the policy, so it travels with the weights.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from tensordict.nn import (
     InteractionType,
     TensorDictModule,
 )
-from tensordict.utils import unravel_key
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor, nn
 from torchrl.checkpoint import Checkpoint
 from torchrl.modules import (
@@ -31,7 +31,7 @@ from torchrl.modules import (
 
 from aslip.assets import asset_path
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError
-from aslip.transforms import OBSERVATION_TABLE
+from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 
 # normalised inputs further out than this are cut off: a fall must not shout down the rest
 _CLIP = 10.0
@@ -159,6 +159,9 @@ def save_policy(
     actor: nn.Module,
     shape: PolicyShape,
     made_by: Mapping[str, Any] | None = None,
+    *,
+    stack: str = "aslip",
+    observation: Sequence[NestedKey] = OBSERVATION_TABLE,
 ) -> None:
     """Write a policy that `load_policy` reads: a ZIP archive of plain arrays, nothing pickled.
 
@@ -167,10 +170,13 @@ def save_policy(
         actor: from `make_actor`.
         shape: what it was made with.
         made_by: settings and versions of what made it, of JSON types.
+        stack: name of the stack that it acts on, one of `aslip.stack.STACKS`.
+        observation: keys of the entries that its observation is made of.
     """
     card = {
         "shape": asdict(shape),
-        "observation": _entry_names(),
+        "stack": stack,
+        "observation": _entry_names(observation),
         "made_by": dict(made_by or {}),
     }
     Checkpoint(actor=actor).save(path, format="archive", metadata=card)
@@ -194,14 +200,25 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
         observation = card["observation"]
     except (KeyError, TypeError) as error:
         raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
-    if observation != _entry_names():
+    known = [_entry_names(table) for table in (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE)]
+    if observation not in known:
         raise ConfigurationError(
             f"the policy {str(path)!r} expects the observation {observation}; this version of aslip"
-            f" gives {_entry_names()}"
+            f" gives {' or '.join(map(str, known))}"
         )
     actor = make_actor(RunningNormalizer(shape.observation_size), shape)
     load_components(path, actor=actor)
     return actor.eval()
+
+
+def policy_stack(name_or_path: str | Path) -> str:
+    """Name of the stack that a policy acts on, one of `aslip.stack.STACKS`.
+
+    Raises:
+        AssetError: there is no such policy.
+        FileDamagedError: it is truncated, altered, or no policy.
+    """
+    return read_manifest(find_policy(name_or_path)).get("metadata", {}).get("stack", "aslip")
 
 
 def find_policy(name_or_path: str | Path) -> Path:
@@ -254,5 +271,6 @@ def _damaged(path: Path, error: Exception) -> FileDamagedError:
     )
 
 
-def _entry_names() -> list[str]:
-    return ["/".join(map(str, unravel_key(key))) for key in OBSERVATION_TABLE]
+def _entry_names(table: Sequence[NestedKey]) -> list[str]:
+    keys = [unravel_key(key) for key in table]
+    return [key if isinstance(key, str) else "/".join(map(str, key)) for key in keys]

@@ -9,6 +9,7 @@ An experiment is a stack that differs from the default one in a line or two:
     make_env(drop=["noise"])                                     # perfect sensors
     make_env(reward_on="estimate")                               # reward what the robot knows
     make_env(stack=insert_before(stack, "reward", my_term=...))  # one more term
+    make_env(stack="single_reference")                           # the paper's baseline
 
 A stack is an ordered dict of names and transforms. It is never edited in place once it belongs to
 an environment, where TorchRL would keep stale specs; build another.
@@ -17,10 +18,11 @@ an environment, where TorchRL would keep stale specs; build another.
 from __future__ import annotations
 
 import difflib
+import functools
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from typing import Any, Literal, cast, get_args
+from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
 from tensordict import TensorDict, TensorDictBase
@@ -28,20 +30,25 @@ from tensordict.utils import NestedKey
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose, RewardSum, StepCounter, Transform
 
-from aslip import rewards
+from aslip import rewards, single_reference
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
 from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.library import GaitLibrary
+from aslip.library import GaitLibrary, single_reference_library
+from aslip.rewards import PAPER_WEIGHTS
+from aslip.single_reference import SINGLE_REFERENCE_WEIGHTS
 from aslip.transforms import (
+    SINGLE_REFERENCE_TABLE,
     ActionDelta,
     AssembleObservation,
     CassieTransform,
+    ClockInput,
     EstimatedState,
     Fall,
     LastAction,
     LowReward,
     ObservationNoise,
+    Odometer,
     PhaseClock,
     ReferenceInjection,
     ReferenceStart,
@@ -135,13 +142,18 @@ def reward_terms(reward_on: RewardSource = "truth") -> Stack:
     return terms
 
 
-def default_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> Stack:
+def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
     """The paper's stack in order: name -> what makes the transform.
 
     The policy never sees the truth: its input is what a state estimator makes of noisy sensors.
     Rewards read the truth, as usual when training in simulation, where the simulator knows what a
     robot could only guess; with `reward_on="estimate"` they read the estimator's odometry instead.
+
+    Args:
+        library: the gaits; the shipped ones by default.
+        reward_on: what pelvis and feet are taken from.
     """
+    library = GaitLibrary.load() if library is None else library
     return {
         "start": lambda: ReferenceStart(library),
         "command": lambda: SpeedCommand(library),
@@ -153,12 +165,78 @@ def default_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> St
         "action": ActionDelta,
         "last_action": LastAction,
         **reward_terms(reward_on),
-        "reward": lambda: WeightedReward(rewards.PAPER_WEIGHTS),
+        "reward": lambda: WeightedReward(PAPER_WEIGHTS),
         "fall": Fall,
         "low_reward": LowReward,
         "step_limit": lambda: StepCounter(MAX_EPISODE_STEPS),
         "episode_sum": lambda: RewardSum(in_keys=["reward"], out_keys=["episode_reward"]),
     }
+
+
+def single_reference_stack(
+    library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
+) -> Stack:
+    """The paper's baseline in order: the method of Xie et al. 2018 on our robot and sensors.
+
+    One motion in joint space is the reference at every speed, only its forward way is stretched by
+    the command; the policy sees clock and speed instead of a reduced-order model.
+
+    Args:
+        library: of one motion, see `single_reference_library`; that of a pendulum by default.
+        reward_on: as for the default stack; joints and springs are always the truth's.
+    """
+    library = _pendulum() if library is None else library
+    source = "truth" if reward_on == "truth" else "odometry"
+    feet = ("left_foot_velocity", "right_foot_velocity")
+    terms: Stack = {
+        "joints": lambda: RewardTerm(
+            "joints",
+            single_reference.joints,
+            [("truth", "qpos")],
+            # motor angles are read a policy step ahead: those of the past step are due now
+            root_keys=[("reference", "motor_position")],
+        ),
+        "pelvis": lambda: RewardTerm(
+            "pelvis",
+            single_reference.pelvis,
+            [
+                (source, "pelvis_position"),
+                ("reference", "body_position"),
+                ("reference", "distance"),
+            ],
+        ),
+        "upright": lambda: RewardTerm(
+            "upright", single_reference.upright, [(source, "pelvis_orientation")]
+        ),
+        "springs": lambda: RewardTerm(
+            "springs",
+            single_reference.springs,
+            [("truth", "qpos"), *(("reference", foot) for foot in feet)],
+        ),
+    }
+    stack: Stack = {}
+    for name, make in default_stack(library, reward_on).items():
+        if name == "observation":
+            stack["clock_input"], stack["odometer"] = ClockInput, Odometer
+        if name == "reward":
+            stack |= terms
+        if name not in PAPER_WEIGHTS:
+            stack[name] = make
+    stack["observation"] = lambda: AssembleObservation(SINGLE_REFERENCE_TABLE)
+    stack["reward"] = lambda: WeightedReward(SINGLE_REFERENCE_WEIGHTS)
+    return stack
+
+
+@functools.cache
+def _pendulum() -> GaitLibrary:
+    return single_reference_library()
+
+
+STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
+    "aslip": default_stack,
+    "single_reference": single_reference_stack,
+}
+"""Stacks by name: a function of gait library and `reward_on`."""
 
 
 def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:
@@ -183,7 +261,7 @@ def make_env(
     seed: int = 0,
     drop: Iterable[str] = (),
     replace: Mapping[str, Transform | Callable[[], Transform]] | None = None,
-    stack: Stack | None = None,
+    stack: Stack | str = "aslip",
     reward_on: RewardSource = "truth",
     library: GaitLibrary | None = None,
     num_threads: int = 0,
@@ -198,17 +276,17 @@ def make_env(
         drop: names of transforms to leave out. Without some reward terms the largest reward is
             smaller, while an episode still ends below 0.3: consider `LowReward` along with them.
         replace: name -> transform, or something that makes it, to take the place of another.
-        stack: another stack altogether; `default_stack(library, reward_on)` by default.
-        reward_on: what the default stack's rewards read, "truth" or "estimate".
-        library: another gait library; the shipped one by default.
+        stack: another stack altogether, or the name of one in `STACKS`.
+        reward_on: what the rewards of a stack given by name read, "truth" or "estimate".
+        library: gaits of a stack given by name; its own by default.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.
 
     Raises:
         ConfigurationError: unknown backend, a number of environments or a seed that is none, or a
             reward term after the sum.
-        UnknownNameError: `drop` or `replace` names no transform of the stack, or a transform reads
-            what no other writes.
+        UnknownNameError: there is no stack of that name, `drop` or `replace` names no transform of
+            the stack, or a transform reads what no other writes.
     """
     if backend not in get_args(Backend):
         raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
@@ -218,8 +296,10 @@ def make_env(
         )
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
-    if stack is None:
-        stack = default_stack(GaitLibrary.load() if library is None else library, reward_on)
+    if isinstance(stack, str):
+        if stack not in STACKS:
+            raise UnknownNameError(f"no stack {stack!r}; there are {sorted(STACKS)}")
+        stack = STACKS[stack](library, reward_on)
     drop = [drop] if isinstance(drop, str) else list(drop)
     chosen = _edited(stack, drop, dict(replace or {}))
     base: CassieEnv

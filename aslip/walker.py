@@ -16,7 +16,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.policy import load_policy
+from aslip.policy import load_policy, policy_stack
 from aslip.stack import CassieTransformedEnv, make_env
 
 ENDLESS = ("low_reward", "step_limit")
@@ -110,9 +110,9 @@ class Walker:
 
     Args:
         policy: what maps the environment's tensordict to `action`, or what `load_policy` takes.
-        env: environment of one robot; by default the full stack without an end of episodes but
+        env: environment of one robot; by default the policy's stack without an end of episodes but
             falls.
-        library: the gaits, of the default environment and for the range of commands.
+        library: the gaits, of the default stack and for the range of commands.
         seed: of the default environment.
         speed: first command [m/s].
 
@@ -132,7 +132,14 @@ class Walker:
     ) -> None:
         self.library = GaitLibrary.load() if library is None else library
         if env is None:
-            env = make_env(num_envs=1, seed=seed, drop=ENDLESS, library=self.library, num_threads=1)
+            stack = policy_stack(policy) if isinstance(policy, str | Path) else "aslip"
+            env = make_env(
+                seed=seed,
+                stack=stack,
+                drop=ENDLESS,
+                library=self.library if stack == "aslip" else None,
+                num_threads=1,
+            )
         if env.num_envs != 1:
             raise ConfigurationError(f"a walker is one robot, the environment has {env.num_envs}")
         self.env = env

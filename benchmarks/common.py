@@ -18,6 +18,7 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.plots import save_figure
+from aslip.policy import policy_stack
 from aslip.run import write_text
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import TrueState
@@ -85,12 +86,19 @@ class Interval:
         return f"{mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def environment(config: Common, num_envs: int, **settings: Any) -> CassieTransformedEnv:
-    """The full stack without an end of episodes but falls."""
+def environment(
+    config: Common, policy: str, num_envs: int, **settings: Any
+) -> CassieTransformedEnv:
+    """The stack of a policy without an end of episodes but falls."""
     drop = [*ENDLESS, *(["noise"] if config.truth else [])]
     replace = {"estimator": TrueState} if config.truth else {}
     return aslip.make_env(
-        num_envs=num_envs, seed=config.seed, drop=drop, replace=replace, **settings
+        num_envs=num_envs,
+        seed=config.seed,
+        stack=policy_stack(policy),
+        drop=drop,
+        replace=replace,
+        **settings,
     )
 
 
@@ -109,7 +117,7 @@ def constant_walks(config: Common, speeds: Sequence[float], duration: float) -> 
 
 def walks_of(config: Common, policy: str, command: np.ndarray) -> Walks:
     """Walks of one policy through commands (m, n) [m/s]."""
-    env = environment(config, command.shape[1])
+    env = environment(config, policy, command.shape[1])
     try:
         return record_walks(aslip.load_policy(policy), env, command)
     finally:

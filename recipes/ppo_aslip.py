@@ -6,7 +6,7 @@
     python recipes/ppo_aslip.py --truth --out runs/truth # without noise and estimator
 
 This is Green et al. 2021 from top to bottom: settings, environment, policy, PPO, evaluation. An
-ablation is a copy of this page in which `make_env` gets a `drop` or a `replace`.
+ablation is a call of `main` in which `make_env` gets something else to `drop` or to `replace`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from typing import Any, cast
 import torch
 import tyro
 from tensordict import TensorDict
+from tensordict.utils import NestedKey
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 from torchrl.modules import ProbabilisticActor
@@ -37,7 +39,7 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic
 from aslip.run import TrainingRun, peak_memory, write_text
 from aslip.stack import RewardSource
 from aslip.symmetry import action_mirror, observation_mirror
-from aslip.transforms import TrueState
+from aslip.transforms import OBSERVATION_TABLE, TrueState
 
 
 @dataclass(frozen=True)
@@ -106,27 +108,38 @@ class Config:
             )
 
 
-def main(config: Config) -> list[WalkResult]:
-    """Train, then evaluate at all speeds; a table and pictures are in the folder."""
+def main(
+    config: Config,
+    *,
+    stack: str = "aslip",
+    edits: Mapping[str, Any] | None = None,
+    observation: Sequence[NestedKey] = OBSERVATION_TABLE,
+) -> list[WalkResult]:
+    """Train, then evaluate at all speeds; a table and pictures are in the folder.
+
+    Args:
+        config: the settings.
+        stack: name of the stack to learn on.
+        edits: more settings of `aslip.make_env`, such as what to drop and to replace.
+        observation: entries of the stack's observation.
+    """
     run = TrainingRun(config.out, config, resume=config.resume)
     torch.manual_seed(config.seed)
 
     # ------------------------------------------------------------ environment
-    library = aslip.GaitLibrary.load()
-    perfect = {"drop": ["noise"], "replace": {"estimator": TrueState}} if config.truth else {}
+    edits = {"drop": [], "replace": {}, **(edits or {})}
+    if config.truth:
+        edits["drop"] = [*edits["drop"], "noise"]
+        edits["replace"] = {**edits["replace"], "estimator": TrueState}
     make_env = partial(
-        aslip.make_env,
-        seed=config.seed,
-        library=library,
-        reward_on=config.reward_on,
-        **perfect,
+        aslip.make_env, stack=stack, seed=config.seed, reward_on=config.reward_on, **edits
     )
     env = make_env(num_envs=config.num_envs)
-    speeds = [float(speed) for speed in library.speeds]
+    speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
     eval_env = make_env(num_envs=len(speeds))
 
     # ----------------------------------------------------------------- policy
-    shape = PolicyShape()
+    shape = PolicyShape(env.observation_spec["observation"].shape[-1])
     normalizer = RunningNormalizer(shape.observation_size)
     actor, critic = make_actor(normalizer, shape), make_critic(normalizer, shape)
 
@@ -228,7 +241,8 @@ def main(config: Config) -> list[WalkResult]:
     settings = {
         name: value for name, value in run.settings.items() if name not in ("out", "resume")
     }
-    save_policy(run.policy_file, actor, shape, {"settings": settings, "steps": step})
+    made_by = {"settings": settings, "steps": step}
+    save_policy(run.policy_file, actor, shape, made_by, stack=stack, observation=observation)
     table = walk_table(results)
     minutes = (time.perf_counter() - start) / 60
     footer = f"{step} policy steps in {minutes:.1f} minutes, peak memory {peak_memory():.2f} GiB"

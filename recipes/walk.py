@@ -32,7 +32,8 @@ from aslip.cassie.model import load_model
 from aslip.errors import AslipError, ConfigurationError
 from aslip.ghost import Ghost
 from aslip.log import JointRate, Recorder
-from aslip.stack import Backend, default_stack
+from aslip.policy import policy_stack
+from aslip.stack import STACKS, Backend
 from aslip.transforms import TrueState
 from aslip.walker import ENDLESS, Push, Schedule, Walker
 
@@ -133,7 +134,8 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     library = aslip.GaitLibrary.load()
     for speed in schedule.speeds:
         library.check_speed(speed)
-    stack = {name: t for name, t in default_stack(library).items() if name not in ENDLESS}
+    whole = STACKS[policy_stack(config.policy)]()
+    stack = {name: make for name, make in whole.items() if name not in ENDLESS}
     if config.truth:
         del stack["noise"]
         stack["estimator"] = TrueState

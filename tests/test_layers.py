@@ -25,6 +25,7 @@ _MAY_IMPORT = {
     "task": {"cassie", "sim"},
     "envs": {"cassie", "sim", "task"},
     "rewards": set(),
+    "single_reference": {"cassie"},
     "metrics": {"cassie"},
     "estimation": {"cassie", "sim"},
     "transforms": {"cassie", "sim", "task", "library", "envs", "estimation", "rewards"},
@@ -42,6 +43,7 @@ _FOREIGN = {
     "task": {"torch", "torchrl", "tensordict", "casadi", "pinocchio"},
     "envs": {"casadi", "pinocchio"},
     "metrics": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
+    "single_reference": {"torchrl", "tensordict", "casadi", "pinocchio", "dm_control"},
     "rewards": {"torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "transforms": {"mujoco", "casadi", "pinocchio", "dm_control"},
 }

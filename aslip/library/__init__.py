@@ -2,5 +2,13 @@
 
 from aslip.library.build import build_library
 from aslip.library.library import GaitLibrary, Reference
+from aslip.library.pendulum import PendulumWalk, pendulum_library, single_reference_library
 
-__all__ = ["GaitLibrary", "Reference", "build_library"]
+__all__ = [
+    "GaitLibrary",
+    "PendulumWalk",
+    "Reference",
+    "build_library",
+    "pendulum_library",
+    "single_reference_library",
+]

@@ -8,12 +8,16 @@ and follow `env.set_seed`.
 from aslip.cassie.sensing import SENSOR_NOISE, NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
 from aslip.transforms.base import CassieTransform
-from aslip.transforms.command import PhaseClock, SpeedCommand
+from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand
 from aslip.transforms.episode import Fall, LowReward
 from aslip.transforms.estimate import ESTIMATE_SIZES, ODOMETRY_SIZES, EstimatedState, TrueState
 from aslip.transforms.noise import ObservationNoise
-from aslip.transforms.observation import OBSERVATION_TABLE, AssembleObservation
-from aslip.transforms.reference import ReferenceInjection, ReferenceStart
+from aslip.transforms.observation import (
+    OBSERVATION_TABLE,
+    SINGLE_REFERENCE_TABLE,
+    AssembleObservation,
+)
+from aslip.transforms.reference import Odometer, ReferenceInjection, ReferenceStart
 from aslip.transforms.reward import RewardTerm, WeightedReward
 
 __all__ = [
@@ -21,15 +25,18 @@ __all__ = [
     "OBSERVATION_TABLE",
     "ODOMETRY_SIZES",
     "SENSOR_NOISE",
+    "SINGLE_REFERENCE_TABLE",
     "ActionDelta",
     "AssembleObservation",
     "CassieTransform",
+    "ClockInput",
     "EstimatedState",
     "Fall",
     "LastAction",
     "LowReward",
     "NoiseLevel",
     "ObservationNoise",
+    "Odometer",
     "PhaseClock",
     "ReferenceInjection",
     "ReferenceStart",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import cast
 
 import torch
 from tensordict import TensorDictBase
@@ -12,7 +13,7 @@ from torchrl.data import Composite
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
-from aslip.transforms.base import CassieTransform, extend_spec
+from aslip.transforms.base import CassieTransform, extend_spec, require_keys
 
 
 class SpeedCommand(CassieTransform):
@@ -102,6 +103,23 @@ class PhaseClock(CassieTransform):
     def transform_state_spec(self, state_spec: Composite) -> Composite:
         """Declare `phase` as something a caller may set."""
         return extend_spec(state_spec, {"phase": 1})
+
+
+class ClockInput(CassieTransform):
+    """Write sine and cosine of the phase under `("clock", ...)`, as inputs of a policy."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=["phase"], out_keys=[("clock", "sin"), ("clock", "cos")])
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        angle = 2 * torch.pi * cast("Tensor", next_tensordict["phase"])
+        next_tensordict.set(("clock", "sin"), angle.sin())
+        return next_tensordict.set(("clock", "cos"), angle.cos())
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add sine and cosine."""
+        require_keys(self, observation_spec, ["phase"])
+        return extend_spec(observation_spec, {("clock", "sin"): 1, ("clock", "cos"): 1})
 
 
 def _checked(tensordict: TensorDictBase, key: str) -> Tensor:

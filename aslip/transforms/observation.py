@@ -1,4 +1,4 @@
-"""The policy's input: 46 numbers of estimate, 18 of reference (Sec. IV-A)."""
+"""The policy's input: 46 numbers of estimate, 18 of reference (Sec. IV-A); and the baseline's."""
 
 from __future__ import annotations
 
@@ -27,6 +27,14 @@ OBSERVATION_TABLE: Final[tuple[NestedKey, ...]] = (
     *(("reference", name) for name in _REFERENCE_NAMES),
 )
 """Keys of the observation's entries, in order; see `AssembleObservation`."""
+
+SINGLE_REFERENCE_TABLE: Final[tuple[NestedKey, ...]] = (
+    *(("estimate", name) for name in ESTIMATE_SIZES),
+    ("clock", "sin"),
+    ("clock", "cos"),
+    "command",
+)
+"""The single-reference method's 49 numbers: the same estimate, then clock and speed [m/s]."""
 
 
 class AssembleObservation(CassieTransform):

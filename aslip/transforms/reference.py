@@ -54,6 +54,33 @@ class ReferenceInjection(CassieTransform):
         return extend_spec(observation_spec, sizes)
 
 
+class Odometer(CassieTransform):
+    """Write how far the reference has gone since the reset under `("reference", "distance")` [m].
+
+    The reference's own x is the deviation from uniform motion; added to this it is a place in the
+    world. Must come after `ReferenceInjection`.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=["command"], out_keys=[("reference", "distance")])
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        start = torch.zeros_like(tensordict_reset["command"])
+        return tensordict_reset.set(self.out_keys[0], start)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        before = tensordict[self.out_keys[0]]
+        return next_tensordict.set(self.out_keys[0], before + POLICY_PERIOD * tensordict["command"])
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the distance."""
+        require_keys(self, observation_spec, ["command", ("reference", "body_position")])
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
+
+
 class ReferenceStart(CassieTransform):
     """Start each episode on the reference, at the drawn phase and command.
 

@@ -1,0 +1,210 @@
+"""Vertical ground force over a stride: of the robot, of the reduced-order model, of the baseline.
+
+    python -m benchmarks.ground_reaction                                    # the shipped policy
+    python -m benchmarks.ground_reaction --policy runs/seed0 runs/seed1 --baseline runs/baseline0
+
+As in the paper's figure, at 0, 1 and 2 m/s, from the physics at 2 kHz. Spring-mass walking has two
+humps a stance; a body held at constant height has one. The dip ratio is the lowest force between
+the humps over that of the lower hump, after two passes of a moving average of 30 ms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
+from aslip.errors import AslipError
+from aslip.library import GaitLibrary
+from aslip.metrics import force_profile, mean_over_strides
+from aslip.metrics.contact import stances
+from aslip.metrics.force import ForceProfile, dip_ratio, humps
+from aslip.rom import Gait, Mode
+from aslip.walker import Walker
+from benchmarks.common import Common, environment, markdown, write_report
+
+# before strides count, and while they do [s]
+_SETTLE, _WALK = 4.0, 8.0
+_SAMPLES = 200
+# impacts rise far above the humps [N]
+_LARGEST_SHOWN = 600.0
+_VERTICAL = [-4, -1]  # of both feet, in what is watched
+
+
+@dataclass(frozen=True)
+class Config(Common):
+    """What to measure."""
+
+    speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
+    """Commanded [m/s]."""
+    baseline: tuple[str, ...] = ()
+    """Policies of `recipes/ppo_single_reference.py`."""
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Force of the left foot over a stride, from its touchdown."""
+
+    mean: np.ndarray
+    """(k,) over strides [N]."""
+    std: np.ndarray
+    """(k,) [N]."""
+
+
+def main(config: Config) -> list[dict[str, Any]]:
+    """Measure, print and draw; returns a row a method and speed."""
+    library = GaitLibrary.load()
+    rows: list[dict[str, Any]] = []
+    curves: dict[tuple[str, float], Curve] = {}
+    methods = {"ASLIP": config.policy, "single reference": config.baseline}
+    runs = [(m, p, v) for m, ps in methods.items() for p in ps for v in config.speeds]
+    for method, policy, speed in tqdm(runs, unit="walk", leave=False):
+        force = walked_force(config, library, policy, speed)
+        if force is None:
+            rows.append({"method": method, "policy": policy, "speed": speed, "fell": True})
+            continue
+        profiles = [force_profile(force[:, i], PHYSICS_TIMESTEP) for i in range(2)]
+        mean = ForceProfile(*np.mean([list(asdict(p).values()) for p in profiles], axis=0))
+        rows.append({"method": method, "policy": policy, "speed": speed, **asdict(mean)})
+        curves.setdefault((method, speed), curve(force[:, 0]))
+    for speed in config.speeds:
+        gait = library.gaits[int(np.argmin(np.abs(library.speeds - speed)))]
+        rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
+    write_report(
+        config,
+        "ground_reaction",
+        {"rows": rows},
+        table(rows),
+        picture(config, curves, library),
+    )
+    return rows
+
+
+def walked_force(
+    config: Config, library: GaitLibrary, policy: str, speed: float
+) -> np.ndarray | None:
+    """(m, 2) vertical forces at 2 kHz after the walk has settled; None if it fell."""
+    torch.set_num_threads(1)
+    env = environment(config, policy, 1, num_threads=1)
+    walker = Walker(policy, env, library=library, speed=speed)
+    env.base_env.watch(0)
+    parts = []
+    while walker.time < _SETTLE + _WALK - POLICY_PERIOD / 2:
+        walker.step()
+        if walker.fallen:
+            return None
+        if walker.time > _SETTLE:
+            parts.append(env.base_env.watched[:, _VERTICAL].copy())
+    env.close()
+    assert len(parts[0]) == SUBSTEPS
+    return np.concatenate(parts)
+
+
+def curve(force: np.ndarray) -> Curve:
+    """A foot's force over the stride, mean over strides."""
+    starts = stances(force, PHYSICS_TIMESTEP)[:, 0]
+    return Curve(*mean_over_strides(force, starts, _SAMPLES))
+
+
+def model_force(gait: Gait, samples: int = 4000) -> np.ndarray:
+    """(samples,) force of the model's left leg along z over a stride from its touchdown [N]."""
+    time = np.arange(samples) / samples * gait.stride
+    axial = np.interp(time, gait.time, gait.leg_force[:, 0])
+    leg = gait.body_position - gait.left_foot_position
+    share = np.interp(time, gait.time, leg[:, 2] / np.linalg.norm(leg, axis=1))
+    return np.roll(axial * share, -round(touchdown(gait) * samples))
+
+
+def touchdown(gait: Gait) -> float:
+    """Stride fraction at which the left foot lands: double stance follows right stance."""
+    change = np.flatnonzero((gait.mode[1:] == Mode.DOUBLE) & (gait.mode[:-1] == Mode.RIGHT))[0]
+    return float(gait.time[change + 1]) / gait.stride
+
+
+def model_profile(gait: Gait) -> dict[str, float]:
+    """The same numbers of the model. It has no impact, and may be without load in mid-stance."""
+    force = model_force(gait)
+    period = gait.stride / len(force)
+    # a stride begins with the left foot's lift-off
+    part = force[: round((1 - touchdown(gait)) * len(force))]
+    found = ForceProfile(
+        len(humps(part, period)),
+        dip_ratio(part, period),
+        len(part) * period,
+        float(part.sum()) * period,
+        float(part.max()),
+        1,
+    )
+    return asdict(found)
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """A row a method and speed, mean over policies."""
+    cells = []
+    for method in dict.fromkeys(row["method"] for row in rows):
+        for speed in dict.fromkeys(row["speed"] for row in rows):
+            found = [r for r in rows if (r["method"], r["speed"]) == (method, speed)]
+            walked = [row for row in found if not row.get("fell")]
+            if not found:
+                continue
+            if not walked:
+                cells.append([method, f"{speed:.1f}", "fell", *[""] * 5])
+                continue
+            mean = {k: np.mean([r[k] for r in walked]) for k in walked[0] if k in _NUMBERS}
+            ratios = [row["dip_ratio"] for row in walked]
+            cells.append(
+                [
+                    method,
+                    f"{speed:.1f}",
+                    f"{mean['humps']:.1f}",
+                    f"{mean['dip_ratio']:.2f} [{min(ratios):.2f}, {max(ratios):.2f}]",
+                    f"{mean['duration']:.3f}",
+                    f"{mean['impulse']:.0f}",
+                    f"{mean['peak']:.0f}",
+                    f"{len(walked)} of {len(found)}",
+                ]
+            )
+    header = [
+        "method", "command m/s", "humps", "dip ratio [range]", "stance s", "impulse N s", "peak N",
+        "walked",
+    ]  # fmt: skip
+    return markdown(header, cells)
+
+
+_NUMBERS = {"humps", "dip_ratio", "duration", "impulse", "peak"}
+
+
+def picture(config: Config, curves: dict[tuple[str, float], Curve], library: GaitLibrary) -> Figure:
+    """Force over the stride, a panel a speed."""
+    figure = Figure(figsize=(4 * len(config.speeds), 3.6), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(1, len(config.speeds), sharey=True))
+    share = np.arange(_SAMPLES) / _SAMPLES
+    for axis, speed in zip(axes, config.speeds, strict=True):
+        gait = library.gaits[int(np.argmin(np.abs(library.speeds - speed)))]
+        model = model_force(gait)
+        axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
+        for method, color in (("ASLIP", "tab:red"), ("single reference", "tab:blue")):
+            found = curves.get((method, speed))
+            if found is not None:
+                axis.plot(share, found.mean, color=color, label=method)
+                low, high = found.mean - found.std, found.mean + found.std
+                axis.fill_between(share, low, high, color=color, alpha=0.25, lw=0)
+        axis.set(title=f"{speed:.1f} m/s", xlabel="stride from touchdown", xlim=(0, 1))
+        axis.set_ylim(0, _LARGEST_SHOWN)
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("vertical force of one foot [N]")
+    axes[0].legend(fontsize=8)
+    return figure
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except AslipError as error:
+        raise SystemExit(f"error: {error}") from None
