@@ -36,8 +36,8 @@ def make(library: GaitLibrary) -> MakeEnv:
     """`aslip.make_env` with the library at hand and one physics thread."""
 
     def make(backend: str = "batch", **settings: Any) -> CassieTransformedEnv:
-        settings.setdefault("num_threads", 1)
-        return aslip.make_env(backend, library=library, **settings)  # pyright: ignore
+        defaults = {"num_threads": 1, "library": library}
+        return aslip.make_env(backend, **{**defaults, **settings})  # pyright: ignore
 
     return make
 

@@ -1,0 +1,110 @@
+"""The linear inverted pendulum's walk obeys its dynamics, repeats itself, and can be looked up."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.cassie import STANDARD_GRAVITY
+from aslip.errors import ConfigurationError
+from aslip.library import (
+    GaitLibrary,
+    PendulumWalk,
+    pendulum_library,
+    single_reference_library,
+)
+from aslip.library.pendulum import pendulum_motion
+
+WALK = PendulumWalk(speed=0.8, stride=0.8, height=0.9, width=0.24)
+PHASE = np.arange(4000) / 4000
+
+
+@pytest.fixture(scope="module")
+def single() -> GaitLibrary:
+    return single_reference_library(WALK, samples=64)
+
+
+def test_the_body_is_driven_by_its_stance_foot_alone() -> None:
+    motion = pendulum_motion(WALK, PHASE)
+    dt = WALK.stride / len(PHASE)
+    acceleration = np.gradient(motion.body_velocity, dt, axis=0)
+    omega_squared = STANDARD_GRAVITY / WALK.height
+    # the right foot carries while the left swings
+    for half, stance in ((slice(2, 1998), 1), (slice(2002, 3998), 0)):
+        lever = motion.body[half] - motion.foot[stance, half]
+        expected = omega_squared * lever[:, :2]
+        np.testing.assert_allclose(acceleration[half, :2], expected, atol=2e-3)
+        assert np.ptp(motion.foot[stance, half], axis=0).max() == 0
+    assert (motion.body[:, 2] == WALK.height).all()
+
+
+def test_velocities_are_derivatives() -> None:
+    motion = pendulum_motion(WALK, PHASE)
+    dt = WALK.stride / len(PHASE)
+    pairs = [(motion.body, motion.body_velocity)]
+    pairs += list(zip(motion.foot, motion.foot_velocity, strict=True))
+    for position, velocity in pairs:
+        middle = (velocity[1:] + velocity[:-1]) / 2
+        np.testing.assert_allclose(np.diff(position, axis=0) / dt, middle, atol=2e-3)
+
+
+def test_the_walk_repeats_itself_mirrored_after_half_a_stride() -> None:
+    motion = pendulum_motion(WALK, PHASE)
+    half, mirror = len(PHASE) // 2, np.array([1.0, -1.0, 1.0])
+    step = np.array([WALK.speed * WALK.stride / 2, 0, 0])
+    body = motion.body[:half] * mirror + step
+    np.testing.assert_allclose(motion.body[half:], body, atol=1e-12)
+    left = motion.foot[0, :half] * mirror + step
+    np.testing.assert_allclose(motion.foot[1, half:], left, atol=1e-12)
+
+
+def test_feet_keep_their_distance_and_clear_the_ground() -> None:
+    motion = pendulum_motion(WALK, PHASE)
+    np.testing.assert_allclose(motion.foot[0, :, 1] - motion.foot[1, :, 1], WALK.width)
+    assert motion.foot[..., 2].min() >= 0
+    assert motion.foot[..., 2].max() == pytest.approx(WALK.clearance, abs=1e-3)
+
+
+def test_the_command_stretches_the_pelvis_way_and_nothing_else(single: GaitLibrary) -> None:
+    phase = torch.arange(23, dtype=torch.float64)[:, None] / 23
+    slow, fast = (single.lookup(phase, torch.full_like(phase, v)) for v in (0.4, 1.6))
+    assert torch.equal(slow.motor_position, fast.motor_position)
+    assert torch.equal(slow.left_foot_position, fast.left_foot_position)
+    torch.testing.assert_close(4 * slow.body_velocity[:, 0], fast.body_velocity[:, 0])
+    torch.testing.assert_close(slow.body_velocity[:, 1:], fast.body_velocity[:, 1:])
+    assert slow.body_velocity[:, 0].mean() == pytest.approx(0.4, abs=1e-3)
+    assert torch.equal(single.stride(torch.tensor([[0.0], [2.0]])), torch.full((2, 1), WALK.stride))
+
+
+def test_stance_feet_do_not_slide_at_the_speed_of_the_one_walk(single: GaitLibrary) -> None:
+    phase = torch.linspace(0.02, 0.44, 20, dtype=torch.float64)[:, None]
+    reference = single.lookup(phase, torch.full_like(phase, WALK.speed))
+    assert reference.right_foot_velocity.abs().max() < 1e-4
+    x = reference.body_position[:, 0] + reference.right_foot_position[:, 0]
+    forward = phase[:, 0].float() * WALK.speed * WALK.stride
+    assert float((x + forward).std()) < 1e-4
+
+
+def test_pendulums_take_the_place_of_gaits(library: GaitLibrary) -> None:
+    gaits = library.gaits[5:7]
+    pendulums = pendulum_library(gaits, samples=32)
+    np.testing.assert_array_equal(pendulums.speeds, [gait.speed for gait in gaits])
+    np.testing.assert_array_equal(pendulums.table.strides, [gait.stride for gait in gaits])
+    assert np.ptp(pendulums.table.body_position[0, :, 2]) == 0
+    low, high = gaits[0].body_position[:, 2].min(), gaits[0].body_position[:, 2].max()
+    assert low < pendulums.table.body_position[0, 0, 2] < high
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [("stride", 0.0), ("height", -1.0), ("width", np.inf), ("swing_share", 1.1), ("speed", np.nan)],
+)
+def test_walks_that_are_none_are_refused(setting: str, value: float) -> None:
+    with pytest.raises(ConfigurationError, match=setting):
+        PendulumWalk(**{setting: value})
+
+
+def test_a_walk_on_the_spot_cannot_be_stretched() -> None:
+    with pytest.raises(ConfigurationError, match="forward"):
+        single_reference_library(PendulumWalk(speed=0.0))
