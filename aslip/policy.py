@@ -1,8 +1,8 @@
 """Actor, critic and their shared input normaliser; saving and loading (Sec. IV-B).
 
-Both nets are 64-256-256-k with ReLU. The actor's output is unbounded and its standard deviation
-fixed ("We choose to use fixed covariance ... the output is unbounded"). The normaliser is part of
-the policy, so it travels with the weights.
+Both nets are 64-256-256-k with ReLU, on request made to treat left and right alike. The actor's
+output is unbounded and its standard deviation fixed ("We choose to use fixed covariance ... the
+output is unbounded"). The normaliser is part of the policy, so it travels with the weights.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from torchrl.modules import (
 
 from aslip.assets import asset_path
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError
+from aslip.symmetry import Symmetrised, action_mirror, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 
 # normalised inputs further out than this are cut off: a fall must not shout down the rest
@@ -55,6 +56,8 @@ class PolicyShape:
     """Widths of the hidden layers ("2 hidden layers of 256 nodes each", Sec. IV-B)."""
     std: float = math.exp(-2)
     """Standard deviation of every action [rad]; the paper gives no value, its public code this."""
+    symmetric: bool = False
+    """Whether the mirrored observation gets the mirrored action; not so in the paper."""
 
 
 class RunningNormalizer(nn.Module):
@@ -100,7 +103,9 @@ class RunningNormalizer(nn.Module):
 
 
 def make_actor(
-    normalizer: RunningNormalizer, shape: PolicyShape | None = None
+    normalizer: RunningNormalizer,
+    shape: PolicyShape | None = None,
+    observation: Sequence[NestedKey] = OBSERVATION_TABLE,
 ) -> ProbabilisticActor:
     """The policy: `observation` -> `action`, with `action_log_prob`.
 
@@ -108,7 +113,9 @@ def make_actor(
 
     Args:
         normalizer: shared with the critic.
-        shape: sizes and standard deviation.
+        shape: sizes, standard deviation, symmetry.
+        observation: keys of the observation's entries, of which a symmetric policy knows mirror
+            images.
     """
     shape = shape or PolicyShape()
     net = MLP(
@@ -128,9 +135,13 @@ def make_actor(
         make_param=False,
         init_value=math.log(shape.std),
     )
+    layers: list[nn.Module] = [normalizer, net]
+    if shape.symmetric:
+        mirrors = observation_mirror(observation), action_mirror()
+        layers = [Symmetrised(nn.Sequential(*layers), *mirrors)]
     return ProbabilisticActor(
         TensorDictModule(
-            nn.Sequential(normalizer, net, scale),
+            nn.Sequential(*layers, scale),
             in_keys=["observation"],
             out_keys=["loc", "scale"],
         ),
@@ -142,8 +153,21 @@ def make_actor(
     )
 
 
-def make_critic(normalizer: RunningNormalizer, shape: PolicyShape | None = None) -> ValueOperator:
-    """The value function: `observation` -> `state_value`."""
+def make_critic(
+    normalizer: RunningNormalizer,
+    shape: PolicyShape | None = None,
+    observation: Sequence[NestedKey] = OBSERVATION_TABLE,
+    *,
+    scale: float = 1.0,
+) -> ValueOperator:
+    """The value function: `observation` -> `state_value`.
+
+    Args:
+        normalizer: shared with the actor.
+        shape: as the actor's.
+        observation: as the actor's.
+        scale: what an output of one is worth. Near the size of returns, the net learns them sooner.
+    """
     shape = shape or PolicyShape()
     net = MLP(
         in_features=shape.observation_size,
@@ -151,7 +175,19 @@ def make_critic(normalizer: RunningNormalizer, shape: PolicyShape | None = None)
         num_cells=list(shape.hidden),
         activation_class=nn.ReLU,
     )
-    return ValueOperator(nn.Sequential(normalizer, net), in_keys=["observation"])
+    value: nn.Module = nn.Sequential(normalizer, net, _Scale(scale))
+    if shape.symmetric:
+        value = Symmetrised(value, observation_mirror(observation))
+    return ValueOperator(value, in_keys=["observation"])
+
+
+class _Scale(nn.Module):
+    def __init__(self, factor: float) -> None:
+        super().__init__()
+        self.factor = factor
+
+    def forward(self, values: Tensor) -> Tensor:
+        return self.factor * values
 
 
 def save_policy(
@@ -200,13 +236,14 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
         observation = card["observation"]
     except (KeyError, TypeError) as error:
         raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
-    known = [_entry_names(table) for table in (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE)]
-    if observation not in known:
+    known = [(_entry_names(table), table) for table in (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE)]
+    table = next((table for names, table in known if names == observation), None)
+    if table is None:
         raise ConfigurationError(
             f"the policy {str(path)!r} expects the observation {observation}; this version of aslip"
-            f" gives {' or '.join(map(str, known))}"
+            f" gives {' or '.join(str(names) for names, _ in known)}"
         )
-    actor = make_actor(RunningNormalizer(shape.observation_size), shape)
+    actor = make_actor(RunningNormalizer(shape.observation_size), shape, table)
     load_components(path, actor=actor)
     return actor.eval()
 
@@ -214,11 +251,13 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
 def policy_stack(name_or_path: str | Path) -> str:
     """Name of the stack that a policy acts on, one of `aslip.stack.STACKS`.
 
+    Policies of before there were several act on the paper's.
+
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: it is truncated, altered, or no policy.
     """
-    return read_manifest(find_policy(name_or_path)).get("metadata", {}).get("stack", "aslip")
+    return read_manifest(find_policy(name_or_path)).get("metadata", {}).get("stack", "paper")
 
 
 def find_policy(name_or_path: str | Path) -> Path:

@@ -38,6 +38,10 @@ _SIGNS = {
     "left_foot_velocity": _VECTOR,
     "right_foot_position": _VECTOR,
     "right_foot_velocity": _VECTOR,
+    "command": (1.0,),
+    # the other leg's turn is half a stride later
+    "sin": (-1.0,),
+    "cos": (-1.0,),
 }
 
 
@@ -64,6 +68,28 @@ class Mirror(nn.Module):
     def forward(self, values: Tensor) -> Tensor:
         """Mirror image of (*b, k) values."""
         return values[..., self.index] * self.sign
+
+
+class Symmetrised(nn.Module):
+    r"""A net that treats left and right alike, :math:`(f(x) + M_y f(M_x x)) / 2`.
+
+    What it learns of one leg it knows of the other (Abdolhosseini et al. 2019).
+
+    Args:
+        net: the net f.
+        inputs: mirror of its input.
+        outputs: mirror of its output; by default that does not change, as a value.
+    """
+
+    def __init__(self, net: nn.Module, inputs: Mirror, outputs: Mirror | None = None) -> None:
+        super().__init__()
+        self.net, self.inputs = net, inputs
+        self.outputs = nn.Identity() if outputs is None else outputs
+
+    def forward(self, values: Tensor) -> Tensor:
+        """Output for (*b, k) values."""
+        plain, image = self.net(torch.stack([values, self.inputs(values)]))
+        return (plain + self.outputs(image)) / 2
 
 
 def action_mirror() -> Mirror:

@@ -11,32 +11,20 @@ Learning is that of `ppo_aslip.py`, so that only the guidance differs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import ppo_aslip
-import tyro
 
 from aslip.errors import AslipError
-from aslip.evaluation import WalkResult
-from aslip.transforms import SINGLE_REFERENCE_TABLE
 
-
-@dataclass(frozen=True)
-class Config(ppo_aslip.Config):
-    """Settings of `ppo_aslip.py`."""
-
-    out: Path = Path("runs/ppo_single_reference")
-    """Folder of the run."""
-
-
-def main(config: Config) -> list[WalkResult]:
-    """Train, then evaluate at all speeds."""
-    return ppo_aslip.main(config, stack="single_reference", observation=SINGLE_REFERENCE_TABLE)
-
+PRESETS = {
+    name: replace(config, stack="single_reference", out=Path("runs/ppo_single_reference"))
+    for name, config in ppo_aslip.PRESETS.items()
+}
 
 if __name__ == "__main__":
     try:
-        main(tyro.cli(Config))
+        ppo_aslip.main(ppo_aslip.command_line(PRESETS))
     except AslipError as error:
         raise SystemExit(f"error: {error}") from None

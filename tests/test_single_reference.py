@@ -125,7 +125,7 @@ def test_rewards_sum_by_weight_and_know_the_reference(make: MakeEnv) -> None:
 
 
 def test_stacks_have_names() -> None:
-    assert set(STACKS) == {"aslip", "single_reference"}
+    assert set(STACKS) == {"aslip", "paper", "single_reference"}
     assert list(single_reference_stack())[-1] == "episode_sum"
     with pytest.raises(UnknownNameError, match="single_reference"):
         aslip.make_env(stack="other")
@@ -136,9 +136,9 @@ def test_the_recipe_trains_a_policy_that_knows_its_stack(
 ) -> None:
     recipe = ppo_single_reference.ppo_aslip
     monkeypatch.setattr(recipe, "evaluate", partial(evaluate, num_steps=5))
-    config = ppo_single_reference.Config(num_envs=4, samples=32, total_steps=32, minibatch=16)
-    ppo_single_reference.main(replace(config, out=tmp_path / "run"))
-    assert policy_stack(tmp_path / "run") == "single_reference"
-    walker = Walker(tmp_path / "run", speed=1.0)
-    assert walker.step()["observation"].shape == (1, 49)
-    assert policy_stack("aslip") == "aslip"
+    tiny = {"num_envs": 4, "samples": 32, "total_steps": 32, "minibatch": 16}
+    for config in ppo_single_reference.PRESETS.values():
+        recipe.main(replace(config, out=tmp_path / config.preset, **tiny))
+        assert policy_stack(tmp_path / config.preset) == "single_reference"
+        walker = Walker(tmp_path / config.preset, speed=1.0)
+        assert walker.step()["observation"].shape == (1, 49)

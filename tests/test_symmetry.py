@@ -5,8 +5,8 @@ import torch
 
 from aslip import GaitLibrary, make_env
 from aslip.errors import UnknownNameError
-from aslip.symmetry import action_mirror, observation_mirror
-from aslip.transforms import ReferenceStart, TrueState
+from aslip.symmetry import Symmetrised, action_mirror, observation_mirror
+from aslip.transforms import SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
 
 
 def test_mirroring_twice_changes_nothing() -> None:
@@ -48,3 +48,21 @@ def test_mirrored_actions_lead_to_mirrored_observations(library: GaitLibrary) ->
 def test_an_entry_without_a_mirror_image_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="temperature"):
         observation_mirror([("estimate", "temperature")])
+
+
+def test_a_symmetrised_net_mirrors_its_answers() -> None:
+    inputs, outputs = observation_mirror(), action_mirror()
+    net = torch.nn.Sequential(torch.nn.Linear(64, 32), torch.nn.ReLU(), torch.nn.Linear(32, 10))
+    values = torch.randn(5, 3, 64)
+    policy = Symmetrised(net, inputs, outputs)
+    torch.testing.assert_close(policy(inputs(values)), outputs(policy(values)))
+    assert not torch.allclose(net(inputs(values)), outputs(net(values)))
+    value = Symmetrised(torch.nn.Linear(64, 1), inputs)
+    torch.testing.assert_close(value(inputs(values)), value(values))
+
+
+def test_clock_and_command_have_mirror_images() -> None:
+    """Half a stride later, the clock's sine and cosine have turned their signs."""
+    mirror = observation_mirror(SINGLE_REFERENCE_TABLE)
+    image = mirror(torch.arange(49.0))
+    assert image[46:].tolist() == [-46.0, -47.0, 48.0]

@@ -7,6 +7,7 @@ MuJoCo's conventions (wxyz quaternions, `qpos` and `qvel` as in `mujoco.MjData`)
 from aslip.ik.kinematics import CassieKinematics, ForwardKinematics
 from aslip.ik.solve import IkResidual, IkSolution, solve
 from aslip.ik.standing import standing_pose
+from aslip.ik.statics import static_torque
 from aslip.ik.target import BodyTarget
 
 __all__ = [
@@ -17,4 +18,5 @@ __all__ = [
     "IkSolution",
     "solve",
     "standing_pose",
+    "static_torque",
 ]

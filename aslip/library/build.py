@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.ik import BodyTarget, CassieKinematics, IkSolution, solve
+from aslip.ik import BodyTarget, CassieKinematics, IkSolution, solve, static_torque
 from aslip.library.file import GaitTable
 from aslip.rom import Gait, GaitSample, optimize_gaits
 
@@ -31,7 +31,7 @@ def build_library(
     centres of the soles, at the model's lateral positions, toes forward and soles level along
     them; across, a sole leans with its leg (0.04 rad), for there is no motor for its roll. Public
     code keeps the legs in their vertical planes and the foot motors still, so that its feet tilt
-    and sink into the floor.
+    and sink into the floor. Forces of the model's legs act on the soles, too, and become torques.
 
     Args:
         speeds: ascending forward speeds [m/s].
@@ -53,6 +53,10 @@ def build_library(
     motions = [gait.sample(phase) for gait in gaits]
     kinematics = CassieKinematics()
     poses = [_solve_stride(kinematics, motion) for motion in motions]
+    torques = [
+        static_torque(kinematics, pose.qpos, _ground_force(motion))
+        for pose, motion in zip(poses, motions, strict=True)
+    ]
     forward = [np.outer(phase * gait.stride * gait.speed, [1.0, 0.0, 0.0]) for gait in gaits]
     qpos = np.stack([pose.qpos for pose in poses])
     qpos[..., :3] -= np.stack(forward)
@@ -66,10 +70,19 @@ def build_library(
         right_foot_position=np.stack([m.right_foot_position - m.body_position for m in motions]),
         right_foot_velocity=np.stack([m.right_foot_velocity for m in motions]),
         motor_position=np.stack([pose.motor_position for pose in poses]),
+        motor_velocity=np.stack([pose.motor_velocity for pose in poses]),
+        motor_torque=np.stack(torques),
         qpos=qpos,
         qvel=np.stack([pose.qvel for pose in poses]),
     )
     return gaits, table
+
+
+def _ground_force(motion: GaitSample) -> np.ndarray:
+    """(m, 2, 3) force of the ground on the model's feet [N]."""
+    feet = np.stack([motion.left_foot_position, motion.right_foot_position], axis=1)
+    leg = motion.body_position[:, None] - feet
+    return motion.leg_force[..., None] * leg / np.linalg.norm(leg, axis=-1, keepdims=True)
 
 
 def _solve_stride(kinematics: CassieKinematics, motion: GaitSample) -> IkSolution:

@@ -24,7 +24,7 @@ from aslip.errors import (
 )
 from aslip.rom import Gait
 
-_FORMAT = "aslip gait library 1"
+_FORMAT = "aslip gait library 2"
 _FORMAT_KEY, _SHA256, _MADE_BY = "format", "sha256", "made_by"
 
 
@@ -53,6 +53,10 @@ class GaitTable:
     """(g, m, 3) over ground [m/s]."""
     motor_position: np.ndarray
     """(g, m, 10) [rad]."""
+    motor_velocity: np.ndarray
+    """(g, m, 10) [rad/s]."""
+    motor_torque: np.ndarray
+    """(g, m, 10) at the joints, to carry what the legs of the model carry [N m]."""
     qpos: np.ndarray
     """(g, m, 35) configuration, pelvis x as the body's."""
     qvel: np.ndarray

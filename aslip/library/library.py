@@ -35,6 +35,10 @@ class Reference:
 
     motor_position: Tensor
     """(*b, 10) motor angles of the inverse kinematics [rad]."""
+    motor_velocity: Tensor
+    """(*b, 10) their rates [rad/s]."""
+    motor_torque: Tensor
+    """(*b, 10) torques at the joints, with which legs carry what the model's do [N m]."""
     body_position: Tensor
     """(*b, 3) forward deviation from uniform motion at the mean speed, sway, height above ground
     [m]. Public code lets x grow from 0 to a stride and jump back; we subtract the mean motion so

@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from aslip.cassie import STANDARD_GRAVITY
+from aslip.cassie import STANDARD_GRAVITY, TOTAL_MASS
 from aslip.errors import ConfigurationError
-from aslip.ik import BodyTarget, CassieKinematics, solve
+from aslip.ik import BodyTarget, CassieKinematics, solve, static_torque
 from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.library.file import GaitTable
 from aslip.library.library import GaitLibrary
@@ -74,6 +74,9 @@ class PendulumMotion:
     """(2, m, 3) left and right [m]."""
     foot_velocity: np.ndarray
     """(2, m, 3) [m/s]."""
+    ground_force: np.ndarray
+    """(2, m, 3) on the feet of a body with the robot's mass [N]. While both feet stand, the one
+    that came down bears nothing yet."""
 
 
 def pendulum_motion(walk: PendulumWalk, phase: np.ndarray) -> PendulumMotion:
@@ -115,7 +118,9 @@ def pendulum_motion(walk: PendulumWalk, phase: np.ndarray) -> PendulumMotion:
         )
         feet.append(position)
         rates.append(rate)
-    return PendulumMotion(body, velocity, np.stack(feet), np.stack(rates))
+    carrying = np.stack([second, ~second])[..., None]
+    force = TOTAL_MASS * omega**2 * (body - np.stack(feet)) * carrying
+    return PendulumMotion(body, velocity, np.stack(feet), np.stack(rates), force)
 
 
 def pendulum_library(
@@ -188,6 +193,10 @@ def _columns(walks: Sequence[PendulumWalk], samples: int) -> dict[str, np.ndarra
         )
         for motion in motions
     ]
+    torques = [
+        static_torque(kinematics, pose.qpos, motion.ground_force.swapaxes(0, 1))
+        for pose, motion in zip(poses, motions, strict=True)
+    ]
     forward = np.stack(
         [np.outer(phase * walk.stride * walk.speed, [1.0, 0.0, 0.0]) for walk in walks]
     )
@@ -208,6 +217,8 @@ def _columns(walks: Sequence[PendulumWalk], samples: int) -> dict[str, np.ndarra
         "body_position": body - forward,
         "body_velocity": np.stack([motion.body_velocity for motion in motions]),
         "motor_position": np.stack([pose.motor_position for pose in poses]),
+        "motor_velocity": np.stack([pose.motor_velocity for pose in poses]),
+        "motor_torque": np.stack(torques),
         "qpos": qpos,
         "qvel": np.stack([pose.qvel for pose in poses]),
         **feet,

@@ -17,7 +17,12 @@ from aslip.transforms.observation import (
     SINGLE_REFERENCE_TABLE,
     AssembleObservation,
 )
-from aslip.transforms.reference import Odometer, ReferenceInjection, ReferenceStart
+from aslip.transforms.reference import (
+    Feedforward,
+    Odometer,
+    ReferenceInjection,
+    ReferenceStart,
+)
 from aslip.transforms.reward import RewardTerm, WeightedReward
 
 __all__ = [
@@ -32,6 +37,7 @@ __all__ = [
     "ClockInput",
     "EstimatedState",
     "Fall",
+    "Feedforward",
     "LastAction",
     "LowReward",
     "NoiseLevel",

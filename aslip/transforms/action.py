@@ -15,8 +15,8 @@ from aslip.transforms.base import CassieTransform, extend_spec
 class ActionDelta(CassieTransform):
     r"""The policy's delta on the reference's motor angles: :math:`a = \hat a + \delta_a`.
 
-    (Sec. III-B.) The delta is unbounded, unscaled and unfiltered, as in the paper. To act without a
-    baseline, or on another one, name its key.
+    (Sec. III-B.) The delta is unbounded, unscaled and unfiltered, as in the paper. To act on
+    another baseline, such as what `Feedforward` writes, name its key.
 
     Args:
         baseline_key: (*b, 10) angles to add the delta to [rad].

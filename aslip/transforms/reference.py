@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 
-from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD
+from aslip.cassie import MOTOR_NAMES, PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, Reference
 from aslip.transforms.base import CassieTransform, extend_spec, require_keys
@@ -20,13 +20,13 @@ InitialVelocity = Literal["reference", "rest"]
 class ReferenceInjection(CassieTransform):
     """Write the library's motion at the present phase and command under `("reference", ...)`.
 
-    Body and feet are those of the present instant, which the robot's state is compared with. The
-    motor angles are those of the end of the coming policy step, where the PD loops are to arrive;
-    the paper does not say which instant it means, and its public code does the same.
+    Body and feet are those of the present instant, which the robot's state is compared with. Motor
+    angles, rates and torques are those of the end of the coming policy step, where the PD loops are
+    to arrive; the paper does not say which instant it means, and its public code does the same.
 
     Args:
         library: the gaits.
-        motor_lead: how far ahead the motor angles are read, in policy steps.
+        motor_lead: how far ahead the motors are read, in policy steps.
     """
 
     def __init__(self, library: GaitLibrary, motor_lead: float = 1.0) -> None:
@@ -41,7 +41,7 @@ class ReferenceInjection(CassieTransform):
         phases = torch.stack([phase, phase + lead])
         both = self.library.lookup(phases, command.expand_as(phases))
         values = {field.name: getattr(both, field.name)[0] for field in fields(both)}
-        values["motor_position"] = both.motor_position[1]
+        values |= {name: getattr(both, name)[1] for name in values if name.startswith("motor")}
         return next_tensordict.set("reference", Reference(**values).to_tensordict())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -52,6 +52,35 @@ class ReferenceInjection(CassieTransform):
             for field in fields(Reference)
         }
         return extend_spec(observation_spec, sizes)
+
+
+class Feedforward(CassieTransform):
+    r"""Write where PD loops must aim to follow the reference, ("reference", "motor_target").
+
+    .. math:: \hat a = \hat q + K_p^{-1} (\hat\tau + K_d \dot{\hat q})
+
+    The loops' velocity target is zero and their stiffness finite: aimed at the reference's angles,
+    as in the paper, they lag 0.1 s behind and give way by 0.7 rad at the knee under the robot's
+    weight, which a policy first has to learn. The reduced-order model knows the load of each leg.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=["reference"], out_keys=[("reference", "motor_target")])
+        self._stiffness = torch.from_numpy(PD_STIFFNESS.copy()).float()
+        self._damping = torch.from_numpy(PD_DAMPING.copy()).float()
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        position, rate, torque = (
+            next_tensordict["reference", f"motor_{name}"]
+            for name in ("position", "velocity", "torque")
+        )
+        target = position + (torque + self._damping * rate) / self._stiffness
+        return next_tensordict.set(self.out_keys[0], target)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the target."""
+        require_keys(self, observation_spec, [("reference", "motor_torque")])
+        return extend_spec(observation_spec, {self.out_keys[0]: len(MOTOR_NAMES)})
 
 
 class Odometer(CassieTransform):

@@ -84,6 +84,10 @@ def test_nothing_jumps_between_gaits(library: GaitLibrary) -> None:
             )
 
 
+LARGEST_CHANGES = {"velocity": (0.2, 0.02), "torque": (8.0, 1.0)}
+"""Of rates and torques, with a thousandth of a stride and a millimetre a second."""
+
+
 def test_small_steps_of_phase_and_speed_are_small_changes(library: GaitLibrary) -> None:
     """No value moves faster than a foot does: the library has no outlier anywhere."""
     phase, speed = _random(2000)
@@ -92,9 +96,10 @@ def test_small_steps_of_phase_and_speed_are_small_changes(library: GaitLibrary) 
     faster = library.lookup(phase, (speed + 1e-3).clamp(max=2.0))
     for name in NAMES:
         value = getattr(here, name)
-        unit = "velocity" in name
-        assert (getattr(ahead, name) - value).abs().max() < (0.2 if unit else 0.02), name
-        assert (getattr(faster, name) - value).abs().max() < (0.02 if unit else 0.005), name
+        by_phase, by_speed = LARGEST_CHANGES.get(name.split("_")[-1], (0.02, 0.005))
+        by_phase *= 2 if name == "motor_velocity" else 1
+        assert (getattr(ahead, name) - value).abs().max() < by_phase, name
+        assert (getattr(faster, name) - value).abs().max() < by_speed, name
 
 
 def test_the_slope_in_phase_is_continuous(library: GaitLibrary) -> None:
@@ -116,7 +121,7 @@ def test_any_leading_shape(library: GaitLibrary, shape: tuple[int, ...]) -> None
     reference = library.lookup(phase, speed)
     for name in NAMES:
         value = getattr(reference, name)
-        assert value.shape == (*shape, 10 if name == "motor_position" else 3)
+        assert value.shape == (*shape, 10 if name.startswith("motor") else 3)
         assert value.dtype == torch.float32
     qpos, qvel = library.initial_state(phase, speed)
     assert qpos.shape == (*shape, 35)

@@ -55,7 +55,7 @@ def test_steps_have_what_was_done_and_what_came_of_it(walk: Walk, recording: Rec
         actions = [step[f"action_{name}"][i] for name in MOTOR_NAMES]
         assert actions == td["action"][0].tolist()
         targets = [step[f"motor_target_{name}"][i] for name in MOTOR_NAMES]
-        assert targets == (td["reference", "motor_position"] + td["action"])[0].tolist()
+        assert targets == (td["reference", "motor_target"] + td["action"])[0].tolist()
         force = [step[f"ground_force_{side}_z"][i] for side in ("left", "right")]
         assert force == after["truth", "ground_force"][0, :, 2].tolist()
     np.testing.assert_array_equal(np.flatnonzero(step["push_y"]), [3, 4])

@@ -10,12 +10,17 @@ from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose
 
-from aslip.cassie import POLICY_PERIOD
+from aslip.cassie import PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
 from aslip.envs import BatchCassieEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.stack import default_stack
-from aslip.transforms import PhaseClock, ReferenceInjection, ReferenceStart, SpeedCommand
+from aslip.transforms import (
+    PhaseClock,
+    ReferenceInjection,
+    ReferenceStart,
+    SpeedCommand,
+)
 from tests.conftest import MakeEnv
 
 
@@ -33,11 +38,44 @@ def test_the_reference_is_the_librarys(
     later = td["phase"] + lead * POLICY_PERIOD / library.stride(td["command"])
     ahead = library.lookup(later, td["command"])
     for field in fields(Reference):
-        source = ahead if field.name == "motor_position" else present
+        source = ahead if field.name.startswith("motor") else present
         expected = getattr(source, field.name)
         torch.testing.assert_close(td["reference", field.name], expected, rtol=0, atol=1e-6)
     same = torch.equal(ahead.motor_position, present.motor_position)
     assert same == (lead == 0)
+
+
+def test_feedforward_aims_where_the_loops_exert_what_the_model_does(make: MakeEnv) -> None:
+    """A PD loop at the reference's angle and rate gives the reference's torque."""
+    for when in ("reset", "step"):
+        env = make(num_envs=16)
+        td = env.reset()
+        if when == "step":
+            td = env.step(td.set("action", torch.zeros(16, 10)))["next"]
+        reference = td["reference"]
+        error = reference["motor_target"] - reference["motor_position"]
+        torque = error * torch.tensor(PD_STIFFNESS)
+        torque -= torch.tensor(PD_DAMPING) * reference["motor_velocity"]
+        torch.testing.assert_close(torque.float(), reference["motor_torque"], rtol=1e-4, atol=1e-3)
+        assert reference["motor_torque"].abs().max() > 100
+
+
+def test_feedforward_needs_a_reference(make: MakeEnv) -> None:
+    with pytest.raises(UnknownNameError, match="motor_torque"):
+        make(drop=["reference"])
+
+
+def test_a_robot_without_a_policy_stays_up_longer_with_feedforward(make: MakeEnv) -> None:
+    """One step after the other, it carries its weight on the reduced-order model's forces."""
+    steps = {}
+    for stack in ("aslip", "paper"):
+        env = make(num_envs=1, stack=stack, drop=["noise"])
+        start = TensorDict(command=torch.zeros(1, 1), phase=torch.zeros(1, 1), batch_size=1)
+        td, steps[stack] = env.reset(start), 0
+        while not td["done"].any() and steps[stack] < 100:
+            td = env.step(td.set("action", torch.zeros(1, 10)))["next"]
+            steps[stack] += 1
+    assert steps["aslip"] > 1.5 * steps["paper"]
 
 
 def test_episodes_start_on_the_reference(make: MakeEnv, library: GaitLibrary) -> None:

@@ -1,0 +1,54 @@
+"""Static torques against virtual work on the library's own motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aslip.cassie import SIDES, STANDARD_GRAVITY, TOTAL_MASS
+from aslip.errors import ShapeError
+from aslip.ik import CassieKinematics, standing_pose, static_torque
+from aslip.library import GaitLibrary
+
+
+@pytest.mark.parametrize("row", [0, 7, 20])
+def test_motors_and_ground_do_the_same_work(library: GaitLibrary, row: int) -> None:
+    """Along a motion with rigid springs, what the motors put in goes into the load."""
+    table = library.table
+    force = np.random.default_rng(row).normal(size=(table.qpos.shape[1], 2, 3))
+    torque = static_torque(CassieKinematics(), table.qpos[row], force)
+    # the reference's feet, and with them the robot's, relative to a pelvis that does not turn
+    velocity = np.stack([getattr(table, f"{side}_foot_velocity")[row] for side in SIDES], axis=1)
+    velocity = velocity - table.body_velocity[row][:, None]
+    by_ground = (force * velocity).sum((1, 2))
+    by_motors = (torque * table.motor_velocity[row]).sum(1)
+    np.testing.assert_allclose(by_motors, -by_ground, atol=1e-9)
+
+
+def test_the_library_holds_the_models_load(library: GaitLibrary) -> None:
+    """In single stance the knee carries, in swing it does not."""
+    torque = library.table.motor_torque[10]
+    left, right = torque[:, :5], torque[:, 5:]
+    middle_of_left_swing = torque.shape[0] // 4
+    assert np.abs(left[middle_of_left_swing]).max() == 0
+    assert np.abs(right[:, 3]).max() > 100
+    np.testing.assert_allclose(
+        np.roll(left, torque.shape[0] // 2, axis=0)[:, 3], right[:, 3], atol=0.5
+    )
+
+
+def test_standing_is_carried_by_both_legs_alike() -> None:
+    kinematics = CassieKinematics()
+    qpos = standing_pose(kinematics).qpos.reshape(1, -1)
+    force = np.zeros((1, 2, 3))
+    force[..., 2] = TOTAL_MASS * STANDARD_GRAVITY / 2
+    torque = static_torque(kinematics, qpos, force).reshape(2, 5)
+    # roll and yaw of the right leg turn the other way
+    np.testing.assert_allclose(torque[0], torque[1] * [-1, -1, 1, 1, 1], atol=1e-9)
+    np.testing.assert_array_equal(static_torque(kinematics, qpos, 0 * force), np.zeros((1, 10)))
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    kinematics = CassieKinematics()
+    with pytest.raises(ShapeError, match="force"):
+        static_torque(kinematics, np.zeros((3, 35)), np.zeros((2, 2, 3)))
