@@ -143,9 +143,8 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     if config.truth:
         edits["drop"] = [*edits["drop"], "noise"]
         edits["replace"] = {**edits["replace"], "estimator": TrueState}
-    make_env = partial(
-        aslip.make_env, stack=config.stack, seed=config.seed, reward_on=config.reward_on, **edits
-    )
+    task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
+    make_env = partial(aslip.make_env, **task)
     env = make_env(num_envs=config.num_envs)
     speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
     eval_env = make_env(num_envs=len(speeds))
