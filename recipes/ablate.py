@@ -1,0 +1,271 @@
+"""What each part of the method is worth: train without it, several seeds, one table.
+
+    python recipes/ablate.py                                        # all variants, three seeds
+    python recipes/ablate.py --variants default no_delta --seeds 0 1 --total-steps 500000
+    python recipes/ablate.py --list
+
+Variants are trained one after the other with the same budget. What is done is kept: started again,
+the command goes on where it stopped, in the middle of a training, too, and adds what is new to the
+table. All are judged alike, by walks at 21 speeds on the own sensors and inputs of each and by the
+paper's reward, whatever they were rewarded for.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from datetime import timedelta
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ppo_aslip
+import torch
+import tyro
+from scipy import stats
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+
+import aslip
+from aslip.cassie import MOTOR_NAMES
+from aslip.cassie.model import CassieIndices, load_model
+from aslip.errors import AslipError, ConfigurationError, UnknownNameError
+from aslip.evaluation import WalkResult
+from aslip.library import pendulum_library
+from aslip.rewards import PAPER_WEIGHTS
+from aslip.run import write_text
+from aslip.stack import MAX_EPISODE_STEPS, Stack, default_stack, insert_before
+from aslip.transforms import (
+    SINGLE_REFERENCE_TABLE,
+    ActionDelta,
+    AssembleObservation,
+    CassieTransform,
+    ClockInput,
+    RandomDynamics,
+    WeightedReward,
+)
+from aslip.transforms.base import extend_spec
+
+_CONFIDENCE = 0.95
+_RESULTS = "results.json"
+# evaluations on the way cost a tenth of so short a training [policy steps]
+_NEVER = 10**12
+
+
+class StandingBaseline(CassieTransform):
+    """Write the motor angles of the standing robot under `("baseline", "motor_position")`."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=[], out_keys=[("baseline", "motor_position")])
+        model = load_model()
+        motors = CassieIndices.from_model(model).motor_qpos
+        self._angles = torch.tensor(model.key("standing").qpos[motors], dtype=torch.float32)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        angles = self._angles.expand(*next_tensordict.batch_size, -1)
+        return next_tensordict.set(self.out_keys[0], angles.clone())
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the angles."""
+        return extend_spec(observation_spec, {self.out_keys[0]: len(MOTOR_NAMES)})
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One experiment."""
+
+    question: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Settings of `ppo_aslip.py` that differ."""
+    edits: Callable[[], dict[str, Any]] = dict
+    """Settings of `aslip.make_env` that differ."""
+
+
+def without_term(name: str) -> Variant:
+    """No reward for one term; the others share its weight, so that the threshold means the same."""
+    rest = 1 - PAPER_WEIGHTS[name]
+    weights = {key: 0.0 if key == name else w / rest for key, w in PAPER_WEIGHTS.items()}
+    return Variant(
+        f"no reward for {name}", edits=lambda: {"replace": {"reward": WeightedReward(weights)}}
+    )
+
+
+def with_dynamics(name: str, value: float) -> Callable[[], dict[str, Any]]:
+    """Edits that give all robots other dynamics."""
+
+    def edits() -> dict[str, Any]:
+        dynamics = partial(RandomDynamics, {name: (value, value)})
+        return {"stack": insert_before(default_stack(), "start", dynamics=dynamics)}
+
+    return edits
+
+
+def _absolute_actions() -> dict[str, Any]:
+    stack: Stack = insert_before(default_stack(), "action", standing=StandingBaseline)
+    stack["action"] = lambda: ActionDelta(("baseline", "motor_position"))
+    return {"stack": stack}
+
+
+def _blind_to_the_model() -> dict[str, Any]:
+    stack = insert_before(default_stack(), "observation", clock_input=ClockInput)
+    stack["observation"] = lambda: AssembleObservation(SINGLE_REFERENCE_TABLE)
+    return {"stack": stack}
+
+
+VARIANTS: Mapping[str, Variant] = {
+    "default": Variant("everything"),
+    **{f"no_{name}": without_term(name) for name in PAPER_WEIGHTS},
+    "no_delta": Variant(
+        "actions are angles from a standing pose, not from the reference's", edits=_absolute_actions
+    ),
+    "no_feedforward": Variant("motor targets as in the paper", {"stack": "paper"}),
+    "no_symmetry": Variant("left and right are learned apart", {"symmetric": False}),
+    "no_model_inputs": Variant(
+        "clock and speed as inputs in place of the reduced-order model", edits=_blind_to_the_model
+    ),
+    "pendulum": Variant(
+        "linear inverted pendulum in place of the actuated spring-mass model",
+        edits=lambda: {"library": pendulum_library(aslip.GaitLibrary.load().gaits)},
+    ),
+    "truth": Variant("the truth in place of sensors and estimator", {"truth": True}),
+    "reward_on_estimate": Variant("rewards read the estimate", {"reward_on": "estimate"}),
+    "no_delay": Variant("torques act at once", edits=with_dynamics("torque_delay", 0.0)),
+    "no_reflected_inertia": Variant(
+        "motors without inertia", edits=with_dynamics("reflected_inertia", 0.0)
+    ),
+}
+"""Name -> what differs from the default."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to train."""
+
+    variants: tuple[str, ...] = tuple(VARIANTS)
+    """Which, by name."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Of each variant."""
+    total_steps: int = 500_000
+    """Policy steps of each training."""
+    num_envs: int = 256
+    """Robots simulated side by side."""
+    out: Path = Path("runs/ablation")
+    """Folder of all trainings, the table and the numbers."""
+    list: bool = False
+    """Only say which variants there are."""
+
+    def __post_init__(self) -> None:
+        """Check the names.
+
+        Raises:
+            UnknownNameError: there is no such variant.
+            ConfigurationError: there is nothing to train.
+        """
+        for name in self.variants:
+            if name not in VARIANTS:
+                raise UnknownNameError(f"no variant {name!r}; there are {list(VARIANTS)}")
+        if not self.variants or not self.seeds:
+            raise ConfigurationError("name at least one variant and one seed")
+
+
+def main(config: Config) -> dict[str, dict[int, list[WalkResult]]]:
+    """Train what is missing, and print and write the table; returns the walks."""
+    if config.list:
+        print("\n".join(f"{name:24s}{variant.question}" for name, variant in VARIANTS.items()))
+        return {}
+    jobs = [(seed, name) for seed in config.seeds for name in config.variants]
+    found: dict[str, dict[int, list[WalkResult]]] = {}
+    durations: list[float] = []
+    for i, (seed, name) in enumerate(jobs):
+        folder = config.out / f"{name}-{seed}"
+        results = read_results(folder, config.total_steps)
+        if results is None:
+            left = ""
+            if durations:
+                seconds = round(float(np.mean(durations)) * (len(jobs) - i))
+                left = f", about {timedelta(seconds=seconds)} left"
+            print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
+            start = time.perf_counter()
+            results = train(config, folder, VARIANTS[name], seed)
+            durations.append(time.perf_counter() - start)
+        found.setdefault(name, {})[seed] = results
+        write_text(config.out / "ablation.md", table(found, config.total_steps) + "\n")
+    print(table(found, config.total_steps))
+    return found
+
+
+def train(config: Config, folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
+    """One training, resumed if it was interrupted."""
+    settings = replace(
+        ppo_aslip.PRESETS["default"],
+        out=folder,
+        seed=seed,
+        total_steps=config.total_steps,
+        num_envs=config.num_envs,
+        eval_interval=_NEVER,
+        resume=(folder / "config.json").exists(),
+        **variant.settings,
+    )
+    results = ppo_aslip.main(settings, variant.edits())
+    kept = {"total_steps": config.total_steps, "walks": [asdict(result) for result in results]}
+    write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
+    return results
+
+
+def read_results(folder: Path, total_steps: int) -> list[WalkResult] | None:
+    """Walks of a finished training of that budget; None if there is none."""
+    path = folder / _RESULTS
+    if not path.exists():
+        return None
+    kept = json.loads(path.read_text())
+    if kept["total_steps"] < total_steps:
+        return None
+    return [WalkResult(**walk) for walk in kept["walks"]]
+
+
+def measures(results: Sequence[WalkResult]) -> dict[str, float]:
+    """What a training is judged by; a walk that ended in a fall counts for as long as it lasted."""
+    returns = [
+        r.steps * sum(weight * r.terms[name] for name, weight in PAPER_WEIGHTS.items())
+        for r in results
+    ]
+    return {
+        "speeds walked": float(sum(r.survived for r in results)),
+        "paper's return": float(np.mean(returns)),
+        "speed error m/s": float(np.mean([abs(r.mean_speed - r.speed) for r in results])),
+        **{name: float(np.mean([r.terms[name] for r in results])) for name in PAPER_WEIGHTS},
+    }
+
+
+def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: int) -> str:
+    """A row a variant: means and 95 % intervals over seeds."""
+    rows = []
+    for name, by_seed in found.items():
+        judged = [measures(results) for results in by_seed.values()]
+        cells = [interval([m[key] for m in judged]) for key in judged[0]]
+        rows.append([name, str(len(judged)), *cells])
+    header = ["variant", "seeds", *measures(next(iter(next(iter(found.values())).values())))]
+    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
+    text = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    best = f"The largest return is {MAX_EPISODE_STEPS}."
+    return f"{text}\n\n{total_steps} policy steps each; mean and 95 % interval over seeds. {best}"
+
+
+def interval(values: Sequence[float]) -> str:
+    """Mean, and half of Student's interval if there are several values."""
+    mean = float(np.mean(values))
+    digits = 0 if mean >= 100 else 1 if mean >= 10 else 3
+    if len(values) < 2:
+        return f"{mean:.{digits}f}"
+    half = stats.t.ppf(0.5 + _CONFIDENCE / 2, len(values) - 1) * stats.sem(values)
+    return f"{mean:.{digits}f} ± {half:.{digits}f}"
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except AslipError as error:
+        raise SystemExit(f"error: {error}") from None

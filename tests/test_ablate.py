@@ -1,0 +1,102 @@
+"""Ablations: each variant is what it says, and what was trained is kept."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import ablate
+import pytest
+import torch
+from ablate import VARIANTS
+
+import aslip
+from aslip.errors import UnknownNameError
+from aslip.evaluation import evaluate
+from aslip.rewards import PAPER_WEIGHTS
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small updates and short walks."""
+    recipe: Any = ablate.ppo_aslip
+    monkeypatch.setattr(recipe, "evaluate", partial(evaluate, num_steps=3))
+    tiny = ablate.replace(recipe.PRESETS["default"], num_envs=4, samples=16, minibatch=8)
+    monkeypatch.setitem(recipe.PRESETS, "default", tiny)
+
+
+def tiny(out: Path, *variants: str, seeds: tuple[int, ...] = (0,)) -> ablate.Config:
+    return ablate.Config(variants, seeds, total_steps=16, num_envs=4, out=out)
+
+
+def env_of(name: str) -> Any:
+    edits: dict[str, Any] = {"stack": VARIANTS[name].settings.get("stack", "aslip")}
+    return aslip.make_env(num_envs=2, **{**edits, **VARIANTS[name].edits()})
+
+
+@pytest.mark.parametrize("name", sorted(VARIANTS))
+def test_every_variant_has_an_environment(name: str) -> None:
+    env = env_of(name)
+    env.rollout(2)
+    env.close()
+
+
+@pytest.mark.parametrize("term", sorted(PAPER_WEIGHTS))
+def test_a_term_that_is_off_is_still_reported(term: str) -> None:
+    rollout = env_of(f"no_{term}").rollout(2)
+    terms = rollout["next", "reward_terms"]
+    assert set(terms.keys()) == set(PAPER_WEIGHTS)
+    others = sum(w * terms[name] for name, w in PAPER_WEIGHTS.items() if name != term)
+    expected = others / (1 - PAPER_WEIGHTS[term])
+    torch.testing.assert_close(rollout["next", "reward"], expected)
+
+
+def test_without_a_delta_actions_are_from_the_standing_pose() -> None:
+    env = env_of("no_delta")
+    td = env.reset()
+    assert torch.equal(td["baseline", "motor_position"][0], td["baseline", "motor_position"][1])
+    aimed = []
+    forward = env.base_env._advance
+    env.base_env._advance = lambda *a, **k: (aimed.append(a), forward(*a, **k))[1]
+    env.step(td.set("action", torch.full((2, 10), 0.25)))
+    target = torch.as_tensor(aimed[0][0]).float()
+    torch.testing.assert_close(target, td["baseline", "motor_position"] + 0.25)
+
+
+def test_without_the_models_inputs_the_policy_sees_clock_and_speed() -> None:
+    assert env_of("no_model_inputs").reset()["observation"].shape == (2, 49)
+
+
+def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first = ablate.main(tiny(tmp_path, "default"))
+    assert "1 of 1: default, seed 0" in capsys.readouterr().out
+    both = ablate.main(tiny(tmp_path, "default", "no_symmetry", seeds=(0, 1)))
+    printed = capsys.readouterr().out
+    assert "default, seed 0" not in printed
+    assert "left" in printed
+    assert both["default"][0] == first["default"][0]
+    rows = (tmp_path / "ablation.md").read_text().splitlines()
+    assert [row.split("|")[1].strip() for row in rows[2:4]] == ["default", "no_symmetry"]
+    assert "±" in rows[2]
+
+
+def test_a_greater_budget_trains_on(tmp_path: Path) -> None:
+    ablate.main(tiny(tmp_path, "default"))
+    more = ablate.replace(tiny(tmp_path, "default"), total_steps=32)
+    ablate.main(more)
+    kept = json.loads((tmp_path / "default-0" / "results.json").read_text())
+    assert kept["total_steps"] == 32
+    assert len((tmp_path / "default-0" / "progress.csv").read_text().splitlines()) == 3
+
+
+def test_unknown_variants_are_refused() -> None:
+    with pytest.raises(UnknownNameError, match="no_reward"):
+        ablate.Config(variants=("no_reward",))
+
+
+def test_the_list_says_what_each_asks(capsys: pytest.CaptureFixture[str]) -> None:
+    assert ablate.main(ablate.Config(list=True)) == {}
+    printed = capsys.readouterr().out
+    assert all(name in printed and v.question in printed for name, v in VARIANTS.items())

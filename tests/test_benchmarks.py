@@ -1,0 +1,186 @@
+"""Benchmarks of a policy run from a policy or a log, and claims are judged by their numbers."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aslip.errors import ConfigurationError
+from aslip.metrics import Placement
+from benchmarks import claims, foot_placement, ground_reaction, step_frequency, velocity_tracking
+from benchmarks.common import Common, Interval
+from recipes import walk
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Walk for seconds where people would want more."""
+    for module in (foot_placement, ground_reaction, step_frequency, velocity_tracking, claims):
+        monkeypatch.setattr(module, "_SETTLE", 1.0)
+        monkeypatch.setattr(module, "_WALK", 3.0)
+    monkeypatch.setattr(foot_placement, "_FOOTSTEPS", 4)
+    for name in ("_HOLD", "_BEFORE", "_AFTER"):
+        monkeypatch.setattr(velocity_tracking, name, 2.0)
+
+
+def settings(out: Path, *speeds: float) -> dict[str, Any]:
+    return {"out": out, "speeds": speeds}
+
+
+def written(out: Path, name: str) -> dict[str, Any]:
+    """A benchmark's numbers; table and picture are there, too."""
+    assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / f"{name}.md").read_text().startswith("|")
+    return json.loads((out / f"{name}.json").read_text())
+
+
+def test_foot_placement_of_a_policy(tmp_path: Path) -> None:
+    found = foot_placement.main(foot_placement.Config(**settings(tmp_path, 0.5, 1.0)))
+    assert [len(found[speed][0].error) for speed in (0.5, 1.0)] == [4, 4]
+    rows = written(tmp_path, "foot_placement")["rows"]
+    assert [row["footsteps"] for row in rows] == [4, 4]
+    assert rows[1]["published"] == 0.0922
+    assert all(0 < row["mean"] < 0.15 for row in rows)
+
+
+def test_foot_placement_of_a_log(tmp_path: Path) -> None:
+    log = tmp_path / "walk.mcap"
+    walk.main(walk.Config(command="0.5", duration=4.0, log=log))
+    found = foot_placement.main(foot_placement.Config(out=tmp_path, log=log))
+    assert list(found) == [0.5]
+    varied = tmp_path / "varied.mcap"
+    walk.main(walk.Config(command="0:0.5,0.2:0.6", duration=0.5, log=varied))
+    with pytest.raises(ConfigurationError, match="2 commanded speeds"):
+        foot_placement.main(foot_placement.Config(out=tmp_path, log=varied))
+
+
+def test_step_frequency(tmp_path: Path) -> None:
+    rows = step_frequency.main(step_frequency.Config(**settings(tmp_path, 0.5)))
+    assert rows[0]["mean"] == pytest.approx(rows[0]["model"], rel=0.05)
+    assert written(tmp_path, "step_frequency")["rows"][0]["duty"] > 0.5
+
+
+def test_velocity_tracking(tmp_path: Path) -> None:
+    numbers = velocity_tracking.main(velocity_tracking.Config(**settings(tmp_path, 0.5)))
+    assert [row["command"] for row in numbers["schedule"]] == list(velocity_tracking.SCHEDULE)
+    assert abs(numbers["map"][0]["mean"] - 0.5) < 0.2
+    assert len(numbers["steps"]) == len(velocity_tracking.STEPS)
+    assert numbers["spike"]["model"] > 0
+    written(tmp_path, "velocity_tracking")
+
+
+def test_ground_reaction(tmp_path: Path) -> None:
+    rows = ground_reaction.main(ground_reaction.Config(**settings(tmp_path, 0.5)))
+    ours, model = rows
+    assert ours["method"] == "ASLIP"
+    assert 0.35 < ours["duration"] < 0.65
+    # the two feet carry the weight over a stride of 0.8 s
+    assert ours["impulse"] == pytest.approx(33.312 * 9.81 * 0.8025 / 2, rel=0.08)
+    assert model["dip_ratio"] < 0.1
+    written(tmp_path, "ground_reaction")
+
+
+def test_a_benchmark_needs_a_policy() -> None:
+    with pytest.raises(ConfigurationError, match="policy"):
+        Common(policy=())
+
+
+# ----------------------------------------------------------------------- claims
+
+
+def placements(error: float, outward: float = 0.01, count: int = 6) -> list[Placement]:
+    """Of two seeds; errors forward, feet a bit outward."""
+    side = np.arange(count) % 2
+    left = np.where(side == 0, outward, -outward)
+    offset = np.stack([np.full(count, error), left], axis=1)
+    return [Placement(side, offset, np.full(count, 0.2)) for _ in range(2)]
+
+
+def test_claims_on_feet() -> None:
+    by_speed = {0.0: placements(0.03), 1.0: placements(0.05, 0.002), 1.5: placements(0.1)}
+    by_speed[2.0] = placements(0.25)
+    found = claims.feet(by_speed)
+    assert found["feet to 1.0 m/s"].mean == pytest.approx(100 * math.hypot(0.05, 0.002))
+    assert found["feet at 2.0 m/s"].mean == pytest.approx(100 * math.hypot(0.25, 0.01))
+    assert found["wider feet"].mean == pytest.approx(0.2)
+    assert found["feet above 1 m/s"].mean == pytest.approx(20, abs=0.1)
+
+
+def test_claims_on_speed() -> None:
+    mapped = [
+        {"command": speed, "mean": speed + off, "fell": fell}
+        for speed, off, fell in ((0.0, 0.02, 0), (0.3, -0.04, 0), (2.0, -0.3, 1))
+    ]
+    steps = [
+        {"steady_error": 0.0, "settling": 1.2},
+        {"steady_error": math.nan, "settling": math.inf},
+    ]
+    numbers = {"map": mapped, "steps": steps, "spike": {"robot": 0.1, "model": 0.4}}
+    found = {name: value.mean for name, value in claims.tracking(numbers).items()}
+    assert found == pytest.approx(
+        {
+            "all speeds": 2,
+            "velocity tracking": 0.3,
+            "slow walking": 0.04,
+            "smooth transitions": 1,
+            "settling": math.inf,
+            "touchdown spikes": 0.25,
+        }
+    )
+
+
+def test_claims_on_forces() -> None:
+    rows = [
+        {"method": "ASLIP", "speed": speed, "dip_ratio": ratio}
+        for speed, ratio in ((0.0, 0.3), (0.0, 0.5), (1.0, 0.6), (1.0, 0.8), (2.0, 1.0))
+    ]
+    assert claims.humps(rows)["double hump"].mean == pytest.approx(0.7)
+    assert "baseline's single hump" not in claims.humps(rows)
+    rows += [
+        {"method": "single reference", "speed": speed, "dip_ratio": ratio}
+        for speed, ratio in ((0.0, 1.0), (1.0, 0.95), (2.0, 0.97))
+    ]
+    assert claims.humps(rows)["baseline's single hump"].mean == 0.95
+
+
+def test_the_cost_is_read_from_runs(tmp_path: Path) -> None:
+    header = "step,elapsed_s,episode_length,eval_return"
+    rows = ["1000000,1800,200,nan", "2000000,3600,360,310", "3000000,7200,390,nan"]
+    (tmp_path / "progress.csv").write_text("\n".join([header, *rows]) + "\n")
+    found = {name: value.mean for name, value in claims.cost([str(tmp_path)]).items()}
+    assert found == {"samples": 2.0, "training time": 2.0, "return": 310.0}
+    assert claims.cost(["aslip"]) == {}
+
+
+def test_the_table_says_what_holds_and_what_no_longer_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = {"step frequency": 0.5, "settling": 2.0, "double hump": 0.4}
+    monkeypatch.setattr(
+        claims, "measured", lambda config: {name: claims.one(v) for name, v in values.items()}
+    )
+    monkeypatch.setattr(claims, "RECORD", tmp_path / "record.json")
+    config = claims.Config(out=tmp_path, record=True)
+    assert claims.main(config) == 0
+    printed = capsys.readouterr().out
+    assert printed.count("PASS") == 2
+    assert printed.count("FAIL") == 1
+    values["double hump"] = 0.9
+    assert claims.main(claims.Config(out=tmp_path)) == 1
+    assert "does not now: double hump" in capsys.readouterr().out
+    numbers = json.loads((tmp_path / "claims.json").read_text())["claims"]
+    assert [row["name"] for row in numbers if row["holds"]] == ["step frequency"]
+
+
+def test_intervals_are_over_seeds_where_there_are_several() -> None:
+    several = Interval.of([np.array([1.0, 3.0]), np.array([4.0])])
+    assert several.mean == 3.0
+    assert several.high - several.mean == pytest.approx(12.706 * 1.0, rel=1e-3)
+    alone = Interval.of([np.random.default_rng(0).normal(size=400)])
+    assert alone.high - alone.low == pytest.approx(2 * 1.96 / 20, rel=0.15)
+    assert math.isnan(Interval.of([np.array([np.nan])]).mean)
