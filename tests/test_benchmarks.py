@@ -67,7 +67,8 @@ def test_step_frequency(tmp_path: Path) -> None:
 
 def test_velocity_tracking(tmp_path: Path) -> None:
     numbers = velocity_tracking.main(velocity_tracking.Config(**settings(tmp_path, 0.5)))
-    assert [row["command"] for row in numbers["schedule"]] == list(velocity_tracking.SCHEDULE)
+    commands = [row["command"] for row in numbers["schedule"]]
+    assert commands == pytest.approx(velocity_tracking.SCHEDULE)
     assert abs(numbers["map"][0]["mean"] - 0.5) < 0.2
     assert len(numbers["steps"]) == len(velocity_tracking.STEPS)
     assert numbers["spike"]["model"] > 0
