@@ -86,6 +86,8 @@ class CassieTransformedEnv(TransformedEnv):
         self.transform_names = tuple(transforms)
         self.seed: int | None = None
         """The last seed that was set."""
+        self.stack_name: str | None = None
+        """Name of the stack in `STACKS`, if it was made by its name."""
 
     @property
     def transforms(self) -> list[Transform]:
@@ -311,10 +313,11 @@ def make_env(
         )
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
+    stack_name = None
     if isinstance(stack, str):
         if stack not in STACKS:
             raise UnknownNameError(f"no stack {stack!r}; there are {sorted(STACKS)}")
-        stack = STACKS[stack](library, reward_on)
+        stack_name, stack = stack, STACKS[stack](library, reward_on)
     drop = [drop] if isinstance(drop, str) else list(drop)
     chosen = _edited(stack, drop, dict(replace or {}))
     base: CassieEnv
@@ -324,6 +327,7 @@ def make_env(
         base = DmControlCassieEnv(num_envs, floor_friction=floor_friction)
     stack_of = {name: t if isinstance(t, Transform) else t() for name, t in chosen.items()}
     env = CassieTransformedEnv(base, stack_of)
+    env.stack_name = stack_name
     _check_wiring(env)
     env.set_seed(seed)
     return env

@@ -117,7 +117,8 @@ class Walker:
         speed: first command [m/s].
 
     Raises:
-        ConfigurationError: the environment has another number of robots.
+        ConfigurationError: the environment has another number of robots, or another stack than
+            the policy acts on.
         SpeedOutOfRangeError: the library does not cover the speed.
     """
 
@@ -148,7 +149,14 @@ class Walker:
 
     @policy.setter
     def policy(self, policy: TensorDictModuleBase | str | Path) -> None:
-        self._policy = load_policy(policy) if isinstance(policy, str | Path) else policy
+        if isinstance(policy, str | Path):
+            wants, has = policy_stack(policy), self.env.stack_name
+            if has not in (None, wants):
+                raise ConfigurationError(
+                    f"the policy {str(policy)!r} acts on the stack {wants!r}, not on {has!r}"
+                )
+            policy = load_policy(policy)
+        self._policy = policy
 
     @property
     def command(self) -> float:

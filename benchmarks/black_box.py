@@ -34,8 +34,9 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import FileDamagedError
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, Recorder, check, read, recover, replay
+from aslip.policy import policy_stack
 from aslip.run import write_text
-from aslip.stack import default_stack
+from aslip.stack import STACKS
 from aslip.walker import ENDLESS, Walker
 
 # an episode of the paper [policy steps]
@@ -87,7 +88,8 @@ def walking(
     library: GaitLibrary, policy: str, path: Path | None, rate: JointRate = "policy", seed: int = 0
 ) -> Walker:
     """A robot, recorded if there is a path."""
-    stack = {name: make for name, make in default_stack(library).items() if name not in ENDLESS}
+    whole = STACKS[policy_stack(policy)]()
+    stack = {name: make for name, make in whole.items() if name not in ENDLESS}
     if path is not None:
         stack["recorder"] = partial(Recorder, path, joint_rate=rate, policy=policy, library=library)
     env = aslip.make_env(stack=stack, seed=seed, num_threads=1)
@@ -149,6 +151,7 @@ import sys
 from pathlib import Path
 from benchmarks.black_box import walking
 from aslip.library import GaitLibrary
+from aslip.policy import policy_stack
 walker = walking(GaitLibrary.load(), sys.argv[1], Path(sys.argv[2]))
 while True:
     walker.step()

@@ -35,8 +35,8 @@ from aslip.cassie.sensing import PACKET_SIZES
 from aslip.envs import BatchCassieEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
-from aslip.library import GaitLibrary
 from aslip.plots import save_figure
+from aslip.policy import policy_stack
 from aslip.run import write_text
 from aslip.sim import Sensors
 from aslip.task import FALL_HEIGHT
@@ -101,14 +101,13 @@ class Walks:
 
 def main(config: Config) -> None:
     """Measure, print and draw."""
-    library = GaitLibrary.load()
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        walks = walk(config, library)
+        walks = walk(config)
         rows = walk_rows(walks, config.repeats)
         print(walk_table(rows))
-        ages = recovery(config, library)
+        ages = recovery(config)
         print(recovery_table(ages))
-        costs = {"throughput": throughput(config, library), "packet": packet_time(config, library)}
+        costs = {"throughput": throughput(config), "packet": packet_time(config)}
         print(cost_table(costs, config))
     config.picture.parent.mkdir(parents=True, exist_ok=True)
     config.report.parent.mkdir(parents=True, exist_ok=True)
@@ -119,12 +118,15 @@ def main(config: Config) -> None:
 # ------------------------------------------------------------------- walking
 
 
-def walk(config: Config, library: GaitLibrary) -> Walks:
+def walk(config: Config) -> Walks:
     """Walk at each speed, and through changes of speed."""
     names = [*_SPEEDS, None]
     num = len(names) * config.repeats
     env = aslip.make_env(
-        num_envs=num, seed=config.seed, library=library, drop=["low_reward", "fall", "step_limit"]
+        num_envs=num,
+        seed=config.seed,
+        stack=policy_stack(config.policy),
+        drop=["low_reward", "fall", "step_limit"],
     )
     policy = aslip.load_policy(config.policy)
     commands = torch.tensor([_CHANGES[0] if name is None else name for name in names])
@@ -236,9 +238,9 @@ def walk_table(rows: list[dict[str, Any]]) -> str:
 # ------------------------------------------------------------------ recovery
 
 
-def recovery(config: Config, library: GaitLibrary) -> list[dict[str, Any]]:
+def recovery(config: Config) -> list[dict[str, Any]]:
     """Make robots fall, and watch the estimate from their reset on."""
-    env = aslip.make_env(num_envs=config.falls, seed=config.seed, library=library)
+    env = aslip.make_env(num_envs=config.falls, seed=config.seed, stack=policy_stack(config.policy))
     policy = aslip.load_policy(config.policy)
     generator = torch.Generator().manual_seed(config.seed)
     td = cast("TensorDictBase", env.reset())
@@ -319,7 +321,7 @@ class _NoSensors:
         """Nothing to compute."""
 
 
-def throughput(config: Config, library: GaitLibrary) -> dict[str, float]:
+def throughput(config: Config) -> dict[str, float]:
     """Policy steps per second of whole environments, in turn, by what the robot senses."""
     perfect = {"drop": ["noise"], "replace": {"estimator": TrueState}}
     variants: dict[str, dict[str, Any]] = {
@@ -329,7 +331,9 @@ def throughput(config: Config, library: GaitLibrary) -> dict[str, float]:
         "estimator and noise": {},
     }
     envs = {
-        name: aslip.make_env(num_envs=config.num_envs, seed=config.seed, library=library, **edit)
+        name: aslip.make_env(
+            num_envs=config.num_envs, seed=config.seed, stack=policy_stack(config.policy), **edit
+        )
         for name, edit in variants.items()
     }
     base = envs["truth, no sensors"].base_env
@@ -355,9 +359,9 @@ def throughput(config: Config, library: GaitLibrary) -> dict[str, float]:
     return table
 
 
-def packet_time(config: Config, library: GaitLibrary) -> float:
+def packet_time(config: Config) -> float:
     """Median seconds for one packet of one robot."""
-    env = aslip.make_env(seed=config.seed, library=library)
+    env = aslip.make_env(seed=config.seed, stack=policy_stack(config.policy))
     policy, td = aslip.load_policy(config.policy), cast("TensorDictBase", env.reset())
     packets = []
     for _ in range(60):

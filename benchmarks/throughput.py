@@ -27,9 +27,9 @@ from tensordict import TensorDictBase
 import aslip
 from aslip.cassie import SUBSTEPS
 from aslip.envs import BatchCassieEnv
-from aslip.library import GaitLibrary
+from aslip.policy import policy_stack
 from aslip.sim import SimulationPool
-from aslip.transforms import TrueState
+from aslip.transforms import ActionDelta, TrueState
 
 _PAUSE = 0.01  # [s]
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -76,14 +76,17 @@ class Bound:
 class Candidates:
     """The bound, bare simulations, and environments with transforms, kept in step."""
 
-    def __init__(self, num_envs: int, config: Config, library: GaitLibrary) -> None:
+    def __init__(self, num_envs: int, config: Config) -> None:
         edits: dict[str, dict[str, Any]] = {
             "environment on the truth": {"drop": ["noise"], "replace": {"estimator": TrueState}},
             "environment, all transforms": {},
         }
         self.envs = {
             name: aslip.make_env(
-                num_envs=num_envs, library=library, num_threads=config.num_threads, **edit
+                num_envs=num_envs,
+                stack=policy_stack(config.policy),
+                num_threads=config.num_threads,
+                **edit,
             )
             for name, edit in edits.items()
         }
@@ -93,6 +96,8 @@ class Candidates:
             self.pools.append(env.base_env.simulations)
         self.bare = SimulationPool(num_envs, num_threads=config.num_threads)
         self.bound = Bound(self.bare.model, config.num_threads)
+        transforms = list(self.envs.values())[-1].transforms
+        self.baseline_key = next(t.baseline_key for t in transforms if isinstance(t, ActionDelta))
         self.policy = aslip.load_policy(config.policy)
         self.std = config.action_std
         self.states = {name: env.reset() for name, env in self.envs.items()}
@@ -108,7 +113,7 @@ class Candidates:
         td["action"] += self.std * torch.randn(self.bare.num, 10)
         for other in self.states.values():
             other["action"] = td["action"].clone()
-        targets = np.asarray(td["reference", "motor_position"] + td["action"], dtype=np.float64)
+        targets = np.asarray(td[self.baseline_key] + td["action"], dtype=np.float64)
         seconds = {
             "mj_step (bound)": _timed(lambda: self.bound.advance(states)),
             "simulations": _timed(lambda: self.bare.advance(targets)),
@@ -126,10 +131,9 @@ class Candidates:
 def main(config: Config) -> None:
     """Measure and print."""
     torch.manual_seed(0)
-    library = GaitLibrary.load()
     print("| N | candidate | policy steps/s | share of the bound |\n|---:|---|---:|---:|")
     for num_envs in config.num_envs:
-        candidates = Candidates(num_envs, config, library)
+        candidates = Candidates(num_envs, config)
         candidates.step()  # warm up
         rounds = [_round(candidates, config.steps) for _ in range(config.rounds)]
         for name in rounds[0]:

@@ -94,6 +94,12 @@ class Config:
             path = getattr(self, name)
             if path is not None and path.is_dir():
                 raise ConfigurationError(f"--{name} must be a file, {str(path)!r} is a folder")
+        for policy in self.policies:
+            if policy_stack(policy) != policy_stack(self.policy):
+                raise ConfigurationError(
+                    f"policies to choose from must act on one stack: {self.policy!r} is of"
+                    f" {policy_stack(self.policy)!r}, {policy!r} of {policy_stack(policy)!r}"
+                )
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,8 @@ import torch
 import aslip
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.transforms import SINGLE_REFERENCE_TABLE
 from aslip.walker import ENDLESS, Push, Schedule, Walker
 
 
@@ -135,3 +139,18 @@ def test_pushes_are_read() -> None:
 def test_a_push_that_cannot_be_read_is_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match="push is"):
         Push.parse(text)
+
+
+def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:
+    walker = Walker("aslip")
+    other = save_other_policy(tmp_path / "other.zip")
+    with pytest.raises(ConfigurationError, match=r"other.zip.*'single_reference', not on"):
+        walker.policy = other
+    assert Walker(other).env.stack_name == "single_reference"
+
+
+def save_other_policy(path: Path) -> Path:
+    shape = PolicyShape(49)
+    actor = make_actor(RunningNormalizer(49), shape)
+    save_policy(path, actor, shape, stack="single_reference", observation=SINGLE_REFERENCE_TABLE)
+    return path
