@@ -13,21 +13,26 @@ Keys, for n robots (shapes omit the leading n):
 | `terminated`, `done` | 1 | the simulation diverged; all else is transforms |
 
 A reset of the bare environment may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32),
-which in a stack `ReferenceStart` writes; without them the robot stands. A NaN target makes that one
-simulation diverge; it does not touch the others. TorchRL carries keys that no one writes from step
-to step, so whoever sets `push` takes it out again.
+which in a stack `ReferenceStart` writes; without them the robot stands. It may also carry
+`("dynamics", name)` (1) with parameters of `aslip.sim.DYNAMICS`, which in a stack `RandomDynamics`
+draws; a robot keeps those that are not given. A NaN target makes that one simulation diverge; it
+does not touch the others. TorchRL carries keys that no one writes from step to step, so whoever
+sets `push` takes it out again.
 
-Beside the keys there are, for logs and replay, `states`, `set_states` and `watch`.
+Beside the keys there are `dynamics` and `set_dynamics`, and for logs and replay `states`,
+`set_states` and `watch`.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Any, cast
 
 import mujoco
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
@@ -36,7 +41,8 @@ from torchrl.envs import EnvBase
 from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.sim import Snapshot, true_state
+from aslip.sim import Dynamics, Snapshot, true_state
+from aslip.sim.dynamics import longest_delay, with_memory_of
 
 # the exact state, for logs and replay; all else is for networks
 _DOUBLE = ("qpos", "qvel")
@@ -55,6 +61,9 @@ class CassieEnv(EnvBase):
         self.indices = indices
         self.divergences = 0
         """Simulations that diverged, and were put back on their feet, since construction."""
+        self._dynamics = Dynamics(num_envs, self.model)
+        self.altered = False
+        """Whether any robot has ever had other dynamics than `model`."""
         self._set_specs()
 
     @property
@@ -85,10 +94,18 @@ class CassieEnv(EnvBase):
     def _packets(self) -> dict[str, np.ndarray]:
         """What the sensors sent in the last policy period, (n, W, k) each."""
 
+    @abstractmethod
+    def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+        """Change fields (k, ...) of the models of (k,) robots."""
+
+    @abstractmethod
+    def _lengthen_memory(self, delay: float) -> None:
+        """Replace `model` and all simulations by ones that can delay commands for so long [s]."""
+
     @property
     @abstractmethod
     def model(self) -> mujoco.MjModel:
-        """The robots' model."""
+        """The robots' model, as it is without `set_dynamics`."""
 
     @abstractmethod
     def states(self) -> np.ndarray:
@@ -114,6 +131,55 @@ class CassieEnv(EnvBase):
     @abstractmethod
     def watched(self) -> np.ndarray:
         """(60, 83) substeps of the watched robot's last policy step; see `Simulations.watched`."""
+
+    # --------------------------------------------------------------- dynamics
+
+    @property
+    def dynamics(self) -> dict[str, np.ndarray]:
+        """(n,) copies of each parameter's values, by the names of `aslip.sim.DYNAMICS`."""
+        return {name: values.copy() for name, values in self._dynamics.values.items()}
+
+    def set_dynamics(self, values: Mapping[str, ArrayLike], ids: np.ndarray | None = None) -> None:
+        """Give robots other dynamics, from the next physics step on and through resets.
+
+        `states` does not hold them. A torque delay beyond the model's memory of commands, 4 ms, has
+        all simulations moved to a model with a longer one; `states` are longer from then on.
+
+        Args:
+            values: parameter of `aslip.sim.DYNAMICS` -> one value, or one a robot.
+            ids: (k,) the robots, sorted and unique; all by default.
+
+        Raises:
+            UnknownNameError: there is no such parameter.
+            ShapeError: not one value a robot.
+            ConfigurationError: there is no such robot; or a value is outside the limits, and
+                nothing has been changed then.
+        """
+        robots = self._checked_ids(ids)
+        fields = self._dynamics.update(robots, values)
+        if not fields:
+            return
+        self.altered = True
+        delay = float(fields.get("actuator_delay", np.zeros(1)).max())
+        if delay > longest_delay(self.model):
+            model, states = self.model, self.states()
+            self._lengthen_memory(delay)
+            everyone = np.arange(self.num_envs)
+            self._write_fields(everyone, self._dynamics.fields(everyone))
+            self.set_states(with_memory_of(states, model, self.model))
+        else:
+            self._write_fields(robots, fields)
+
+    def _checked_ids(self, ids: np.ndarray | None) -> np.ndarray:
+        everyone = np.arange(self.num_envs)
+        if ids is None:
+            return everyone
+        robots = np.asarray(ids)
+        if not np.array_equal(robots, np.intersect1d(robots, everyone)):
+            raise ConfigurationError(
+                f"ids must be sorted, unique and of robots 0 to {self.num_envs - 1}, got {ids}"
+            )
+        return robots
 
     # ---------------------------------------------------------------- EnvBase
 
@@ -170,6 +236,7 @@ class CassieEnv(EnvBase):
                 value = tensordict.get(("initial", name), None)
                 if value is not None:
                     initial[i] = self._checked_initial(name, value)[rows]
+            self.set_dynamics(self._requested_dynamics(tensordict, rows), rows)
         self._restart(rows, *initial)
         return TensorDict(
             self._observed(np.zeros(self.num_envs, dtype=bool)), batch_size=self.batch_size
@@ -203,6 +270,23 @@ class CassieEnv(EnvBase):
             row = int((~torch.isfinite(value)).any(-1).nonzero()[0])
             raise ConfigurationError(f"initial {name} of robot {row} is not finite")
         return value.double().numpy()
+
+    def _requested_dynamics(self, tensordict: TensorDictBase, rows: np.ndarray) -> dict[str, Any]:
+        """Values (k,) that a reset asks for.
+
+        Raises:
+            ShapeError: wrong shape.
+        """
+        requested = tensordict.get("dynamics", None)
+        if requested is None:
+            return {}
+        expected = (*self.batch_size, 1)
+        values = {}
+        for name, value in cast("TensorDictBase", requested).items():
+            if tuple(value.shape) != expected:
+                raise ShapeError(f"{name} must have shape {expected}, got {tuple(value.shape)}")
+            values[name] = value.detach().numpy()[rows, 0]
+        return values
 
     def _observed(self, diverged: np.ndarray) -> dict[str, dict[str, Tensor]]:
         """Sensors and truth."""

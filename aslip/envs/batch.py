@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import mujoco
 import numpy as np
 
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.envs.base import CassieEnv, check_num_envs
 from aslip.sim import SimulationPool, Snapshot
+from aslip.sim.dynamics import with_longer_memory
 
 
 class BatchCassieEnv(CassieEnv):
@@ -29,11 +32,13 @@ class BatchCassieEnv(CassieEnv):
         num_envs = check_num_envs(num_envs)
         model = load_model(floor_friction, visual=False)
         self.simulations = SimulationPool(num_envs, model=model, num_threads=num_threads)
+        self._num_threads = num_threads
+        self._watched_robot: int | None = None
         super().__init__(num_envs, self.simulations.indices)
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The robots' model, without what is only looked at."""
+        """See `CassieEnv.model`; without what is only looked at."""
         return self.simulations.model
 
     def states(self) -> np.ndarray:
@@ -47,11 +52,20 @@ class BatchCassieEnv(CassieEnv):
     def watch(self, index: int | None) -> None:
         """See `CassieEnv.watch`."""
         self.simulations.watch(index)
+        self._watched_robot = index
 
     @property
     def watched(self) -> np.ndarray:
         """See `CassieEnv.watched`."""
         return self.simulations.watched
+
+    def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+        self.simulations.write_fields(ids, fields)
+
+    def _lengthen_memory(self, delay: float) -> None:
+        model = with_longer_memory(self.model, delay, visual=False)
+        self.simulations = SimulationPool(self.num_envs, model=model, num_threads=self._num_threads)
+        self.simulations.watch(self._watched_robot)
 
     def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
         return self.simulations.advance(motor_target, push)

@@ -6,14 +6,19 @@ dm_control's tools are wanted.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from copy import copy
+
 import mujoco
 import numpy as np
+from dm_control.mujoco.wrapper import MjModel
 from dm_control.rl.control import PhysicsError
 
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
 from aslip.envs.base import CassieEnv, check_num_envs
 from aslip.errors import ConfigurationError
 from aslip.sim import Snapshot
+from aslip.sim.dynamics import with_longer_memory, write_fields
 from aslip.task import CassiePhysics, walk_environment
 
 
@@ -38,6 +43,7 @@ class DmControlCassieEnv(CassieEnv):
         ]
         for environment in self.environments:
             environment.reset()
+        self._model = copy(self.physics[0].model.ptr)
         super().__init__(num_envs, self.physics[0].indices)
 
     @property
@@ -47,8 +53,8 @@ class DmControlCassieEnv(CassieEnv):
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The robots' model, all of it."""
-        return self.physics[0].model.ptr
+        """See `CassieEnv.model`; all of it."""
+        return self._model
 
     def states(self) -> np.ndarray:
         """See `CassieEnv.states`."""
@@ -73,6 +79,20 @@ class DmControlCassieEnv(CassieEnv):
             if physics.watched is not None:
                 return physics.watched
         raise ConfigurationError("no robot is watched; call watch(index) first")
+
+    def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+        for k, i in enumerate(ids):
+            physics = self.physics[i]
+            write_fields(physics.model.ptr, {name: rows[k] for name, rows in fields.items()})
+            if "opt.gravity" in fields:
+                physics.sensors.set_gravity(np.zeros(1, dtype=int), fields["opt.gravity"][k, None])
+
+    def _lengthen_memory(self, delay: float) -> None:
+        self._model = with_longer_memory(self.model, delay, visual=True)
+        for physics in self.physics:
+            watched = physics.watched is not None
+            physics._reload_from_model(MjModel(copy(self._model)))
+            physics.watch(watched)
 
     def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
         diverged = np.zeros(self.num_envs, dtype=bool)

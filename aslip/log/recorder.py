@@ -45,7 +45,7 @@ _STEP_NS = SUBSTEPS * _SUBSTEP_NS
 _STEPS_PER_SECOND = round(1 / POLICY_PERIOD)
 # a foot that carries more has touched down [N], if it was in the air for as many steps before
 _TOUCHDOWN_FORCE = 20.0
-_AIRBORNE_STEPS = 3
+_AIRBORNE_STEPS = 4
 
 _TRUTH = (
     "pelvis_position",
@@ -90,7 +90,8 @@ class Recorder(Transform):
 
     Raises:
         ConfigurationError: `joint_rate` is neither; there is an unfinished log of that name; the
-            environment has no such robot; or the model cannot be logged.
+            environment has no such robot; the model cannot be logged; or robots have been given
+            dynamics that differ from it.
         AssetError: there is no such policy.
     """
 
@@ -170,6 +171,7 @@ class Recorder(Transform):
             raise ConfigurationError(
                 f"no robot {self._robot!r} to record; the environment has {base.num_envs}, from 0"
             )
+        _require_one_model(base)
         if self._fast:
             base.watch(self._robot)
         files = freeze_model(base.model)
@@ -195,6 +197,19 @@ class Recorder(Transform):
         except BaseException:
             writer.discard()
             raise
+
+
+def _require_one_model(base: CassieEnv) -> None:
+    """Check that the robots have the environment's model, the only one that a log holds.
+
+    Raises:
+        ConfigurationError: their dynamics have been changed.
+    """
+    if base.altered:
+        raise ConfigurationError(
+            "the robots' dynamics have been changed (by RandomDynamics, set_dynamics or a reset),"
+            " and a replay knows the default model only: record an environment of its own"
+        )
 
 
 # one robot's entries of a part of the tensordict
@@ -296,6 +311,7 @@ class _Session:
 
     def reset(self, td: TensorDictBase) -> None:
         """The robot stands at the start of an episode."""
+        _require_one_model(self._base)
         self._ticks += 1
         self._episode, self._episode_step = self._episode + 1, 0
         self._airborne = [0, 0]
@@ -311,6 +327,7 @@ class _Session:
 
     def step(self, td: TensorDictBase, after: TensorDictBase) -> None:
         """A policy step has passed."""
+        _require_one_model(self._base)
         self._ticks += 1
         self._episode_step += 1
         rows = self._rows(after)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
@@ -79,11 +80,21 @@ class SimulationPool:
         for name, value, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
             if value is not None and value.shape != (len(ids), size):
                 raise ShapeError(f"{name} must have shape {(len(ids), size)}, got {value.shape}")
+        for part, rows, own_ids in self._owners(ids):
+            initial = (None if value is None else value[rows] for value in (qpos, qvel))
+            part.reset(own_ids, *initial)
+
+    def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+        """Change fields of some simulations' models; see `Simulations.write_fields`."""
+        for part, rows, own_ids in self._owners(ids):
+            part.write_fields(own_ids, {name: values[rows] for name, values in fields.items()})
+
+    def _owners(self, ids: np.ndarray) -> Iterator[tuple[Simulations, np.ndarray, np.ndarray]]:
+        """Parts that have some of these simulations: which of them, and their ids there."""
         owner = np.searchsorted(self._starts, ids, side="right") - 1
         for i in np.unique(owner):
             rows = owner == i
-            initial = (None if value is None else value[rows] for value in (qpos, qvel))
-            self.parts[i].reset(ids[rows] - self._starts[i], *initial)
+            yield self.parts[i], rows, ids[rows] - self._starts[i]
 
     def watch(self, index: int | None) -> None:
         """Keep every substep of one simulation in `watched` from now on; None for none.

@@ -9,7 +9,8 @@ The IMU gives its attitude, angular velocity and specific force at its place in 
 
 .. math:: f = R^T (\ddot p - g) + \alpha \times r + \omega \times (\omega \times r),
 
-which MuJoCo could compute as well, at a sixth of the cost of a physics step.
+which MuJoCo could compute as well, at a sixth of the cost of a physics step. Its attitude is that
+of the pelvis in a frame whose z is up against gravity, which is the world unless the floor slopes.
 
 A reading is of the state before a physics step, and the PD loop works on the reading before that
 one, as in the public simulator. Every three milliseconds a packet leaves the robot: encoders,
@@ -31,7 +32,6 @@ from aslip.cassie import (
     JOINT_ENCODER_BITS,
     MOTOR_ENCODER_BITS,
     PHYSICS_TIMESTEP,
-    STANDARD_GRAVITY,
     SUBSTEPS,
 )
 from aslip.cassie.model import CassieIndices
@@ -75,6 +75,7 @@ class Sensors:
         self._encoder_qpos = np.concatenate([indices.motor_qpos, indices.joint_qpos])
         self._motor_qvel, self._joint_qvel = indices.motor_qvel, indices.joint_qvel
         self._imu = model.site("imu").pos.copy()
+        self._gravity = np.tile(model.opt.gravity[:, None], num)
         motors, joints = len(MOTOR_ENCODER_BITS), len(JOINT_ENCODER_BITS)
         self._motors = motors
         self._angle = np.zeros((SUBSTEPS, num, motors + joints))
@@ -93,6 +94,14 @@ class Sensors:
         """(n, 10) latest readings [rad]."""
         self.motor_velocity = np.zeros((num, motors))
         """(n, 10) [rad/s]."""
+        self.set_gravity(np.arange(num), self._gravity.T)
+
+    def set_gravity(self, ids: np.ndarray, gravity: np.ndarray) -> None:
+        """Say where some robots' (k,) gravity pulls: (k, 3) [m/s^2, world], without y."""
+        self._gravity[:, ids] = gravity.T
+        half = np.arctan2(self._gravity[0], -self._gravity[2]) / 2
+        # turns the world about y until gravity is down
+        self._tilt = (np.cos(half), np.sin(half)) if half.any() else None
 
     def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> None:
         """Begin anew for some robots, as if they had always moved at their present velocities.
@@ -127,9 +136,9 @@ class Sensors:
             "motor_velocity": self.motor_velocity[ids],
             "joint_position": counted,
             "joint_velocity": self._ramp_gain * joint_velocity,
-            "orientation": _upper(inertial[_ATTITUDE]).T,
+            "orientation": self._attitude(inertial[_ATTITUDE], ids).T,
             "gyro": inertial[_GYRO].T,
-            "accelerometer": self._specific_force(inertial).T,
+            "accelerometer": self._specific_force(inertial, ids).T,
         }
         for name, values in first.items():
             self._packets[name][ids] = values[:, None]
@@ -158,14 +167,17 @@ class Sensors:
         joint_velocity, self._joint_memory = lfilter(
             *JOINT_VELOCITY_FILTER, joint_count * _JOINT_STEP, axis=0, zi=self._joint_memory
         )
-        force = self._specific_force(self._inertial)
+        everyone = slice(None)
+        force = self._specific_force(self._inertial, everyone)
         force = force.reshape(3, SENSOR_WINDOW, PACKET_SUBSTEPS, -1).sum(2) / PACKET_SUBSTEPS
         window = {
             "motor_position": motor_count * _MOTOR_STEP,
             "motor_velocity": self._velocity[_SENT],
             "joint_position": joint_count[_SENT] * _JOINT_STEP,
             "joint_velocity": joint_velocity[_SENT],
-            "orientation": np.moveaxis(_upper(self._inertial[_ATTITUDE, _SENT]), 0, -1),
+            "orientation": np.moveaxis(
+                self._attitude(self._inertial[_ATTITUDE, _SENT], everyone), 0, -1
+            ),
             "gyro": np.moveaxis(self._inertial[_GYRO, _SENT], 0, -1),
             "accelerometer": np.moveaxis(force, 0, -1),
         }
@@ -204,11 +216,18 @@ class Sensors:
         self._joint_memory[:] = joint.reshape(num, _ORDER, -1).swapaxes(0, 1)
         self.motor_position[:], self.motor_velocity[:] = position, velocity
 
-    def _specific_force(self, inertial: np.ndarray) -> np.ndarray:
-        """(3, ...) at the IMU in the pelvis frame, from the (13, ...) rows of the record."""
+    def _attitude(self, quaternion: np.ndarray, ids: np.ndarray | slice) -> np.ndarray:
+        """The same (4, ..., k) orientations seen from the frame whose z is against gravity."""
+        if self._tilt is None:
+            return _upper(quaternion)
+        w, x, y, z = quaternion
+        c, s = (part[ids] for part in self._tilt)
+        return _upper(np.stack([c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x]))
+
+    def _specific_force(self, inertial: np.ndarray, ids: np.ndarray | slice) -> np.ndarray:
+        """(3, ..., k) at the IMU in the pelvis frame, from the (13, ..., k) rows of the record."""
         w, *u = inertial[_ATTITUDE]
-        x, y, z = inertial[_LINEAR]
-        proper = (x, y, z + STANDARD_GRAVITY)
+        proper = [a - g for a, g in zip(inertial[_LINEAR], self._gravity[:, ids], strict=True)]
         # R^T a = a - 2 w (u x a) + 2 u x (u x a)
         once = _cross(u, proper)
         twice = _cross(u, once)

@@ -3,7 +3,8 @@
 Guarantees:
 
 - one `advance` is one policy period: 60 substeps of PD control, motor limits, delay and physics;
-- results do not depend on the number of threads, and equal a loop over single simulations;
+- results do not depend on the number of threads, and equal a loop over single simulations, each
+  with a model of its own where `write_fields` has changed it;
 - a simulation that diverges (MuJoCo warning or error, non-finite state) is put back on its feet
   alone, counted, and reported by the call that saw it; the others do not notice.
 
@@ -11,6 +12,8 @@ Trap: arrays of `snapshot()` are live views; copy what must survive the next cal
 """
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -20,6 +23,7 @@ from aslip.cassie import SUBSTEPS
 from aslip.cassie.model import CassieIndices, load_model
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim.drive import Drive
+from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.sensors import Sensors
 from aslip.sim.truth import Snapshot
 
@@ -109,6 +113,23 @@ class Simulations:
         self._warm_start[ids] = 0.0
         self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
+
+    def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+        """Change fields of some simulations' models, from the next substep on.
+
+        A field that once differed between simulations is copied into the model before every step of
+        one; all those of `aslip.sim.DYNAMICS` together make a step 2 % slower.
+
+        Args:
+            ids: (k,) simulations, sorted and unique.
+            fields: (k, ...) of each, by the names of `mujoco.batch`.
+        """
+        for name, rows in fields.items():
+            self.batch.expand(name)[ids] = rows
+        if DERIVING_FIELDS & fields.keys():
+            self.batch.set_const(ids)
+        if "opt.gravity" in fields:
+            self.sensors.set_gravity(ids, fields["opt.gravity"])
 
     def watch(self, index: int | None) -> None:
         """Keep every substep of one simulation in `watched` from now on; None for none."""

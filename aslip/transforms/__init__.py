@@ -17,6 +17,7 @@ from aslip.transforms.observation import (
     SINGLE_REFERENCE_TABLE,
     AssembleObservation,
 )
+from aslip.transforms.randomise import DYNAMICS_RANGES, RandomDynamics, RandomNoise
 from aslip.transforms.reference import (
     Feedforward,
     Odometer,
@@ -26,6 +27,7 @@ from aslip.transforms.reference import (
 from aslip.transforms.reward import RewardTerm, WeightedReward
 
 __all__ = [
+    "DYNAMICS_RANGES",
     "ESTIMATE_SIZES",
     "OBSERVATION_TABLE",
     "ODOMETRY_SIZES",
@@ -44,6 +46,8 @@ __all__ = [
     "ObservationNoise",
     "Odometer",
     "PhaseClock",
+    "RandomDynamics",
+    "RandomNoise",
     "ReferenceInjection",
     "ReferenceStart",
     "RewardTerm",

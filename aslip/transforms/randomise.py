@@ -1,0 +1,152 @@
+"""Robots that differ: dynamics and sensor noise drawn anew for each episode."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Final, cast
+
+import torch
+from tensordict import TensorDictBase
+from torch import Tensor
+from torchrl.data import Composite
+
+from aslip.errors import ConfigurationError
+from aslip.sim import DYNAMICS
+from aslip.sim.dynamics import parameter_named
+from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.noise import ObservationNoise, _normal, _turned
+
+DYNAMICS_RANGES: Final = MappingProxyType(
+    {
+        # one factor for all bodies: the robot's weight has the standard deviation that a factor
+        # from 0.5 to 1.5 of its own for each body would give it, which is what `apex` draws
+        "mass": (0.8, 1.2),
+        # as in `apex`
+        "floor_friction": (0.4, 1.1),
+        # `apex` draws 0.3 to 5.0, for each joint
+        "joint_damping": (0.5, 3.0),
+        # as in another public environment of Cassie
+        "spring_stiffness": (0.8, 1.2),
+        # 1.7 degrees, as in both
+        "slope": (-0.03, 0.03),
+        # ours; the other environment draws the gains of the PD loop from 0.7 to 1.3
+        "motor_strength": (0.8, 1.2),
+        # ours, to twice the robot's own 3 ms
+        "torque_delay": (0.001, 0.006),
+        # ours
+        "sensor_noise": (0.5, 1.5),
+    }
+)
+"""Parameter of `aslip.sim.DYNAMICS` -> least and greatest value, for Cassie on its way to hardware.
+
+`apex` is the public code behind Siekmann et al. 2020 and 2021, from where the paper's comes, too.
+Opinions differ on how much is good: Xie et al. 2019 took policies to Cassie without any."""
+
+_FACTOR_KEY = ("dynamics", "sensor_noise")
+
+
+class RandomDynamics(CassieTransform):
+    """Draw parameters of each robot's dynamics at each of its resets.
+
+    Uniformly within their ranges, under `("dynamics", name)` (n, 1) of resets and steps alike, for
+    logs and for critics that may know more than the actor; single precision. What is drawn for a
+    parameter does not depend on the ranges of others. Parameters without a range stay what the
+    environment has.
+
+    To choose instead, pass `("dynamics", name)` to `env.reset`, or call `env.base_env.set_dynamics`
+    for parameters that are not drawn. In a reset of some robots only, with a `_reset` mask, theirs
+    are drawn anew.
+
+    It is part of no stack by default:
+
+        stack = insert_before(default_stack(library), "start", dynamics=RandomDynamics)
+        stack["noise"] = RandomNoise
+
+    Args:
+        ranges: parameter -> least and greatest value.
+
+    Raises:
+        UnknownNameError: there is no such parameter.
+        ConfigurationError: a range is empty or outside the parameter's limits.
+    """
+
+    def __init__(self, ranges: Mapping[str, tuple[float, float]] = DYNAMICS_RANGES) -> None:
+        for name, (low, high) in ranges.items():
+            parameter = parameter_named(name)
+            if not parameter.low <= low <= high <= parameter.high:
+                raise ConfigurationError(
+                    f"{name} must be drawn from a range within {parameter.low:g} to"
+                    f" {parameter.high:g} ({parameter.meaning}), got {low!r} to {high!r}"
+                )
+        super().__init__(in_keys=[], out_keys=[("dynamics", name) for name in ranges])
+        self.ranges = MappingProxyType(dict(ranges))
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        tensordict = self._request(tensordict)
+        # a column for every parameter there is, drawn or not
+        share = torch.rand(*tensordict.batch_size, len(DYNAMICS), generator=self.generator)
+        columns = dict(zip(DYNAMICS, share.split(1, dim=-1), strict=True))
+        for name, (low, high) in self.ranges.items():
+            draw = (low + (high - low) * columns[name]).clamp(low, high)
+            tensordict = self._draw_into_reset(tensordict, ("dynamics", name), draw)
+        return tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return self._carried(tensordict, tensordict_reset)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return self._carried(tensordict, next_tensordict)
+
+    def _carried(self, tensordict: TensorDictBase, into: TensorDictBase) -> TensorDictBase:
+        for key in self.out_keys:
+            into.set(key, cast("Tensor", tensordict[key]).float())
+        return into
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the parameters that are drawn."""
+        return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare them as something a caller may set."""
+        return extend_spec(state_spec, dict.fromkeys(self.out_keys, 1))
+
+
+class RandomNoise(ObservationNoise):
+    """`ObservationNoise` with all its levels times each robot's `("dynamics", "sensor_noise")`.
+
+    Must come after `RandomDynamics`, which draws that factor. `("sensor_bias", name)` is the bias
+    before it is multiplied.
+    """
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        mask = tensordict.get("_reset", None)
+        factor = cast("Tensor", tensordict_reset[_FACTOR_KEY])
+        self._factor = factor if mask is None or mask.all() else factor[mask.reshape(-1)]
+        return super()._reset(tensordict, tensordict_reset)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        self._factor = cast("Tensor", tensordict[_FACTOR_KEY])
+        return super()._step(tensordict, next_tensordict)
+
+    def _spoil(
+        self, tensordict: TensorDictBase, generators: Mapping[str, torch.Generator]
+    ) -> TensorDictBase:
+        for sensor, (white, _) in self._levels.items():
+            packets = cast("Tensor", tensordict["sensors", sensor])
+            shape = (*packets.shape[:-1], len(white))
+            bias = cast("Tensor", tensordict["sensor_bias", sensor])
+            error = white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2)
+            error = self._factor.unsqueeze(-2) * error
+            noisy = _turned(packets, error) if sensor == "orientation" else packets + error
+            tensordict.set(("sensors", sensor), noisy)
+        return tensordict
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """See `ObservationNoise`."""
+        require_keys(self, observation_spec, [_FACTOR_KEY])
+        return super().transform_observation_spec(observation_spec)

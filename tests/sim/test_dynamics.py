@@ -1,0 +1,312 @@
+"""Robots that differ, in one batch or one by one, move as robots made so."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
+from aslip.cassie.model import load_model
+from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.sim import DYNAMICS
+
+BACKENDS = ("batch", "dm_control")
+GRAVITY = 9.81
+# everything but the delay at once, and unlike anything by default
+ODD = {
+    "mass": 1.13,
+    "payload": 3.0,
+    "floor_friction": 0.41,
+    "spring_stiffness": 0.83,
+    "joint_damping": 2.7,
+    "reflected_inertia": 0.4,
+    "motor_strength": 0.91,
+    "slope": 0.07,
+}
+
+
+def _base(backend: str, num_envs: int = 2) -> CassieEnv:
+    if backend == "batch":
+        return BatchCassieEnv(num_envs, num_threads=1)
+    return DmControlCassieEnv(num_envs)
+
+
+def _walk(env: CassieEnv, steps: int, seed: int = 0) -> np.ndarray:
+    """(steps, n, 67) positions and velocities under random targets around the standing pose."""
+    generator = torch.Generator().manual_seed(seed)
+    standing = torch.tensor(env.model.key("standing").qpos[env.indices.motor_qpos])
+    path = []
+    for _ in range(steps):
+        noise = 0.3 * torch.randn(10, generator=generator)
+        target = (standing + noise).float().expand(env.num_envs, 10)
+        truth = env.step(TensorDict(motor_target=target, batch_size=env.num_envs))["next", "truth"]
+        path.append(torch.cat([truth["qpos"], truth["qvel"]], dim=-1).numpy())
+    return np.array(path)
+
+
+def _edit(change: Callable[[mujoco.MjModel], None]) -> DmControlCassieEnv:
+    """One robot whose model was changed by hand."""
+    env = DmControlCassieEnv(1)
+    model = env.physics[0].model.ptr
+    change(model)
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+    return env
+
+
+def _by_hand(model: mujoco.MjModel) -> None:
+    model.body_mass[:] *= ODD["mass"]
+    model.body_inertia[:] *= ODD["mass"]
+    model.body_mass[model.body("pelvis").id] += ODD["payload"]
+    model.geom("floor").friction[0] = ODD["floor_friction"]
+    model.jnt_stiffness[:] *= ODD["spring_stiffness"]
+    model.dof_damping[:] *= ODD["joint_damping"]
+    model.dof_armature[:] *= ODD["reflected_inertia"]
+    model.actuator_gainprm[:, 0] *= ODD["motor_strength"]
+    model.opt.gravity[:] = GRAVITY * np.array([-np.sin(0.07), 0, -np.cos(0.07)])
+
+
+# ----------------------------------------------------------------- equality
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_robot_moves_as_one_whose_model_was_changed_by_hand(backend: str) -> None:
+    """Bit for bit, and the robot beside it as by default."""
+    env = _base(backend)
+    env.set_dynamics(ODD, np.array([1]))
+    env.reset()
+    path = _walk(env, 12)
+    edited, default = _edit(_by_hand), DmControlCassieEnv(1)
+    for row, single in ((0, default), (1, edited)):
+        single.reset()
+        np.testing.assert_array_equal(path[:, row], _walk(single, 12)[:, 0])
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_every_parameter_matters(name: str) -> None:
+    env = _base("batch")
+    env.set_dynamics({name: ODD[name]}, np.array([1]))
+    env.reset()
+    path = _walk(env, 8)
+    assert np.abs(path[-1, 0] - path[-1, 1]).max() > 1e-4
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_values_that_are_nominal_again_leave_no_trace(backend: str) -> None:
+    env, default = _base(backend, 1), _base(backend, 1)
+    nominal = {name: value[0] for name, value in default.dynamics.items()}
+    env.set_dynamics(ODD | {"torque_delay": 0.004})
+    env.set_dynamics(nominal)
+    env.reset()
+    default.reset()
+    np.testing.assert_array_equal(_walk(env, 8), _walk(default, 8))
+
+
+def test_dynamics_do_not_depend_on_how_robots_share_threads() -> None:
+    paths = []
+    for threads in (1, 3):
+        env = BatchCassieEnv(7, num_threads=threads)
+        env.set_dynamics({"mass": np.linspace(0.9, 1.2, 7)})
+        env.set_dynamics({"floor_friction": [0.3, 0.5]}, np.array([2, 6]))
+        env.reset()
+        paths.append(_walk(env, 6))
+    np.testing.assert_array_equal(*paths)
+
+
+# --------------------------------------------------------------------- laws
+
+
+def test_masses_add_up() -> None:
+    env = BatchCassieEnv(3, num_threads=1)
+    env.set_dynamics({"mass": [1.0, 1.2, 0.8], "payload": [5.0, 0.0, 2.0]})
+    batch = env.simulations.parts[0].batch
+    masses = [batch.get_model(i).body("pelvis").subtreemass[0] for i in range(3)]
+    expected = [TOTAL_MASS + 5, 1.2 * TOTAL_MASS, 0.8 * TOTAL_MASS + 2]
+    np.testing.assert_allclose(masses, expected, rtol=1e-5)
+
+
+def _airborne(slope: float) -> Any:
+    """A policy step of a robot that holds its pose in the air."""
+    env = _base("batch", 1)
+    qpos = torch.tensor(env.model.key("standing").qpos)[None]
+    qpos[:, 2] = 5.0
+    initial = TensorDict(qpos=qpos, qvel=torch.zeros(1, 32), batch_size=1)
+    dynamics = TensorDict(slope=torch.full((1, 1), slope), batch_size=1)
+    env.reset(TensorDict(initial=initial, dynamics=dynamics, batch_size=1))
+    target = qpos[:, env.indices.motor_qpos.copy()].float()
+    return env.step(TensorDict(motor_target=target, batch_size=1))["next"]
+
+
+def test_gravity_leans_back_uphill() -> None:
+    """In the air the centre of mass falls with it."""
+    model = load_model()
+    data = mujoco.MjData(model)
+    truth = _airborne(0.3)["truth"]
+    data.qpos[:], data.qvel[:] = truth["qpos"][0], truth["qvel"][0]
+    mujoco.mj_forward(model, data)
+    mujoco.mj_subtreeVel(model, data)
+    fallen = GRAVITY * POLICY_PERIOD
+    expected = [-fallen * np.sin(0.3), 0, -fallen * np.cos(0.3)]
+    np.testing.assert_allclose(data.subtree_linvel[0], expected, atol=2e-4)
+
+
+def test_the_imu_knows_where_down_is() -> None:
+    """Its attitude is nose-up on an upward slope, and in free fall it feels nothing else."""
+    flat, uphill = (_airborne(slope)["sensors"] for slope in (0.0, 0.3))
+    w, x, y, z = uphill["orientation"][0, 0].double().numpy()
+    forward = np.array([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    np.testing.assert_allclose(forward, [np.cos(0.3), 0, np.sin(0.3)], atol=1e-4)
+    for name in ("gyro", "accelerometer", "motor_position"):
+        torch.testing.assert_close(flat[name], uphill[name], rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("steps", [0, 1, 6, 8, 9, 40])
+def test_torques_act_when_they_should(backend: str, steps: int) -> None:
+    """A target that differs from now on moves the motor so many physics steps later."""
+    torques = []
+    for offset in (0.0, 0.2):
+        env = _base(backend, 1)
+        env.watch(0)
+        env.set_dynamics({"torque_delay": steps * PHYSICS_TIMESTEP})
+        env.reset()
+        target = env.model.key("standing").qpos[env.indices.motor_qpos] + offset
+        td = TensorDict(motor_target=torch.tensor(target[None]).float(), batch_size=1)
+        env.step(td)
+        torques.append(env.watched[:, 67:77].copy())
+    differ = np.flatnonzero((torques[0] != torques[1]).any(axis=1))
+    assert differ[0] == steps
+
+
+def test_motor_strength_scales_what_is_delivered() -> None:
+    """At the limit, too: the first torques of a target out of reach."""
+    env = _base("batch", 2)
+    env.set_dynamics({"motor_strength": 0.7, "torque_delay": 0.0}, np.array([1]))
+    env.set_dynamics({"torque_delay": 0.0}, np.array([0]))
+    env.reset()
+    first = []
+    for robot in range(2):
+        env.watch(robot)
+        env.reset()
+        env.step(TensorDict(motor_target=torch.full((2, 10), 3.0), batch_size=2))
+        first.append(env.watched[0, 67:77].copy())
+    np.testing.assert_allclose(first[1], 0.7 * first[0], rtol=1e-12)
+    assert np.abs(first[0]).max() > 190  # hip pitch and knee give 195.2 N m at most
+
+
+# ------------------------------------------------------------- longer memory
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_a_longer_memory_of_commands_changes_nothing_else(backend: str) -> None:
+    """Given in the middle of a walk, for one robot; the other goes on as if nothing had been."""
+    env, default = _base(backend), _base(backend)
+    for each in (env, default):
+        each.reset()
+        _walk(each, 3)
+    env.set_dynamics({"torque_delay": 0.011}, np.array([1]))
+    path, expected = (_walk(each, 5, seed=1) for each in (env, default))
+    np.testing.assert_array_equal(path[:, 0], expected[:, 0])
+    assert (path[:, 1] != expected[:, 1]).any()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_commands_on_their_way_are_not_forgotten(backend: str) -> None:
+    """Memory that was long enough all along gives the same walk."""
+    early, late = _base(backend, 1), _base(backend, 1)
+    early.set_dynamics({"torque_delay": 0.02})
+    early.set_dynamics({"torque_delay": 0.003})
+    paths = []
+    for env in (early, late):
+        env.reset()
+        _walk(env, 2)
+        # reaches back to the last command that the short memory holds
+        env.set_dynamics({"torque_delay": 0.0045})
+        env.set_dynamics({"torque_delay": 0.004})
+        paths.append(_walk(env, 3, seed=1))
+    np.testing.assert_array_equal(*paths)
+
+
+def test_what_a_longer_memory_lacks_is_the_oldest_there_is() -> None:
+    """A delay beyond all that is remembered gives the oldest command, and then those after it."""
+    torques = []
+    for delay in (0.004, 0.01):
+        env = _base("batch", 1)
+        env.reset()
+        _walk(env, 2)
+        env.watch(0)
+        env.set_dynamics({"torque_delay": delay})
+        _walk(env, 1, seed=1)
+        torques.append(env.watched[:, 67:77].copy())
+    short, long = torques
+    np.testing.assert_array_equal(long[:12], np.tile(short[0], (12, 1)))
+    np.testing.assert_array_equal(long[12:20], short[:8])
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_states_resume_among_robots_of_the_same_dynamics(backend: str) -> None:
+    env, other = _base(backend), _base(backend)
+    for each in (env, other):
+        each.set_dynamics(ODD | {"torque_delay": [0.001, 0.012]})
+        each.reset()
+    _walk(env, 4)
+    other.set_states(env.states())
+    np.testing.assert_array_equal(_walk(env, 4, seed=1), _walk(other, 4, seed=1))
+
+
+# ------------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_values_out_of_limits_are_refused_and_nothing_happens(backend: str) -> None:
+    env = _base(backend)
+    before = env.dynamics
+    for values, message in (
+        (
+            {"mass": 1.1, "floor_friction": [0.5, -1.0]},
+            r"floor_friction of robot 1.*0\.01 to 5.*-1",
+        ),
+        ({"torque_delay": 0.2}, r"torque_delay of robot 0 must be from 0 to 0\.03 .*got 0\.2"),
+        ({"slope": 45.0}, r"slope.*-0\.7 to 0\.7.*got 45"),
+        ({"payload": float("nan")}, r"payload.*0 to 100.*got nan"),
+    ):
+        with pytest.raises(ConfigurationError, match=message):
+            env.set_dynamics(values)
+    for name, value in env.dynamics.items():
+        np.testing.assert_array_equal(value, before[name])
+    assert not env.altered
+
+
+def test_limits_themselves_are_accepted_in_single_precision() -> None:
+    env = _base("batch", 1)
+    for bound in ("low", "high"):
+        env.set_dynamics({name: np.float32(getattr(p, bound)) for name, p in DYNAMICS.items()})
+
+
+def test_what_does_not_exist_is_named() -> None:
+    env = _base("batch")
+    with pytest.raises(UnknownNameError, match="did you mean 'floor_friction'"):
+        env.set_dynamics({"floor_fricton": 1.0})
+    with pytest.raises(ShapeError, match=r"mass.*\(2,\).*\(3,\)"):
+        env.set_dynamics({"mass": [1.0, 1.0, 1.0]})
+    for ids in ([2], [1, 0], [0, 0], [-1]):
+        with pytest.raises(ConfigurationError, match="robots 0 to 1"):
+            env.set_dynamics({"mass": 1.0}, np.array(ids))
+    with pytest.raises(ShapeError, match=r"mass.*\(2, 1\)"):
+        dynamics = TensorDict(mass=torch.ones(2), batch_size=2)
+        env.reset(TensorDict(dynamics=dynamics, batch_size=2))
+
+
+def test_dynamics_are_copies() -> None:
+    env = _base("batch")
+    env.dynamics["mass"][:] = 5.0
+    assert env.dynamics["mass"].tolist() == [1.0, 1.0]
+    assert DYNAMICS["torque_delay"].high == SUBSTEPS * PHYSICS_TIMESTEP

@@ -1,0 +1,307 @@
+"""Robots differ as much as they are told to, from reset to reset, and not otherwise."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import SerialEnv
+from torchrl.envs.utils import check_env_specs
+
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.library import GaitLibrary
+from aslip.log import Recorder
+from aslip.sim import DYNAMICS
+from aslip.stack import CassieTransformedEnv, Stack, default_stack, insert_before
+from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics, RandomNoise
+from tests.conftest import MakeEnv, differing
+
+BACKENDS = ("batch", "dm_control")
+Ranges = Mapping[str, tuple[float, float]]
+# everything there is, at its default
+NOMINAL: Ranges = {
+    name: (value, value)
+    for name, value in (
+        dict.fromkeys(DYNAMICS, 1.0) | {"payload": 0.0, "torque_delay": 0.003, "slope": 0.0}
+    ).items()
+}
+
+
+def _stack(
+    library: GaitLibrary, ranges: Ranges, noise: Callable[[], ObservationNoise] = ObservationNoise
+) -> Stack:
+    stack = default_stack(library)
+    stack = insert_before(stack, "start", dynamics=lambda: RandomDynamics(ranges))
+    return stack | {"noise": noise}
+
+
+def _rollout(env: CassieTransformedEnv, steps: int, seed: int = 0) -> Any:
+    """Under deltas of its own, with resets in between."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def act(td: TensorDictBase) -> TensorDictBase:
+        return td.set("action", 0.3 * torch.randn(*td.batch_size, 10, generator=generator))
+
+    return env.rollout(steps, act, break_when_any_done=False)  # pyright: ignore
+
+
+def _dynamics(td: TensorDictBase) -> dict[str, torch.Tensor]:
+    return dict(td["dynamics"].items())
+
+
+# --------------------------------------------------------- what is not drawn
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_ranges_of_no_width_are_the_default_environment(
+    make: MakeEnv, library: GaitLibrary, backend: str
+) -> None:
+    """Bit for bit, through falls and resets."""
+    default = _rollout(make(backend, num_envs=2, seed=3), 30)
+    env = make(backend, num_envs=2, seed=3, stack=_stack(library, NOMINAL, RandomNoise))
+    rollout = _rollout(env, 30)
+    assert default["next", "done"].any()
+    assert not env.base_env.altered
+    assert _dynamics(rollout)["torque_delay"].unique().tolist() == pytest.approx([0.003])
+    for part in (rollout, rollout["next"]):
+        del part["dynamics"]
+    assert differing(default, rollout) == []
+
+
+@pytest.mark.parametrize("ranges", [{"joint_damping": (1.0, 1.0)}, {"floor_friction": (0.6, 0.6)}])
+def test_the_friction_of_an_environment_is_kept(
+    make: MakeEnv, library: GaitLibrary, ranges: Ranges
+) -> None:
+    """Also if it is drawn in single precision, which does not have it."""
+    env = make(num_envs=1, stack=_stack(library, ranges), floor_friction=0.6)
+    env.reset()
+    assert env.base_env.dynamics["floor_friction"].tolist() == [0.6]
+    assert not env.base_env.altered
+
+
+def test_nothing_is_drawn_by_default(make: MakeEnv) -> None:
+    env = make(num_envs=1)
+    assert not any(isinstance(t, RandomDynamics | RandomNoise) for t in env.transforms)
+    assert "dynamics" not in env.reset()
+
+
+# --------------------------------------------------------------------- draws
+
+
+def test_draws_fill_their_ranges(make: MakeEnv, library: GaitLibrary) -> None:
+    """Means and correlations within 5 standard errors, and reaching every third of the range."""
+    num = 64
+    td = make(num_envs=num, stack=_stack(library, DYNAMICS_RANGES)).reset()
+    assert set(_dynamics(td)) == set(DYNAMICS_RANGES)
+    for name, (low, high) in DYNAMICS_RANGES.items():
+        value = td["dynamics", name]
+        assert value.shape == (num, 1)
+        assert value.dtype == torch.float32
+        share = (value - low) / (high - low)
+        assert -1e-6 <= share.min() < 1 / 3
+        assert 2 / 3 < share.max() <= 1 + 1e-6
+        assert abs(share.mean() - 0.5) < 5 * math.sqrt(1 / 12 / num), name
+    correlation = torch.corrcoef(torch.cat(list(_dynamics(td).values()), dim=-1).T)
+    assert (correlation - torch.eye(len(correlation))).abs().max() < 5 / math.sqrt(num)
+
+
+def test_what_is_reported_is_what_the_robots_have(make: MakeEnv, library: GaitLibrary) -> None:
+    env = make(num_envs=4, stack=_stack(library, DYNAMICS_RANGES))
+    td = env.reset()
+    for name, values in env.base_env.dynamics.items():
+        if name not in DYNAMICS_RANGES:
+            continue
+        # delays are rounded to physics steps
+        within = 0.00026 if name == "torque_delay" else 1e-6
+        difference = (td["dynamics", name][:, 0] - torch.tensor(values)).abs().max()
+        assert difference < within, name
+
+
+def test_the_same_seed_draws_the_same(make: MakeEnv, library: GaitLibrary) -> None:
+    """Whatever else the stack has, or is drawn."""
+    friction = {"floor_friction": DYNAMICS_RANGES["floor_friction"]}
+    several, alone = _stack(library, DYNAMICS_RANGES), _stack(library, friction)
+
+    def draws(seed: int, stack: Stack, **settings: Any) -> list[float]:
+        env = make(num_envs=3, seed=seed, stack=stack, **settings)
+        both = [env.reset()["dynamics", "floor_friction"] for _ in range(2)]
+        return torch.cat(both)[:, 0].tolist()
+
+    first = draws(1, several)
+    assert len(set(first)) == 6
+    assert draws(1, several, drop=["foot_orient"]) == first
+    assert draws(1, alone) == first
+    assert not set(draws(2, several)) & set(first)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_only_robots_that_reset_change(make: MakeEnv, library: GaitLibrary, backend: str) -> None:
+    """And until then they keep theirs, also under a longer delay that only one has."""
+    env = make(
+        backend, num_envs=3, stack=_stack(library, {**DYNAMICS_RANGES, "torque_delay": (0.0, 0.02)})
+    )
+    td = _rollout(env, 30)
+    done = td["next", "done"][:, :-1, 0]
+    assert done.any()
+    assert not done.all()
+    for name, values in _dynamics(td).items():
+        kept = values[:, 1:] == values[:, :-1]
+        assert (kept[..., 0] == ~done).all(), name
+        torch.testing.assert_close(td["next", "dynamics", name], values, rtol=0, atol=0)
+    last = td["next"][:, -1]
+    held = torch.tensor(env.base_env.dynamics["mass"]).float()[~last["done"][:, 0]]
+    torch.testing.assert_close(held, last["dynamics", "mass"][~last["done"][:, 0], 0])
+
+
+def test_backends_are_equal_bit_for_bit(make: MakeEnv, library: GaitLibrary) -> None:
+    """Also for robots that differ."""
+    ranges = {**DYNAMICS_RANGES, "payload": (0.0, 5.0), "torque_delay": (0.0, 0.01)}
+    rollouts = [
+        _rollout(make(backend, num_envs=2, stack=_stack(library, ranges, RandomNoise)), 25)
+        for backend in BACKENDS
+    ]
+    assert rollouts[0]["next", "done"].any()
+    assert differing(*rollouts) == []
+
+
+def test_a_caller_may_choose(make: MakeEnv, library: GaitLibrary) -> None:
+    """In a reset of all robots; those that fall later are drawn."""
+    env = make(num_envs=2, stack=_stack(library, {"mass": (0.9, 1.1), "slope": (0.0, 0.0)}))
+    chosen = TensorDict(mass=torch.tensor([[0.5], [1.5]]), batch_size=2)
+    td = env.reset(TensorDict(dynamics=chosen, batch_size=2))
+    assert td["dynamics", "mass"][:, 0].tolist() == [0.5, 1.5]
+    assert env.base_env.dynamics["mass"].tolist() == [0.5, 1.5]
+    td["_reset"] = torch.tensor([[True], [False]])
+    td = env.reset(td)
+    assert 0.9 <= td["dynamics", "mass"][0, 0] <= 1.1
+    assert td["dynamics", "mass"][1, 0] == 1.5
+    assert env.base_env.dynamics["mass"].tolist()[1] == 1.5
+
+
+# ------------------------------------------------------------------- contract
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_stacks_keep_their_specs(make: MakeEnv, library: GaitLibrary, backend: str) -> None:
+    stack = _stack(library, DYNAMICS_RANGES, RandomNoise)
+    check_env_specs(make(backend, num_envs=2, stack=stack), break_when_any_done="both")
+
+
+def test_stacks_work_in_a_serial_env(make: MakeEnv, library: GaitLibrary) -> None:
+    stack = _stack(library, DYNAMICS_RANGES, RandomNoise)
+    serial = SerialEnv(2, lambda: make(num_envs=2, stack=stack))
+    try:
+        rollout: Any = serial.rollout(4)
+        assert rollout["dynamics", "mass"].shape == (2, 2, 4, 1)
+    finally:
+        serial.close()
+
+
+@pytest.mark.parametrize(
+    ("ranges", "message"),
+    [
+        ({"mass": (1.2, 0.8)}, r"mass.*0\.2 to 5.*1\.2 to 0\.8"),
+        ({"floor_friction": (0.0, 1.0)}, r"floor_friction.*0\.01 to 5.*0\.0 to 1\.0"),
+        ({"torque_delay": (0.0, 0.1)}, r"torque_delay.*0 to 0\.03.*0\.0 to 0\.1"),
+        ({"sensor_noise": (math.nan, 1.0)}, r"sensor_noise.*nan"),
+    ],
+)
+def test_ranges_that_make_no_sense_are_refused(ranges: Ranges, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        RandomDynamics(ranges)
+
+
+def test_unknown_parameters_are_named() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'joint_damping'"):
+        RandomDynamics({"joint_dampng": (1.0, 2.0)})
+
+
+def test_a_chosen_value_out_of_limits_is_refused(make: MakeEnv, library: GaitLibrary) -> None:
+    env = make(num_envs=2, stack=_stack(library, DYNAMICS_RANGES))
+    chosen = TensorDict(mass=torch.tensor([[1.0], [50.0]]), batch_size=2)
+    with pytest.raises(ConfigurationError, match=r"mass of robot 1.*0\.2 to 5.*got 50"):
+        env.reset(TensorDict(dynamics=chosen, batch_size=2))
+
+
+@pytest.mark.parametrize("when", ["before", "during"])
+def test_robots_that_differ_are_not_recorded(
+    make: MakeEnv, library: GaitLibrary, tmp_path: Path, when: str
+) -> None:
+    """Their replay would be another walk; robots of no other dynamics are recorded."""
+    stack = _stack(library, NOMINAL if when == "during" else DYNAMICS_RANGES)
+    stack["recorder"] = lambda: Recorder(tmp_path / "walk.mcap", library=library)
+    env = make(num_envs=1, stack=stack)
+    if when == "during":
+        td = env.reset()
+        env.base_env.set_dynamics({"payload": 1.0})
+        with pytest.raises(ConfigurationError, match="replay"):
+            env.step(td.set("action", torch.zeros(1, 10)))
+    else:
+        with pytest.raises(ConfigurationError, match="replay"):
+            env.reset()
+        assert not list(tmp_path.iterdir())
+    env.close()
+
+
+# ---------------------------------------------------------------------- noise
+
+
+def _errors(env: CassieTransformedEnv, clean: CassieTransformedEnv, steps: int) -> torch.Tensor:
+    """(n, steps + 1) mean error of the gyro, of robots that do the same in both."""
+    rollouts = [_rollout(each, steps) for each in (env, clean)]
+    packets = [
+        torch.cat([r["sensors", "gyro"], r["next", "sensors", "gyro"][:, -1:]], 1) for r in rollouts
+    ]
+    return (packets[0] - packets[1]).abs().mean((-1, -2))
+
+
+def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> None:
+    """Exactly twice the error at a factor of two, none at zero; with one seed all else is equal."""
+    settings: dict[str, Any] = {"num_envs": 1, "seed": 4, "drop": ["low_reward"]}
+    clean = make(**settings, replace={"noise": lambda: ObservationNoise(scale=0)})
+    errors = {}
+    for factor in (0.0, 1.0, 2.0):
+        stack = _stack(library, {"sensor_noise": (factor, factor)}, RandomNoise)
+        clean.set_seed(4)
+        errors[factor] = _errors(make(**settings, stack=stack), clean, 6)
+    assert errors[1.0].min() > 0
+    torch.testing.assert_close(errors[2.0], 2 * errors[1.0], rtol=1e-3, atol=0)
+    assert not errors[0.0].any()
+
+
+def test_the_attitude_errs_by_the_factor(make: MakeEnv, library: GaitLibrary) -> None:
+    env = make(num_envs=2, stack=_stack(library, {"sensor_noise": (0.0, 100.0)}, RandomNoise))
+    chosen = TensorDict(sensor_noise=torch.tensor([[0.0], [100.0]]), batch_size=2)
+    start = {"phase": torch.zeros(2, 1), "command": torch.zeros(2, 1), "dynamics": chosen}
+    td = env.reset(TensorDict(start, batch_size=2))
+    true = td["truth", "pelvis_orientation"][:, None]
+    cosine = (td["sensors", "orientation"] * true).sum(-1).abs()
+    assert cosine[0].min() > 1 - 1e-6
+    assert cosine[1].min() < 1 - 1e-4
+
+
+def test_a_robot_that_resets_alone_gets_its_own_noise(make: MakeEnv, library: GaitLibrary) -> None:
+    """Its error over that of a factor of one is the factor it has drawn."""
+    packets = []
+    for noise in (RandomNoise, ObservationNoise, lambda: ObservationNoise(scale=0)):
+        env = make(num_envs=3, stack=_stack(library, {"sensor_noise": (0.5, 50.0)}, noise))
+        td = env.reset()
+        td["_reset"] = torch.tensor([[False], [False], [True]])
+        td = env.reset(td)
+        packets.append(td["sensors", "accelerometer"])
+    factor = td["dynamics", "sensor_noise"]
+    assert (factor[:2] - factor[2]).abs().min() > 1
+    noisy, nominal, clean = packets
+    torch.testing.assert_close(
+        noisy - clean, factor[..., None] * (nominal - clean), rtol=1e-3, atol=1e-3
+    )
+
+
+def test_noise_without_its_factor_is_refused(make: MakeEnv) -> None:
+    with pytest.raises(UnknownNameError, match=r"RandomNoise reads .*sensor_noise"):
+        make(num_envs=1, replace={"noise": RandomNoise})
