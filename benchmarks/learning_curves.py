@@ -1,8 +1,9 @@
-"""What it costs to learn without the truth: the recipe with and without an estimator, some seeds.
+"""How fast the recipe learns: on the estimate, on the truth, and with the paper's settings.
 
     python -m benchmarks.learning_curves                      # train what is missing, then report
     python -m benchmarks.learning_curves --jobs 2             # two runs at once, a processor each
     python -m benchmarks.learning_curves --no-train           # report what there is
+    python -m benchmarks.learning_curves --variants estimate paper --seeds 0 1 2 3 4 5 6 7 8 9
 
 Each run is `recipes/ppo_aslip.py` in a folder of its own. Runs that were interrupted, with Ctrl-C
 or otherwise, go on from their last checkpoint the next time. Curves are means over seeds with
@@ -18,7 +19,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 import tyro
@@ -28,8 +29,12 @@ from tqdm import tqdm
 from aslip.plots import save_figure
 from aslip.run import read_progress, write_text
 
-VARIANTS: Final = MappingProxyType({"truth": ("--truth",), "estimate": ()})
-"""Name -> flags of the recipe."""
+VARIANTS: Final = MappingProxyType(
+    {"truth": ("--truth",), "estimate": (), "paper": ("--preset", "paper")}
+)
+"""Name -> flags of the recipe; the paper's settings are on the estimate, too."""
+
+_COLORS = {"truth": "tab:gray", "estimate": "tab:red", "paper": "tab:blue"}
 
 Curves = dict[int, dict[str, np.ndarray]]
 """Seed -> columns of a run's progress."""
@@ -46,9 +51,11 @@ class Config:
 
     out: Path = Path("runs/learning_curves")
     """Folder of the runs, one each, by variant and seed."""
+    variants: tuple[Literal["truth", "estimate", "paper"], ...] = ("truth", "estimate")
+    """What to compare."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
-    total_steps: int = 1_800_000
+    total_steps: int = 1_000_000
     """Policy steps of each run."""
     jobs: int = 1
     """Runs at once; more than one are bound to a processor each."""
@@ -63,7 +70,7 @@ def main(config: Config) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     if config.train:
         _train(config)
-    curves = {name: _curves(config, name) for name in VARIANTS}
+    curves = {name: _curves(config, name) for name in config.variants}
     table = report(curves)
     print(table)
     write_text(config.out / "summary.md", table + "\n")
@@ -79,7 +86,7 @@ def _folder(config: Config, variant: str, seed: int) -> Path:
 
 def _train(config: Config) -> None:
     """Run what is missing, seed by seed, so that variants can be compared early."""
-    wanted = [(variant, seed) for seed in config.seeds for variant in VARIANTS]
+    wanted = [(variant, seed) for seed in config.seeds for variant in config.variants]
     total = len(wanted) * config.total_steps
     waiting = [run for run in wanted if _steps(_folder(config, *run)) < config.total_steps]
     running: dict[int, subprocess.Popen[bytes]] = {}
@@ -137,7 +144,7 @@ def _curves(config: Config, variant: str) -> Curves:
 def report(curves: dict[str, Curves]) -> str:
     """A row for each run: when it walks, and how well in the end."""
     lines = [
-        f"| policy sees | seed | policy steps | episodes of {_WALKING:.0f} after"
+        f"| variant | seed | policy steps | episodes of {_WALKING:.0f} after"
         " | length at the end | return | evaluation: return | speeds walked |",
         "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
@@ -160,9 +167,10 @@ def picture(curves: dict[str, Curves]) -> Figure:
     figure = Figure(figsize=(10, 4), layout="constrained")
     axes = figure.subplots(1, 2)
     for axis, column in zip(axes, ("episode_length", "episode_return"), strict=True):
-        for (variant, runs), color in zip(curves.items(), ("tab:gray", "tab:red"), strict=True):
+        for variant, runs in curves.items():
             if not runs:
                 continue
+            color = _COLORS[variant]
             shortest = min(runs.values(), key=lambda run: len(run["step"]))
             steps = shortest["step"] / 1e6
             values = np.stack([run[column][: len(steps)] for run in runs.values()])

@@ -18,7 +18,7 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic
 from aslip.rom import SlipParameters
 from aslip.stack import MAX_EPISODE_STEPS
 from aslip.transforms import LowReward
-from recipes.ppo_aslip import Config
+from recipes.ppo_aslip import PRESETS
 from tests.conftest import MakeEnv
 
 
@@ -129,8 +129,8 @@ def test_episodes_end_below_a_reward_of_0_3() -> None:
 
 
 def test_ppo_hyper_parameters() -> None:
-    """Table II."""
-    config = Config()
+    """Table II, and no more than the paper has."""
+    config = PRESETS["paper"]
     assert config.learning_rate == 1e-4
     assert config.adam_epsilon == 1e-5
     assert config.gamma == 0.99
@@ -139,6 +139,10 @@ def test_ppo_hyper_parameters() -> None:
     assert config.minibatch == 64
     # "sample size 5096", rounded up to whole steps of all robots
     assert config.samples == -(-5096 // config.num_envs) * config.num_envs
+    assert config.last_learning_rate == config.learning_rate
+    assert config.stack == "paper"
+    assert not config.symmetric
+    assert config.value_scale == 1
 
 
 def test_the_net_has_two_hidden_layers_of_256_with_relu() -> None:
