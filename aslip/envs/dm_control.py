@@ -6,13 +6,18 @@ dm_control's tools are wanted.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from copy import copy
 
 import mujoco
 import numpy as np
-from dm_control.mujoco.wrapper import MjModel
-from dm_control.rl.control import PhysicsError
+
+with warnings.catch_warnings():
+    # dm_control looks for a display on import; its absence matters only to those who render
+    warnings.filterwarnings("ignore", module="glfw")
+    from dm_control.mujoco.wrapper import MjModel
+    from dm_control.rl.control import PhysicsError
 
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
 from aslip.envs.base import CassieEnv, check_num_envs

@@ -66,6 +66,8 @@ _CAUSES = (*_CLOCK, "action", "motor_target", "push")
 _OUTCOMES = ("reward", "terminated")
 _NO_PUSH = np.zeros(3)
 _START = {"faults": "fault"}
+# the filter's insides, and what follows from gaits, phase and command but is of no use to look at
+_UNLOGGED = {"estimate": {"memory"}, "reference": {"motor_velocity", "motor_torque"}}
 
 
 class Recorder(Transform):
@@ -516,7 +518,7 @@ def _entries(group: str, row: Row) -> dict[str, str]:
     """Entries that a group's topic has, and how the names of their numbers begin."""
     if group == "truth":
         return {key: key for key in _TRUTH}
-    return {key: _START.get(key, key) for key in row if key != "memory"}
+    return {key: _START.get(key, key) for key in row if key not in _UNLOGGED[group]}
 
 
 def _transforms_template(frames: Sequence[str]) -> Template:
