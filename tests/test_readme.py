@@ -9,12 +9,12 @@ ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 
 
-def test_every_python_block_runs() -> None:
+def test_every_python_block_runs(tmp_path: Path) -> None:
     """One after the other in one process, as a reader would paste them."""
     code = "\n".join(re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL))
     assert "make_env" in code
     result = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert result.returncode == 0, result.stderr
 
