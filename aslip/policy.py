@@ -7,13 +7,16 @@ output is unbounded"). The normaliser is part of the policy, so it travels with 
 
 from __future__ import annotations
 
+import json
 import math
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
+from tensordict import TensorDict
 from tensordict.nn import (
     AddStateIndependentNormalScale,
     InteractionType,
@@ -299,9 +302,26 @@ def load_components(path: Path, **components: Any) -> None:
         FileDamagedError: the file is truncated, altered, or holds other things.
     """
     try:
+        _refuse_programs(path)
         Checkpoint(**components).load(path)
     except Exception as error:
         raise _damaged(path, error) from error
+
+
+def _refuse_programs(path: Path) -> None:
+    """Check that an archive holds JSON and arrays only: TorchRL and TensorDict unpickle the rest.
+
+    Raises:
+        ValueError: it holds something else.
+    """
+    with zipfile.ZipFile(path) as archive:
+        for name in archive.namelist():
+            if not name.endswith((".json", ".memmap")):
+                raise ValueError(f"it holds {name!r}, which is neither JSON nor an array")
+            if name.endswith("/meta.json"):
+                kind = json.loads(archive.read(name))["_type"]
+                if kind != str(TensorDict):
+                    raise ValueError(f"{name!r} describes a {kind}, not tensors")
 
 
 def _damaged(path: Path, error: Exception) -> FileDamagedError:
