@@ -3,40 +3,56 @@
     config.json         settings, as the recipe's dataclass has them
     progress.csv        one row an update
     tensorboard/        the same for TensorBoard
-    checkpoints/        the newest ones, each a ZIP archive without pickle
+    checkpoints/        the last three, each a ZIP archive without pickle
     policy.zip          what `aslip.load_policy` reads
 
 Files are written under a temporary name and renamed, but for the CSV, which grows by whole rows.
+
+A full disk does not end a training: it goes on with a warning, the checkpoints on disk stay as they
+are, rows wait in memory, and each of the next ones is another attempt. Only if the last checkpoint
+cannot be written the run ends with an error.
 """
 
 from __future__ import annotations
 
 import csv
 import dataclasses
+import errno
 import json
 import math
 import os
+import shutil
+import signal
 import sys
-from collections.abc import Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from torch.utils.tensorboard import SummaryWriter
 from torchrl import torchrl_logger
-from torchrl.checkpoint import Checkpoint, CheckpointRotation
 
 try:
     import resource
 except ImportError:  # not on Windows
     resource = None
 
-from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.policy import POLICY_FILE, load_components, read_manifest
+from aslip.checkpoint import load_checkpoint, save_checkpoint, snapshot
+from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.policy import POLICY_FILE
 
 _PROGRESS_FILE = "progress.csv"
+_KEPT_CHECKPOINTS = 3
+_DAMAGED = ".damaged"
 
 # settings that may differ between a run and its continuation
-_MAY_DIFFER = ("resume", "out", "total_steps")
+_MAY_DIFFER = ("resume", "out", "total_steps", "checkpoint_minutes")
+
+
+class TrainingStoppedError(AslipError, RuntimeError):
+    """A training that could not go on, or whose last checkpoint could not be written."""
 
 
 class TrainingRun:
@@ -49,88 +65,223 @@ class TrainingRun:
 
     Raises:
         ConfigurationError: the folder holds a checkpoint and `resume` is not set; or there is
-            nothing to resume; or the settings differ from the run's.
+            nothing to resume; or the settings differ from the run's; or the folder cannot be
+            written to.
+        FileDamagedError: the settings of the run in the folder cannot be read.
     """
 
     def __init__(self, folder: Path, config: Any, *, resume: bool) -> None:
         self.folder = Path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
-        settings_file = self.folder / "config.json"
-        if any((self.folder / "checkpoints").glob("checkpoint-*")) and not resume:
-            raise ConfigurationError(
-                f"{str(self.folder)!r} holds a run already; continue it with --resume, or give"
-                " another folder with --out"
-            )
-        if resume:
-            self._check_settings(settings_file)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        write_text(settings_file, json.dumps(self.settings, indent=1) + "\n")
-        self._rotation = CheckpointRotation(self.folder / "checkpoints", keep_last=2)
-        self._tensorboard: SummaryWriter | None = None
         self._csv = self.folder / _PROGRESS_FILE
-        if not resume:
-            self._csv.unlink(missing_ok=True)
+        self._rows = ""  # not in the file yet
+        self._tensorboard: SummaryWriter | None = None
+        self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
+        self._saved = -1  # policy steps of the newest checkpoint
+        try:
+            self._open(self.folder / "config.json", resume)
+        except OSError as error:
+            raise ConfigurationError(
+                f"{str(self.folder)!r} cannot be written to ({error}); give another folder with"
+                " --out"
+            ) from error
 
     @property
     def policy_file(self) -> Path:
         """Where the run's policy belongs."""
         return self.folder / POLICY_FILE
 
+    # ------------------------------------------------------------------- logs
+
     def log(self, step: int, scalars: Mapping[str, float]) -> None:
         """Add a row to the CSV and a point to each TensorBoard curve."""
-        with self._csv.open("a", newline="") as file:
-            writer = csv.writer(file)
-            if file.tell() == 0:
-                writer.writerow(["step", *scalars])
-            writer.writerow([step, *(f"{value:.6g}" for value in scalars.values())])
-        if self._tensorboard is None:
-            # points that a resumed run writes again are dropped
-            self._tensorboard = SummaryWriter(str(self.folder / "tensorboard"), purge_step=step)
-        for name, value in scalars.items():
-            self._tensorboard.add_scalar(name, value, step)
+        if not self._rows and not self._csv.exists():
+            self._rows = ",".join(["step", *scalars]) + "\n"
+        self._rows += ",".join([str(step), *(f"{value:.6g}" for value in scalars.values())]) + "\n"
+        try:
+            self._write_rows()
+            if self._tensorboard is None:
+                # points that a resumed run writes again are dropped
+                folder = str(self.folder / "tensorboard")
+                self._tensorboard = SummaryWriter(folder, purge_step=step)
+            for name, value in scalars.items():
+                self._tensorboard.add_scalar(name, value, step)
+        except OSError as error:
+            # a writer that has failed once fails for good
+            self._tensorboard = None
+            torchrl_logger.warning(f"a row of the logs could not be written ({error})")
 
     def history(self) -> dict[str, list[float]]:
         """The CSV's columns; empty if there is none yet."""
         return read_progress(self.folder)
 
-    def save(self, step: int, metadata: Mapping[str, Any], **components: Any) -> None:
-        """Write a checkpoint and drop the ones before the last two."""
-        checkpoint = Checkpoint(format="archive", **components)
-        self._rotation.save(checkpoint, step=step, metadata=dict(metadata))
+    # ------------------------------------------------------------ checkpoints
 
-    def restore(self, **components: Any) -> dict[str, Any]:
-        """Load the newest intact checkpoint into the components; return its metadata.
+    @contextmanager
+    def saving(
+        self, components: Mapping[str, Any], minutes: float
+    ) -> Iterator[Callable[[int, Mapping[str, Any]], None]]:
+        """Save checkpoints in the body of a `with`, and in the end, whatever ends it.
+
+        Yields a function `keep(step, metadata)`, to be called after each update: it copies the
+        states of the components, and writes them if it is time. What ends the body in the middle of
+        an update, Ctrl-C, SIGTERM or an error, has the last copy written. Ctrl-C only ends the
+        body; SIGTERM ends the program as well.
+
+        Args:
+            components: name -> what has `state_dict` and `load_state_dict`.
+            minutes: between checkpoints.
 
         Raises:
-            ConfigurationError: there is no intact checkpoint.
+            TrainingStoppedError: the body raised something; or the last checkpoint could not be
+                written.
         """
-        damaged: list[str] = []
-        # names sort by step; the rotation's own list leaves out what it cannot read
-        for path in sorted((self.folder / "checkpoints").glob("checkpoint-*"), reverse=True):
+        last = -math.inf
+
+        def keep(step: int, metadata: Mapping[str, Any]) -> None:
+            nonlocal last
+            self._state = step, {**metadata, "step": step}, snapshot(components)
+            if time.monotonic() - last >= 60 * minutes:
+                if error := self._save():
+                    torchrl_logger.warning(f"{_unsaved(step, error)}; training goes on")
+                last = time.monotonic()
+
+        cause: Exception | None = None
+        unsaved: OSError | None = None
+        try:
+            with _sigterm_exits():
+                yield keep
+        except KeyboardInterrupt:
+            pass
+        except Exception as error:
+            torchrl_logger.error("training stopped", exc_info=error)
+            cause = error
+        finally:
+            unsaved = self._save()
+        if cause or unsaved:
+            raise TrainingStoppedError(self._stopped_by(cause, unsaved)) from cause or unsaved
+
+    def restore(self, components: Mapping[str, Any]) -> dict[str, Any] | None:
+        """Load the newest intact checkpoint into the components, and forget what came after it.
+
+        Returns:
+            What was kept with it, and `step`; None if the run was stopped before there was any,
+            which is not an error: it begins anew.
+
+        Raises:
+            FileDamagedError: there are checkpoints, but none is intact.
+        """
+        damaged: dict[Path, FileDamagedError] = {}
+        for path in reversed(self._checkpoints()):
             try:
-                load_components(path, **components)
-                metadata = read_manifest(path)["metadata"]
+                metadata = load_checkpoint(path, components)
             except FileDamagedError as error:
-                damaged.append(str(error))
                 torchrl_logger.warning(f"{error}; falling back to the checkpoint before it")
+                damaged[path] = error
                 continue
-            self._forget_after(int(metadata["step"]))
+            # out of the way of those to come; only now, as all may be damaged by a mistake
+            for other in damaged:
+                other.replace(other.with_name(other.name + _DAMAGED))
+            self._saved = int(metadata["step"])
+            self._forget_after(self._saved)
             return metadata
-        raise ConfigurationError(
-            f"{str(self.folder)!r} has no checkpoint to resume from{'; '.join(['', *damaged])}"
-        )
+        if damaged:
+            reasons = "; ".join(map(str, damaged.values()))
+            raise FileDamagedError(
+                f"{str(self.folder)!r} has no checkpoint to resume from: {reasons}"
+            )
+        torchrl_logger.warning(f"{str(self.folder)!r} has no checkpoint yet; it begins anew")
+        self._forget_after(-1)
+        return None
 
     def close(self) -> None:
         """Finish the logs."""
         if self._tensorboard is not None:
             self._tensorboard.close()
 
+    # ---------------------------------------------------------------- private
+
+    def _open(self, settings_file: Path, resume: bool) -> None:
+        if self._checkpoints() and not resume:
+            raise ConfigurationError(
+                f"{str(self.folder)!r} holds a run already; continue it with --resume, or give"
+                " another folder with --out"
+            )
+        if resume:
+            self._check_settings(settings_file)
+        self._checkpoint_folder.mkdir(parents=True, exist_ok=True)
+        write_text(settings_file, json.dumps(self.settings, indent=1) + "\n")
+        # what a killed process was writing
+        for unfinished in self._checkpoint_folder.glob(".checkpoint-*"):
+            shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
+        if not resume:
+            self._csv.unlink(missing_ok=True)
+
+    @property
+    def _checkpoint_folder(self) -> Path:
+        return self.folder / "checkpoints"
+
+    def _checkpoints(self) -> list[Path]:
+        """Files of checkpoints, oldest first: names sort by step."""
+        return sorted(self._checkpoint_folder.glob("checkpoint-*.torchrl"))
+
+    def _save(self) -> OSError | None:
+        """Write what was kept last, unless it is written; returns why it could not be."""
+        if self._state is None or self._state[0] == self._saved:
+            return None
+        step, metadata, states = self._state
+        try:
+            # or a resumed run would lack them
+            self._write_rows()
+            if self._tensorboard is not None:
+                self._tensorboard.flush()
+            path = self._checkpoint_folder / f"checkpoint-{step:012d}.torchrl"
+            save_checkpoint(path, states, metadata)
+            self._saved = step
+            for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
+                old.unlink()
+        except OSError as error:
+            return error
+        return None
+
+    def _stopped_by(self, cause: Exception | None, unsaved: OSError | None) -> str:
+        """A message that says why, where it stopped, and what can be resumed."""
+        step = 0 if self._state is None else self._state[0]
+        reasons = [f"training stopped after {step} policy steps"]
+        if cause is not None:
+            reasons[0] += f" by {type(cause).__name__}: {cause}"
+        if unsaved is not None:
+            reasons.append(_unsaved(step, unsaved))
+        newest = "no checkpoint" if self._saved < 0 else f"the checkpoint of {self._saved} steps"
+        return f"{'; '.join(reasons)}; --resume goes on from {newest} in {str(self.folder)!r}"
+
+    def _write_rows(self) -> None:
+        """Append rows to the CSV, all or none.
+
+        Raises:
+            OSError: they could not be written, and wait.
+        """
+        if not self._rows:
+            return
+        with self._csv.open("ab", buffering=0) as file:
+            before, rows = file.tell(), self._rows.encode()
+            try:
+                if (file.write(rows) or 0) < len(rows):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._csv))
+            except OSError:
+                file.truncate(before)
+                raise
+        self._rows = ""
+
     def _check_settings(self, settings_file: Path) -> None:
         if not settings_file.exists():
             raise ConfigurationError(
                 f"{str(self.folder)!r} holds no run to resume; start one without --resume"
             )
-        old = json.loads(settings_file.read_text())
+        try:
+            old = dict(json.loads(settings_file.read_text()))
+        except (ValueError, TypeError) as error:
+            raise FileDamagedError(f"{str(settings_file)!r} is damaged ({error})") from error
         differing = [
             f"{name} was {old.get(name)!r} and is {self.settings.get(name)!r}"
             for name in sorted(old.keys() | self.settings.keys())
@@ -142,14 +293,57 @@ class TrainingRun:
             )
 
     def _forget_after(self, step: int) -> None:
-        """Drop rows that the resumed run will write again."""
-        history = self.history()
-        if not history:
+        """Drop rows that the resumed run will write again, and one that was cut off."""
+        if not self._csv.exists():
             return
-        kept = [i for i, row_step in enumerate(history["step"]) if row_step <= step]
-        lines = [",".join(history)]
-        lines += [",".join(f"{column[i]:.10g}" for column in history.values()) for i in kept]
-        write_text(self._csv, "\n".join(lines) + "\n")
+        lines = self._csv.read_text().splitlines(keepends=True)
+        kept = []
+        for line in lines[1:]:
+            number = line.partition(",")[0]
+            if line.endswith("\n") and number.isdigit() and int(number) <= step:
+                kept.append(line)
+        if kept:
+            write_text(self._csv, "".join(lines[:1] + kept))
+        else:
+            self._csv.unlink()
+
+
+def _unsaved(step: int, error: OSError) -> str:
+    return f"the checkpoint of {step} policy steps could not be written ({error})"
+
+
+@contextmanager
+def _sigterm_exits() -> Iterator[None]:
+    """Have SIGTERM, with which clusters announce the end, raise SystemExit."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def check_types(config: Any) -> None:
+    """Check that each setting of a dataclass is of its type; whole numbers do for floats.
+
+    Raises:
+        ConfigurationError: one is not, or is a float that is not finite.
+    """
+    for name, kind in get_type_hints(type(config)).items():
+        value = getattr(config, name)
+        if get_origin(kind) is Literal:
+            fits, wanted = isinstance(value, str) and value in get_args(kind), f"{get_args(kind)}"
+        elif kind is float:
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            fits = number and abs(value) <= sys.float_info.max
+            wanted = "a finite number"
+        else:
+            fits = isinstance(value, kind) and isinstance(value, bool) == (kind is bool)
+            wanted = {int: "a whole number", bool: "True or False"}.get(kind, f"a {kind.__name__}")
+        if not fits:
+            raise ConfigurationError(f"{name} must be {wanted}, got {value!r}")
 
 
 def read_progress(folder: Path) -> dict[str, list[float]]:

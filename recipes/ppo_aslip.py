@@ -1,7 +1,7 @@
 """Teach Cassie to walk at every speed from 0 to 2 m/s, guided by actuated-SLIP gaits.
 
     python recipes/ppo_aslip.py                         # train, evaluate, draw: runs/ppo_aslip/
-    python recipes/ppo_aslip.py --resume                # go on after Ctrl-C or a crash
+    python recipes/ppo_aslip.py --resume                # go on after Ctrl-C, kill or a crash
     python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
     python recipes/ppo_aslip.py --truth --out runs/truth # without noise and estimator
     python recipes/ppo_aslip.py --preset paper --out runs/paper
@@ -13,7 +13,6 @@ ablation is a call of `main` in which `make_env` gets something else to `drop` o
 from __future__ import annotations
 
 import argparse
-import contextlib
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -28,16 +27,18 @@ from tensordict import TensorDict
 from tensordict.utils import NestedKey
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
+from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
 import aslip
+from aslip.checkpoint import CollectorState
 from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
-from aslip.run import TrainingRun, peak_memory, write_text
+from aslip.run import TrainingRun, check_types, peak_memory, write_text
 from aslip.stack import CassieTransformedEnv, RewardSource
 from aslip.transforms import AssembleObservation, TrueState
 
@@ -92,14 +93,14 @@ class Config:
     """Reward what the simulator knows of the robot, or what its estimator believes."""
     eval_interval: int = 250_000
     """Policy steps between evaluations over all speeds."""
-    checkpoint_interval: int = 100_000
-    """Policy steps between checkpoints."""
+    checkpoint_minutes: float = 3.0
+    """Minutes between checkpoints; with none, there is one after every update."""
 
     def __post_init__(self) -> None:
         """Check what a typing slip would make a mystery of later."""
+        check_types(self)
         for name in (
             "total_steps", "num_envs", "samples", "minibatch", "epochs", "eval_interval",
-            "checkpoint_interval",
         ):  # fmt: skip
             if getattr(self, name) < 1:
                 raise ConfigurationError(f"{name} must be 1 or more, got {getattr(self, name)}")
@@ -107,11 +108,17 @@ class Config:
             "learning_rate", "last_learning_rate", "adam_epsilon", "clip", "max_grad_norm",
             "value_scale",
         ):  # fmt: skip
-            if not 0 < getattr(self, name) < float("inf"):
+            if getattr(self, name) <= 0:
                 raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigurationError(f"{name} must be in [0, 1], got {getattr(self, name)}")
+        if not 0 <= self.seed < 2**63:
+            raise ConfigurationError(f"seed must be from 0 to 2**63 - 1, got {self.seed}")
+        if self.checkpoint_minutes < 0:
+            raise ConfigurationError(
+                f"checkpoint_minutes must be 0 or more, got {self.checkpoint_minutes}"
+            )
         if self.samples % self.num_envs:
             raise ConfigurationError(
                 f"samples must be a multiple of num_envs = {self.num_envs}, got {self.samples}"
@@ -181,18 +188,6 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     )
 
     # ------------------------------------------------------------------- loop
-    components = {"actor": actor, "critic": critic, "optimizer": optimizer, "rng": GlobalRNGState()}
-    step, elapsed, diverged = 0, 0.0, 0
-    if config.resume:
-        metadata = run.restore(**components)
-        step, elapsed = int(metadata["step"]), float(metadata["elapsed_s"])
-        diverged = int(metadata["divergences"])
-        env.set_seed(config.seed + step)
-    start = time.perf_counter() - elapsed
-    episodes: deque[tuple[float, float]] = deque(maxlen=256)  # length, return
-    next_eval = (step // config.eval_interval + 1) * config.eval_interval
-    next_checkpoint = (step // config.checkpoint_interval + 1) * config.checkpoint_interval
-    results: list[WalkResult] = []
     collector = Collector(
         env,
         actor,
@@ -201,14 +196,29 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         trust_policy=True,
         auto_register_policy_transforms=False,
     )
+    components = {
+        "actor": actor,
+        "critic": critic,
+        "optimizer": optimizer,
+        "rng": GlobalRNGState(),
+        "collector": CollectorState(collector),
+    }
+    step, elapsed = 0, 0.0
+    episodes: deque[tuple[float, float]] = deque(maxlen=256)  # length, return
+    if config.resume and (kept := run.restore(components)):
+        step, elapsed = kept["step"], kept["elapsed_s"]
+        episodes.extend(map(tuple, kept["episodes"]))
+    start = time.perf_counter() - elapsed
+    results: list[WalkResult] = []
     bar = tqdm(total=config.total_steps, initial=step, unit="step", dynamic_ncols=True)
     batches = collector if step < config.total_steps else ()
-    with contextlib.suppress(KeyboardInterrupt), bar:
+    with bar, run.saving(components, config.checkpoint_minutes) as keep:
         for data in batches:
             if normalizer.count == 0:
                 # the first samples only teach the normaliser what inputs look like
                 normalizer.update(data["observation"])
                 continue
+            results = []
             with torch.no_grad():
                 advantage(data)
             for group in optimizer.param_groups:
@@ -226,9 +236,8 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
                 f"term_{name}": float(term.mean())
                 for name, term in data["next", "reward_terms"].items()
             }
-            if evaluate_now := step >= next_eval or step >= config.total_steps:
-                results = evaluate(actor, eval_env, speeds)
-                next_eval += config.eval_interval
+            if step % config.eval_interval < data.numel() or step >= config.total_steps:
+                results = evaluated(actor, eval_env, speeds, config.seed)
             run.log(
                 step,
                 {
@@ -237,13 +246,11 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
                     "episode_return": total,
                     **terms,
                     **losses,
-                    "divergences": diverged + env.base_env.divergences,
-                    **summary(results if evaluate_now else []),
+                    "divergences": env.base_env.divergences,
+                    **summary(results),
                 },
             )
-            if step >= next_checkpoint or step >= config.total_steps:
-                save(run, step, start, diverged + env.base_env.divergences, components)
-                next_checkpoint += config.checkpoint_interval
+            keep(step, {"elapsed_s": time.perf_counter() - start, "episodes": list(episodes)})
             bar.set_postfix_str(progress(length, total, terms), refresh=False)
             bar.update(data.numel())
             if step >= config.total_steps:
@@ -251,9 +258,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     collector.shutdown()
 
     # ---------------------------------------------------------------- summary
-    save(run, step, start, diverged + env.base_env.divergences, components)
-    if step < config.total_steps or not results:
-        results = evaluate(actor, eval_env, speeds)
+    results = results or evaluated(actor, eval_env, speeds, config.seed)
     settings = {
         name: value for name, value in run.settings.items() if name not in ("out", "resume")
     }
@@ -311,13 +316,12 @@ def observed(env: CassieTransformedEnv) -> list[NestedKey]:
     return next(list(t.in_keys) for t in env.transforms if isinstance(t, AssembleObservation))
 
 
-def save(
-    run: TrainingRun, step: int, start: float, divergences: int, components: dict[str, Any]
-) -> None:
-    """Checkpoint everything that training resumes from."""
-    elapsed = time.perf_counter() - start
-    metadata = {"step": step, "elapsed_s": elapsed, "divergences": divergences}
-    run.save(step, metadata, **components)
+def evaluated(
+    actor: ProbabilisticActor, env: CassieTransformedEnv, speeds: list[float], seed: int
+) -> list[WalkResult]:
+    """Walks at all speeds, with the same noise every time."""
+    env.set_seed(seed)
+    return evaluate(actor, env, speeds)
 
 
 def written(folder: Path) -> list[str]:

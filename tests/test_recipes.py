@@ -19,9 +19,8 @@ from recipes import ppo_aslip
 from recipes.ppo_aslip import Config
 
 TINY = Config(
-    num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000,
-    checkpoint_interval=64,
-)  # fmt: skip
+    num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000, checkpoint_minutes=0
+)
 
 
 def _rows(folder: Path) -> list[dict[str, str]]:
@@ -52,7 +51,7 @@ def test_a_run_leaves_all_its_files(run: tuple[Path, list[WalkResult]]) -> None:
     for name in ("config.json", "progress.csv", "policy.zip", "summary.md", "learning_curve.png"):
         assert (folder / name).stat().st_size > 0, name
     assert list((folder / "tensorboard").iterdir())
-    assert list((folder / "checkpoints").iterdir())
+    assert len(list((folder / "checkpoints").iterdir())) == 2
     assert not list(folder.rglob("*.part"))
     assert [round(r.speed, 3) for r in results] == [round(0.1 * i, 3) for i in range(21)]
 
@@ -145,7 +144,16 @@ def test_another_seed_gives_another_run(run: tuple[Path, list[WalkResult]], tmp_
         ({"learning_rate": -1e-4}, "learning_rate"),
         ({"gamma": 1.5}, "gamma"),
         ({"eval_interval": 0}, "eval_interval"),
-        ({"checkpoint_interval": 0}, "checkpoint_interval"),
+        ({"checkpoint_minutes": -1.0}, "checkpoint_minutes must be 0 or more"),
+        ({"seed": -1}, r"seed must be from 0 to 2\*\*63 - 1, got -1"),
+        ({"seed": 2**63}, "seed"),
+        ({"num_envs": 8.0}, r"num_envs must be a whole number, got 8\.0"),
+        ({"num_envs": True}, "num_envs must be a whole number, got True"),
+        ({"learning_rate": float("nan")}, "learning_rate must be a finite number, got nan"),
+        ({"gamma": "0.9"}, "gamma must be a finite number, got '0.9'"),
+        ({"symmetric": 1}, "symmetric must be True or False, got 1"),
+        ({"stack": "aslpi"}, r"stack must be \('aslip', 'paper', .* got 'aslpi'"),
+        ({"out": "runs"}, "out must be a Path, got 'runs'"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
