@@ -38,7 +38,7 @@ from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
-from aslip.run import TrainingRun, check_types, peak_memory, write_text
+from aslip.run import TrainingRun, check_types, peak_memory, provenance, write_text
 from aslip.stack import CassieTransformedEnv, RewardSource
 from aslip.transforms import AssembleObservation, TrueState
 
@@ -259,10 +259,12 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
 
     # ---------------------------------------------------------------- summary
     results = results or evaluated(actor, eval_env, speeds, config.seed)
-    settings = {
-        name: value for name, value in run.settings.items() if name not in ("out", "resume")
+    made_by = {
+        "settings": {k: v for k, v in run.settings.items() if k not in ("out", "resume")},
+        "steps": step,
+        "seconds": round(time.perf_counter() - start),
+        **provenance(),
     }
-    made_by = {"settings": settings, "steps": step}
     save_policy(run.policy_file, actor, shape, made_by, stack=config.stack, observation=observation)
     table = walk_table(results)
     minutes = (time.perf_counter() - start) / 60

@@ -1,0 +1,240 @@
+"""Ship a policy: its file, and a card that says how it was made, what it needs and what it can do.
+
+    python -m benchmarks.policy_card --run runs/ppo_aslip --name aslip
+    python -m benchmarks.policy_card --run runs/ppo_single_reference --name single_reference
+
+Copies the policy of a training run and its learning curve to `assets/policies/`, where
+`aslip.load_policy` finds it by name, and writes the card beside them. What is in the card was in
+the policy's file or is measured now, by the other benchmarks; it takes some minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from tensordict.utils import unravel_key
+
+from aslip.cassie import (
+    GEAR,
+    JOINT_NAMES,
+    MOTOR_NAMES,
+    MOTOR_TORQUE_LIMIT,
+    PD_DAMPING,
+    PD_STIFFNESS,
+    POLICY_PERIOD,
+    SUBSTEPS,
+    TORQUE_DELAY,
+)
+from aslip.errors import AslipError, ConfigurationError
+from aslip.policy import find_policy, load_policy, read_manifest
+from aslip.run import write_text
+from aslip.stack import make_env
+from aslip.transforms import ActionDelta
+from benchmarks import foot_placement, perturbation, step_frequency, velocity_tracking
+from benchmarks.common import markdown
+
+_MOTORS, _JOINTS = "; ".join(MOTOR_NAMES), "; ".join(JOINT_NAMES)
+_ENTRIES = {
+    "estimate/height": "pelvis above the ground [m]",
+    "estimate/orientation": "pelvis to world, wxyz with w ≥ 0",
+    "estimate/velocity": "of the pelvis [m/s, world]",
+    "estimate/angular_velocity": "[rad/s, pelvis]",
+    "estimate/acceleration": "of the pelvis, without gravity [m/s², pelvis]",
+    "estimate/motor_position": f"[rad]: {_MOTORS}",
+    "estimate/motor_velocity": "[rad/s], the same motors",
+    "estimate/joint_position": f"[rad]: {_JOINTS}",
+    "estimate/joint_velocity": "[rad/s], the same joints",
+    "reference/body_position": "of the model's body, without its forward motion [m]",
+    "reference/body_velocity": "[m/s]",
+    "reference/left_foot_position": "from the body [m]",
+    "reference/left_foot_velocity": "over ground [m/s]",
+    "reference/right_foot_position": "from the body [m]",
+    "reference/right_foot_velocity": "over ground [m/s]",
+    "clock/sin": "of the phase of the stride",
+    "clock/cos": "of the phase of the stride",
+    "command": "speed [m/s]",
+}
+"""What an entry of the observation is."""
+
+_BASELINES = {
+    "reference/motor_target": "the reference's angles one policy step ahead, aimed so that the"
+    " loops exert what the model's legs do and make up for their damping",
+    "reference/motor_position": "the reference's angles one policy step ahead",
+}
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to ship."""
+
+    run: Path
+    """Folder of the training."""
+    name: str
+    """By which `aslip.load_policy` finds it."""
+    assets: Path = Path("assets/policies")
+    """Where policies are shipped from."""
+    out: Path = Path("runs/policy_card")
+    """Folder of what the benchmarks write."""
+    measure: bool = True
+    """Run the benchmarks; without, the card has no tables of theirs."""
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        if not self.name.isidentifier():
+            raise ConfigurationError(f"a policy's name must be an identifier, got {self.name!r}")
+
+
+def main(config: Config) -> Path:
+    """Copy, measure and write; returns the card's path."""
+    source = find_policy(config.run)
+    load_policy(source)  # or there is nothing to ship
+    config.assets.mkdir(parents=True, exist_ok=True)
+    shipped, curve = (config.assets / f"{config.name}.{kind}" for kind in ("zip", "png"))
+    _copy(source, shipped)
+    has_curve = (config.run / "learning_curve.png").exists()
+    if has_curve:
+        _copy(config.run / "learning_curve.png", curve)
+    about = read_manifest(shipped)["metadata"]
+    parts = [f"# The policy `{config.name}`", how_made(about)]
+    if has_curve:
+        parts.append(f"![Learning curve]({curve.name})")
+    parts += [contract(about)]
+    if (config.run / "summary.md").exists():
+        walks = (config.run / "summary.md").read_text().rpartition("\n\n")[0]
+        parts.append(f"## Walks at constant speed\n\nTwelve seconds each, as trained.\n\n{walks}")
+    if config.measure:
+        parts += measured(
+            config, str(shipped), follows_model="reference/body_position" in str(about)
+        )
+    card = config.assets / f"{config.name}.md"
+    write_text(card, "\n\n".join(parts) + "\n")
+    print(f"{shipped}, {card}")
+    return card
+
+
+def how_made(about: dict[str, Any]) -> str:
+    """Command, commit, seed, cost and versions."""
+    made = about.get("made_by", {})
+    settings = made.get("settings", {})
+    versions = ", ".join(f"{name} {version}" for name, version in made.get("versions", {}).items())
+    minutes = made.get("seconds", float("nan")) / 60
+    rows = [
+        ["command", f"`{made.get('command', 'not recorded')}`"],
+        ["commit", str(made.get("commit") or "not recorded")],
+        ["seed", str(settings.get("seed", "not recorded"))],
+        ["policy steps", f"{made.get('steps', 'not recorded')}"],
+        ["time", "not recorded" if minutes != minutes else f"{minutes:.0f} minutes"],
+        ["versions", versions or "not recorded"],
+        ["settings", ", ".join(f"{k} {v}" for k, v in settings.items()) or "not recorded"],
+    ]
+    return f"## How it was made\n\n{_table(['', ''], rows)}"
+
+
+def contract(about: dict[str, Any]) -> str:
+    """What goes in and what comes out."""
+    env = make_env(stack=about.get("stack", "paper"))
+    try:
+        delta = next(t for t in env.transforms if isinstance(t, ActionDelta))
+        spec = env.full_observation_spec
+        baseline = "/".join(map(str, unravel_key(delta.baseline_key)))
+        rows, index = [], 0
+        for name in about["observation"]:
+            size = spec[tuple(name.split("/"))].shape[-1]
+            span = str(index) if size == 1 else f"{index}-{index + size - 1}"
+            rows.append([span, name, _ENTRIES[name]])
+            index += size
+    finally:
+        env.close()
+    gains = [
+        [name, f"{stiffness:g}", f"{damping:g}", f"{limit:g}"]
+        for name, stiffness, damping, limit in zip(
+            MOTOR_NAMES, PD_STIFFNESS, PD_DAMPING, MOTOR_TORQUE_LIMIT * GEAR, strict=True
+        )
+    ]
+    header = ["motor", "stiffness N m/rad", "damping N m s/rad", "torque limit N m"]
+    return "\n\n".join(
+        [
+            "## What it needs",
+            f"It observes {index} numbers, normalised by the mean and variance in the file and cut"
+            " off at ten deviations:",
+            _table(["index", "entry", "what it is"], rows),
+            f"It answers with {len(MOTOR_NAMES)} angles [rad], {1 / POLICY_PERIOD:.1f} times a"
+            f" second, that are added to the baseline {baseline}:"
+            f" {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
+            f" {SUBSTEPS / POLICY_PERIOD:.0f} times a second, with velocity target zero; torques"
+            f" reach the robot {1e3 * TORQUE_DELAY:g} ms late. `aslip.make_env(stack="
+            f'"{about.get("stack", "paper")}")` and `aslip.walker.Walker` do all this.',
+            markdown(header, gains),
+        ]
+    )
+
+
+def measured(config: Config, policy: str, *, follows_model: bool) -> list[str]:
+    """Tables of the other benchmarks, and what they say about limits."""
+    common: dict[str, Any] = {"policy": (policy,), "out": config.out / config.name}
+    parts = []
+    if follows_model:
+        foot_placement.main(foot_placement.Config(**common))
+        step_frequency.main(step_frequency.Config(**common))
+        parts += [
+            _section(config, "Where feet are placed", "foot_placement"),
+            _section(config, "Step frequency", "step_frequency"),
+        ]
+    velocity_tracking.main(velocity_tracking.Config(**common))
+    numbers = perturbation.main(perturbation.Config(**common))
+    return [
+        *parts,
+        _section(config, "Speed", "velocity_tracking"),
+        f"## What makes it fall\n\n{limits(numbers)}",
+        (config.out / config.name / "perturbation.md").read_text().strip(),
+    ]
+
+
+def limits(numbers: dict[str, Any]) -> str:
+    """The smallest push that was fatal, and what changes of robot and floor it does not take."""
+    cells = [(cell, row) for row in numbers["pushes"] for cell in row["phases"]]
+    weakest, row = min(cells, key=lambda pair: pair[0]["mean"])
+    lines = [
+        f"- At {numbers['speed']:g} m/s, pushes of {numbers['push_duration']:.2g} s from"
+        f" {weakest['mean']:.1f} N s on, where it is weakest: at phase {weakest['phase']:g}, at"
+        f" {row['direction_deg']:.0f}° from forward to the left."
+    ]
+    for name, sweep in perturbation.SWEEPS.items():
+        rows = [row for row in numbers["sweeps"] if row["parameter"] == name]
+        bad = [f"{row['value']:g}" for row in rows if row["mean"] < 1]
+        if bad:
+            lines.append(f"- {sweep.label}: some speeds fail at {', '.join(bad)}.")
+        elif rows:
+            values = [row["value"] for row in rows]
+            lines.append(f"- {sweep.label}: none from {min(values):g} to {max(values):g}.")
+    lines.append("- It was trained on level ground with friction 1, to walk straight ahead.")
+    return "\n".join(lines)
+
+
+def _section(config: Config, title: str, benchmark: str) -> str:
+    table = (config.out / config.name / f"{benchmark}.md").read_text().strip()
+    return f"## {title}\n\n`python -m benchmarks.{benchmark} --policy {config.name}`\n\n{table}"
+
+
+def _table(header: list[str], rows: list[list[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a file as a whole or not at all."""
+    temporary = target.with_name(target.name + ".part")
+    shutil.copyfile(source, temporary)
+    os.replace(temporary, target)
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Config))
+    except AslipError as error:
+        raise SystemExit(f"error: {error}") from None
