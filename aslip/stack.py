@@ -9,6 +9,7 @@ An experiment is a stack that differs from the default one in a line or two:
     make_env(drop=["noise"])                                     # perfect sensors
     make_env(reward_on="estimate")                               # reward what the robot knows
     make_env(stack=insert_before(stack, "reward", my_term=...))  # one more term
+    make_env(stack=randomised(default_stack()))                  # robots that differ
     make_env(stack="paper")                                      # the paper to the letter
     make_env(stack="single_reference")                           # what the paper compares with
 
@@ -52,6 +53,8 @@ from aslip.transforms import (
     ObservationNoise,
     Odometer,
     PhaseClock,
+    RandomDynamics,
+    RandomNoise,
     ReferenceInjection,
     ReferenceStart,
     RewardTerm,
@@ -254,6 +257,15 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "single_reference": single_reference_stack,
 }
 """Stacks by name: a function of gait library and `reward_on`."""
+
+
+def randomised(stack: Stack) -> Stack:
+    """A copy of a stack whose robots differ from episode to episode.
+
+    Dynamics and levels of sensor noise are drawn from `aslip.transforms.DYNAMICS_RANGES` at each
+    reset.
+    """
+    return {**insert_before(stack, "start", dynamics=RandomDynamics), "noise": RandomNoise}
 
 
 def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:

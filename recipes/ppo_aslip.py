@@ -5,6 +5,7 @@
     python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
     python recipes/ppo_aslip.py --truth --out runs/truth # without noise and estimator
     python recipes/ppo_aslip.py --preset paper --out runs/paper
+    python recipes/ppo_aslip.py --randomise --out runs/robust # robots that differ
 
 This is Green et al. 2021 from top to bottom: settings, environment, policy, PPO, evaluation. An
 ablation is a call of `main` in which `make_env` gets something else to `drop` or to `replace`.
@@ -39,7 +40,7 @@ from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
 from aslip.run import TrainingRun, check_types, peak_memory, provenance, write_text
-from aslip.stack import CassieTransformedEnv, RewardSource
+from aslip.stack import STACKS, CassieTransformedEnv, RewardSource, randomised
 from aslip.transforms import AssembleObservation, TrueState
 
 
@@ -91,6 +92,9 @@ class Config:
     """Show the policy the simulator's truth instead of what an estimator makes of noisy sensors."""
     reward_on: RewardSource = "truth"
     """Reward what the simulator knows of the robot, or what its estimator believes."""
+    randomise: bool = False
+    """Train on robots that differ from episode to episode, in mass, friction, springs, motors,
+    delay, slope and noise (`aslip.transforms.DYNAMICS_RANGES`); evaluated is the robot itself."""
     eval_interval: int = 250_000
     """Policy steps between evaluations over all speeds."""
     checkpoint_minutes: float = 3.0
@@ -152,7 +156,13 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         edits["replace"] = {**edits["replace"], "estimator": TrueState}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
     make_env = partial(aslip.make_env, **task)
-    env = make_env(num_envs=config.num_envs)
+    training = {}
+    if config.randomise:
+        stack = task["stack"]
+        training["stack"] = randomised(
+            STACKS[stack](None, config.reward_on) if isinstance(stack, str) else stack
+        )
+    env = make_env(num_envs=config.num_envs, **training)
     speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
     eval_env = make_env(num_envs=len(speeds))
 

@@ -11,10 +11,12 @@ from typing import Any
 
 import pytest
 import torch
+from torchrl.collectors import Collector
 
 import aslip
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
+from aslip.transforms import ObservationNoise, RandomNoise
 from recipes import ppo_aslip
 from recipes.ppo_aslip import Config
 
@@ -159,3 +161,31 @@ def test_another_seed_gives_another_run(run: tuple[Path, list[WalkResult]], tmp_
 def test_settings_that_cannot_be_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         replace(TINY, **change)
+
+
+@pytest.mark.parametrize(
+    ("settings", "noise"),
+    [({}, [RandomNoise]), ({"truth": True}, []), ({"stack": "single_reference"}, [RandomNoise])],
+)
+def test_robots_differ_in_training_and_not_in_evaluation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, settings: dict[str, Any], noise: list[type]
+) -> None:
+    envs: list[Any] = []
+
+    def collector(env: Any, *args: Any, **kwargs: Any) -> Any:
+        envs.append(env)
+        return Collector(env, *args, **kwargs)
+
+    def evaluated(actor: Any, env: Any, speeds: list[float]) -> list[WalkResult]:
+        envs.append(env)
+        return evaluate(actor, env, speeds, num_steps=EVAL_STEPS)
+
+    monkeypatch.setattr(ppo_aslip, "Collector", collector)
+    monkeypatch.setattr(ppo_aslip, "evaluate", evaluated)
+    ppo_aslip.main(replace(TINY, out=tmp_path / "run", randomise=True, **settings))
+    trained, judged = envs
+    masses = trained.base_env.dynamics["mass"]
+    assert masses.min() < masses.max()
+    assert (judged.base_env.dynamics["mass"] == 1.0).all()
+    found = [[type(t) for t in env.transforms if isinstance(t, ObservationNoise)] for env in envs]
+    assert found == [noise, [ObservationNoise] * len(noise)]

@@ -24,9 +24,8 @@ from aslip.envs import CassieEnv
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.run import TrainingRun
-from aslip.stack import default_stack, insert_before
-from aslip.transforms import RandomDynamics, TrueState
-from aslip.transforms.randomise import RandomNoise
+from aslip.stack import default_stack, randomised
+from aslip.transforms import TrueState
 from benchmarks import faults
 from benchmarks.faults import TINY, killed, resumed, train
 from recipes import ppo_aslip
@@ -35,18 +34,13 @@ from tests.conftest import MakeEnv, differing
 ROBOTS, STEPS = 4, 8
 
 
-def _random_robots() -> dict[str, Any]:
-    stack = insert_before(default_stack(), "start", dynamics=RandomDynamics)
-    return {"stack": {**stack, "noise": RandomNoise}}
-
-
 STACKS: dict[str, Callable[[], dict[str, Any]]] = {
     "aslip": dict,
     "truth": lambda: {"drop": ["noise"], "replace": {"estimator": TrueState}},
     "paper": lambda: {"stack": "paper"},
     "single_reference": lambda: {"stack": "single_reference"},
     "reward on the estimate": lambda: {"reward_on": "estimate"},
-    "random robots": _random_robots,
+    "random robots": lambda: {"stack": randomised(default_stack())},
     "dm_control": lambda: {"backend": "dm_control"},
 }
 

@@ -58,10 +58,7 @@ class RandomDynamics(CassieTransform):
     for parameters that are not drawn. In a reset of some robots only, with a `_reset` mask, theirs
     are drawn anew.
 
-    It is part of no stack by default:
-
-        stack = insert_before(default_stack(library), "start", dynamics=RandomDynamics)
-        stack["noise"] = RandomNoise
+    Part of no stack by default; `aslip.stack.randomised` puts it and `RandomNoise` into one.
 
     Args:
         ranges: parameter -> least and greatest value.
