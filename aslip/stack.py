@@ -38,7 +38,7 @@ from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, single_reference_library
 from aslip.rewards import PAPER_WEIGHTS
-from aslip.single_reference import SINGLE_REFERENCE_WEIGHTS
+from aslip.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
     ActionDelta,
@@ -243,6 +243,7 @@ def single_reference_stack(
             stack[name] = make
     stack["observation"] = lambda: AssembleObservation(SINGLE_REFERENCE_TABLE)
     stack["reward"] = lambda: WeightedReward(SINGLE_REFERENCE_WEIGHTS)
+    stack["fall"] = lambda: Fall(KNEELING_HEIGHT)
     return stack
 
 

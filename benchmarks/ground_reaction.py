@@ -32,6 +32,8 @@ from benchmarks.common import Common, environment, markdown, write_report
 # before strides count, and while they do [s]
 _SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
+# a foot that stood less often has not walked
+_LEAST_STANCES = 3
 # impacts rise far above the humps [N]
 _LARGEST_SHOWN = 600.0
 _VERTICAL = [-4, -1]  # of both feet, in what is watched
@@ -66,12 +68,17 @@ def main(config: Config) -> list[dict[str, Any]]:
     runs = [(m, p, v) for m, ps in methods.items() for p in ps for v in config.speeds]
     for method, policy, speed in tqdm(runs, unit="walk", leave=False):
         force = walked_force(config, library, policy, speed)
+        row: dict[str, Any] = {"method": method, "policy": policy, "speed": speed}
+        rows.append(row)
         if force is None:
-            rows.append({"method": method, "policy": policy, "speed": speed, "fell": True})
+            row["failed"] = "fell"
             continue
         profiles = [force_profile(force[:, i], PHYSICS_TIMESTEP) for i in range(2)]
+        if min(profile.stances for profile in profiles) < _LEAST_STANCES:
+            row["failed"] = "did not step"
+            continue
         mean = ForceProfile(*np.mean([list(asdict(p).values()) for p in profiles], axis=0))
-        rows.append({"method": method, "policy": policy, "speed": speed, **asdict(mean)})
+        row |= asdict(mean)
         curves.setdefault((method, speed), curve(force[:, 0]))
     for speed in config.speeds:
         gait = library.gaits[int(np.argmin(np.abs(library.speeds - speed)))]
@@ -150,11 +157,11 @@ def table(rows: list[dict[str, Any]]) -> str:
     for method in dict.fromkeys(row["method"] for row in rows):
         for speed in dict.fromkeys(row["speed"] for row in rows):
             found = [r for r in rows if (r["method"], r["speed"]) == (method, speed)]
-            walked = [row for row in found if not row.get("fell")]
+            walked = [row for row in found if "failed" not in row]
             if not found:
                 continue
             if not walked:
-                cells.append([method, f"{speed:.1f}", "fell", *[""] * 5])
+                cells.append([method, f"{speed:.1f}", found[0]["failed"], *[""] * 5])
                 continue
             mean = {k: np.mean([r[k] for r in walked]) for k in walked[0] if k in _NUMBERS}
             ratios = [row["dip_ratio"] for row in walked]

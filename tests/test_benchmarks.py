@@ -86,6 +86,20 @@ def test_ground_reaction(tmp_path: Path) -> None:
     written(tmp_path, "ground_reaction")
 
 
+@pytest.mark.parametrize(
+    ("force", "failed"), [(None, "fell"), (np.full((4000, 2), 160.0), "did not step")]
+)
+def test_a_robot_that_does_not_walk_has_no_humps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: np.ndarray | None, failed: str
+) -> None:
+    monkeypatch.setattr(ground_reaction, "walked_force", lambda *_: force)
+    rows = ground_reaction.main(ground_reaction.Config(**settings(tmp_path, 0.5)))
+    assert rows[0]["failed"] == failed
+    written(tmp_path, "ground_reaction")
+    assert f"| ASLIP | 0.5 | {failed} |" in (tmp_path / "ground_reaction.md").read_text()
+    assert math.isnan(claims.humps(rows)["double hump"].mean)
+
+
 def test_a_benchmark_needs_a_policy() -> None:
     with pytest.raises(ConfigurationError, match="policy"):
         Common(policy=())

@@ -20,7 +20,7 @@ from aslip.errors import UnknownNameError
 from aslip.evaluation import evaluate
 from aslip.policy import policy_stack
 from aslip.stack import STACKS, single_reference_stack
-from aslip.transforms import SINGLE_REFERENCE_TABLE
+from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall
 from aslip.walker import Walker
 from tests.conftest import MakeEnv
 
@@ -122,6 +122,20 @@ def test_rewards_sum_by_weight_and_know_the_reference(make: MakeEnv) -> None:
     # a robot that has just left the reference has hardly strayed
     assert (first["reward_terms", "pelvis"] > 0.9).all()
     assert (first["reward_terms", "upright"] > 0.99).all()
+
+
+def test_a_robot_on_its_shins_has_fallen(make: MakeEnv) -> None:
+    """The height lies between a kneeling robot's and the lowest of the reference."""
+    env = make(stack="single_reference", num_envs=2)
+    fall = next(t for t in env.transforms if isinstance(t, Fall))
+    td = env.rand_step(env.reset())
+    for height, over in ((0.65, True), (0.85, False)):
+        td["next", "truth", "pelvis_position"][:, 2] = height
+        for key in ("terminated", "done"):
+            td["next", key] = torch.zeros(2, 1, dtype=torch.bool)
+        after = fall._step(td, td["next"])
+        assert (after["terminated"] == over).all()
+        assert (after["done"] == over).all()
 
 
 def test_stacks_have_names() -> None:
