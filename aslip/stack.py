@@ -37,6 +37,7 @@ from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
 from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, single_reference_library
+from aslip.library.build import PAPER_SPEEDS
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 from aslip.transforms import (
@@ -244,6 +245,8 @@ def single_reference_stack(
     stack["observation"] = lambda: AssembleObservation(SINGLE_REFERENCE_TABLE)
     stack["reward"] = lambda: WeightedReward(SINGLE_REFERENCE_WEIGHTS)
     stack["fall"] = lambda: Fall(KNEELING_HEIGHT)
+    # the library has a row for each end of the range only
+    stack["command"] = lambda: SpeedCommand(library, PAPER_SPEEDS)
     return stack
 
 

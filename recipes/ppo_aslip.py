@@ -41,7 +41,7 @@ from aslip.plots import learning_curve, save_figure
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
 from aslip.run import TrainingRun, check_types, peak_memory, provenance, write_text
 from aslip.stack import STACKS, CassieTransformedEnv, RewardSource, randomised
-from aslip.transforms import AssembleObservation, TrueState
+from aslip.transforms import AssembleObservation, SpeedCommand, TrueState
 
 
 @dataclass(frozen=True)
@@ -92,6 +92,9 @@ class Config:
     """Show the policy the simulator's truth instead of what an estimator makes of noisy sensors."""
     reward_on: RewardSource = "truth"
     """Reward what the simulator knows of the robot, or what its estimator believes."""
+    command_interval: float = 4.0
+    """Mean time between changes of the commanded speed in training [s]; 0 for none, as in the
+    paper."""
     randomise: bool = False
     """Train on robots that differ from episode to episode, in mass, friction, springs, motors,
     delay, slope and noise (`aslip.transforms.DYNAMICS_RANGES`); evaluated is the robot itself."""
@@ -119,10 +122,9 @@ class Config:
                 raise ConfigurationError(f"{name} must be in [0, 1], got {getattr(self, name)}")
         if not 0 <= self.seed < 2**63:
             raise ConfigurationError(f"seed must be from 0 to 2**63 - 1, got {self.seed}")
-        if self.checkpoint_minutes < 0:
-            raise ConfigurationError(
-                f"checkpoint_minutes must be 0 or more, got {self.checkpoint_minutes}"
-            )
+        for name in ("checkpoint_minutes", "command_interval"):
+            if getattr(self, name) < 0:
+                raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
         if self.samples % self.num_envs:
             raise ConfigurationError(
                 f"samples must be a multiple of num_envs = {self.num_envs}, got {self.samples}"
@@ -133,7 +135,7 @@ PRESETS = {
     "default": Config(),
     "paper": Config(
         preset="paper", stack="paper", symmetric=False, value_scale=1.0, samples=5120,
-        minibatch=64, epochs=3, learning_rate=1e-4, last_learning_rate=1e-4,
+        minibatch=64, epochs=3, learning_rate=1e-4, last_learning_rate=1e-4, command_interval=0.0,
     ),
 }  # fmt: skip
 """Settings that others are given on top of; 5120 is the multiple of 256 nearest to 5096."""
@@ -156,13 +158,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         edits["replace"] = {**edits["replace"], "estimator": TrueState}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
     make_env = partial(aslip.make_env, **task)
-    training = {}
-    if config.randomise:
-        stack = task["stack"]
-        training["stack"] = randomised(
-            STACKS[stack](None, config.reward_on) if isinstance(stack, str) else stack
-        )
-    env = make_env(num_envs=config.num_envs, **training)
+    env = make_env(num_envs=config.num_envs, **variety(config, task))
     speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
     eval_env = make_env(num_envs=len(speeds))
 
@@ -288,6 +284,20 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     print(f"\n{table}\n\n{footer}\n{config.out}/: {', '.join(sorted(written(config.out)))}")
     run.close()
     return results
+
+
+def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
+    """What training has and evaluation has not: changes of command, robots that differ."""
+    edits: dict[str, Any] = {}
+    if config.command_interval:
+        command = SpeedCommand(aslip.GaitLibrary.load(), interval=config.command_interval)
+        edits["replace"] = {**task["replace"], "command": command}
+    if config.randomise:
+        stack = task["stack"]
+        if isinstance(stack, str):
+            stack = STACKS[stack](task.get("library"), config.reward_on)
+        edits["stack"] = randomised(stack)
+    return edits
 
 
 def update(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -16,7 +17,7 @@ from torchrl.collectors import Collector
 import aslip
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
-from aslip.transforms import ObservationNoise, RandomNoise
+from aslip.transforms import ObservationNoise, RandomNoise, SpeedCommand
 from recipes import ppo_aslip
 from recipes.ppo_aslip import Config
 
@@ -184,6 +185,8 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     monkeypatch.setattr(ppo_aslip, "evaluate", evaluated)
     ppo_aslip.main(replace(TINY, out=tmp_path / "run", randomise=True, **settings))
     trained, judged = envs
+    intervals = [next(t for t in e.transforms if isinstance(t, SpeedCommand)) for e in envs]
+    assert [command.interval for command in intervals] == [4.0, math.inf]
     masses = trained.base_env.dynamics["mass"]
     assert masses.min() < masses.max()
     assert (judged.base_env.dynamics["mass"] == 1.0).all()

@@ -138,6 +138,11 @@ def test_a_robot_on_its_shins_has_fallen(make: MakeEnv) -> None:
         assert (after["done"] == over).all()
 
 
+def test_commands_are_all_speeds(make: MakeEnv) -> None:
+    command = make(stack="single_reference", num_envs=200).reset()["command"]
+    assert command.unique().numel() == 21
+
+
 def test_stacks_have_names() -> None:
     assert set(STACKS) == {"aslip", "paper", "single_reference"}
     assert list(single_reference_stack())[-1] == "episode_sum"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import cast
 
@@ -17,7 +18,7 @@ from aslip.transforms.base import CassieTransform, extend_spec, require_keys
 
 
 class SpeedCommand(CassieTransform):
-    """Forward speed to walk at: drawn at each reset, then held.
+    """Forward speed to walk at: drawn at each reset, then held, or drawn anew now and then.
 
     To command from outside, write `td["command"]` between steps, or pass it to `env.reset`. It acts
     on the reference of the next policy step; the phase goes on. In a reset of some robots only,
@@ -27,14 +28,26 @@ class SpeedCommand(CassieTransform):
         library: bounds the speeds.
         speeds: speeds to draw from [m/s]; all gaits of the library by default ("a reference
             trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
+        interval: mean time between changes within an episode [s], at any policy step with the same
+            probability; infinite in the paper, where a speed is kept for an episode.
 
     Raises:
         SpeedOutOfRangeError: a speed is outside the library.
-        ConfigurationError: there are no speeds.
+        ConfigurationError: there are no speeds, or the interval is shorter than a policy step.
     """
 
-    def __init__(self, library: GaitLibrary, speeds: Sequence[float] | None = None) -> None:
+    def __init__(
+        self,
+        library: GaitLibrary,
+        speeds: Sequence[float] | None = None,
+        interval: float = math.inf,
+    ) -> None:
         super().__init__(in_keys=[], out_keys=["command"])
+        if not interval >= POLICY_PERIOD:
+            raise ConfigurationError(
+                f"interval must be a policy step, {POLICY_PERIOD} s, or more, got {interval!r}"
+            )
+        self.interval = interval
         self.speeds: Tensor
         chosen = list(library.speeds if speeds is None else speeds)
         if not chosen:
@@ -43,9 +56,7 @@ class SpeedCommand(CassieTransform):
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
-        shape = (*tensordict.batch_size, 1)
-        index = torch.randint(len(self.speeds), shape, generator=self.generator)
-        tensordict = self._draw_into_reset(tensordict, "command", self.speeds[index])
+        tensordict = self._draw_into_reset(tensordict, "command", self._draw(tensordict))
         return tensordict.set("command", _checked(tensordict, "command"))
 
     def _reset(
@@ -54,7 +65,16 @@ class SpeedCommand(CassieTransform):
         return tensordict_reset.set("command", tensordict["command"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set("command", _checked(tensordict, "command"))
+        command = _checked(tensordict, "command")
+        if math.isfinite(self.interval):
+            chance = torch.rand(command.shape, generator=self.generator)
+            changes = chance < POLICY_PERIOD / self.interval
+            command = torch.where(changes, self._draw(tensordict), command)
+        return next_tensordict.set("command", command)
+
+    def _draw(self, tensordict: TensorDictBase) -> Tensor:
+        shape = (*tensordict.batch_size, 1)
+        return self.speeds[torch.randint(len(self.speeds), shape, generator=self.generator)]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add `command`."""

@@ -51,6 +51,38 @@ def test_commands_are_speeds_of_the_library(make: MakeEnv, library: GaitLibrary)
     assert counts.max() <= 45
 
 
+def test_commands_change_now_and_then(make: MakeEnv, library: GaitLibrary) -> None:
+    """As often as the interval says, to any speed, and one robot's without another's."""
+    interval = 10 * POLICY_PERIOD
+    command = SpeedCommand(library, [0.5, 1.0, 1.5], interval)
+    env = make(num_envs=50, replace={"command": command}, drop=["fall", "low_reward"])
+    walk = env.rollout(40, break_when_any_done=False)
+    before, after = walk["command"][..., 0], walk["next", "command"][..., 0]
+    assert set(after.unique().tolist()) == {0.5, 1.0, 1.5}
+    # a draw is the old speed a third of the time
+    share = float((before != after).float().mean())
+    assert share == pytest.approx(0.1 * 2 / 3, abs=0.02)
+    held = (before == after).float().mean(1)
+    assert held.unique().numel() > 5
+
+
+def test_commands_change_alike_with_the_same_seed(make: MakeEnv, library: GaitLibrary) -> None:
+    walks = []
+    for seed in (3, 3, 4):
+        command = SpeedCommand(library, interval=0.3)
+        env = make(num_envs=4, seed=seed, replace={"command": command})
+        td = TensorDict(command=torch.ones(4, 1), batch_size=4)
+        walks.append(_walk(env, env.reset(td), 20)["command"])
+    assert torch.equal(walks[0], walks[1])
+    assert not torch.equal(walks[0], walks[2])
+
+
+@pytest.mark.parametrize("interval", [0.0, -1.0, 0.01, float("nan")])
+def test_an_interval_is_a_policy_step_or_more(library: GaitLibrary, interval: float) -> None:
+    with pytest.raises(ConfigurationError, match=f"interval.*{interval}"):
+        SpeedCommand(library, interval=interval)
+
+
 def test_phases_are_spread_over_the_stride(make: MakeEnv) -> None:
     phase = make(num_envs=400).reset()["phase"]
     assert ((phase >= 0) & (phase < 1)).all()
