@@ -130,6 +130,15 @@ def strides(library: GaitLibrary, speeds: Sequence[float]) -> np.ndarray:
     return library.stride(column)[:, 0].numpy()
 
 
+def shortest_swing(library: GaitLibrary, speed: float) -> float:
+    """Half of the model's swing [s]: a robot's foot without load for a shorter time has not swung.
+
+    A leg that follows the model carries nothing for a while in the middle of its stance.
+    """
+    gait = min(library.gaits, key=lambda gait: abs(gait.speed - speed))
+    return (1 - gait.duty_factor) * gait.stride / 2
+
+
 def write_report(
     config: Common, name: str, numbers: dict[str, Any], table: str, figure: Figure | None = None
 ) -> None:

@@ -27,7 +27,14 @@ from aslip.library import GaitLibrary
 from aslip.log import read
 from aslip.metrics import Placement, footsteps, placement
 from aslip.walks import Walks
-from benchmarks.common import Common, Interval, constant_walks, markdown, write_report
+from benchmarks.common import (
+    Common,
+    Interval,
+    constant_walks,
+    markdown,
+    shortest_swing,
+    write_report,
+)
 
 PUBLISHED: Final = MappingProxyType(
     {
@@ -59,7 +66,6 @@ class Config(Common):
 def main(config: Config) -> dict[float, list[Placement]]:
     """Measure, print and draw; returns the placements at each speed, one a policy."""
     library = GaitLibrary.load()
-    footholds = Footholds(library)
     if config.log is not None:
         walk = Walks.from_log(read(config.log))
         speeds = np.unique(walk.command)
@@ -68,26 +74,26 @@ def main(config: Config) -> dict[float, list[Placement]]:
                 f"{str(config.log)!r} has {len(speeds)} commanded speeds; record one at a time:"
                 " recipes/walk.py --command 1.0"
             )
-        measured = {float(speeds[0]): [placed(walk, 0, float(speeds[0]), footholds)]}
+        measured = {float(speeds[0]): [placed(walk, 0, float(speeds[0]), library)]}
     else:
         walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
         measured = {
-            speed: [placed(walk, i, speed, footholds) for walk in walks]
+            speed: [placed(walk, i, speed, library) for walk in walks]
             for i, speed in enumerate(config.speeds)
         }
     write_report(config, "foot_placement", numbers(measured), table(measured), picture(measured))
     return measured
 
 
-def placed(walk: Walks, index: int, speed: float, footholds: Footholds) -> Placement:
+def placed(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Placement:
     """Placement of one walk's footsteps after it has settled, none if it fell."""
-    one = walk.one(index)
+    one, footholds, swing = walk.one(index), Footholds(library), shortest_swing(library, speed)
     step = np.stack([footholds.step(side, speed) for side in SIDES])
     if not one.survived[0]:
         nothing = np.full((1, 2), np.nan)
         return Placement(np.zeros(1, dtype=int), nothing, nothing[:, 0])
     found = placement(
-        footsteps(one.ground_force[:, 0, :, 2], one.foot_position[:, 0], POLICY_PERIOD),
+        footsteps(one.ground_force[:, 0, :, 2], one.foot_position[:, 0], POLICY_PERIOD, swing),
         step,
     )
     first = round(2 * _SETTLE / float(footholds.stride(speed)))

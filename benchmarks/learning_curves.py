@@ -34,7 +34,7 @@ VARIANTS: Final = MappingProxyType(
 )
 """Name -> flags of the recipe; the paper's settings are on the estimate, too."""
 
-_COLORS = {"truth": "tab:gray", "estimate": "tab:red", "paper": "tab:blue"}
+_COLORS = {"truth": "black", "estimate": "tab:red", "paper": "tab:blue"}
 
 Curves = dict[int, dict[str, np.ndarray]]
 """Seed -> columns of a run's progress."""
@@ -175,7 +175,8 @@ def picture(curves: dict[str, Curves]) -> Figure:
             steps = shortest["step"] / 1e6
             values = np.stack([run[column][: len(steps)] for run in runs.values()])
             label = f"{variant}, seeds {', '.join(map(str, runs))}"
-            axis.plot(steps, values.mean(0), color=color, label=label)
+            # the shorter on top, as curves of truth and estimate coincide
+            axis.plot(steps, values.mean(0), color=color, label=label, zorder=3 - steps[-1] / 100)
             axis.fill_between(steps, values.min(0), values.max(0), color=color, alpha=0.25, lw=0)
         axis.set(xlabel="million policy steps", ylabel=column.replace("_", " "), ylim=(0, 400))
         axis.grid(alpha=0.3)

@@ -16,7 +16,15 @@ from aslip.errors import AslipError
 from aslip.library import GaitLibrary
 from aslip.metrics import duty_factor, step_frequency
 from aslip.walks import Walks
-from benchmarks.common import Common, Interval, constant_walks, markdown, strides, write_report
+from benchmarks.common import (
+    Common,
+    Interval,
+    constant_walks,
+    markdown,
+    shortest_swing,
+    strides,
+    write_report,
+)
 
 # walking before footsteps count, and while they do [s]
 _SETTLE, _WALK = 4.0, 16.0
@@ -38,7 +46,8 @@ def main(config: Config) -> list[dict[str, float]]:
     first = round(_SETTLE / POLICY_PERIOD)
     rows = []
     for i, speed in enumerate(config.speeds):
-        found = [measured(walk.one(i, first)) for walk in walks]
+        swing = shortest_swing(library, speed)
+        found = [measured(walk.one(i, first), swing) for walk in walks]
         frequency = Interval.of([np.array([f]) for f, _ in found])
         rows.append(
             {
@@ -64,13 +73,13 @@ def main(config: Config) -> list[dict[str, float]]:
     return rows
 
 
-def measured(walk: Walks) -> tuple[float, float]:
+def measured(walk: Walks, swing: float) -> tuple[float, float]:
     """Step frequency [Hz] and duty factor of a walk, NaN if it fell."""
     if not walk.survived[0]:
         return np.nan, np.nan
     left, right = walk.ground_force[:, 0, :, 2].T
-    duty = np.mean([duty_factor(force, POLICY_PERIOD) for force in (left, right)])
-    return step_frequency(left, right, POLICY_PERIOD), float(duty)
+    duty = np.mean([duty_factor(force, POLICY_PERIOD, swing) for force in (left, right)])
+    return step_frequency(left, right, POLICY_PERIOD, swing), float(duty)
 
 
 def picture(rows: list[dict[str, float]]) -> Figure:

@@ -17,7 +17,8 @@ SHORTEST_CONTACT = 0.05
 SHORTEST_SWING = 0.11
 """Times without load that are shorter are part of a stance [s]: a leg that follows the spring-mass
 model carries nothing for up to 0.10 s in the middle of its stance; the shortest swing in the
-authors' published forces takes 0.115 s, those of our policies 0.22 s."""
+authors' published forces takes 0.115 s, those of our policies 0.22 s. Where it is known which
+swings to expect, half of one is a better limit."""
 
 
 def stances(
@@ -69,7 +70,7 @@ def merge_short(flags: np.ndarray, off: int, on: int) -> np.ndarray:
     return flags
 
 
-def touchdown_times(force: np.ndarray, period: float) -> np.ndarray:
+def touchdown_times(force: np.ndarray, period: float, swing: float = SHORTEST_SWING) -> np.ndarray:
     """(k,) instants at which one foot touches down [s], of stances within the record.
 
     Between two samples the force is taken to grow linearly, so that records of the policy's rate
@@ -78,14 +79,17 @@ def touchdown_times(force: np.ndarray, period: float) -> np.ndarray:
     Args:
         force: (m,) vertical ground force [N].
         period: between samples [s].
+        swing: the shortest [s].
     """
-    first = stances(force, period)[:, 0]
+    first = stances(force, period, swing=swing)[:, 0]
     before, after = force[first - 1], force[first]
     share = (CONTACT_FORCE - before) / (after - before)
     return (first - 1 + np.clip(share, 0.0, 1.0)) * period
 
 
-def step_frequency(left: np.ndarray, right: np.ndarray, period: float) -> float:
+def step_frequency(
+    left: np.ndarray, right: np.ndarray, period: float, swing: float = SHORTEST_SWING
+) -> float:
     """Steps of both feet a second: twice the frequency of strides [Hz].
 
     From the mean time between touchdowns of the same foot, first to last, so that an uneven gait
@@ -95,24 +99,26 @@ def step_frequency(left: np.ndarray, right: np.ndarray, period: float) -> float:
         left: (m,) vertical ground force of the left foot [N].
         right: (m,) of the right foot.
         period: between samples [s].
+        swing: the shortest [s].
     """
     strides, duration = 0, 0.0
     for force in (left, right):
-        times = touchdown_times(force, period)
+        times = touchdown_times(force, period, swing)
         if len(times) >= 2:
             strides += len(times) - 1
             duration += times[-1] - times[0]
     return 2 * strides / duration if strides else float("nan")
 
 
-def duty_factor(force: np.ndarray, period: float) -> float:
+def duty_factor(force: np.ndarray, period: float, swing: float = SHORTEST_SWING) -> float:
     """Share of the stride that one foot is on the ground; NaN without two touchdowns.
 
     Args:
         force: (m,) vertical ground force [N].
         period: between samples [s].
+        swing: the shortest [s].
     """
-    found = stances(force, period)
+    found = stances(force, period, swing=swing)
     if len(found) < 2:
         return float("nan")
     strides = np.diff(found[:, 0])

@@ -8,7 +8,7 @@ import numpy as np
 
 from aslip.cassie import SIDES
 from aslip.errors import ShapeError
-from aslip.metrics.contact import stances
+from aslip.metrics.contact import SHORTEST_SWING, stances
 
 # the place of a foot is its mean over so much of the middle of its stance [s]
 _MIDDLE = 0.03
@@ -48,13 +48,16 @@ class Placement:
         return np.where(self.side == SIDES.index("left"), 1.0, -1.0) * self.offset[:, 1]
 
 
-def footsteps(force: np.ndarray, foot: np.ndarray, period: float) -> Footsteps:
+def footsteps(
+    force: np.ndarray, foot: np.ndarray, period: float, swing: float = SHORTEST_SWING
+) -> Footsteps:
     """Find the footsteps of a walk.
 
     Args:
         force: (m, 2) vertical ground force, left and right [N].
         foot: (m, 2, 3) sole centres [m, world], or at least their x and y.
         period: between samples [s].
+        swing: the shortest [s].
 
     Raises:
         ShapeError: the arrays do not fit.
@@ -66,7 +69,7 @@ def footsteps(force: np.ndarray, foot: np.ndarray, period: float) -> Footsteps:
     side, first, places = [], [], []
     half = max(round(_MIDDLE / period), 1) / 2
     for i in range(2):
-        for start, stop in stances(force[:, i], period):
+        for start, stop in stances(force[:, i], period, swing=swing):
             middle = (start + stop) / 2
             low, high = int(np.ceil(middle - half)), int(np.floor(middle + half))
             side.append(i)

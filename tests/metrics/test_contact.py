@@ -99,3 +99,14 @@ def test_signals_that_are_none_are_refused() -> None:
         stances(np.array([0, 0, 0, np.nan]), PERIOD)
     with pytest.raises(ConfigurationError, match="period"):
         stances(np.zeros(4), 0.0)
+
+
+def test_a_leg_without_load_in_mid_stance_has_not_swung() -> None:
+    """As in spring-mass walking: 0.12 s without load in each stance, where swings take 0.3 s."""
+    stance = np.concatenate([np.full(400, 300.0), np.zeros(240), np.full(400, 300.0)])
+    left = np.tile(np.concatenate([stance, np.zeros(600)]), 6)
+    right = np.roll(left, len(left) // 12)
+    stride = 1640 * PERIOD
+    assert step_frequency(left, right, PERIOD, swing=0.15) == pytest.approx(2 / stride, rel=1e-3)
+    assert step_frequency(left, right, PERIOD) > 3 / stride
+    assert duty_factor(left, PERIOD, swing=0.15) == pytest.approx(1040 / 1640, abs=1e-3)
