@@ -164,12 +164,14 @@ def map_rows(config: Config) -> list[dict[str, Any]]:
     for i, speed in enumerate(config.speeds):
         x = [walk.pelvis_position[:, i, 0] for walk in walks]
         y = [walk.pelvis_position[:, i, 1] for walk in walks]
-        walked = Interval.of([np.array([(p[-1] - p[first]) / duration]) for p in x])
+        each = [float((p[-1] - p[first]) / duration) for p in x]
+        walked = Interval.of([np.array([mean]) for mean in each])
         drift = np.mean([abs(p[-1] - p[first]) / duration for p in y])
         rows.append(
             {
                 "command": speed,
                 **vars(walked),
+                "each": each,
                 "sideways": float(drift),
                 "fell": int(sum(not walk.survived[i] for walk in walks)),
             }

@@ -128,7 +128,7 @@ def test_claims_on_feet() -> None:
 
 def test_claims_on_speed() -> None:
     mapped = [
-        {"command": speed, "mean": speed + off, "fell": fell}
+        {"command": speed, "each": [speed + off, speed - off], "fell": fell}
         for speed, off, fell in ((0.0, 0.02, 0), (0.3, -0.04, 0), (2.0, -0.3, 1))
     ]
     steps = [
@@ -147,6 +147,9 @@ def test_claims_on_speed() -> None:
             "touchdown spikes": 0.25,
         }
     )
+    mapped[2]["each"] = [2.0, math.nan]
+    assert claims.tracking(numbers)["velocity tracking"].mean == math.inf
+    assert claims.tracking(numbers)["slow walking"].mean == pytest.approx(0.04)
 
 
 def test_claims_on_forces() -> None:
