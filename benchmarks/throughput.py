@@ -1,36 +1,53 @@
 """Policy steps per second: the environments against bare `mj_step`, side by side in one run.
 
-    python -m benchmarks.throughput
-    python -m benchmarks.throughput --num-envs 16 64 256 1024 --rounds 9
+    python -m benchmarks.throughput                                       # a quarter of an hour
+    python -m benchmarks.throughput --num-envs 256 --num-threads 2 --rounds 9
 
 In every policy step of the run each candidate advances the same N robots from the same states, one
 after the other, so that whatever else the machine does touches all alike. A table row is the median
 over rounds; the ratio is that of the same round. The bound is `mj_step` alone, 60 substeps a call
 and simulations shared out to threads in advance: no environment around this physics can beat it.
+
+For few robots there are two more: the dm_control task in a loop, and TorchRL's `ParallelEnv`, a
+process a robot. Those processes walk on their own, as many at a time as there are processors.
+
+Two tables follow: the share of an update of PPO in an iteration of training, and the memory that
+environment, policy and samples take.
 """
 
 from __future__ import annotations
 
 import statistics
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import mujoco
 import numpy as np
 import torch
 import tyro
 from tensordict import TensorDictBase
+from torchrl.envs import EnvBase, ParallelEnv
 
 import aslip
 from aslip.cassie import SUBSTEPS
-from aslip.envs import BatchCassieEnv
+from aslip.evaluation import evaluate
 from aslip.policy import policy_stack
+from aslip.run import peak_memory
 from aslip.sim import SimulationPool
 from aslip.transforms import ActionDelta, TrueState
+from benchmarks.faults import quiet
+from recipes import ppo_aslip
 
+_BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
 _PAUSE = 0.01  # [s]
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
@@ -39,14 +56,18 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 class Config:
     """What to measure."""
 
-    num_envs: tuple[int, ...] = (16, 64, 256)
+    num_envs: tuple[int, ...] = (1, 16, 64, 256, 1024)
     """Numbers of robots N."""
-    num_threads: int = 2
+    num_threads: tuple[int, ...] = (1, 2)
     """Threads for the physics of every candidate."""
-    rounds: int = 7
+    rounds: int = 5
     """Rounds to take the median over."""
-    steps: int = 4
-    """Policy steps of a round."""
+    robot_steps: int = 1024
+    """Policy steps of a round, of all robots together; at least one each."""
+    single: int = 16
+    """The most robots for which to measure one simulation at a time, and a process a robot."""
+    updates: bool = True
+    """Measure updates and memory, too."""
     policy: str = "aslip"
     """Who walks, as `aslip.load_policy` names it; its own time is not counted."""
     action_std: float = 0.135
@@ -76,27 +97,24 @@ class Bound:
 class Candidates:
     """The bound, bare simulations, and environments with transforms, kept in step."""
 
-    def __init__(self, num_envs: int, config: Config) -> None:
-        edits: dict[str, dict[str, Any]] = {
-            "environment on the truth": {"drop": ["noise"], "replace": {"estimator": TrueState}},
-            "environment, all transforms": {},
+    def __init__(self, num_envs: int, num_threads: int, config: Config) -> None:
+        stack = policy_stack(config.policy)
+        batch = partial(aslip.make_env, num_envs=num_envs, stack=stack, num_threads=num_threads)
+        self.leader = batch()
+        self.envs: dict[str, EnvBase] = {
+            "environment on the truth": batch(drop=["noise"], replace={"estimator": TrueState}),
+            _LEADER: self.leader,
         }
-        self.envs = {
-            name: aslip.make_env(
-                num_envs=num_envs,
-                stack=policy_stack(config.policy),
-                num_threads=config.num_threads,
-                **edit,
+        self.pools = [_pool(env) for env in self.envs.values()]
+        if num_envs <= config.single:
+            self.envs["dm_control, all transforms"] = aslip.make_env(
+                "dm_control", num_envs=num_envs, stack=stack
             )
-            for name, edit in edits.items()
-        }
-        self.pools: list[SimulationPool] = []
-        for env in self.envs.values():
-            assert isinstance(env.base_env, BatchCassieEnv)
-            self.pools.append(env.base_env.simulations)
-        self.bare = SimulationPool(num_envs, num_threads=config.num_threads)
-        self.bound = Bound(self.bare.model, config.num_threads)
-        transforms = list(self.envs.values())[-1].transforms
+            one = partial(aslip.make_env, num_envs=1, stack=stack, num_threads=1)
+            self.envs["ParallelEnv of single ones"] = ParallelEnv(num_envs, one)
+        self.bare = SimulationPool(num_envs, num_threads=num_threads)
+        self.bound = Bound(self.bare.model, num_threads)
+        transforms = self.leader.transforms
         self.baseline_key = next(t.baseline_key for t in transforms if isinstance(t, ActionDelta))
         self.policy = aslip.load_policy(config.policy)
         self.std = config.action_std
@@ -104,23 +122,30 @@ class Candidates:
 
     def step(self) -> dict[str, float]:
         """One policy step of each from the last one's states; seconds by name."""
-        states = self.pools[-1].states()
+        states = _pool(self.leader).states()
         for pool in (self.bare, *self.pools):
             pool.set_states(states)
-        td = list(self.states.values())[-1]
+        td = self.states[_LEADER]
         with torch.no_grad():
             self.policy(td)
-        td["action"] += self.std * torch.randn(self.bare.num, 10)
+        td["action"] += self.std * torch.randn(td["action"].shape)
         for other in self.states.values():
-            other["action"] = td["action"].clone()
+            other["action"] = td["action"].reshape(*other.batch_size, -1).clone()
         targets = np.asarray(td[self.baseline_key] + td["action"], dtype=np.float64)
         seconds = {
-            "mj_step (bound)": _timed(lambda: self.bound.advance(states)),
-            "simulations": _timed(lambda: self.bare.advance(targets)),
+            _BOUND: _timed(lambda: self.bound.advance(states)),
+            "simulations: sensors, drive, delay, checks": _timed(
+                lambda: self.bare.advance(targets)
+            ),
         }
         for name in self.envs:
             seconds[name] = _timed(lambda name=name: self._step_env(name))
         return seconds
+
+    def close(self) -> None:
+        """End threads and processes."""
+        for env in self.envs.values():
+            env.close()
 
     def _step_env(self, name: str) -> None:
         _, following = self.envs[name].step_and_maybe_reset(self.states[name])
@@ -128,18 +153,97 @@ class Candidates:
         self.states[name] = following
 
 
+def _pool(env: EnvBase) -> SimulationPool:
+    pool = env.base_env.simulations
+    assert isinstance(pool, SimulationPool)
+    return pool
+
+
 def main(config: Config) -> None:
     """Measure and print."""
     torch.manual_seed(0)
-    print("| N | candidate | policy steps/s | share of the bound |\n|---:|---|---:|---:|")
+    torch.set_num_threads(1)
+    columns = " | ".join(
+        f"{n} thread{'s' * (n > 1)}: steps/s | of the bound" for n in config.num_threads
+    )
+    print(f"| N | candidate | {columns} |\n|---:|---|{'---:|---:|' * len(config.num_threads)}")
     for num_envs in config.num_envs:
-        candidates = Candidates(num_envs, config)
-        candidates.step()  # warm up
-        rounds = [_round(candidates, config.steps) for _ in range(config.rounds)]
-        for name in rounds[0]:
-            rate = statistics.median(num_envs * config.steps / r[name] for r in rounds)
-            share = statistics.median(r["mj_step (bound)"] / r[name] for r in rounds)
-            print(f"| {num_envs} | {name} | {rate:.0f} | {100 * share:.0f} % |", flush=True)
+        steps = max(1, config.robot_steps // num_envs)
+        cells: dict[str, list[str]] = {}
+        for num_threads in config.num_threads:
+            candidates = Candidates(num_envs, num_threads, config)
+            candidates.step()  # warm up
+            rounds = [_round(candidates, steps) for _ in range(config.rounds)]
+            candidates.close()
+            for name in rounds[0]:
+                rate = statistics.median(num_envs * steps / r[name] for r in rounds)
+                share = statistics.median(r[_BOUND] / r[name] for r in rounds)
+                cells.setdefault(name, []).extend([f"{rate:.0f}", f"{100 * share:.0f} %"])
+        for name, row in cells.items():
+            print(f"| {num_envs} | {name} | {' | '.join(row)} |", flush=True)
+    if config.updates:
+        print("\n" + update_table(config))
+        print("\n" + memory_table(config))
+
+
+def update_table(config: Config) -> str:
+    """Seconds of collecting samples and of learning from them, for both presets."""
+    lines = ["| settings | samples | collecting s | update s | share of the update |"]
+    lines.append("|---|---:|---:|---:|---:|")
+    for name, preset in ppo_aslip.PRESETS.items():
+        training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
+        collecting, updating = zip(*_iterations(training, config.rounds), strict=True)
+        times = [statistics.median(seconds) for seconds in (collecting, updating)]
+        share = statistics.median(u / (c + u) for c, u in zip(collecting, updating, strict=True))
+        cells = [name, str(training.samples), *(f"{t:.2f}" for t in times), f"{100 * share:.0f} %"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _iterations(config: ppo_aslip.Config, number: int) -> list[tuple[float, float]]:
+    """Seconds of collecting and of updating, of the first iterations of a training."""
+    times: list[float] = []
+    update = ppo_aslip.update
+
+    def timed(*args: Any) -> Any:
+        times.append(time.perf_counter())
+        result = update(*args)
+        times.append(time.perf_counter())
+        return result
+
+    with tempfile.TemporaryDirectory() as folder, quiet():
+        short = replace(
+            config, out=Path(folder), total_steps=config.samples * (number + 1),
+            eval_interval=10**9, checkpoint_minutes=1e6,
+        )  # fmt: skip
+        with (
+            mock.patch.object(ppo_aslip, "update", timed),
+            mock.patch.object(ppo_aslip, "evaluate", partial(evaluate, num_steps=1)),
+        ):
+            ppo_aslip.main(short)
+    # from the end of an update to the beginning of the next, and to its end
+    return [(times[i + 1] - times[i], times[i + 2] - times[i + 1]) for i in range(1, 2 * number, 2)]
+
+
+def memory_table(config: Config) -> str:
+    """The most memory of a process that collects samples with so many robots."""
+    code = (
+        "import sys; from benchmarks.throughput import memory_of;"
+        " print(memory_of(int(sys.argv[1])))"
+    )
+    lines = ["| N | peak memory GiB |", "|---:|---:|"]
+    for num_envs in config.num_envs:
+        command = [sys.executable, "-c", code, str(num_envs)]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
+        lines.append(f"| {num_envs} | {float(done.stdout.split()[-1]):.2f} |")
+    return "\n".join(lines)
+
+
+def memory_of(num_envs: int) -> float:
+    """Peak memory of this process after eight policy steps of so many robots [GiB]."""
+    env = aslip.make_env(num_envs=num_envs)
+    env.rollout(8, aslip.load_policy("aslip"), break_when_any_done=False)
+    return peak_memory()
 
 
 def _round(candidates: Candidates, steps: int) -> dict[str, float]:

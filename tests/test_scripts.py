@@ -9,7 +9,8 @@ from aslip import GaitLibrary
 from aslip.errors import ConfigurationError, RenderingError, SpeedOutOfRangeError
 from aslip.library.file import read_made_by
 from benchmarks import black_box, estimator, film_strip, learning_curves, throughput
-from recipes import gait_library
+from benchmarks.faults import TINY
+from recipes import gait_library, ppo_aslip
 
 
 def test_a_library_of_other_speeds_can_be_built(
@@ -37,10 +38,22 @@ def test_a_library_of_impossible_speeds_leaves_no_file(tmp_path: Path) -> None:
 
 
 def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
-    throughput.main(throughput.Config(num_envs=(2, 3), rounds=1, steps=1))
+    config = throughput.Config(
+        num_envs=(2, 3), num_threads=(1,), rounds=1, robot_steps=1, single=2, updates=False
+    )
+    throughput.main(config)
     rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
-    assert len(rows) == 8
+    assert len(rows) == 6 + 4
     assert all(row.endswith("% |") for row in rows)
+
+
+def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ppo_aslip, "PRESETS", {"tiny": TINY})
+    config = throughput.Config(num_envs=(2,), rounds=2)
+    row = throughput.update_table(config).splitlines()[-1]
+    assert row.startswith("| tiny | 64 | ")
+    assert 0 < float(row.split("|")[-2].strip(" %")) < 100
+    assert 0.1 < float(throughput.memory_table(config).splitlines()[-1].split("|")[2]) < 8
 
 
 def test_the_estimator_is_measured_and_drawn(
