@@ -156,6 +156,13 @@ def make_actor(
     )
 
 
+def set_std(actor: nn.Module, std: float) -> None:
+    """Change the standard deviation of all actions of an actor of `make_actor` [rad]."""
+    scale = next(m for m in actor.modules() if isinstance(m, AddStateIndependentNormalScale))
+    with torch.no_grad():
+        scale.state_independent_scale.fill_(math.log(std))
+
+
 def make_critic(
     normalizer: RunningNormalizer,
     shape: PolicyShape | None = None,

@@ -14,10 +14,11 @@ ablation is a call of `main` in which `make_env` gets something else to `drop` o
 from __future__ import annotations
 
 import argparse
+import math
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, cast
@@ -38,7 +39,14 @@ from aslip.checkpoint import CollectorState
 from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
+from aslip.policy import (
+    PolicyShape,
+    RunningNormalizer,
+    make_actor,
+    make_critic,
+    save_policy,
+    set_std,
+)
 from aslip.run import TrainingRun, check_types, peak_memory, provenance, write_text
 from aslip.stack import STACKS, CassieTransformedEnv, RewardSource, randomised
 from aslip.transforms import AssembleObservation, SpeedCommand, TrueState
@@ -78,6 +86,11 @@ class Config:
     """Of Adam, at first; Table II says 1e-4."""
     last_learning_rate: float = 3e-5
     """The same at the end; it falls linearly over the policy steps. Constant in the paper."""
+    std: float = math.exp(-2)
+    """Standard deviation of actions while training begins [rad]; the paper gives none, its public
+    code this."""
+    last_std: float = math.exp(-2)
+    """The same at the end; it changes exponentially. Constant in the paper."""
     adam_epsilon: float = 1e-5
     """Of Adam (Table II)."""
     gamma: float = 0.99
@@ -113,7 +126,7 @@ class Config:
                 raise ConfigurationError(f"{name} must be 1 or more, got {getattr(self, name)}")
         for name in (
             "learning_rate", "last_learning_rate", "adam_epsilon", "clip", "max_grad_norm",
-            "value_scale",
+            "value_scale", "std", "last_std",
         ):  # fmt: skip
             if getattr(self, name) <= 0:
                 raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
@@ -165,7 +178,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     # ----------------------------------------------------------------- policy
     observation = observed(env)
     size = env.observation_spec["observation"].shape[-1]
-    shape = PolicyShape(size, symmetric=config.symmetric)
+    shape = PolicyShape(size, std=config.std, symmetric=config.symmetric)
     normalizer = RunningNormalizer(size)
     actor = make_actor(normalizer, shape, observation)
     critic = make_critic(normalizer, shape, observation, scale=config.value_scale)
@@ -214,6 +227,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     if config.resume and (kept := run.restore(components)):
         step, elapsed = kept["step"], kept["elapsed_s"]
         episodes.extend(map(tuple, kept["episodes"]))
+        shape = replace(shape, std=std(config, step))
     start = time.perf_counter() - elapsed
     results: list[WalkResult] = []
     bar = tqdm(total=config.total_steps, initial=step, unit="step", dynamic_ncols=True)
@@ -232,6 +246,8 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
             losses = update(data, loss, optimizer, nets, config)
             normalizer.update(data["observation"])
             step += data.numel()
+            shape = replace(shape, std=std(config, step))
+            set_std(actor, shape.std)  # of the next samples
 
             done = data["next", "done"][..., 0]
             lengths = data["next", "step_count"][..., 0][done].tolist()
@@ -331,6 +347,12 @@ def learning_rate(config: Config, step: int) -> float:
     """Of an update after so many policy steps."""
     share = min(step / config.total_steps, 1.0)
     return config.learning_rate + share * (config.last_learning_rate - config.learning_rate)
+
+
+def std(config: Config, step: int) -> float:
+    """Of actions after so many policy steps."""
+    share = min(step / config.total_steps, 1.0)
+    return config.std * (config.last_std / config.std) ** share
 
 
 def observed(env: CassieTransformedEnv) -> list[NestedKey]:

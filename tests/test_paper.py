@@ -140,6 +140,8 @@ def test_ppo_hyper_parameters() -> None:
     # "sample size 5096", rounded up to whole steps of all robots
     assert config.samples == -(-5096 // config.num_envs) * config.num_envs
     assert config.last_learning_rate == config.learning_rate
+    assert config.last_std == config.std == PolicyShape().std
+    assert config.command_interval == 0
     assert config.stack == "paper"
     assert not config.symmetric
     assert config.value_scale == 1

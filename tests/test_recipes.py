@@ -17,6 +17,7 @@ from torchrl.collectors import Collector
 import aslip
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
+from aslip.policy import read_manifest
 from aslip.transforms import ObservationNoise, RandomNoise, SpeedCommand
 from recipes import ppo_aslip
 from recipes.ppo_aslip import Config
@@ -192,3 +193,23 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     assert (judged.base_env.dynamics["mass"] == 1.0).all()
     found = [[type(t) for t in env.transforms if isinstance(t, ObservationNoise)] for env in envs]
     assert found == [noise, [ObservationNoise] * len(noise)]
+
+
+def test_exploration_shrinks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Samples of one update have one deviation, and the policy's file has the last."""
+    seen: list[float] = []
+    update = ppo_aslip.update
+
+    def spied(data: Any, *args: Any) -> Any:
+        assert data["scale"].unique().numel() == 1
+        seen.append(float(data["scale"][0, 0, 0]))
+        return update(data, *args)
+
+    monkeypatch.setattr(ppo_aslip, "update", spied)
+    config = replace(TINY, out=tmp_path / "run", total_steps=256, std=0.4, last_std=0.1)
+    ppo_aslip.main(config)
+    assert seen == pytest.approx([0.4, 0.4 / 2**0.5, 0.2, 0.2 / 2**0.5])
+    std = read_manifest(config.out / "policy.zip")["metadata"]["shape"]["std"]
+    assert std == pytest.approx(0.1)
+    td = aslip.load_policy(config.out)(aslip.make_env().reset())
+    assert td["scale"].unique().tolist() == pytest.approx([0.1])
