@@ -12,6 +12,7 @@ the physics state (`<motor delay=...>` in the model), so that a saved state resu
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from aslip.cassie import (
     GEAR,
@@ -26,6 +27,7 @@ from aslip.cassie import (
 _NO_LOAD_JOINT_SPEED = MOTOR_NO_LOAD_SPEED / GEAR
 # torque falls from its maximum at half the no-load speed to zero there
 _TORQUE_SLOPE = 2.0
+_SLOPE = -_TORQUE_SLOPE / _NO_LOAD_JOINT_SPEED
 
 
 class Drive:
@@ -37,36 +39,53 @@ class Drive:
 
     def __init__(self, num: int) -> None:
         self._torque = np.empty((num, GEAR.size))
-        self._limit = np.empty((num, GEAR.size))
 
-    def torque(self, target: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def torque(
+        self,
+        target: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        out: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Torque at the motor shafts.
 
         Args:
             target: (n, 10) joint angles to hold [rad].
             position: (n, 10) joint angles [rad].
             velocity: (n, 10) joint velocities [rad/s].
+            out: (n, 10) where to write.
 
         Returns:
             (n, 10) [N m], overwritten by the next call.
         """
-        torque, limit = self._torque, self._limit
-        # tau = P (target - q) - D qdot; `limit` serves as scratch first
-        np.subtract(target, position, out=torque)
-        torque *= PD_STIFFNESS
-        np.multiply(velocity, PD_DAMPING, out=limit)
-        torque -= limit
-        np.clip(torque, -SAFETY_TORQUE, SAFETY_TORQUE, out=torque)
-        torque /= GEAR
-        # limit = tau_max clip(2 (1 - |w| / w_max), 0, 1)
-        np.abs(velocity, out=limit)
-        limit *= -_TORQUE_SLOPE / _NO_LOAD_JOINT_SPEED
-        limit += _TORQUE_SLOPE
-        np.clip(limit, 0.0, 1.0, out=limit)
-        limit *= MOTOR_TORQUE_LIMIT
-        np.minimum(torque, limit, out=torque)
-        np.negative(limit, out=limit)
-        return np.maximum(torque, limit, out=torque)
+        out = self._torque if out is None else out
+        _limited(target, position, velocity, out)
+        return out
+
+
+@njit(nogil=True)
+def _limited(
+    target: np.ndarray, position: np.ndarray, velocity: np.ndarray, out: np.ndarray
+) -> None:
+    """PD control and limits; compiled, as twenty NumPy calls a substep cost a fifth of it."""
+    for i in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            torque = (target[i, j] - position[i, j]) * PD_STIFFNESS[j]
+            torque -= velocity[i, j] * PD_DAMPING[j]
+            # written such that what is not a number stays so, and is noticed
+            if torque > SAFETY_TORQUE[j]:
+                torque = SAFETY_TORQUE[j]
+            elif torque < -SAFETY_TORQUE[j]:
+                torque = -SAFETY_TORQUE[j]
+            torque /= GEAR[j]
+            # limit = tau_max clip(2 (1 - |w| / w_max), 0, 1)
+            limit = abs(velocity[i, j]) * _SLOPE[j] + _TORQUE_SLOPE
+            limit = min(max(limit, 0.0), 1.0) * MOTOR_TORQUE_LIMIT[j]
+            if torque > limit:
+                torque = limit
+            elif torque < -limit:
+                torque = -limit
+            out[i, j] = torque
 
 
 def motor_torque(target: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:

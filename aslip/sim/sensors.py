@@ -25,6 +25,7 @@ from typing import Final
 
 import mujoco
 import numpy as np
+from numba import njit
 from scipy.signal import lfilter, lfilter_zi
 
 from aslip.cassie import (
@@ -53,6 +54,8 @@ _ORDER = max(map(len, JOINT_VELOCITY_FILTER)) - 1
 # radians at the joint of one count
 _MOTOR_STEP = 2 * np.pi / 2.0**MOTOR_ENCODER_BITS / GEAR
 _JOINT_STEP = 2 * np.pi / 2.0**JOINT_ENCODER_BITS
+# radians a second at the joint of one in the sum of taps times counts
+_VELOCITY_STEP = _MOTOR_STEP / np.pi
 _OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
 # quaternion, angular velocity, linear and angular acceleration
 _ATTITUDE, _GYRO, _LINEAR, _ANGULAR = slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13)
@@ -145,16 +148,12 @@ class Sensors:
 
     def read(self, substep: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Read the state before a physics step, (n, 35) and (n, 32)."""
-        angle = self._angle[substep]
-        np.take(qpos, self._encoder_qpos, axis=1, out=angle)
-        count = self._count[_MEMORY_ROWS + substep]
-        np.divide(angle[:, : self._motors], _MOTOR_STEP, out=count)
-        np.trunc(count, out=count)
-        np.multiply(count, _MOTOR_STEP, out=self.motor_position)
         self.motor_velocity = self._velocity[substep]
-        self.motor_velocity[:] = _motor_velocity(self._count[substep : substep + _TAPS])
-        self._inertial[_ATTITUDE, substep] = qpos[:, 3:7].T
-        self._inertial[_GYRO, substep] = qvel[:, 3:6].T
+        _read(
+            qpos, qvel, self._encoder_qpos, self._angle[substep],
+            self._count[substep : substep + _TAPS], self.motor_position, self.motor_velocity,
+            self._inertial[:, substep],
+        )  # fmt: skip
 
     def feel(self, substep: int, qacc: np.ndarray) -> None:
         """Record the accelerations (n, 32) of the state that `read` read, known after its step."""
@@ -242,13 +241,54 @@ class Sensors:
         )
 
 
+@njit(nogil=True)
+def _read(
+    qpos: np.ndarray,
+    qvel: np.ndarray,
+    encoders: np.ndarray,
+    angle: np.ndarray,
+    count: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    inertial: np.ndarray,
+) -> None:
+    """Fill one substep's rows of the records; compiled for the 2 kHz loop.
+
+    Args:
+        qpos: (n, 35).
+        qvel: (n, 32).
+        encoders: (16,) where in `qpos` the encoders are, motors first.
+        angle: (n, 16) to be written.
+        count: (9, n, 10) the last counts, oldest first; the newest is written.
+        position: (n, 10) to be written.
+        velocity: (n, 10) to be written.
+        inertial: (13, n) attitude and angular velocity are written.
+    """
+    for i in range(qpos.shape[0]):
+        for j in range(encoders.size):
+            angle[i, j] = qpos[i, encoders[j]]
+        for j in range(position.shape[1]):
+            counted = np.trunc(angle[i, j] / _MOTOR_STEP[j])
+            count[-1, i, j] = counted
+            position[i, j] = counted * _MOTOR_STEP[j]
+            # whole numbers: the sum is exact in whatever order it is taken
+            total = 0.0
+            for k in range(_TAPS):
+                total += _OLDEST_FIRST[k] * count[k, i, j]
+            velocity[i, j] = total * _VELOCITY_STEP[j]
+        for j in range(4):
+            inertial[j, i] = qpos[i, 3 + j]
+        for j in range(3):
+            inertial[4 + j, i] = qvel[i, 3 + j]
+
+
 def _motor_velocity(counts: np.ndarray) -> np.ndarray:
     """(n, 10) velocities from the last nine counts (9, n, 10), oldest first.
 
     Counts and taps are whole numbers, and so the sum is exact in whatever order it is taken.
     """
     flat = _OLDEST_FIRST @ counts.reshape(_TAPS, -1)
-    return flat.reshape(counts.shape[1:]) * (_MOTOR_STEP / np.pi)
+    return flat.reshape(counts.shape[1:]) * _VELOCITY_STEP
 
 
 def _ramp_response() -> tuple[np.ndarray, float]:

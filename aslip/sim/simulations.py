@@ -163,7 +163,7 @@ class Simulations:
         for substep in range(SUBSTEPS):
             # the PD loop has the readings of the step before
             position, velocity = self.sensors.motor_position, self.sensors.motor_velocity
-            self._ctrl[:] = self._drive.torque(motor_target, position, velocity)
+            self._drive.torque(motor_target, position, velocity, out=self._ctrl)
             self.sensors.read(substep, self.qpos, self.qvel)
             self._step(failed, _CURRENT if substep == SUBSTEPS - 1 else _NONE)
             self.sensors.feel(substep, self._qacc)

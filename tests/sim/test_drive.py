@@ -114,3 +114,22 @@ def test_nan_stays_nan() -> None:
 def test_an_infinite_target_asks_for_the_largest_torque(sign: int) -> None:
     torque = motor_torque(np.full(10, sign * np.inf), ZERO, ZERO)
     np.testing.assert_array_equal(torque, sign * MOTOR_TORQUE_LIMIT)
+
+
+def test_what_is_no_number_is_not_limited_to_one() -> None:
+    """A robot that has diverged must be noticed; the others are none the worse."""
+    position, velocity = np.zeros((2, 10)), np.zeros((2, 10))
+    for broken in (position, velocity):
+        broken[0, 3] = np.nan
+        torque = motor_torque(np.ones((2, 10)), position, velocity)
+        assert np.isnan(torque[0, 3])
+        assert np.isfinite(torque[1]).all()
+        broken[:] = 0
+
+
+def test_torques_go_where_they_are_told() -> None:
+    drive, out = Drive(3), np.zeros((3, 20))
+    angles = [np.random.default_rng(i).normal(size=(3, 10)) for i in range(3)]
+    assert drive.torque(*angles, out=out[:, ::2]).base is out
+    np.testing.assert_array_equal(out[:, ::2], motor_torque(*angles))
+    assert not out[:, 1::2].any()
