@@ -47,3 +47,7 @@ class ConfigurationError(AslipError, ValueError):
 
 class RenderingError(AslipError, RuntimeError):
     """Pictures are asked for where no OpenGL works."""
+
+
+class CollectorError(AslipError, RuntimeError):
+    """A process that collects samples for a training has failed, or was ended."""

@@ -6,6 +6,7 @@
     python recipes/ppo_aslip.py --truth --out runs/truth # without noise and estimator
     python recipes/ppo_aslip.py --preset paper --out runs/paper
     python recipes/ppo_aslip.py --randomise --out runs/robust # robots that differ
+    python recipes/ppo_aslip.py --collector ray --num-collectors 8 # on a cluster: aslip/collect.py
 
 This is Green et al. 2021 from top to bottom: settings, environment, policy, PPO, evaluation. An
 ablation is a call of `main` in which `make_env` gets something else to `drop` or to `replace`.
@@ -28,14 +29,13 @@ import tyro
 from tensordict import TensorDict
 from tensordict.utils import NestedKey
 from torchrl.checkpoint import GlobalRNGState
-from torchrl.collectors import Collector
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
 import aslip
-from aslip.checkpoint import CollectorState
+from aslip.collect import CollectorKind, check_shares, make_collector
 from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
@@ -111,6 +111,11 @@ class Config:
     randomise: bool = False
     """Train on robots that differ from episode to episode, in mass, friction, springs, motors,
     delay, slope and noise (`aslip.transforms.DYNAMICS_RANGES`); evaluated is the robot itself."""
+    collector: CollectorKind = "single"
+    """Where robots are: in this process, in others on this machine, or in Ray's, on a cluster, too
+    (`aslip.collect`)."""
+    num_collectors: int = 2
+    """Processes or actors that robots are shared out to, unless there is but this process."""
     eval_interval: int = 250_000
     """Policy steps between evaluations over all speeds."""
     checkpoint_minutes: float = 3.0
@@ -120,7 +125,8 @@ class Config:
         """Check what a typing slip would make a mystery of later."""
         check_types(self)
         for name in (
-            "total_steps", "num_envs", "samples", "minibatch", "epochs", "eval_interval",
+            "total_steps", "num_envs", "samples", "minibatch", "epochs", "num_collectors",
+            "eval_interval",
         ):  # fmt: skip
             if getattr(self, name) < 1:
                 raise ConfigurationError(f"{name} must be 1 or more, got {getattr(self, name)}")
@@ -138,10 +144,8 @@ class Config:
         for name in ("checkpoint_minutes", "command_interval"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
-        if self.samples % self.num_envs:
-            raise ConfigurationError(
-                f"samples must be a multiple of num_envs = {self.num_envs}, got {self.samples}"
-            )
+        collectors = 1 if self.collector == "single" else self.num_collectors
+        check_shares(self.num_envs, self.samples, collectors)
 
 
 PRESETS = {
@@ -171,13 +175,12 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         edits["replace"] = {**edits["replace"], "estimator": TrueState}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
     make_env = partial(aslip.make_env, **task)
-    env = make_env(num_envs=config.num_envs, **variety(config, task))
     speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
     eval_env = make_env(num_envs=len(speeds))
 
     # ----------------------------------------------------------------- policy
-    observation = observed(env)
-    size = env.observation_spec["observation"].shape[-1]
+    observation = observed(eval_env)
+    size = eval_env.observation_spec["observation"].shape[-1]
     shape = PolicyShape(size, std=config.std, symmetric=config.symmetric)
     normalizer = RunningNormalizer(size)
     actor = make_actor(normalizer, shape, observation)
@@ -207,33 +210,35 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     )
 
     # ------------------------------------------------------------------- loop
-    collector = Collector(
-        env,
+    collector = make_collector(
+        partial(make_env, **variety(config, task)),
         actor,
-        frames_per_batch=config.samples,
-        total_frames=-1,
-        trust_policy=True,
-        auto_register_policy_transforms=False,
+        kind=config.collector,
+        num_envs=config.num_envs,
+        samples=config.samples,
+        num_collectors=config.num_collectors,
+        seed=config.seed,
     )
     components = {
         "actor": actor,
         "critic": critic,
         "optimizer": optimizer,
         "rng": GlobalRNGState(),
-        "collector": CollectorState(collector),
+        "collector": collector,
     }
-    step, elapsed = 0, 0.0
+    step, elapsed, divergences = 0, 0.0, 0
     episodes: deque[tuple[float, float]] = deque(maxlen=256)  # length, return
     if config.resume and (kept := run.restore(components)):
-        step, elapsed = kept["step"], kept["elapsed_s"]
+        step, elapsed, divergences = kept["step"], kept["elapsed_s"], kept["divergences"]
         episodes.extend(map(tuple, kept["episodes"]))
         shape = replace(shape, std=std(config, step))
     start = time.perf_counter() - elapsed
     results: list[WalkResult] = []
     bar = tqdm(total=config.total_steps, initial=step, unit="step", dynamic_ncols=True)
     batches = collector if step < config.total_steps else ()
-    with bar, run.saving(components, config.checkpoint_minutes) as keep:
+    with bar, collector, run.saving(components, config.checkpoint_minutes) as keep:
         for data in batches:
+            divergences += int(data["next", "truth", "diverged"].sum())
             if normalizer.count == 0:
                 # the first samples only teach the normaliser what inputs look like
                 normalizer.update(data["observation"])
@@ -268,16 +273,22 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
                     "episode_return": total,
                     **terms,
                     **losses,
-                    "divergences": env.base_env.divergences,
+                    "divergences": divergences,
                     **summary(results),
                 },
             )
-            keep(step, {"elapsed_s": time.perf_counter() - start, "episodes": list(episodes)})
+            keep(
+                step,
+                {
+                    "elapsed_s": time.perf_counter() - start,
+                    "episodes": list(episodes),
+                    "divergences": divergences,
+                },
+            )
             bar.set_postfix_str(progress(length, total, terms), refresh=False)
             bar.update(data.numel())
             if step >= config.total_steps:
                 break
-    collector.shutdown()
 
     # ---------------------------------------------------------------- summary
     results = results or evaluated(actor, eval_env, speeds, config.seed)

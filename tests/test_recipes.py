@@ -15,6 +15,7 @@ import torch
 from torchrl.collectors import Collector
 
 import aslip
+from aslip import collect
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
 from aslip.policy import read_manifest
@@ -182,7 +183,7 @@ def test_robots_differ_in_training_and_not_in_evaluation(
         envs.append(env)
         return evaluate(actor, env, speeds, num_steps=EVAL_STEPS)
 
-    monkeypatch.setattr(ppo_aslip, "Collector", collector)
+    monkeypatch.setattr(collect, "Collector", collector)
     monkeypatch.setattr(ppo_aslip, "evaluate", evaluated)
     ppo_aslip.main(replace(TINY, out=tmp_path / "run", randomise=True, **settings))
     trained, judged = envs
