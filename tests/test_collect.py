@@ -59,7 +59,7 @@ class Learner:
         """Change every weight and statistic."""
         for parameter in self.actor.parameters():
             parameter += 0.01
-        self.normalizer.update(3 * data["observation"] + 1)
+        self.normalizer.update(3 * data.get("observation") + 1)
 
     def log_prob(self, data: TensorDict) -> torch.Tensor:
         """Of the batch's actions, by the actor as it is now."""

@@ -8,7 +8,7 @@ import pytest
 from aslip import GaitLibrary
 from aslip.errors import ConfigurationError, RenderingError, SpeedOutOfRangeError
 from aslip.library.file import read_made_by
-from benchmarks import black_box, estimator, film_strip, learning_curves, throughput
+from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
 from benchmarks.faults import TINY
 from recipes import gait_library, ppo_aslip
 
@@ -45,6 +45,15 @@ def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixtur
     rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
     assert len(rows) == 6 + 4
     assert all(row.endswith("% |") for row in rows)
+
+
+def test_collectors_are_measured_side_by_side(capsys: pytest.CaptureFixture[str]) -> None:
+    config = collectors.Config(kinds=("single", "distributed"), num_envs=4, samples=8, rounds=2)
+    collectors.main(config)
+    *_, one, other = capsys.readouterr().out.splitlines()
+    assert one.startswith("| `single` | ")
+    assert " | 100 % | " in one
+    assert float(other.split("|")[3].strip(" %")) > 0
 
 
 def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
