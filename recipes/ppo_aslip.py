@@ -86,10 +86,10 @@ class Config:
     """Of Adam, at first; Table II says 1e-4."""
     last_learning_rate: float = 3e-5
     """The same at the end; it falls linearly over the policy steps. Constant in the paper."""
-    std: float = math.exp(-2)
+    std: float = 0.22
     """Standard deviation of actions while training begins [rad]; the paper gives none, its public
-    code this."""
-    last_std: float = math.exp(-2)
+    code exp(-2)."""
+    last_std: float = 0.05
     """The same at the end; it changes exponentially. Constant in the paper."""
     adam_epsilon: float = 1e-5
     """Of Adam (Table II)."""
@@ -153,6 +153,7 @@ PRESETS = {
     "paper": Config(
         preset="paper", stack="paper", symmetric=False, value_scale=1.0, samples=5120,
         minibatch=64, epochs=3, learning_rate=1e-4, last_learning_rate=1e-4, command_interval=0.0,
+        std=math.exp(-2), last_std=math.exp(-2),
     ),
 }  # fmt: skip
 """Settings that others are given on top of; 5120 is the multiple of 256 nearest to 5096."""
