@@ -17,6 +17,7 @@ from aslip.log import Recording, read, replay
 from aslip.log import replay as package
 from aslip.log.__main__ import main
 from aslip.log.replay import low_level_differs
+from aslip.sim import Drive
 from tests.log.conftest import MakeRecorded, run
 
 
@@ -166,10 +167,15 @@ def test_verifying_fails_when_the_simulation_differs(
 ) -> None:
     """As it would after a change of the drive, which is then named."""
     from aslip.log import replay as _  # noqa: F401
-    from aslip.sim import drive
 
-    module = sys.modules["aslip.log.replay"]
-    monkeypatch.setattr(drive, "PD_STIFFNESS", drive.PD_STIFFNESS * 1.01)
+    module, torque = sys.modules["aslip.log.replay"], Drive.torque
+
+    def stronger(drive: Drive, *args: np.ndarray, out: np.ndarray) -> np.ndarray:
+        torque(drive, *args, out=out)
+        out *= 1.01
+        return out
+
+    monkeypatch.setattr(Drive, "torque", stronger)
     monkeypatch.setattr(module, "low_level_digest", lambda: "other")
     assert main(["replay", "--verify", str(walk[0])]) == 1
     told = capsys.readouterr().out
