@@ -27,7 +27,7 @@ from aslip import collect
 from aslip.collect import SENT, CollectorKind, SampleCollector, make_collector
 from aslip.errors import ConfigurationError
 from aslip.evaluation import evaluate
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, set_std
 from aslip.run import TrainingStoppedError, read_progress
 from recipes import ppo_aslip
 from tests.conftest import differing
@@ -56,9 +56,10 @@ class Learner:
 
     @torch.no_grad()
     def learn(self, data: TensorDict) -> None:
-        """Change every weight and statistic."""
+        """Change every weight, statistic, and the standard deviation."""
         for parameter in self.actor.parameters():
             parameter += 0.01
+        set_std(self.actor, 0.8)
         self.normalizer.update(3 * data.get("observation") + 1)
 
     def log_prob(self, data: TensorDict) -> torch.Tensor:
