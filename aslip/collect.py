@@ -17,6 +17,9 @@ On a cluster the package must be installed on every machine, in the same version
     ray start --address=HOST:6379               # on each of the others
     RAY_ADDRESS=HOST:6379 python recipes/ppo_aslip.py --collector ray --num-collectors 8
 
+The first prints a token by `ray get-auth-token`; the others and the recipe need it where Ray asks
+for one, as `RAY_AUTH_MODE=token RAY_AUTH_TOKEN=...`.
+
 Without `RAY_ADDRESS` a Ray of its own begins on the loopback address, without dashboard and usage
 statistics, and ends with the collector.
 
@@ -450,11 +453,22 @@ def _joined(batches: tuple[TensorDictBase, ...]) -> TensorDict:
 
 
 def _join_ray(ray: Any, num_collectors: int) -> None:
-    """Join the cluster of `RAY_ADDRESS`, or begin a Ray here."""
+    """Join the cluster of `RAY_ADDRESS`, or begin a Ray here.
+
+    Raises:
+        ConfigurationError: the cluster does not let us in.
+    """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     address = os.environ.get("RAY_ADDRESS")
     if address:
-        ray.init(address=address, log_to_driver=False)
+        try:
+            ray.init(address=address, log_to_driver=False)
+        except Exception as error:  # connection, token, version: Ray has one for each
+            raise ConfigurationError(
+                f"the Ray cluster at RAY_ADDRESS = {address!r} cannot be joined"
+                f" ({type(error).__name__}: {error}); does it run, and are RAY_AUTH_MODE and"
+                " RAY_AUTH_TOKEN those of its head?"
+            ) from error
         return
     ray.init(
         address="local",

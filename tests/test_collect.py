@@ -303,6 +303,26 @@ def test_without_ray_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatc
         _collector("ray", torch.nn.Identity())
 
 
+def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Ray:
+        @staticmethod
+        def is_initialized() -> bool:
+            return False
+
+        @staticmethod
+        def init(**settings: Any) -> None:
+            raise ConnectionError(f"no one at {settings['address']}")
+
+        shutdown = is_initialized
+
+    monkeypatch.setenv("RAY_ADDRESS", "somewhere:1")
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: "there")
+    monkeypatch.setitem(sys.modules, "ray", Ray)
+    collector = _collector("ray", torch.nn.Identity())
+    with collector, pytest.raises(ConfigurationError, match=r"'somewhere:1'.*no one at"):
+        next(iter(collector))
+
+
 @pytest.mark.parametrize(
     ("processors", "collectors", "threads"),
     [([8], 2, 4), ([8], 3, 2), ([2, 6], 2, 3), ([4, 4], 3, 2), ([1, 1, 1], 3, 1), ([0, 4], 1, 4)],
