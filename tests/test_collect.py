@@ -181,6 +181,7 @@ def _rows(folder: Path) -> list[list[float]]:
     return list(map(list, zip(*columns, strict=True)))
 
 
+@pytest.mark.slow
 def test_a_training_whose_collector_is_killed_goes_on_later(tmp_path: Path) -> None:
     """It ends with an error that says so; what was written is whole; none is left running."""
     config = replace(TINY, out=tmp_path / "run", collector="distributed", total_steps=192)

@@ -214,3 +214,12 @@ def test_exploration_shrinks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert std == pytest.approx(0.1)
     td = aslip.load_policy(config.out)(aslip.make_env().reset())
     assert td["scale"].unique().tolist() == pytest.approx([0.1])
+
+
+def test_an_evaluation_leaves_the_random_numbers_of_training_alone(tmp_path: Path) -> None:
+    runs = []
+    for interval in (64, 10**6):
+        config = replace(TINY, out=tmp_path / str(interval), eval_interval=interval)
+        ppo_aslip.main(config)
+        runs.append([row["loss_critic"] for row in _rows(config.out)])
+    assert runs[0] == runs[1]
