@@ -70,6 +70,7 @@ from torchrl.collectors import BaseCollector, Collector
 
 from aslip.checkpoint import CollectorState
 from aslip.errors import CollectorError, ConfigurationError
+from aslip.sim.pool import processors
 from aslip.stack import CassieTransformedEnv
 
 CollectorKind = Literal["single", "distributed", "ray"]
@@ -129,10 +130,7 @@ def make_collector(
         kinds = get_args(CollectorKind)
         raise ConfigurationError(f"collector must be one of {kinds}, got {kind!r}")
     if kind == "single":
-        # TorchRL's environments seed torch along with themselves
-        with torch.random.fork_rng(devices=[]):
-            env = make_env(num_envs=num_envs)
-        return LocalCollector(env, actor, samples)
+        return LocalCollector(make_env(num_envs=num_envs), actor, samples)
     check_shares(num_envs, samples, num_collectors)
     if kind == "ray" and importlib.util.find_spec("ray") is None:
         raise ConfigurationError("the collector 'ray' needs Ray: pip install 'aslip[ray]'")
@@ -308,7 +306,7 @@ class DistributedCollectors(RemoteCollectors):
             # must not draw other numbers for that
             with torch.random.fork_rng(devices=[]):
                 return Collector(
-                    self._robots(max(1, _processors() // self._num)),
+                    self._robots(max(1, processors() // self._num)),
                     self._actor,
                     # a module that is sent as it is shares its memory with the process
                     policy_factory=_Blank(self._actor),
@@ -420,7 +418,7 @@ class _Robots:
             torch.set_num_threads(1)
             _follow_parent()
         env = self._make_env(seed=self.env_seed)
-        # for actions; the environment has seeded torch, too
+        # for actions, which torch's global generator draws
         torch.manual_seed(self.torch_seed)
         return env
 
@@ -472,7 +470,7 @@ def _join_ray(ray: Any, num_collectors: int) -> None:
         return
     ray.init(
         address="local",
-        num_cpus=max(_processors(), num_collectors),
+        num_cpus=max(processors(), num_collectors),
         object_store_memory=_RAY_STORE,
         include_dashboard=False,
         log_to_driver=False,
@@ -507,13 +505,6 @@ def _threads(processors: list[int], num_collectors: int) -> int:
         f"num_collectors must be at most {sum(processors)}, the processors of the Ray cluster, got"
         f" {num_collectors}"
     )
-
-
-def _processors() -> int:
-    """Processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def _free_port() -> int:

@@ -19,6 +19,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.plots import save_figure
 from aslip.policy import policy_stack
+from aslip.rom import Gait
 from aslip.run import write_text
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import TrueState
@@ -130,12 +131,17 @@ def strides(library: GaitLibrary, speeds: Sequence[float]) -> np.ndarray:
     return library.stride(column)[:, 0].numpy()
 
 
+def nearest_gait(library: GaitLibrary, speed: float) -> Gait:
+    """The gait whose speed is nearest to one [m/s]."""
+    return min(library.gaits, key=lambda gait: abs(gait.speed - speed))
+
+
 def shortest_swing(library: GaitLibrary, speed: float) -> float:
     """Half of the model's swing [s]: a robot's foot without load for a shorter time has not swung.
 
     A leg that follows the model carries nothing for a while in the middle of its stance.
     """
-    gait = min(library.gaits, key=lambda gait: abs(gait.speed - speed))
+    gait = nearest_gait(library, speed)
     return (1 - gait.duty_factor) * gait.stride / 2
 
 
@@ -152,7 +158,7 @@ def write_report(
         save_figure(figure, config.out / f"{name}.png")
 
 
-def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table, numbers to the right."""
-    lines = [list(header), ["---:"] * len(header), *map(list, rows)]
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]], align: str = "---:") -> str:
+    """A table, numbers to the right unless `align` says otherwise."""
+    lines = [list(header), [align] * len(header), *map(list, rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

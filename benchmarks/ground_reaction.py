@@ -27,7 +27,7 @@ from aslip.metrics.contact import stances
 from aslip.metrics.force import ForceProfile, dip_ratio, humps
 from aslip.rom import Gait, Mode
 from aslip.walker import Walker
-from benchmarks.common import Common, environment, markdown, write_report
+from benchmarks.common import Common, environment, markdown, nearest_gait, write_report
 
 # before strides count, and while they do [s]
 _SETTLE, _WALK = 4.0, 8.0
@@ -81,7 +81,7 @@ def main(config: Config) -> list[dict[str, Any]]:
         row |= asdict(mean)
         curves.setdefault((method, speed), curve(force[:, 0]))
     for speed in config.speeds:
-        gait = library.gaits[int(np.argmin(np.abs(library.speeds - speed)))]
+        gait = nearest_gait(library, speed)
         rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
     write_report(
         config,
@@ -193,7 +193,7 @@ def picture(config: Config, curves: dict[tuple[str, float], Curve], library: Gai
     axes = np.atleast_1d(figure.subplots(1, len(config.speeds), sharey=True))
     share = np.arange(_SAMPLES) / _SAMPLES
     for axis, speed in zip(axes, config.speeds, strict=True):
-        gait = library.gaits[int(np.argmin(np.abs(library.speeds - speed)))]
+        gait = nearest_gait(library, speed)
         model = model_force(gait)
         axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
         for method, color in (("ASLIP", "tab:red"), ("single reference", "tab:blue")):

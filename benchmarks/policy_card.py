@@ -38,6 +38,7 @@ from aslip.transforms import ActionDelta
 from benchmarks import foot_placement, perturbation, step_frequency, velocity_tracking
 from benchmarks.common import markdown
 
+_LEFT = "---"
 _MOTORS, _JOINTS = "; ".join(MOTOR_NAMES), "; ".join(JOINT_NAMES)
 _ENTRIES = {
     "estimate/height": "pelvis above the ground [m]",
@@ -132,7 +133,7 @@ def how_made(about: dict[str, Any]) -> str:
         ["versions", versions or "not recorded"],
         ["settings", ", ".join(f"{k} {v}" for k, v in settings.items()) or "not recorded"],
     ]
-    return f"## How it was made\n\n{_table(['', ''], rows)}"
+    return f"## How it was made\n\n{markdown(['', ''], rows, _LEFT)}"
 
 
 def contract(about: dict[str, Any]) -> str:
@@ -162,7 +163,7 @@ def contract(about: dict[str, Any]) -> str:
             "## What it needs",
             f"It observes {index} numbers, normalised by the mean and variance in the file and cut"
             " off at ten deviations:",
-            _table(["index", "entry", "what it is"], rows),
+            markdown(["index", "entry", "what it is"], rows, _LEFT),
             f"It answers with {len(MOTOR_NAMES)} angles [rad], {1 / POLICY_PERIOD:.1f} times a"
             f" second, that are added to the baseline {baseline}:"
             f" {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
@@ -219,11 +220,6 @@ def limits(numbers: dict[str, Any]) -> str:
 def _section(config: Config, title: str, benchmark: str) -> str:
     table = (config.out / config.name / f"{benchmark}.md").read_text().strip()
     return f"## {title}\n\n`python -m benchmarks.{benchmark} --policy {config.name}`\n\n{table}"
-
-
-def _table(header: list[str], rows: list[list[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def _copy(source: Path, target: Path) -> None:

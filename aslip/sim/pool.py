@@ -47,7 +47,7 @@ class SimulationPool:
         self.num = num
         self.model = load_model(visual=False) if model is None else model
         self.indices = CassieIndices.from_model(self.model)
-        threads = num_threads or _processors()
+        threads = num_threads or processors()
         # equal parts, as many for each thread
         rounds = math.ceil(num / (threads * _LARGEST_PART))
         size = math.ceil(num / (threads * rounds))
@@ -157,7 +157,7 @@ class SimulationPool:
             part.set_states(rows)
 
 
-def _processors() -> int:
+def processors() -> int:
     """Processors this process may run on."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

@@ -130,11 +130,15 @@ class ObservationNoise(CassieTransform):
             packets = cast("Tensor", tensordict["sensors", sensor])
             shape = (*packets.shape[:-1], len(white))
             bias = cast("Tensor", tensordict["sensor_bias", sensor])
-            error = white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2)
+            error = self._scaled(white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2))
             turns = sensor == "orientation"
             noisy = _turned(packets, error) if turns else packets + error
             tensordict.set(("sensors", sensor), noisy)
         return tensordict
+
+    def _scaled(self, error: Tensor) -> Tensor:
+        """What of an error (n, w, k) there is; for subclasses to change."""
+        return error
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the biases."""

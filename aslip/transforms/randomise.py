@@ -15,7 +15,7 @@ from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.dynamics import parameter_named
 from aslip.transforms.base import CassieTransform, extend_spec, require_keys
-from aslip.transforms.noise import ObservationNoise, _normal, _turned
+from aslip.transforms.noise import ObservationNoise
 
 DYNAMICS_RANGES: Final = MappingProxyType(
     {
@@ -130,18 +130,8 @@ class RandomNoise(ObservationNoise):
         self._factor = cast("Tensor", tensordict[_FACTOR_KEY])
         return super()._step(tensordict, next_tensordict)
 
-    def _spoil(
-        self, tensordict: TensorDictBase, generators: Mapping[str, torch.Generator]
-    ) -> TensorDictBase:
-        for sensor, (white, _) in self._levels.items():
-            packets = cast("Tensor", tensordict["sensors", sensor])
-            shape = (*packets.shape[:-1], len(white))
-            bias = cast("Tensor", tensordict["sensor_bias", sensor])
-            error = white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2)
-            error = self._factor.unsqueeze(-2) * error
-            noisy = _turned(packets, error) if sensor == "orientation" else packets + error
-            tensordict.set(("sensors", sensor), noisy)
-        return tensordict
+    def _scaled(self, error: Tensor) -> Tensor:
+        return self._factor.unsqueeze(-2) * error
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """See `ObservationNoise`."""
