@@ -56,19 +56,18 @@ class Tracking:
             raise ShapeError(f"rows must have the shape (n, {TRACKING_SIZE}), got {rows.shape}")
         num = len(rows)
         mean, covariance, half_sole, loaded, resting, adrift, reading, jumps = np.split(
-            rows.copy(), _TRACKING_ENDS, axis=1
+            rows, _TRACKING_ENDS, axis=1
         )
         belief = Belief(
-            # robots last in memory; see `ContactFilter.start`
-            mean=np.asfortranarray(mean.reshape(num, 3, 5)),
-            covariance=np.asfortranarray(covariance.reshape(num, 3, 5, 5)),
-            half_sole=half_sole.reshape(num, 2, 3),
+            mean=mean.reshape(num, 3, 5).copy(),
+            covariance=covariance.reshape(num, 3, 5, 5).copy(),
+            half_sole=half_sole.reshape(num, 2, 3).copy(),
             loaded=loaded != 0,
             resting=resting != 0,
-            adrift=adrift[:, 0],
+            adrift=adrift[:, 0].copy(),
             innovation=np.full((num, 2, 3), np.nan),
         )
-        return cls(belief, reading, jumps[:, 0])
+        return cls(belief, reading.copy(), jumps[:, 0].copy())
 
 
 _TRACKING_SIZES = (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, PACKET_SIZE, 1)
@@ -265,11 +264,11 @@ class StateEstimator:
         vectors = vectors @ turn[:, 1:, None].swapaxes(-1, -2)
         sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
         half = vectors[..., TOE, :] - sole
-        load, doubt = vectors[..., FORCE, 2], np.where(imu, 0.0, _DOUBT)
-        motions = [
-            Motion(acceleration[:, k], doubt[:, k], sole[:, k], half[:, k], load[:, k], legs[:, k])
-            for k in range(window)
-        ]
+        doubt = np.where(imu, 0.0, _DOUBT)
+        # packet by packet: contiguous arrays are what the filter is compiled for
+        columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], legs)
+        packets = zip(*(np.ascontiguousarray(x.swapaxes(0, 1)) for x in columns), strict=True)
+        motions = [Motion(*packet) for packet in packets]
         gravity = STANDARD_GRAVITY * turn[:, -1, 2]
         lateral = vectors[:, -1, :, LATERAL]
         return motions, _Geometry(sole[:, -1], half[:, -1], lateral, proper[:, -1] - gravity)
@@ -319,7 +318,7 @@ class StateEstimator:
             forward=geometry.half_sole / self._legs.half_length,
             left=geometry.lateral,
             sole_radius=self._legs.sole_radius,
-            contact=tracking.belief.loaded,
+            contact=tracking.belief.loaded.copy(),
             innovation=innovation,
             resting=resting,
             faults=faults.max(1),

@@ -21,10 +21,11 @@ Weight and inertia below the springs (1.6 kg) are neglected.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from numba import njit
 
 from aslip.cassie import SIDES, Side, foot_site
 
@@ -44,17 +45,13 @@ class LegKinematics:
 
     Args:
         model: the robot.
+
+    Raises:
+        ValueError: the hinges of a leg are not parallel, or its rod closes no loop.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        chains = [_chain(model, side) for side in SIDES]
-        # (..., leg, 1) arrays
-        self._at = {
-            name: np.stack([chain[name] for chain in chains], axis=-1)[..., None]
-            for name in chains[0]
-        }
-        hips = [model.body_quat[model.joint(f"left_{name}").bodyid[0]] for name in _HIPS]
-        self._hip_axes = [_signed_axes(_matrix(quaternion))[0] for quaternion in hips]
+        self._left, self._right = (_chain(model, side) for side in SIDES)
         self.sole_radius = float(model.geom("left_foot").size[0])
         """Radius of the soles' contact capsules [m]."""
         self.half_length = float(model.geom("left_foot").size[1])
@@ -69,68 +66,138 @@ class LegKinematics:
 
         Returns:
             (*b, 2, 4, 3) in the pelvis frame; left leg first, then `HEEL`, `TOE`, `LATERAL`,
-            `FORCE`. In memory b comes last, so that NumPy's loops are long ones; so it does here.
+            `FORCE`.
         """
-        at, shape = self._at, motor_position.shape[:-1]
-        # (joint, leg, b)
-        motors = motor_position.reshape(-1, 2, 5).transpose(2, 1, 0)
-        joints = joint_position.reshape(-1, 2, 3).transpose(2, 1, 0)
-        angles = np.empty((5, *motors.shape[1:]))
-        # the foot's motor encoder resolves its angle a thousand times finer than the joint's own
-        angles[:2], angles[2:4], angles[4] = motors[2:4], joints[:2], motors[4]
-        turn = _unit((angles + at["offset"]).cumsum(0))
-        # from the hip pitch joint to knee, shin, tarsus, foot
-        origins = (turn[:4] * at["links"]).cumsum(0)
-        ends = origins[3] + turn[4] * at["ends"]
-        force = self._force(turn[3], joints[0], origins, (ends[HEEL] + ends[TOE]) / 2)
-
-        # (coordinate, vector, leg, b)
-        vectors = np.zeros((3, 4, *motors.shape[1:]))
-        vectors[0, : TOE + 1], vectors[1, : TOE + 1] = ends.real, ends.imag
-        vectors[2, : TOE + 1] = at["depth"]
-        vectors[2, LATERAL] = at["left"]
-        vectors[0, FORCE], vectors[1, FORCE] = force.real, force.imag
-        vectors = self._to_pelvis(vectors, _unit(motors[:2] - at["hip_zero"]))
-        return vectors.reshape(3, 4, 2, *shape).transpose(*range(3, 3 + len(shape)), 2, 1, 0)
-
-    def _to_pelvis(self, vectors: np.ndarray, hips: np.ndarray) -> np.ndarray:
-        """From the plane of the leg through hip pitch, yaw and roll to the pelvis."""
-        for hinge in (2, 1, 0):
-            if hinge < 2:
-                plane = (vectors[0] + 1j * vectors[1]) * hips[hinge]
-                vectors[0], vectors[1] = plane.real, plane.imag
-            vectors = self._at["hip_sign"][hinge][:, None] * vectors[self._hip_axes[hinge]]
-            vectors[:, : TOE + 1] += self._at["hip_position"][hinge][:, None]
+        vectors = np.empty((*motor_position.shape[:-1], 2, 4, 3))
+        # contiguous arrays are what the legs are compiled for
+        motors = np.ascontiguousarray(motor_position).reshape(-1, 2, 5)
+        joints = np.ascontiguousarray(joint_position).reshape(-1, 2, 3)
+        _legs(motors, joints, self._left, self._right, vectors.reshape(-1, 2, 4, 3))
         return vectors
 
-    def _force(
-        self, turn: np.ndarray, shin: np.ndarray, origins: np.ndarray, foot: np.ndarray
-    ) -> np.ndarray:
-        """(2, b) force on the foot in the plane of the leg, a complex number [N]."""
-        at = self._at
-        # the end of the Achilles rod at the heel spring, relative to its end at the hip
-        tip, height = origins[2] + turn * at["tip"], at["tip_height"]
-        arms = 1j * (foot - origins[1:3])
-        # half the change of the rod's squared length with the heel spring, and with shin and tarsus
-        by_heel = _dot(tip, turn * at["tip_slope"]) + height * at["tip_height_slope"]
-        by_hinges = _dot(tip, 1j * (tip - origins[1:3]))
-        excess = (at["rod_squared"] - (_dot(tip, tip) + height**2)) / 2
-        heel_torque = at["heel_stiffness"] * excess / by_heel
-        torques = -(heel_torque / by_heel) * by_hinges
-        torques[0] += at["shin_stiffness"] * shin
-        area = _dot(1j * arms[0], arms[1])
-        return 1j * (arms[0] * torques[1] - arms[1] * torques[0]) / area
+
+class _Chain(NamedTuple):
+    """Constants of one leg."""
+
+    offset: np.ndarray
+    """(5,) angles of the planar hinges at readings of zero, against the link before [rad]."""
+    links: np.ndarray
+    """(4,) complex, from each planar hinge to the next [m]."""
+    ends: np.ndarray
+    """(2,) complex, from the foot's hinge to the heel and the toe ends of the sole [m]."""
+    depth: float
+    """Of the sole across the plane [m]."""
+    left: float
+    """1 if the plane's normal is to the left of the foot, else -1."""
+    hip_zero: np.ndarray
+    """(2,) readings at which hip roll and yaw are as in `hip_frame` [rad]."""
+    hip_frame: np.ndarray
+    """(3, 3, 3) frames of hip roll, yaw and pitch in the body before."""
+    hip_position: np.ndarray
+    """(3, 3) and where they are [m]."""
+    tip: complex
+    """Of the rod at the heel spring, in the tarsus [m]."""
+    tip_slope: complex
+    """Its change with the spring's angle [m]."""
+    tip_height: float
+    """The tip across the plane, from the rod's other end [m]."""
+    tip_height_slope: float
+    """Its change with the spring's angle [m]."""
+    rod_squared: float
+    """Squared length of the rod [m^2]."""
+    shin_stiffness: float
+    """[N m/rad]."""
+    heel_stiffness: float
+    """[N m/rad]."""
 
 
-def _unit(angle: np.ndarray) -> np.ndarray:
-    """Unit vectors of the plane; the complex exponential takes three times as long."""
-    unit = np.empty(angle.shape, dtype=np.complex128)
-    np.cos(angle, out=unit.real)
-    np.sin(angle, out=unit.imag)
-    return unit
+# Compiled, leg by leg, for the same reasons as the filter.
+_compiled = njit(nogil=True, cache=True, error_model="numpy")
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+@_compiled
+def _legs(
+    motors: np.ndarray, joints: np.ndarray, left: _Chain, right: _Chain, out: np.ndarray
+) -> None:
+    for i in range(motors.shape[0]):
+        _leg(motors[i, 0], joints[i, 0], left, out[i, 0])
+        _leg(motors[i, 1], joints[i, 1], right, out[i, 1])
+
+
+@_compiled
+def _leg(motors: np.ndarray, joints: np.ndarray, at: _Chain, out: np.ndarray) -> None:
+    angle = motors[2] + at.offset[0]
+    knee = _unit(angle) * at.links[0]
+    angle += motors[3] + at.offset[1]
+    shin = knee + _unit(angle) * at.links[1]
+    angle += joints[0] + at.offset[2]
+    tarsus = shin + _unit(angle) * at.links[2]
+    angle += joints[1] + at.offset[3]
+    turn = _unit(angle)
+    foot = tarsus + turn * at.links[3]
+    # the foot's motor encoder resolves its angle a thousand times finer than the joint's own
+    angle += motors[4] + at.offset[4]
+    heel, toe = foot + _unit(angle) * at.ends[0], foot + _unit(angle) * at.ends[1]
+    force = _force(at, joints[0], turn, shin, tarsus, (heel + toe) / 2)
+
+    roll, yaw = _unit(motors[0] - at.hip_zero[0]), _unit(motors[1] - at.hip_zero[1])
+    _to_pelvis(at, roll, yaw, heel, at.depth, True, out[HEEL])
+    _to_pelvis(at, roll, yaw, toe, at.depth, True, out[TOE])
+    _to_pelvis(at, roll, yaw, 0j, at.left, False, out[LATERAL])
+    _to_pelvis(at, roll, yaw, force, 0.0, False, out[FORCE])
+
+
+@_compiled
+def _to_pelvis(
+    at: _Chain,
+    roll: complex,
+    yaw: complex,
+    plane: complex,
+    depth: float,
+    point: bool,
+    out: np.ndarray,
+) -> None:
+    """A point or a direction from the plane of the leg through hip pitch, yaw and roll."""
+    for hinge in (2, 1, 0):
+        if hinge == 1:
+            plane *= yaw
+        elif hinge == 0:
+            plane *= roll
+        frame = at.hip_frame[hinge]
+        for k in range(3):
+            out[k] = frame[k, 0] * plane.real + frame[k, 1] * plane.imag + frame[k, 2] * depth
+            if point:
+                out[k] += at.hip_position[hinge, k]
+        plane, depth = complex(out[0], out[1]), out[2]
+
+
+@_compiled
+def _force(
+    at: _Chain, spring: float, turn: complex, shin: complex, tarsus: complex, sole: complex
+) -> complex:
+    """Force on the foot in the plane of the leg [N]."""
+    # the end of the Achilles rod at the heel spring, relative to its end at the hip
+    tip, height = tarsus + turn * at.tip, at.tip_height
+    # half the change of the rod's squared length with the heel spring, and with shin and tarsus
+    by_heel = _dot(tip, turn * at.tip_slope) + height * at.tip_height_slope
+    by_shin, by_tarsus = _dot(tip, 1j * (tip - shin)), _dot(tip, 1j * (tip - tarsus))
+    excess = (at.rod_squared - (_dot(tip, tip) + height**2)) / 2
+    heel_torque = at.heel_stiffness * excess / by_heel
+    shin_torque = at.shin_stiffness * spring - heel_torque / by_heel * by_shin
+    tarsus_torque = -heel_torque / by_heel * by_tarsus
+    shin_arm, tarsus_arm = 1j * (sole - shin), 1j * (sole - tarsus)
+    area = _dot(1j * shin_arm, tarsus_arm)
+    return 1j * (shin_arm * tarsus_torque - tarsus_arm * shin_torque) / area
+
+
+@_compiled
+def _unit(angle: float) -> complex:
+    """Unit vector of the plane."""
+    return complex(np.cos(angle), np.sin(angle))
+
+
+@_compiled
+def _dot(a: complex, b: complex) -> float:
     """Scalar product of vectors of the plane."""
     return a.real * b.real + a.imag * b.imag
 
@@ -140,8 +207,7 @@ def _plane(vector: np.ndarray) -> np.ndarray:
     return vector[..., 0] + 1j * vector[..., 1]
 
 
-def _chain(model: mujoco.MjModel, side: Side) -> dict[str, Any]:
-    """Constants of one leg."""
+def _chain(model: mujoco.MjModel, side: Side) -> _Chain:
     joints = {name: model.joint(f"{side}_{name}") for name in {*_PLANAR, *_HIPS, "heel_spring"}}
     bodies = {name: int(joint.bodyid[0]) for name, joint in joints.items()}
     zero = {name: float(model.qpos0[joint.qposadr[0]]) for name, joint in joints.items()}
@@ -165,23 +231,23 @@ def _chain(model: mujoco.MjModel, side: Side) -> dict[str, Any]:
     heel = rotations["heel_spring"]
     tip = positions["heel_spring"] + heel @ tip_end
     slope = np.cross(heel[:, 2], heel @ tip_end)
-    return {
-        "offset": np.array(turned) - [zero[name] for name in _PLANAR],
-        "links": _plane(links),
-        "ends": _plane(ends),
-        "depth": links[:, 2].sum() + ends[:, 2],
-        "left": np.sign(to_foot[2, 1]),
-        "hip_zero": np.array([zero[name] for name in _HIPS[:2]]),
-        "hip_sign": np.array([_signed_axes(rotations[name])[1] for name in _HIPS]),
-        "hip_position": np.array([positions[name] for name in _HIPS]),
-        "tip": _plane(tip),
-        "tip_slope": _plane(slope),
-        "tip_height": links[:3, 2].sum() + tip[2] - model.body_pos[rod][2],
-        "tip_height_slope": slope[2],
-        "rod_squared": rod_end @ rod_end,
-        "shin_stiffness": model.jnt_stiffness[joints["shin"].id],
-        "heel_stiffness": model.jnt_stiffness[joints["heel_spring"].id],
-    }
+    return _Chain(
+        offset=np.array(turned) - [zero[name] for name in _PLANAR],
+        links=_plane(links),
+        ends=_plane(ends),
+        depth=links[:, 2].sum() + ends[0, 2],
+        left=np.sign(to_foot[2, 1]),
+        hip_zero=np.array([zero[name] for name in _HIPS[:2]]),
+        hip_frame=np.array([rotations[name] for name in _HIPS]),
+        hip_position=np.array([positions[name] for name in _HIPS]),
+        tip=complex(*tip[:2]),
+        tip_slope=complex(*slope[:2]),
+        tip_height=links[:3, 2].sum() + tip[2] - model.body_pos[rod][2],
+        tip_height_slope=slope[2],
+        rod_squared=float(rod_end @ rod_end),
+        shin_stiffness=float(model.jnt_stiffness[joints["shin"].id]),
+        heel_stiffness=float(model.jnt_stiffness[joints["heel_spring"].id]),
+    )
 
 
 def _rod(model: mujoco.MjModel, side: Side) -> tuple[int, np.ndarray, np.ndarray]:
@@ -192,15 +258,6 @@ def _rod(model: mujoco.MjModel, side: Side) -> tuple[int, np.ndarray, np.ndarray
             points = (data[:3], data[3:6]) if first == rod else (data[3:6], data[:3])
             return rod, points[0].copy(), points[1].copy()
     raise ValueError(f"the model does not close the loop of the {side} Achilles rod")
-
-
-def _signed_axes(rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A rotation by right angles: which coordinate goes where (3,), and its sign (3,)."""
-    axes = np.abs(rotation).argmax(1)
-    signs = np.sign(rotation[np.arange(3), axes])
-    if np.abs(np.eye(3)[axes] * signs[:, None] - rotation).max() > _PARALLEL:
-        raise ValueError("the hips' hinges are not at right angles to each other")
-    return axes, signs
 
 
 def _matrix(quaternion: np.ndarray) -> np.ndarray:
