@@ -55,7 +55,7 @@ class Config:
     """What to compare."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
-    total_steps: int = 1_000_000
+    total_steps: int = 1_500_000
     """Policy steps of each run."""
     jobs: int = 1
     """Runs at once; more than one are bound to a processor each."""

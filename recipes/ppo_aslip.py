@@ -65,7 +65,7 @@ class Config:
     """Continue the run in the folder."""
     seed: int = 0
     """Reaches every random number."""
-    total_steps: int = 2_000_000
+    total_steps: int = 1_500_000
     """Policy steps to train for; the paper trains for 175 million. As many again as one update has
     come first, to teach the normaliser what inputs look like."""
     num_envs: int = 256

@@ -31,7 +31,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from aslip.estimation.compiled import compiled
 
 P, V, B, LEFT, RIGHT = range(5)
 """Position, velocity, acceleration error, and soles, in the state of an axis."""
@@ -208,12 +209,8 @@ class ContactFilter:
         )  # fmt: skip
 
 
-# Compiled, robot by robot: as NumPy calls on all robots the same takes twenty times as long for one
-# of them, and most of an estimate's time for hundreds.
-_compiled = njit(nogil=True, cache=True, error_model="numpy")
-
-
-@_compiled
+# robot by robot; as NumPy calls on all robots it takes several times as long
+@compiled
 def _step(
     means: np.ndarray,
     covariances: np.ndarray,
@@ -262,7 +259,7 @@ def _step(
             adrift[i] = 0
 
 
-@_compiled
+@compiled
 def _predict(
     mean: np.ndarray,
     cov: np.ndarray,
@@ -296,7 +293,7 @@ def _predict(
     half_sole[:] = half
 
 
-@_compiled
+@compiled
 def _near_ground(
     mean: np.ndarray, cov: np.ndarray, column: int, lowest: float, settings: _Settings
 ) -> bool:
@@ -305,7 +302,7 @@ def _near_ground(
     return (lowest - mean[_Z, column]) ** 2 < settings.gate * variance
 
 
-@_compiled
+@compiled
 def _correct(
     mean: np.ndarray,
     cov: np.ndarray,
@@ -329,14 +326,14 @@ def _correct(
     return True
 
 
-@_compiled
+@compiled
 def _ground(x: np.ndarray, p: np.ndarray, column: int, lowest: float, settings: _Settings) -> None:
     """Put the lowest point of a sole at rest on the ground: its centre is so high."""
     gain = p[column].copy()
     _update(x, p, gain, gain[column] + settings.ground, lowest - x[column])
 
 
-@_compiled
+@compiled
 def _update(
     x: np.ndarray, p: np.ndarray, gain: np.ndarray, variance: float, innovation: float
 ) -> None:
@@ -348,7 +345,7 @@ def _update(
             p[j, k] -= scaled * gain[k]
 
 
-@_compiled
+@compiled
 def _plant(mean: np.ndarray, cov: np.ndarray, column: int, sole: np.ndarray, leg: float) -> None:
     """Put a foot where its leg says, as uncertain as the pelvis."""
     for axis in range(3):

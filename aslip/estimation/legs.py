@@ -25,9 +25,9 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numba import njit
 
 from aslip.cassie import SIDES, Side, foot_site
+from aslip.estimation.compiled import compiled
 
 HEEL, TOE, LATERAL, FORCE = range(4)
 """Rows of what `LegKinematics` returns: the ends of the axis of the sole's contact capsule [m], the
@@ -111,11 +111,7 @@ class _Chain(NamedTuple):
     """[N m/rad]."""
 
 
-# Compiled, leg by leg, for the same reasons as the filter.
-_compiled = njit(nogil=True, cache=True, error_model="numpy")
-
-
-@_compiled
+@compiled
 def _legs(
     motors: np.ndarray, joints: np.ndarray, left: _Chain, right: _Chain, out: np.ndarray
 ) -> None:
@@ -124,7 +120,7 @@ def _legs(
         _leg(motors[i, 1], joints[i, 1], right, out[i, 1])
 
 
-@_compiled
+@compiled
 def _leg(motors: np.ndarray, joints: np.ndarray, at: _Chain, out: np.ndarray) -> None:
     angle = motors[2] + at.offset[0]
     knee = _unit(angle) * at.links[0]
@@ -147,7 +143,7 @@ def _leg(motors: np.ndarray, joints: np.ndarray, at: _Chain, out: np.ndarray) ->
     _to_pelvis(at, roll, yaw, force, 0.0, False, out[FORCE])
 
 
-@_compiled
+@compiled
 def _to_pelvis(
     at: _Chain,
     roll: complex,
@@ -171,7 +167,7 @@ def _to_pelvis(
         plane, depth = complex(out[0], out[1]), out[2]
 
 
-@_compiled
+@compiled
 def _force(
     at: _Chain, spring: float, turn: complex, shin: complex, tarsus: complex, sole: complex
 ) -> complex:
@@ -190,13 +186,13 @@ def _force(
     return 1j * (shin_arm * tarsus_torque - tarsus_arm * shin_torque) / area
 
 
-@_compiled
+@compiled
 def _unit(angle: float) -> complex:
     """Unit vector of the plane."""
     return complex(np.cos(angle), np.sin(angle))
 
 
-@_compiled
+@compiled
 def _dot(a: complex, b: complex) -> float:
     """Scalar product of vectors of the plane."""
     return a.real * b.real + a.imag * b.imag

@@ -9,10 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from numba.core.dispatcher import Dispatcher
 
 from aslip import GaitLibrary
 from aslip.cassie import SIDES, TOTAL_MASS
 from aslip.cassie.model import CassieIndices, load_model
+from aslip.estimation.compiled import compiled
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.sim import Simulations
 
@@ -167,3 +169,19 @@ def test_forces_are_the_slope_of_the_springs_energy(
         # the heel spring's deflection is to first order: some percent at 0.1 rad
         assert force @ moved == pytest.approx(stored, rel=0.1)
     assert np.linalg.norm(force) > 50
+
+
+def test_without_a_folder_to_write_to_functions_are_compiled_anew(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def refuse(_: object) -> None:
+        raise RuntimeError("cannot cache function: no locator available")
+
+    monkeypatch.setattr(Dispatcher, "enable_caching", refuse)
+
+    @compiled
+    def inverse(x: float) -> float:
+        return 1.0 / x
+
+    assert inverse(4.0) == 0.25
+    assert inverse(0.0) == np.inf
