@@ -147,6 +147,7 @@ def test_another_seed_gives_another_run(run: tuple[Path, list[WalkResult]], tmp_
         ({"epochs": 0}, "epochs"),
         ({"samples": 100}, "samples must be a multiple of num_envs = 8, got 100"),
         ({"learning_rate": -1e-4}, "learning_rate"),
+        ({"fall_after": 1.0}, "fall_after"),
         ({"gamma": 1.5}, "gamma"),
         ({"eval_interval": 0}, "eval_interval"),
         ({"checkpoint_minutes": -1.0}, "checkpoint_minutes must be 0 or more"),
@@ -196,7 +197,13 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     assert found == [noise, [ObservationNoise] * len(noise)]
 
 
-def test_exploration_shrinks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("fall_after", "expected"),
+    [(0.0, [0.4, 0.4 / 2**0.5, 0.2, 0.2 / 2**0.5]), (0.5, [0.4, 0.4, 0.4, 0.2])],
+)
+def test_exploration_shrinks(
+    fall_after: float, expected: list[float], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Samples of one update have one deviation, and the policy's file has the last."""
     seen: list[float] = []
     update = ppo_aslip.update
@@ -207,9 +214,11 @@ def test_exploration_shrinks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         return update(data, *args)
 
     monkeypatch.setattr(ppo_aslip, "update", spied)
-    config = replace(TINY, out=tmp_path / "run", total_steps=256, std=0.4, last_std=0.1)
+    config = replace(
+        TINY, out=tmp_path / "run", total_steps=256, std=0.4, last_std=0.1, fall_after=fall_after
+    )
     ppo_aslip.main(config)
-    assert seen == pytest.approx([0.4, 0.4 / 2**0.5, 0.2, 0.2 / 2**0.5])
+    assert seen == pytest.approx(expected)
     std = read_manifest(config.out / "policy.zip")["metadata"]["shape"]["std"]
     assert std == pytest.approx(0.1)
     td = aslip.load_policy(config.out)(aslip.make_env().reset())
