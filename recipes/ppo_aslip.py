@@ -97,7 +97,7 @@ class Config:
     adam_epsilon: float = 1e-5
     """Of Adam (Table II)."""
     gamma: float = 0.95
-    """Discount; Table II says 0.99. Steps count for 0.6 s instead of 3 s: advantages are less noisy,
+    """Discount; Table II says 0.99. Steps count for 0.6 s in place of 3: less noise in advantages,
     and what a step does shows within a stride."""
     gae_lambda: float = 0.95
     """Of the advantage estimate; the paper gives none."""
