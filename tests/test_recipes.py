@@ -189,7 +189,7 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     ppo_aslip.main(replace(TINY, out=tmp_path / "run", randomise=True, **settings))
     trained, judged = envs
     intervals = [next(t for t in e.transforms if isinstance(t, SpeedCommand)) for e in envs]
-    assert [command.interval for command in intervals] == [4.0, math.inf]
+    assert [command.interval for command in intervals] == [TINY.command_interval, math.inf]
     masses = trained.base_env.dynamics["mass"]
     assert masses.min() < masses.max()
     assert (judged.base_env.dynamics["mass"] == 1.0).all()
