@@ -6,7 +6,8 @@
 Xie et al. 2018 as the paper's authors used it: joint angles of one walking motion at every speed,
 clock and speed as inputs, a reward in joint space (`aslip.stack.single_reference_stack`). Their
 motion was recorded from another controller; ours is a linear inverted pendulum's in closed form.
-Learning is that of `ppo_aslip.py`, so that only the guidance differs.
+Learning is that of `ppo_aslip.py`, so that only the guidance differs; but an episode has one speed,
+as there, because where the pelvis should be cannot be caught up with after a change.
 """
 
 from __future__ import annotations
@@ -19,7 +20,12 @@ import ppo_aslip
 from aslip.errors import AslipError
 
 PRESETS = {
-    name: replace(config, stack="single_reference", out=Path("runs/ppo_single_reference"))
+    name: replace(
+        config,
+        stack="single_reference",
+        out=Path("runs/ppo_single_reference"),
+        command_interval=0.0,
+    )
     for name, config in ppo_aslip.PRESETS.items()
 }
 
