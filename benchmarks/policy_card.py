@@ -122,7 +122,7 @@ def how_made(about: dict[str, Any]) -> str:
     """Command, commit, seed, cost and versions."""
     made = about.get("made_by", {})
     settings = made.get("settings", {})
-    versions = ", ".join(f"{name} {version}" for name, version in made.get("versions", {}).items())
+    versions = ", ".join(f"{k} {v}" for k, v in made.get("versions", {}).items() if v)
     minutes = made.get("seconds", float("nan")) / 60
     rows = [
         ["command", f"`{made.get('command', 'not recorded')}`"],
