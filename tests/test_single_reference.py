@@ -157,6 +157,7 @@ def test_the_recipe_trains_a_policy_that_knows_its_stack(
     monkeypatch.setattr(recipe, "evaluate", partial(evaluate, num_steps=5))
     tiny = {"num_envs": 4, "samples": 32, "total_steps": 32, "minibatch": 16}
     for config in ppo_single_reference.PRESETS.values():
+        assert config.command_interval == 0
         recipe.main(replace(config, out=tmp_path / config.preset, **tiny))
         assert policy_stack(tmp_path / config.preset) == "single_reference"
         walker = Walker(tmp_path / config.preset, speed=1.0)

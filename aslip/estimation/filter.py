@@ -122,6 +122,8 @@ class Motion:
 class _Settings(NamedTuple):
     """Numbers for the compiled filter; deviations are squared."""
 
+    walk: np.ndarray
+    """(3, 5) what a packet adds to the variances, but for the acceleration's share."""
     timestep: float
     radius: float
     rock_height: float
@@ -150,7 +152,13 @@ class ContactFilter:
         self, timestep: float, sole_radius: float, sole_half_length: float, noise: FilterNoise
     ) -> None:
         self.noise = noise
+        steps = np.array([noise.slip, noise.slip, noise.sink])
+        walk = np.zeros((3, 5))
+        walk[:, V] = (timestep * noise.acceleration) ** 2
+        walk[:, B] = timestep * noise.acceleration_error**2
+        walk[:, LEFT:] = timestep * steps[:, None] ** 2
         self._settings = _Settings(
+            walk=walk,
             timestep=timestep,
             radius=sole_radius,
             rock_height=noise.rock * sole_half_length,
@@ -164,12 +172,6 @@ class ContactFilter:
             surprise=noise.surprise**2,
             surprise_height=noise.surprise_height**2,
         )
-        walk = np.array([noise.slip, noise.slip, noise.sink])
-        # (3, 5) what a packet adds to the variances, but for the acceleration's share
-        self._walk = np.zeros((3, 5))
-        self._walk[:, V] = (timestep * noise.acceleration) ** 2
-        self._walk[:, B] = timestep * noise.acceleration_error**2
-        self._walk[:, LEFT:] = timestep * walk[:, None] ** 2
 
     def start(self, motion: Motion, sole_velocity: np.ndarray) -> Belief:
         """Beliefs about robots whose lower foot rests on the ground.
@@ -189,7 +191,7 @@ class ContactFilter:
         covariance[..., V, V] = noise.initial_velocity**2
         covariance[..., B, B] = noise.initial_acceleration_error**2
         for i, foot in np.ndindex(num, 2):
-            _plant(mean[i], covariance[i], LEFT + foot, motion.sole[i, foot], noise.leg**2)
+            _plant(mean[i], covariance[i], LEFT + foot, motion.sole[i, foot], self._settings.leg)
         return Belief(
             mean=mean,
             covariance=covariance,
@@ -205,7 +207,7 @@ class ContactFilter:
         _step(
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
             belief.adrift, belief.innovation, motion.acceleration, motion.doubt, motion.sole,
-            motion.half_sole, motion.load, motion.fresh, self._walk, self._settings,
+            motion.half_sole, motion.load, motion.fresh, self._settings,
         )  # fmt: skip
 
 
@@ -225,12 +227,11 @@ def _step(
     halves: np.ndarray,
     loads: np.ndarray,
     fresh: np.ndarray,
-    walk: np.ndarray,
     settings: _Settings,
 ) -> None:
     for i in range(means.shape[0]):
         mean, cov = means[i], covariances[i]
-        _predict(mean, cov, half_soles[i], accelerations[i], doubts[i], halves[i], walk, settings)
+        _predict(mean, cov, half_soles[i], accelerations[i], doubts[i], halves[i], settings)
         lost = False
         for foot in range(2):
             column, sole = LEFT + foot, soles[i, foot]
@@ -267,7 +268,6 @@ def _predict(
     acceleration: np.ndarray,
     doubt: float,
     half: np.ndarray,
-    walk: np.ndarray,
     settings: _Settings,
 ) -> None:
     dt = settings.timestep
@@ -288,7 +288,7 @@ def _predict(
         for k in range(5):
             p[k, P] += dt * p[k, V]
             p[k, V] += dt * p[k, B]
-            p[k, k] += walk[axis, k]
+            p[k, k] += settings.walk[axis, k]
         p[V, V] += dt * dt * shock
     half_sole[:] = half
 
@@ -312,17 +312,14 @@ def _correct(
     settings: _Settings,
 ) -> bool:
     """Measure sole - pelvis where the foot rests, and say whether it does."""
-    for axis in range(3):
-        x, p = mean[axis], cov[axis]
-        innovation = sole[axis] - (x[column] - x[P])
-        variance = p[column, column] - 2 * p[column, P] + p[P, P] + settings.leg
-        squared[axis] = innovation**2 / variance
+    gain = cov[:, column] - cov[:, P]  # P H^T
+    variance = gain[:, column] - gain[:, P] + settings.leg
+    innovation = sole - (mean[:, column] - mean[:, P])
+    squared[:] = innovation**2 / variance
     if not (squared < settings.gate).all():
         return False
     for axis in range(3):
-        x, p = mean[axis], cov[axis]
-        gain = p[column] - p[P]  # P H^T
-        _update(x, p, gain, gain[column] - gain[P] + settings.leg, sole[axis] - (x[column] - x[P]))
+        _update(mean[axis], cov[axis], gain[axis], variance[axis], innovation[axis])
     return True
 
 
@@ -348,9 +345,7 @@ def _update(
 @compiled
 def _plant(mean: np.ndarray, cov: np.ndarray, column: int, sole: np.ndarray, leg: float) -> None:
     """Put a foot where its leg says, as uncertain as the pelvis."""
-    for axis in range(3):
-        x, p = mean[axis], cov[axis]
-        x[column] = x[P] + sole[axis]
-        p[column] = p[P]
-        p[:, column] = p[:, P]
-        p[column, column] += leg
+    mean[:, column] = mean[:, P] + sole
+    cov[:, column] = cov[:, P]
+    cov[:, :, column] = cov[:, :, P]
+    cov[:, column, column] += leg

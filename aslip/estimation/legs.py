@@ -85,8 +85,8 @@ class _Chain(NamedTuple):
     """(4,) complex, from each planar hinge to the next [m]."""
     ends: np.ndarray
     """(2,) complex, from the foot's hinge to the heel and the toe ends of the sole [m]."""
-    depth: float
-    """Of the sole across the plane [m]."""
+    depth: np.ndarray
+    """(2,) of these ends across the plane [m]."""
     left: float
     """1 if the plane's normal is to the left of the foot, else -1."""
     hip_zero: np.ndarray
@@ -137,8 +137,8 @@ def _leg(motors: np.ndarray, joints: np.ndarray, at: _Chain, out: np.ndarray) ->
     force = _force(at, joints[0], turn, shin, tarsus, (heel + toe) / 2)
 
     roll, yaw = _unit(motors[0] - at.hip_zero[0]), _unit(motors[1] - at.hip_zero[1])
-    _to_pelvis(at, roll, yaw, heel, at.depth, True, out[HEEL])
-    _to_pelvis(at, roll, yaw, toe, at.depth, True, out[TOE])
+    _to_pelvis(at, roll, yaw, heel, at.depth[HEEL], True, out[HEEL])
+    _to_pelvis(at, roll, yaw, toe, at.depth[TOE], True, out[TOE])
     _to_pelvis(at, roll, yaw, 0j, at.left, False, out[LATERAL])
     _to_pelvis(at, roll, yaw, force, 0.0, False, out[FORCE])
 
@@ -231,7 +231,7 @@ def _chain(model: mujoco.MjModel, side: Side) -> _Chain:
         offset=np.array(turned) - [zero[name] for name in _PLANAR],
         links=_plane(links),
         ends=_plane(ends),
-        depth=links[:, 2].sum() + ends[0, 2],
+        depth=links[:, 2].sum() + ends[:, 2],
         left=np.sign(to_foot[2, 1]),
         hip_zero=np.array([zero[name] for name in _HIPS[:2]]),
         hip_frame=np.array([rotations[name] for name in _HIPS]),

@@ -174,7 +174,10 @@ def test_forces_are_the_slope_of_the_springs_energy(
 def test_without_a_folder_to_write_to_functions_are_compiled_anew(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def refuse(_: object) -> None:
+    refused = []
+
+    def refuse(dispatcher: object) -> None:
+        refused.append(dispatcher)
         raise RuntimeError("cannot cache function: no locator available")
 
     monkeypatch.setattr(Dispatcher, "enable_caching", refuse)
@@ -183,5 +186,6 @@ def test_without_a_folder_to_write_to_functions_are_compiled_anew(
     def inverse(x: float) -> float:
         return 1.0 / x
 
+    assert len(refused) == 1
     assert inverse(4.0) == 0.25
     assert inverse(0.0) == np.inf
