@@ -15,6 +15,7 @@ cannot be written the run ends with an error.
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import errno
@@ -22,6 +23,7 @@ import json
 import math
 import os
 import platform
+import re
 import shlex
 import shutil
 import signal
@@ -401,6 +403,11 @@ def _commit() -> str | None:
 
 def peak_memory() -> float:
     """The most memory this process has held [GiB]; NaN where the system does not tell."""
+    # getrusage on Linux counts what the process was forked from, too
+    with contextlib.suppress(OSError):
+        status = Path("/proc/self/status").read_text()
+        if peak := re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE):
+            return int(peak[1]) / 2**20
     if resource is None:
         return math.nan
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -49,6 +49,8 @@ from recipes import ppo_aslip
 
 _BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
 _PAUSE = 0.01  # [s]
+# calls of a round: enough for its mean, and a single robot's round would last minutes
+_MOST_STEPS = 64
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
@@ -63,7 +65,7 @@ class Config:
     rounds: int = 5
     """Rounds to take the median over."""
     robot_steps: int = 1024
-    """Policy steps of a round, of all robots together; at least one each."""
+    """Policy steps of a round, of all robots together; at least one each, and at most 64."""
     single: int = 16
     """The most robots for which to measure one simulation at a time, and a process a robot."""
     updates: bool = True
@@ -168,7 +170,7 @@ def main(config: Config) -> None:
     )
     print(f"| N | candidate | {columns} |\n|---:|---|{'---:|---:|' * len(config.num_threads)}")
     for num_envs in config.num_envs:
-        steps = max(1, config.robot_steps // num_envs)
+        steps = min(max(1, config.robot_steps // num_envs), _MOST_STEPS)
         cells: dict[str, list[str]] = {}
         for num_threads in config.num_threads:
             candidates = Candidates(num_envs, num_threads, config)

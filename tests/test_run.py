@@ -7,6 +7,8 @@ import json
 import math
 import os
 import signal
+import subprocess
+import sys
 import zipfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from aslip import run as run_module
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.run import TrainingRun, TrainingStoppedError, write_text
+from aslip.run import TrainingRun, TrainingStoppedError, peak_memory, write_text
 from benchmarks.faults import quiet
 
 
@@ -489,6 +491,16 @@ def test_large_step_counts_survive_a_resume(settings: Settings) -> None:
     again = _open(settings, resume=True)
     again.restore({"net": _net(0.0)})
     assert again.history()["step"] == [174_999_040]
+
+
+def test_peak_memory_is_of_this_process_alone() -> None:
+    """Linux adds that of the process it was started by to what getrusage says."""
+    burden = bytearray(2**30)
+    code = "from aslip.run import peak_memory; block = bytearray(2**27); print(peak_memory())"
+    command = [sys.executable, "-c", code]
+    shown = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout
+    assert peak_memory() > len(burden) / 2**30
+    assert 0.125 < float(shown) < 1.0
 
 
 def test_a_failed_write_leaves_the_old_text(
