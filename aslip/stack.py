@@ -33,6 +33,7 @@ from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose, RewardSum, StepCounter, Transform
 
 from aslip import rewards, single_reference
+from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
 from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, UnknownNameError
@@ -299,6 +300,7 @@ def make_env(
     library: GaitLibrary | None = None,
     num_threads: int = 0,
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
+    timestep: float = PHYSICS_TIMESTEP,
 ) -> CassieTransformedEnv:
     """A TorchRL environment of n Cassies with the full stack of transforms.
 
@@ -314,10 +316,11 @@ def make_env(
         library: gaits of a stack given by name; its own by default.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.
+        timestep: of the batch backend's physics [s]: 0.0005, or 0.001 to train in half the time.
 
     Raises:
-        ConfigurationError: unknown backend, a number of environments or a seed that is none, or a
-            reward term after the sum.
+        ConfigurationError: unknown backend, a timestep that it cannot have, a number of
+            environments or a seed that is none, or a reward term after the sum.
         UnknownNameError: there is no stack of that name, `drop` or `replace` names no transform of
             the stack, or a transform reads what no other writes.
     """
@@ -338,8 +341,14 @@ def make_env(
     chosen = _edited(stack, drop, dict(replace or {}))
     base: CassieEnv
     if backend == "batch":
-        base = BatchCassieEnv(num_envs, num_threads=num_threads, floor_friction=floor_friction)
+        base = BatchCassieEnv(
+            num_envs, num_threads=num_threads, floor_friction=floor_friction, timestep=timestep
+        )
     else:
+        if timestep != PHYSICS_TIMESTEP:
+            raise ConfigurationError(
+                f"the dm_control backend has a timestep of {PHYSICS_TIMESTEP} s, got {timestep!r}"
+            )
         base = DmControlCassieEnv(num_envs, floor_friction=floor_friction)
     stack_of = {name: t if isinstance(t, Transform) else t() for name, t in chosen.items()}
     env = CassieTransformedEnv(base, stack_of)

@@ -39,6 +39,7 @@ from torchrl.envs import EnvBase, ParallelEnv
 
 import aslip
 from aslip.cassie import SUBSTEPS
+from aslip.cassie.model import TIMESTEPS
 from aslip.evaluation import evaluate
 from aslip.policy import policy_stack
 from aslip.run import peak_memory
@@ -106,6 +107,7 @@ class Candidates:
         self.envs: dict[str, EnvBase] = {
             "environment on the truth": batch(drop=["noise"], replace={"estimator": TrueState}),
             _LEADER: self.leader,
+            "the same, physics of 1 kHz": batch(timestep=TIMESTEPS[1]),
         }
         self.pools = [_pool(env) for env in self.envs.values()]
         if num_envs <= config.single:

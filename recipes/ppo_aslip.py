@@ -35,6 +35,7 @@ from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
 import aslip
+from aslip.cassie.model import TIMESTEPS
 from aslip.collect import CollectorKind, check_shares, make_collector
 from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate, walk_table
@@ -115,6 +116,8 @@ class Config:
     randomise: bool = False
     """Train on robots that differ from episode to episode, in mass, friction, springs, motors,
     delay, slope and noise (`aslip.transforms.DYNAMICS_RANGES`); evaluated is the robot itself."""
+    coarse: bool = False
+    """Train with physics steps of 1 ms in place of 0.5; evaluated is always with the latter."""
     collector: CollectorKind = "single"
     """Where robots are: in this process, in others on this machine, or in Ray's, on a cluster, too
     (`aslip.collect`)."""
@@ -322,7 +325,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
 
 def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
     """What training has and evaluation has not: changes of command, robots that differ."""
-    edits: dict[str, Any] = {}
+    edits: dict[str, Any] = {"timestep": TIMESTEPS[config.coarse]}
     if config.command_interval:
         command = SpeedCommand(aslip.GaitLibrary.load(), interval=config.command_interval)
         edits["replace"] = {**task["replace"], "command": command}

@@ -16,6 +16,8 @@ from torchrl.collectors import Collector
 
 import aslip
 from aslip import collect
+from aslip.cassie import PHYSICS_TIMESTEP
+from aslip.cassie.model import TIMESTEPS
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
 from aslip.policy import read_manifest
@@ -169,7 +171,11 @@ def test_settings_that_cannot_be_are_refused(change: dict[str, Any], message: st
 
 @pytest.mark.parametrize(
     ("settings", "noise"),
-    [({}, [RandomNoise]), ({"truth": True}, []), ({"stack": "single_reference"}, [RandomNoise])],
+    [
+        ({"coarse": True}, [RandomNoise]),
+        ({"truth": True}, []),
+        ({"stack": "single_reference"}, [RandomNoise]),
+    ],
 )
 def test_robots_differ_in_training_and_not_in_evaluation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, settings: dict[str, Any], noise: list[type]
@@ -195,6 +201,8 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     assert (judged.base_env.dynamics["mass"] == 1.0).all()
     found = [[type(t) for t in env.transforms if isinstance(t, ObservationNoise)] for env in envs]
     assert found == [noise, [ObservationNoise] * len(noise)]
+    steps = [env.base_env.model.opt.timestep for env in envs]
+    assert steps == [TIMESTEPS[settings.get("coarse", False)], PHYSICS_TIMESTEP]
 
 
 @pytest.mark.parametrize(

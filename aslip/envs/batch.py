@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
+from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.envs.base import CassieEnv, check_num_envs
 from aslip.sim import SimulationPool, Snapshot
@@ -20,6 +21,7 @@ class BatchCassieEnv(CassieEnv):
         num_envs: number of robots.
         num_threads: threads to step on, 0 for all processors.
         floor_friction: sliding friction of the floor.
+        timestep: of the physics [s]; see `aslip.cassie.model.load_model`.
     """
 
     def __init__(
@@ -28,9 +30,10 @@ class BatchCassieEnv(CassieEnv):
         *,
         num_threads: int = 0,
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
+        timestep: float = PHYSICS_TIMESTEP,
     ) -> None:
         num_envs = check_num_envs(num_envs)
-        model = load_model(floor_friction, visual=False)
+        model = load_model(floor_friction, visual=False, timestep=timestep)
         self.simulations = SimulationPool(num_envs, model=model, num_threads=num_threads)
         self._num_threads = num_threads
         self._watched_robot: int | None = None

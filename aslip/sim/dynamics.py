@@ -229,7 +229,7 @@ def write_fields(model: mujoco.MjModel, fields: Mapping[str, np.ndarray]) -> Non
 
 def longest_delay(model: mujoco.MjModel) -> float:
     """The longest torque delay that a model's memory of commands is long enough for [s]."""
-    return float(model.actuator_history[0, 0]) * PHYSICS_TIMESTEP
+    return float(model.actuator_history[0, 0]) * model.opt.timestep
 
 
 def with_longer_memory(model: mujoco.MjModel, delay: float, *, visual: bool) -> mujoco.MjModel:
@@ -241,10 +241,11 @@ def with_longer_memory(model: mujoco.MjModel, delay: float, *, visual: bool) -> 
         visual: what it was made with.
     """
     samples = int(model.actuator_history[0, 0])
-    while samples * PHYSICS_TIMESTEP < delay:
+    while samples * model.opt.timestep < delay:
         samples *= 2
     spec = mujoco.MjSpec.from_file(str(asset_path("cassie.xml")))
     spec.compiler.discardvisual = not visual
+    spec.option.timestep = model.opt.timestep
     for actuator in spec.actuators:
         actuator.nsample = samples
     longer = spec.compile()
@@ -275,7 +276,7 @@ def with_memory_of(states: np.ndarray, model: mujoco.MjModel, longer: mujoco.MjM
         for part in np.split(rows[..., 2:], 2, axis=-1)
     )
     missing = new - old
-    earlier = time[..., :1] - PHYSICS_TIMESTEP * np.arange(missing, 0, -1)
+    earlier = time[..., :1] - model.opt.timestep * np.arange(missing, 0, -1)
     padding = [(0, 0), (0, 0), (missing, 0)]
     longer_rows = np.concatenate(
         [

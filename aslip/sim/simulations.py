@@ -2,7 +2,9 @@
 
 Guarantees:
 
-- one `advance` is one policy period: 60 substeps of PD control, motor limits, delay and physics;
+- one `advance` is one policy period: 60 substeps of PD control, motor limits, delay and physics.
+  Where the model's timestep is that of two substeps, the motors' torques are the means of two, and
+  encoders are read halfway through a step where its constant velocity has the joints then;
 - results do not depend on the number of threads, and equal a loop over single simulations, each
   with a model of its own where `write_fields` has changed it;
 - a simulation that diverges (MuJoCo warning or error, non-finite state) is put back on its feet
@@ -19,8 +21,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from aslip.cassie import SUBSTEPS
-from aslip.cassie.model import CassieIndices, load_model
+from aslip.cassie import PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.cassie.model import CassieIndices, check_timestep, load_model
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim.drive import Drive
 from aslip.sim.dynamics import DERIVING_FIELDS
@@ -43,7 +45,8 @@ class Simulations:
         num_threads: threads to step on, 0 for all processors.
 
     Raises:
-        ConfigurationError: `num` or `num_threads` is not a count.
+        ConfigurationError: `num` or `num_threads` is not a count, or the model's timestep none of
+            `aslip.cassie.model.TIMESTEPS`.
     """
 
     def __init__(
@@ -54,11 +57,20 @@ class Simulations:
         if not isinstance(num_threads, int) or num_threads < 0:
             raise ConfigurationError(f"num_threads must be 0 (all) or more, got {num_threads!r}")
         self.model = load_model(visual=False) if model is None else model
+        check_timestep(self.model.opt.timestep)
         self.indices = CassieIndices.from_model(self.model)
         self.batch = Batch(self.model, num, num_threads)
         self.divergences = 0
         """Simulations put back on their feet since construction."""
         self._drive = Drive(num)
+        self._stride = round(self.model.opt.timestep / PHYSICS_TIMESTEP)
+        self._torques = np.zeros((2, num, self.model.nu))
+        self._halfway = np.zeros((num, self.model.nq))
+        at = self.indices
+        self._encoders = (
+            np.concatenate([at.motor_qpos, at.joint_qpos]),
+            np.concatenate([at.motor_qvel, at.joint_qvel]),
+        )
         self.sensors = Sensors(num, self.model)
         """What the robots measure."""
         self._ground_force = np.zeros((num, 2, 3))
@@ -132,7 +144,16 @@ class Simulations:
             self.sensors.set_gravity(ids, fields["opt.gravity"])
 
     def watch(self, index: int | None) -> None:
-        """Keep every substep of one simulation in `watched` from now on; None for none."""
+        """Keep every substep of one simulation in `watched` from now on; None for none.
+
+        Raises:
+            ConfigurationError: the physics does not step as often.
+        """
+        if index is not None and self._stride > 1:
+            raise ConfigurationError(
+                f"substeps can be watched with a timestep of {PHYSICS_TIMESTEP} s, this is"
+                f" {self.model.opt.timestep} s"
+            )
         self._watched = index
 
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
@@ -160,17 +181,14 @@ class Simulations:
         self.batch.warning[:] = 0
         self._ground_force[:] = 0.0
         failed = np.zeros(self.num, dtype=bool)
-        for substep in range(SUBSTEPS):
-            # the PD loop has the readings of the step before
-            position, velocity = self.sensors.motor_position, self.sensors.motor_velocity
-            self._drive.torque(motor_target, position, velocity, out=self._ctrl)
-            self.sensors.read(substep, self.qpos, self.qvel)
-            self._step(failed, _CURRENT if substep == SUBSTEPS - 1 else _NONE)
-            self.sensors.feel(substep, self._qacc)
+        substep = self._substep if self._stride == 1 else self._two_substeps
+        for first in range(0, SUBSTEPS, self._stride):
+            last = first + self._stride == SUBSTEPS
+            substep(first, motor_target, failed, _CURRENT if last else _NONE)
             self._ground_force += self._sensordata[:, self.indices.ground_force]
             if self._watched is not None:
-                self._record(substep, self._watched)
-        self._ground_force /= SUBSTEPS
+                self._record(first, self._watched)
+        self._ground_force /= SUBSTEPS / self._stride
         self.sensors.finish()
         diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
         self.divergences += int(diverged.sum())
@@ -207,6 +225,33 @@ class Simulations:
         self.batch.state[:] = states[:, :physics]
         self.sensors.set_memory(states[:, physics:])
         self._pushed = bool(self._push.any())
+
+    def _substep(self, index: int, target: np.ndarray, failed: np.ndarray, stage: int) -> None:
+        """Control and one step of physics."""
+        # the PD loop has the readings of the step before
+        position, velocity = self.sensors.motor_position, self.sensors.motor_velocity
+        self._drive.torque(target, position, velocity, out=self._ctrl)
+        self.sensors.read(index, self.qpos, self.qvel)
+        self._step(failed, stage)
+        self.sensors.feel(index, self._qacc)
+
+    def _two_substeps(self, first: int, target: np.ndarray, failed: np.ndarray, stage: int) -> None:
+        """Control twice and one step of physics of twice the length."""
+        sensors, torques = self.sensors, self._torques
+        self._drive.torque(target, sensors.motor_position, sensors.motor_velocity, out=torques[0])
+        sensors.read(first, self.qpos, self.qvel)
+        self._drive.torque(target, sensors.motor_position, sensors.motor_velocity, out=torques[1])
+        np.add(*torques, out=self._ctrl)
+        self._ctrl *= 0.5
+        self._step(failed, stage)
+        sensors.feel(first, self._qacc)
+        # Euler's steps end with the velocity that they moved at; the pelvis' attitude, which the
+        # IMU reads, stays half a millisecond ahead
+        position, velocity = self._encoders
+        self._halfway[:] = self.qpos
+        self._halfway[:, position] -= PHYSICS_TIMESTEP * self.qvel[:, velocity]
+        sensors.read(first + 1, self._halfway, self.qvel)
+        sensors.feel(first + 1, self._qacc)
 
     def _step(self, failed: np.ndarray, stage: int) -> None:
         """One substep of the simulations that have not failed; marks those that now do."""

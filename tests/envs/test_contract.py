@@ -13,10 +13,11 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.cassie import GEAR, MOTOR_TORQUE_LIMIT, POLICY_PERIOD, TOTAL_MASS
-from aslip.cassie.model import load_model
+from aslip.cassie import GEAR, MOTOR_TORQUE_LIMIT, POLICY_PERIOD, TORQUE_DELAY, TOTAL_MASS
+from aslip.cassie.model import TIMESTEPS, load_model
 from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.evaluation import evaluate
 from aslip.library import GaitLibrary
 from aslip.task import FALL_HEIGHT
 from aslip.transforms import Fall
@@ -292,6 +293,21 @@ def test_the_floor_has_the_friction_asked_for(make: MakeEnv, backend: str) -> No
     assert not torch.equal(tds[0]["truth", "qpos"], tds[1]["truth", "qpos"])
     with pytest.raises(ConfigurationError, match="floor_friction"):
         make(backend, floor_friction=-1.0)
+
+
+def test_physics_may_have_half_as_many_steps(make: MakeEnv) -> None:
+    """A policy of the 2 kHz physics walks as fast there; a longer delay keeps the timestep."""
+    env = make(num_envs=2, timestep=TIMESTEPS[1])
+    env.base_env.set_dynamics({"torque_delay": 0.012})
+    env.base_env.set_dynamics({"torque_delay": TORQUE_DELAY})
+    assert env.base_env.model.opt.timestep == TIMESTEPS[1]
+    (result,) = evaluate(aslip.load_policy("aslip"), make(timestep=TIMESTEPS[1]), [1.0])
+    assert result.survived
+    assert result.mean_speed == pytest.approx(1.0, abs=0.05)
+    with pytest.raises(ConfigurationError, match=r"0\.0005, 0\.001.*0\.002"):
+        make(timestep=0.002)
+    with pytest.raises(ConfigurationError, match=r"dm_control.*0\.0005 s, got 0\.001"):
+        make("dm_control", timestep=TIMESTEPS[1])
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from aslip.cassie import GEAR, PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
-from aslip.cassie.model import CassieIndices, load_model
+from aslip.cassie.model import TIMESTEPS, CassieIndices, load_model
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import Simulations, motor_torque
 
@@ -45,8 +45,8 @@ class NaiveLoop:
     TAPS = (2727, 534, -2658, -795, 72, 110, 19, -6, -3)
     COUNTS = 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / (2 * np.pi)
 
-    def __init__(self) -> None:
-        self.model = load_model()
+    def __init__(self, timestep: float = PHYSICS_TIMESTEP) -> None:
+        self.model = load_model(timestep=timestep)
         self.indices = CassieIndices.from_model(self.model)
         self.data = mujoco.MjData(self.model)
         self.reset()
@@ -78,21 +78,33 @@ class NaiveLoop:
     def advance(self, target: np.ndarray) -> np.ndarray:
         """One policy period; returns the mean ground force."""
         force = np.zeros((2, 3))
-        for _ in range(SUBSTEPS):
+        coarse = self.model.opt.timestep > PHYSICS_TIMESTEP
+        steps = SUBSTEPS // 2 if coarse else SUBSTEPS
+        for _ in range(steps):
             # the PD loop has the reading of the substep before
             self.data.ctrl = motor_torque(target, *self.reading())
-            self.history = [self._count(self._motors()[0]), *self.history[:-1]]
+            self._read(self._motors()[0])
+            if coarse:
+                self.data.ctrl = (self.data.ctrl + motor_torque(target, *self.reading())) / 2
             mujoco.mj_step(self.model, self.data)
+            if coarse:
+                angle, speed = self._motors()
+                self._read(angle - PHYSICS_TIMESTEP * speed)
             force += self.data.sensordata[self.indices.ground_force]
-        return force / SUBSTEPS
+        return force / steps
+
+    def _read(self, angle: np.ndarray) -> None:
+        self.history = [self._count(angle), *self.history[:-1]]
 
 
-def test_equals_a_loop_over_mj_step_bit_for_bit() -> None:
+@pytest.mark.parametrize("timestep", TIMESTEPS)
+def test_equals_a_loop_over_mj_step_bit_for_bit(timestep: float) -> None:
     """Also where some simulations restart in between, at the keyframe or elsewhere."""
     num, steps = 3, 12
     targets = _targets(num, steps)
-    simulations = Simulations(num, num_threads=1)
-    loops = [NaiveLoop() for _ in range(num)]
+    model = load_model(visual=False, timestep=timestep)
+    simulations = Simulations(num, model=model, num_threads=1)
+    loops = [NaiveLoop(timestep) for _ in range(num)]
     start = loops[0].model.key("standing").qpos.copy()
     start[[0, 2]] += [0.4, 0.3]
     velocity = np.random.default_rng(1).uniform(-0.3, 0.3, 32)
@@ -121,6 +133,40 @@ def test_equals_a_loop_over_mj_step_bit_for_bit() -> None:
             snapshot.sensordata[i][velocities], loop.data.sensordata[velocities]
         )
         np.testing.assert_array_equal(snapshot.qacc[i], acceleration)
+
+
+def test_half_as_many_physics_steps_find_nearly_the_same_motion() -> None:
+    """A quarter of a second from standing, landing and falling, sensors included."""
+    model = load_model(visual=False, timestep=TIMESTEPS[1])
+    fine, coarse = Simulations(3, num_threads=1), Simulations(3, model=model, num_threads=1)
+    start = fine.qpos.copy()
+    start[:, 2] += [0.0, 0.02, 1.0]
+    for simulations in (fine, coarse):
+        simulations.reset(np.arange(3), start)
+    for target in _targets(3, 1).repeat(8, 0):
+        fine.advance(target)
+        coarse.advance(target)
+        np.testing.assert_allclose(fine.qpos, coarse.qpos, rtol=0, atol=0.005)
+        a, b = fine.sensors.packets(), coarse.sensors.packets()
+        for name, largest in {
+            "motor_position": 0.005,
+            "joint_position": 0.005,
+            "orientation": 0.002,
+        }.items():
+            np.testing.assert_allclose(a[name], b[name], rtol=0, atol=largest, err_msg=name)
+    assert np.abs(fine.qpos - start).max(1).min() > 0.3
+
+
+def test_physics_steps_are_one_or_two_periods_of_the_motors_loop() -> None:
+    model = load_model()
+    model.opt.timestep = 0.002
+    with pytest.raises(ConfigurationError, match=r"timestep.*0\.0005, 0\.001.*0\.002"):
+        Simulations(1, model=model)
+    with pytest.raises(ConfigurationError, match=r"timestep.*0\.0005, 0\.001.*0\.002"):
+        load_model(timestep=0.002)
+    coarse = Simulations(1, model=load_model(timestep=TIMESTEPS[1]))
+    with pytest.raises(ConfigurationError, match=r"0\.0005 s, this is 0\.001 s"):
+        coarse.watch(0)
 
 
 def test_results_do_not_depend_on_the_number_of_threads() -> None:
