@@ -25,6 +25,7 @@ def load_model(
     *,
     visual: bool = True,
     timestep: float = PHYSICS_TIMESTEP,
+    memory: int | None = None,
 ) -> mujoco.MjModel:
     """Compile `assets/cassie.xml`.
 
@@ -33,6 +34,8 @@ def load_model(
         visual: keep what is only looked at. Without it the physics is the same, bit for bit, and a
             physics step costs 15 % fewer instructions.
         timestep: of the physics [s], that of the 2 kHz loop or twice that, to train on.
+        memory: torque commands that a motor remembers, one a physics step; enough for the delay of
+            the robot by default.
 
     Raises:
         ConfigurationError: the friction is not a positive number, or the timestep none of the two.
@@ -41,6 +44,9 @@ def load_model(
     spec = mujoco.MjSpec.from_file(str(asset_path("cassie.xml")))
     spec.compiler.discardvisual = not visual
     spec.option.timestep = timestep
+    if memory is not None:
+        for actuator in spec.actuators:
+            actuator.nsample = memory
     model = spec.compile()
     set_floor_friction(model, floor_friction)
     return model

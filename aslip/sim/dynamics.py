@@ -18,9 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aslip.assets import asset_path
 from aslip.cassie import PHYSICS_TIMESTEP, SUBSTEPS
-from aslip.cassie.model import set_floor_friction
+from aslip.cassie.model import load_model
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 
 
@@ -243,14 +242,12 @@ def with_longer_memory(model: mujoco.MjModel, delay: float, *, visual: bool) -> 
     samples = int(model.actuator_history[0, 0])
     while samples * model.opt.timestep < delay:
         samples *= 2
-    spec = mujoco.MjSpec.from_file(str(asset_path("cassie.xml")))
-    spec.compiler.discardvisual = not visual
-    spec.option.timestep = model.opt.timestep
-    for actuator in spec.actuators:
-        actuator.nsample = samples
-    longer = spec.compile()
-    set_floor_friction(longer, float(model.geom("floor").friction[0]))
-    return longer
+    return load_model(
+        float(model.geom("floor").friction[0]),
+        visual=visual,
+        timestep=model.opt.timestep,
+        memory=samples,
+    )
 
 
 def with_memory_of(states: np.ndarray, model: mujoco.MjModel, longer: mujoco.MjModel) -> np.ndarray:
