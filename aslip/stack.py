@@ -188,10 +188,13 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
 
 def paper_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
     """The paper's own stack: actions are added to the reference's angles as they are."""
-    stack = default_stack(library, reward_on)
-    del stack["feedforward"]
-    stack["action"] = ActionDelta
-    return stack
+    return _without_feedforward(default_stack(library, reward_on))
+
+
+def _without_feedforward(stack: Stack) -> Stack:
+    plain = {**stack, "action": ActionDelta}
+    del plain["feedforward"]
+    return plain
 
 
 def single_reference_stack(
@@ -200,7 +203,8 @@ def single_reference_stack(
     """The paper's baseline in order: the method of Xie et al. 2018 on our robot and sensors.
 
     One motion in joint space is the reference at every speed, only its forward way is stretched by
-    the command; the policy sees clock and speed instead of a reduced-order model.
+    the command; the policy sees clock and speed instead of a reduced-order model. Motor targets
+    make up for load and damping, as in the default stack; see `paper_single_reference_stack`.
 
     Args:
         library: of one motion, see `single_reference_library`; that of a pendulum by default.
@@ -236,7 +240,7 @@ def single_reference_stack(
         ),
     }
     stack: Stack = {}
-    for name, make in paper_stack(library, reward_on).items():
+    for name, make in default_stack(library, reward_on).items():
         if name == "observation":
             stack["clock_input"], stack["odometer"] = ClockInput, Odometer
         if name == "reward":
@@ -251,6 +255,13 @@ def single_reference_stack(
     return stack
 
 
+def paper_single_reference_stack(
+    library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
+) -> Stack:
+    """The baseline as it was published: actions are added to the reference's angles as they are."""
+    return _without_feedforward(single_reference_stack(library, reward_on))
+
+
 @functools.cache
 def _pendulum() -> GaitLibrary:
     return single_reference_library()
@@ -260,6 +271,7 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "aslip": default_stack,
     "paper": paper_stack,
     "single_reference": single_reference_stack,
+    "paper_single_reference": paper_single_reference_stack,
 }
 """Stacks by name: a function of gait library and `reward_on`."""
 
@@ -320,7 +332,8 @@ def make_env(
 
     Raises:
         ConfigurationError: unknown backend, a timestep that it cannot have, a number of
-            environments or a seed that is none, or a reward term after the sum.
+            environments or a seed that is none, a transform of another environment, or a reward
+            term after the sum.
         UnknownNameError: there is no stack of that name, `drop` or `replace` names no transform of
             the stack, or a transform reads what no other writes.
     """
@@ -351,6 +364,12 @@ def make_env(
             )
         base = DmControlCassieEnv(num_envs, floor_friction=floor_friction)
     stack_of = {name: t if isinstance(t, Transform) else t() for name, t in chosen.items()}
+    for name, transform in stack_of.items():
+        if transform.container is not None:
+            raise ConfigurationError(
+                f"the transform {name!r} belongs to another environment; for several, give what"
+                f" makes one: a class, or lambda: {type(transform).__name__}(...)"
+            )
     env = CassieTransformedEnv(base, stack_of)
     env.stack_name = stack_name
     _check_wiring(env)

@@ -15,6 +15,7 @@ ablation is a call of `main` in which `make_env` gets something else to `drop` o
 from __future__ import annotations
 
 import argparse
+import copy
 import math
 import time
 from collections import deque
@@ -71,7 +72,7 @@ class Config:
     come first, to teach the normaliser what inputs look like."""
     num_envs: int = 256
     """Robots simulated side by side."""
-    stack: Literal["aslip", "paper", "single_reference"] = "aslip"
+    stack: Literal["aslip", "paper", "single_reference", "paper_single_reference"] = "aslip"
     """What to learn on: with motor targets that make up for load and damping, or without."""
     symmetric: bool = True
     """Make actor and critic treat left and right alike; not in the paper."""
@@ -184,9 +185,9 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         edits["drop"] = [*edits["drop"], "noise"]
         edits["replace"] = {**edits["replace"], "estimator": TrueState}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
-    make_env = partial(aslip.make_env, **task)
     speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
-    eval_env = make_env(num_envs=len(speeds))
+    # a transform that was given as it is belongs to one environment only
+    eval_env = aslip.make_env(num_envs=len(speeds), **copy.deepcopy(task))
 
     # ----------------------------------------------------------------- policy
     observation = observed(eval_env)
@@ -221,7 +222,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
 
     # ------------------------------------------------------------------- loop
     collector = make_collector(
-        partial(make_env, **variety(config, task)),
+        partial(aslip.make_env, **{**task, **variety(config, task)}),
         actor,
         kind=config.collector,
         num_envs=config.num_envs,

@@ -21,7 +21,8 @@ from aslip.cassie.model import TIMESTEPS
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
 from aslip.policy import read_manifest
-from aslip.transforms import ObservationNoise, RandomNoise, SpeedCommand
+from aslip.rewards import PAPER_WEIGHTS
+from aslip.transforms import ObservationNoise, RandomNoise, SpeedCommand, WeightedReward
 from recipes import ppo_aslip
 from recipes.ppo_aslip import Config
 
@@ -203,6 +204,18 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     assert found == [noise, [ObservationNoise] * len(noise)]
     steps = [env.base_env.model.opt.timestep for env in envs]
     assert steps == [TIMESTEPS[settings.get("coarse", False)], PHYSICS_TIMESTEP]
+
+
+def test_a_transform_given_as_it_is_serves_training_and_evaluation(tmp_path: Path) -> None:
+    """The README's way to weigh terms, in a training."""
+    weights = {name: float(name == "com_vel") for name in PAPER_WEIGHTS}
+    edits = {"replace": {"reward": WeightedReward(weights)}}
+    results = ppo_aslip.main(replace(TINY, out=tmp_path / "run", total_steps=512), edits)
+    for result in results:
+        assert result.total == pytest.approx(result.steps * result.terms["com_vel"], rel=1e-4)
+    row = _rows(tmp_path / "run")[-1]
+    mean = float(row["episode_return"]) / float(row["episode_length"])
+    assert mean == pytest.approx(float(row["term_com_vel"]), abs=0.15)
 
 
 @pytest.mark.parametrize(

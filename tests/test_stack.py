@@ -14,7 +14,7 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.stack import default_stack, insert_before, make_env, reward_terms
-from aslip.transforms import LowReward, RewardTerm, WeightedReward
+from aslip.transforms import Fall, LowReward, RewardTerm, WeightedReward
 from tests.conftest import MakeEnv
 
 
@@ -82,6 +82,14 @@ def test_steps_and_resets_build_no_specs(
     make(num_envs=2)
     # a few copies of each leaf are TorchRL's way; ten thousands were a mistake of ours
     assert 30 < len(built) < 10_000
+
+
+def test_a_transform_of_another_environment_is_refused(make: MakeEnv) -> None:
+    fall = Fall()
+    env = make(replace={"fall": fall})
+    with pytest.raises(ConfigurationError, match=r"'fall' belongs to another.*lambda: Fall\("):
+        make(replace={"fall": fall})
+    assert fall in env.transforms
 
 
 def test_a_factory_may_replace_a_transform(make: MakeEnv) -> None:
