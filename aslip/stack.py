@@ -188,13 +188,10 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
 
 def paper_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
     """The paper's own stack: actions are added to the reference's angles as they are."""
-    return _without_feedforward(default_stack(library, reward_on))
-
-
-def _without_feedforward(stack: Stack) -> Stack:
-    plain = {**stack, "action": ActionDelta}
-    del plain["feedforward"]
-    return plain
+    stack = default_stack(library, reward_on)
+    del stack["feedforward"]
+    stack["action"] = ActionDelta
+    return stack
 
 
 def single_reference_stack(
@@ -203,8 +200,7 @@ def single_reference_stack(
     """The paper's baseline in order: the method of Xie et al. 2018 on our robot and sensors.
 
     One motion in joint space is the reference at every speed, only its forward way is stretched by
-    the command; the policy sees clock and speed instead of a reduced-order model. Motor targets
-    make up for load and damping, as in the default stack; see `paper_single_reference_stack`.
+    the command; the policy sees clock and speed instead of a reduced-order model.
 
     Args:
         library: of one motion, see `single_reference_library`; that of a pendulum by default.
@@ -240,7 +236,7 @@ def single_reference_stack(
         ),
     }
     stack: Stack = {}
-    for name, make in default_stack(library, reward_on).items():
+    for name, make in paper_stack(library, reward_on).items():
         if name == "observation":
             stack["clock_input"], stack["odometer"] = ClockInput, Odometer
         if name == "reward":
@@ -255,13 +251,6 @@ def single_reference_stack(
     return stack
 
 
-def paper_single_reference_stack(
-    library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
-) -> Stack:
-    """The baseline as it was published: actions are added to the reference's angles as they are."""
-    return _without_feedforward(single_reference_stack(library, reward_on))
-
-
 @functools.cache
 def _pendulum() -> GaitLibrary:
     return single_reference_library()
@@ -271,7 +260,6 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "aslip": default_stack,
     "paper": paper_stack,
     "single_reference": single_reference_stack,
-    "paper_single_reference": paper_single_reference_stack,
 }
 """Stacks by name: a function of gait library and `reward_on`."""
 

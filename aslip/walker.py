@@ -134,7 +134,7 @@ class Walker:
         self.library = GaitLibrary.load() if library is None else library
         if env is None:
             stack = policy_stack(policy) if isinstance(policy, str | Path) else "aslip"
-            gaits = None if stack.endswith("single_reference") else self.library
+            gaits = None if stack == "single_reference" else self.library
             env = make_env(seed=seed, stack=stack, drop=ENDLESS, library=gaits, num_threads=1)
         if env.num_envs != 1:
             raise ConfigurationError(f"a walker is one robot, the environment has {env.num_envs}")

@@ -72,7 +72,7 @@ class Config:
     come first, to teach the normaliser what inputs look like."""
     num_envs: int = 256
     """Robots simulated side by side."""
-    stack: Literal["aslip", "paper", "single_reference", "paper_single_reference"] = "aslip"
+    stack: Literal["aslip", "paper", "single_reference"] = "aslip"
     """What to learn on: with motor targets that make up for load and damping, or without."""
     symmetric: bool = True
     """Make actor and critic treat left and right alike; not in the paper."""

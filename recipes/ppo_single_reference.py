@@ -14,19 +14,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import ppo_aslip
 
 from aslip.errors import AslipError
 
-STACKS: dict[str, Any] = {"aslip": "single_reference", "paper": "paper_single_reference"}
-"""In place of which stack of the paper's method."""
-
 PRESETS = {
     name: replace(
         config,
-        stack=STACKS[config.stack],
+        stack="single_reference",
         out=Path("runs/ppo_single_reference"),
         command_interval=0.0,
     )
