@@ -103,6 +103,7 @@ class Dynamics:
     def __init__(self, num: int, model: mujoco.MjModel) -> None:
         names = sorted({field for parameter in DYNAMICS.values() for field in parameter.fields})
         self._default = {name: model_field(model, name).copy() for name in names}
+        self._timestep = model.opt.timestep
         self._floor, self._pelvis = model.geom("floor").id, model.body("pelvis").id
         nominal = dict.fromkeys(DYNAMICS, 1.0) | {
             "payload": 0.0,
@@ -183,7 +184,7 @@ class Dynamics:
                 f" {parameter.high:g} ({parameter.meaning}), got {value[first]:g}"
             )
         if name == "torque_delay":
-            value = np.rint(value / PHYSICS_TIMESTEP) * PHYSICS_TIMESTEP
+            value = np.rint(value / self._timestep) * self._timestep
         nominal = self.nominal[name]
         value[np.float32(value) == np.float32(nominal)] = nominal
         return value

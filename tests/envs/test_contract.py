@@ -299,7 +299,8 @@ def test_physics_may_have_half_as_many_steps(make: MakeEnv) -> None:
     """A policy of the 2 kHz physics walks as fast there; a longer delay keeps the timestep."""
     env = make(num_envs=2, timestep=TIMESTEPS[1])
     env.base_env.set_dynamics({"torque_delay": 0.012})
-    env.base_env.set_dynamics({"torque_delay": TORQUE_DELAY})
+    env.base_env.set_dynamics({"torque_delay": TORQUE_DELAY + 0.0006})
+    assert env.base_env.dynamics["torque_delay"] == pytest.approx([0.004, 0.004])
     assert env.base_env.model.opt.timestep == TIMESTEPS[1]
     (result,) = evaluate(aslip.load_policy("aslip"), make(timestep=TIMESTEPS[1]), [1.0])
     assert result.survived
