@@ -17,6 +17,7 @@ environment, policy and samples take.
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import subprocess
 import sys
@@ -38,11 +39,11 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv
 
 import aslip
+from aslip import run
 from aslip.cassie import SUBSTEPS
 from aslip.cassie.model import TIMESTEPS
 from aslip.evaluation import evaluate
 from aslip.policy import policy_stack
-from aslip.run import peak_memory
 from aslip.sim import SimulationPool
 from aslip.transforms import ActionDelta, TrueState
 from benchmarks.faults import quiet
@@ -191,42 +192,60 @@ def main(config: Config) -> None:
 
 
 def update_table(config: Config) -> str:
-    """Seconds of collecting samples and of learning from them, for both presets."""
-    lines = ["| settings | samples | collecting s | update s | share of the update |"]
-    lines.append("|---|---:|---:|---:|---:|")
+    """Seconds that a training spends between updates and on them, on copies and checkpoints."""
+    header = ["settings", "samples", "collecting s", "update s", "share of the update"]
+    lines = [[*header, "copy s", "checkpoint s"], ["---", *["---:"] * 6]]
     for name, preset in ppo_aslip.PRESETS.items():
         training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
-        collecting, updating = zip(*_iterations(training, config.rounds), strict=True)
-        times = [statistics.median(seconds) for seconds in (collecting, updating)]
+        updates, copies, saves = _iterations(training, config.rounds)
+        collecting = [after[0] - before[1] for before, after in itertools.pairwise(updates)]
+        updating = [end - start for start, end in updates[1:]]
         share = statistics.median(u / (c + u) for c, u in zip(collecting, updating, strict=True))
-        cells = [name, str(training.samples), *(f"{t:.2f}" for t in times), f"{100 * share:.0f} %"]
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        cells = [name, str(training.samples)]
+        cells += [f"{statistics.median(times):.2f}" for times in (collecting, updating)]
+        cells += [f"{100 * share:.0f} %"]
+        cells += [f"{statistics.median(e - s for s, e in spans):.2f}" for spans in (copies, saves)]
+        lines.append(cells)
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def _iterations(config: ppo_aslip.Config, number: int) -> list[tuple[float, float]]:
-    """Seconds of collecting and of updating, of the first iterations of a training."""
-    times: list[float] = []
-    update = ppo_aslip.update
+Spans = list[tuple[float, float]]
 
-    def timed(*args: Any) -> Any:
-        times.append(time.perf_counter())
-        result = update(*args)
-        times.append(time.perf_counter())
-        return result
 
+def _iterations(config: ppo_aslip.Config, number: int) -> tuple[Spans, Spans, Spans]:
+    """When updates, copies of all states after them, and checkpoints began and ended [s].
+
+    Those of the first iterations of a training, one more than the number.
+    """
+    update = _Watched(ppo_aslip.update)
+    copies, save = _Watched(run.snapshot), _Watched(run.save_checkpoint)
     with tempfile.TemporaryDirectory() as folder, quiet():
         short = replace(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
             eval_interval=10**9, checkpoint_minutes=1e6,
         )  # fmt: skip
         with (
-            mock.patch.object(ppo_aslip, "update", timed),
+            mock.patch.object(ppo_aslip, "update", update),
             mock.patch.object(ppo_aslip, "evaluate", partial(evaluate, num_steps=1)),
+            mock.patch.object(run, "snapshot", copies),
+            mock.patch.object(run, "save_checkpoint", save),
         ):
             ppo_aslip.main(short)
-    # from the end of an update to the beginning of the next, and to its end
-    return [(times[i + 1] - times[i], times[i + 2] - times[i + 1]) for i in range(1, 2 * number, 2)]
+    return update.spans, copies.spans, save.spans
+
+
+class _Watched:
+    """A function that remembers when its calls began and ended."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+        self.spans: Spans = []
+
+    def __call__(self, *args: Any) -> Any:
+        start = time.perf_counter()
+        result = self._function(*args)
+        self.spans.append((start, time.perf_counter()))
+        return result
 
 
 def memory_table(config: Config) -> str:
@@ -247,7 +266,7 @@ def memory_of(num_envs: int) -> float:
     """Peak memory of this process after eight policy steps of so many robots [GiB]."""
     env = aslip.make_env(num_envs=num_envs)
     env.rollout(8, aslip.load_policy("aslip"), break_when_any_done=False)
-    return peak_memory()
+    return run.peak_memory()
 
 
 def _round(candidates: Candidates, steps: int) -> dict[str, float]:
