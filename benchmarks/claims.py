@@ -203,10 +203,18 @@ def main(config: Config) -> int:
     for name in lost:
         print(f"held before and does not now: {name}")
     if config.record:
-        kept = {"policies": list(config.policy), "baseline": list(config.baseline)}
-        text = json.dumps({**kept, "claims": {row["name"]: row["holds"] for row in rows}}, indent=1)
-        write_text(RECORD, text + "\n")
+        write_record(config, rows)
     return len(lost)
+
+
+def write_record(config: Config, rows: Sequence[dict[str, Any]]) -> None:
+    """Keep which claims hold, for which policies: by name, where they lie is nobody's business."""
+    names = {
+        key: [Path(policy).name for policy in policies]
+        for key, policies in (("policies", config.policy), ("baseline", config.baseline))
+    }
+    kept = {**names, "claims": {row["name"]: row["holds"] for row in rows}}
+    write_text(RECORD, json.dumps(kept, indent=1) + "\n")
 
 
 def read_record() -> dict[str, bool]:

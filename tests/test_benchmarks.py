@@ -183,8 +183,11 @@ def test_the_table_says_what_holds_and_what_no_longer_does(
         claims, "measured", lambda config: {name: claims.one(v) for name, v in values.items()}
     )
     monkeypatch.setattr(claims, "RECORD", tmp_path / "record.json")
-    config = claims.Config(out=tmp_path, record=True)
+    config = claims.Config(policy=("runs/seed0", "aslip"), out=tmp_path, record=True)
     assert claims.main(config) == 0
+    kept = json.loads((tmp_path / "record.json").read_text())
+    assert kept["policies"] == ["seed0", "aslip"]
+    assert kept["claims"] == {"settling": False, "double hump": True, "step frequency": True}
     printed = capsys.readouterr().out
     assert printed.count("PASS") == 2
     assert printed.count("FAIL") == 1
