@@ -43,7 +43,7 @@ def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixtur
     )
     throughput.main(config)
     rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
-    assert len(rows) == 6 + 4
+    assert len(rows) == 7 + 5
     assert all(row.endswith("% |") for row in rows)
 
 
@@ -61,7 +61,10 @@ def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPat
     config = throughput.Config(num_envs=(2,), rounds=2)
     row = throughput.update_table(config).splitlines()[-1]
     assert row.startswith("| tiny | 64 | ")
-    assert 0 < float(row.split("|")[-2].strip(" %")) < 100
+    *_, share, copied, saved, _ = row.split("|")
+    assert 0 < float(share.strip(" %")) < 100
+    assert 0 <= float(copied) < 10
+    assert 0 <= float(saved) < 10
     assert 0.1 < float(throughput.memory_table(config).splitlines()[-1].split("|")[2]) < 8
 
 

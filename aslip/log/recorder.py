@@ -202,11 +202,16 @@ class Recorder(Transform):
 
 
 def _require_one_model(base: CassieEnv) -> None:
-    """Check that the robots have the environment's model, the only one that a log holds.
+    """Check that the robots have the default model, the only one that a replay knows.
 
     Raises:
-        ConfigurationError: their dynamics have been changed.
+        ConfigurationError: their dynamics have been changed, or the physics has another timestep.
     """
+    if base.model.opt.timestep != PHYSICS_TIMESTEP:
+        raise ConfigurationError(
+            f"logs are of physics with a timestep of {PHYSICS_TIMESTEP} s, this environment's is"
+            f" {base.model.opt.timestep} s"
+        )
     if base.altered:
         raise ConfigurationError(
             "the robots' dynamics have been changed (by RandomDynamics, set_dynamics or a reset),"

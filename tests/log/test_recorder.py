@@ -17,7 +17,7 @@ from tensordict import TensorDict
 import aslip
 from aslip.assets import asset_path
 from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD
-from aslip.cassie.model import load_model
+from aslip.cassie.model import TIMESTEPS, load_model
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.ghost import Ghost
 from aslip.library import GaitLibrary
@@ -327,3 +327,11 @@ def test_the_robot_description_begins_where_the_log_begins(recording: Recording)
     model = load_model()
     shown = sum(model.geom_group == 1)
     assert len(list(robot.iter("visual"))) >= shown + len(ROM_FRAMES)
+
+
+def test_physics_that_a_replay_does_not_know_is_refused(tmp_path: Path) -> None:
+    stack = {**default_stack(), "recorder": lambda: Recorder(tmp_path / "a.mcap")}
+    env = aslip.make_env(stack=stack, num_threads=1, timestep=TIMESTEPS[1])
+    with pytest.raises(ConfigurationError, match=r"timestep of 0\.0005 s, .* is 0\.001 s"):
+        env.reset()
+    assert not list(tmp_path.iterdir())
