@@ -325,7 +325,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
 
 
 def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
-    """What training has and evaluation has not: changes of command, robots that differ."""
+    """What training has and evaluation has not: coarse physics, new commands, other robots."""
     edits: dict[str, Any] = {"timestep": TIMESTEPS[config.coarse]}
     if config.command_interval:
         command = SpeedCommand(aslip.GaitLibrary.load(), interval=config.command_interval)

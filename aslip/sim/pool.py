@@ -100,7 +100,7 @@ class SimulationPool:
         """Keep every substep of one simulation in `watched` from now on; None for none.
 
         Raises:
-            ConfigurationError: there is no such simulation.
+            ConfigurationError: there is no such simulation, or the physics does not step as often.
         """
         if index is not None and not 0 <= index < self.num:
             raise ConfigurationError(f"no simulation {index!r}; there are {self.num}, from 0")
