@@ -26,6 +26,9 @@ from aslip.transforms import TrueState
 from aslip.walker import ENDLESS
 from aslip.walks import Walks, record_walks
 
+WALKING_LENGTH = 350
+"""Mean length of training episodes that counts as having learned to walk, of 400 [policy steps]."""
+
 _CONFIDENCE = 0.95
 _RESAMPLES = 2000
 
@@ -82,9 +85,9 @@ class Interval:
         return cls(mean, float(low), float(high))
 
     def text(self, digits: int, scale: float = 1.0) -> str:
-        """Mean and interval, with so many digits, times `scale`."""
-        mean, low, high = (scale * value for value in (self.mean, self.low, self.high))
-        return f"{mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+        """Mean and, if it has one, interval, with so many digits, times `scale`."""
+        mean, low, high = (f"{scale * v:.{digits}f}" for v in (self.mean, self.low, self.high))
+        return mean if self.low == self.high else f"{mean} [{low}, {high}]"
 
 
 def environment(

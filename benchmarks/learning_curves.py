@@ -28,6 +28,7 @@ from tqdm import tqdm
 
 from aslip.plots import save_figure
 from aslip.run import read_progress, write_text
+from benchmarks.common import WALKING_LENGTH
 
 VARIANTS: Final = MappingProxyType(
     {"truth": ("--truth",), "estimate": (), "paper": ("--preset", "paper")}
@@ -40,8 +41,6 @@ Curves = dict[int, dict[str, np.ndarray]]
 """Seed -> columns of a run's progress."""
 
 _RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
-# the length of episodes that counts as walking (of 400)
-_WALKING = 350.0
 _POLL = 5.0  # [s]
 
 
@@ -144,13 +143,13 @@ def _curves(config: Config, variant: str) -> Curves:
 def report(curves: dict[str, Curves]) -> str:
     """A row for each run: when it walks, and how well in the end."""
     lines = [
-        f"| variant | seed | policy steps | episodes of {_WALKING:.0f} after"
+        f"| variant | seed | policy steps | episodes of {WALKING_LENGTH} after"
         " | length at the end | return | evaluation: return | speeds walked |",
         "|---|---:|---:|---:|---:|---:|---:|---:|",
     ]
     for variant, runs in curves.items():
         for seed, run in runs.items():
-            walking = run["step"][run["episode_length"] >= _WALKING]
+            walking = run["step"][run["episode_length"] >= WALKING_LENGTH]
             evaluated = np.flatnonzero(np.isfinite(run["eval_return"]))
             last = evaluated[-1] if len(evaluated) else -1
             lines.append(

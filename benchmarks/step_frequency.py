@@ -6,6 +6,7 @@ python -m benchmarks.step_frequency --policy runs/seed0 runs/seed1 runs/seed2
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import tyro
@@ -38,13 +39,13 @@ class Config(Common):
     """Commanded [m/s]."""
 
 
-def main(config: Config) -> list[dict[str, float]]:
+def main(config: Config) -> list[dict[str, Any]]:
     """Measure, print and draw; returns a row a speed."""
     library = GaitLibrary.load()
     model = 2 / strides(library, config.speeds)
     walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
     first = round(_SETTLE / POLICY_PERIOD)
-    rows = []
+    rows: list[dict[str, Any]] = []
     for i, speed in enumerate(config.speeds):
         swing = shortest_swing(library, speed)
         found = [measured(walk.one(i, first), swing) for walk in walks]
@@ -55,6 +56,7 @@ def main(config: Config) -> list[dict[str, float]]:
                 "model": float(model[i]),
                 **vars(frequency),
                 "off": frequency.mean / float(model[i]) - 1,
+                "each": [f / float(model[i]) - 1 for f, _ in found],
                 "duty": float(np.mean([duty for _, duty in found])),
             }
         )
@@ -82,7 +84,7 @@ def measured(walk: Walks, swing: float) -> tuple[float, float]:
     return step_frequency(left, right, POLICY_PERIOD, swing), float(duty)
 
 
-def picture(rows: list[dict[str, float]]) -> Figure:
+def picture(rows: list[dict[str, Any]]) -> Figure:
     """Both frequencies over speed."""
     figure = Figure(figsize=(6, 4), layout="constrained")
     axis = figure.subplots()

@@ -91,7 +91,7 @@ def main(config: Config) -> dict[str, Any]:
         "schedule": schedule_rows(walks),
         "map": map_rows(config),
         "steps": step_rows(config, footholds),
-        "spike": spike(walks),
+        "spike": spikes(walks),
     }
     tables = [schedule_table(numbers), map_table(numbers), step_table(numbers)]
     figure = picture(walks[0], numbers["map"])
@@ -139,18 +139,23 @@ def schedule_table(numbers: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
-def spike(walks: list[Walks]) -> dict[str, float]:
-    """Range of speed around the model's touchdowns, robot and model [m/s]."""
-    found: dict[str, list[float]] = {"robot": [], "model": []}
-    for walk in walks:
-        for i in range(2):
-            # the model's foot is down where it does not rise above the floor
-            height = walk.body_position[:, 0, 2] + walk.body_to_foot[:, 0, i, 2]
-            down = stances(np.where(height < 1e-3, 100.0, 0.0), POLICY_PERIOD)[:, 0]
-            model, robot = walk.body_velocity[:, 0, 0], walk.pelvis_velocity[:, 0, 0]
-            found["model"].append(touchdown_spike(model, down, _SPIKE))
-            found["robot"].append(touchdown_spike(robot, down, _SPIKE))
-    return {name: float(np.nanmean(values)) for name, values in found.items()}
+def spikes(walks: list[Walks]) -> dict[str, Any]:
+    """Mean range of speed around the model's touchdowns, robot and model [m/s]."""
+    each = [spike(walk) for walk in walks]
+    means = {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
+    return {**means, "each": each}
+
+
+def spike(walk: Walks) -> dict[str, float]:
+    """The same of one walk."""
+    # the model's foot is down where it does not rise above the floor
+    height = walk.body_position[:, :1, 2] + walk.body_to_foot[:, 0, :, 2]
+    model, robot = walk.body_velocity[:, 0, 0], walk.pelvis_velocity[:, 0, 0]
+    down = [stances(np.where(h < 1e-3, 100.0, 0.0), POLICY_PERIOD)[:, 0] for h in height.T]
+    return {
+        name: float(np.nanmean([touchdown_spike(speed, samples, _SPIKE) for samples in down]))
+        for name, speed in (("robot", robot), ("model", model))
+    }
 
 
 # -------------------------------------------------------------------------- map
@@ -213,6 +218,10 @@ def step_rows(config: Config, footholds: Footholds) -> list[dict[str, Any]]:
                 "settling": float(np.mean([a.settling_time for a in answers])),
                 "overshoot": float(np.mean([a.overshoot for a in answers])),
                 "steady_error": float(np.mean([a.steady_error for a in answers])),
+                "each": {
+                    "settling": [a.settling_time for a in answers],
+                    "steady_error": [a.steady_error for a in answers],
+                },
             }
         )
     return rows
