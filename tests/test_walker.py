@@ -9,11 +9,13 @@ import pytest
 import torch
 
 import aslip
+from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.stack import MAX_EPISODE_STEPS
 from aslip.transforms import SINGLE_REFERENCE_TABLE
-from aslip.walker import ENDLESS, Push, Schedule, Walker
+from aslip.walker import Push, Schedule, Walker
 
 
 @pytest.fixture(scope="module")
@@ -87,9 +89,15 @@ def test_policies_can_be_changed_on_the_way(walker: Walker) -> None:
     assert actions[2] > 0
 
 
-def test_it_walks_on_for_longer_than_an_episode(library: GaitLibrary) -> None:
-    still = aslip.make_env(drop=ENDLESS, library=library, num_threads=1)
-    assert not {"low_reward", "step_limit"} & set(still.transform_names)
+def test_it_walks_on_for_longer_than_an_episode(walker: Walker) -> None:
+    walker.reset(0.5)
+    for _ in range(MAX_EPISODE_STEPS + 1):
+        walker.step()
+    assert not walker.fallen
+    assert walker.time == pytest.approx((MAX_EPISODE_STEPS + 1) * POLICY_PERIOD)
+
+
+def test_more_than_one_robot_are_refused(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match="one robot"):
         Walker(env=aslip.make_env(num_envs=2, library=library))
 

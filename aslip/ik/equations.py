@@ -55,6 +55,8 @@ class Equations:
     frames: Frames
     target_rotation: np.ndarray
     """(n, 2, 3, 3) wanted sole orientation, target to pelvis."""
+    toes: np.ndarray
+    """(n, 2, 3) x axis of the sole, target frame: the target's is (1, 0, 0)."""
     residual: np.ndarray
     """(n, 2, 8), rows as in the module's table."""
 
@@ -73,23 +75,35 @@ class Equations:
         frames = legs.frames(angle)
         sole, sole_to_pelvis = legs.sole_frame(frames)
         rod, length = _rod(legs, frames), legs.rod_length
+        toes = rotate_back(rotation, sole_to_pelvis[..., 0])
         residual = np.empty((*angle.shape[:-1], EQUATIONS))
         residual[..., POSITION] = sole - position
-        residual[..., TOES] = rotate_back(rotation, sole_to_pelvis[..., 0])[..., 1:]
+        residual[..., TOES] = toes[..., 1:]
         residual[..., ACHILLES] = (dot(rod, rod) - length**2) / (2 * length)
         residual[..., PLANTAR_LOOP] = plantar_gap(legs, frames)[..., :2]
-        return cls(legs, angle, frames, rotation, residual)
+        return cls(legs, angle, frames, rotation, toes, residual)
+
+    def toe_angle(self) -> np.ndarray:
+        """(n, 2) angle between toes and where they should point [rad]; the residual is its sine."""
+        return np.arctan2(np.linalg.norm(self.toes[..., 1:], axis=-1), self.toes[..., 0])
+
+    def toes_jacobian(self) -> np.ndarray:
+        """(n, 2, 3, 8) derivative of the toes with respect to the hinge angles."""
+        _, sole_to_pelvis = self.legs.sole_frame(self.frames)
+        jacobian = np.zeros((*self.toes.shape, len(JOINTS)))
+        for joint in CHAIN:
+            rate = cross(self.frames.axis(joint), sole_to_pelvis[..., 0])
+            jacobian[..., joint] = rotate_back(self.target_rotation, rate)
+        return jacobian
 
     def jacobian(self) -> np.ndarray:
         """(n, 2, 8, 8) derivative of the residual with respect to the hinge angles."""
         legs, frames = self.legs, self.frames
         jacobian = np.zeros((*self.residual.shape, len(JOINTS)))
-        sole, sole_to_pelvis = legs.sole_frame(frames)
-        toes = sole_to_pelvis[..., 0]
+        sole, _ = legs.sole_frame(frames)
         for joint in CHAIN:
             jacobian[..., POSITION, joint] = _turn(frames, joint, sole)
-            toe_rate = cross(frames.axis(joint), toes)
-            jacobian[..., TOES, joint] = rotate_back(self.target_rotation, toe_rate)[..., 1:]
+        jacobian[..., TOES, :] = self.toes_jacobian()[..., 1:, :]
         rod, heel = _rod(legs, frames), frames.point(TARSUS, legs.heel)
         for joint in (KNEE, TARSUS):
             rate = dot(rod, _turn(frames, joint, heel))

@@ -6,7 +6,7 @@ import numpy as np
 
 from aslip.cassie import SIDES
 from aslip.errors import UnreachablePoseError
-from aslip.ik.equations import EQUATIONS, LOOPS, POSITION, TOES, Equations
+from aslip.ik.equations import EQUATIONS, LOOPS, POSITION, Equations
 from aslip.ik.leg import JOINTS, KNEE, TARSUS, LegGeometry
 from aslip.ik.newton import MAX_STEP, LegAngles, guess
 from aslip.ik.target import FootMotion
@@ -14,9 +14,10 @@ from aslip.ik.target import FootMotion
 _STEPS = 50
 _SINGULAR = 1e-9
 
-_WEIGHT = np.ones(EQUATIONS)
+# closed loops come first; the last row is how far the toes are from pointing forward, without which
+# backward would do as well
+_WEIGHT = np.ones(EQUATIONS + 1)
 _WEIGHT[LOOPS] = 1e3
-"""Closed loops come first."""
 
 
 def check_reach(legs: LegGeometry, found: LegAngles, feet: FootMotion) -> None:
@@ -31,21 +32,22 @@ def check_reach(legs: LegGeometry, found: LegAngles, feet: FootMotion) -> None:
     if not failed.any():
         return
     pose, side = (int(i) for i in np.unravel_index(failed.argmax(), failed.shape))
-    error, angle, stopped = _closest(legs, feet.position[[pose]], feet.rotation[[pose]], side)
+    closest, stopped = _closest(legs, feet.position[[pose]], feet.rotation[[pose]], side)
     raise UnreachablePoseError(
         f"pose {pose}: the {SIDES[side]} foot misses its target by "
-        f"{np.linalg.norm(error[POSITION]):.4f} m and its direction by "
-        f"{np.linalg.norm(error[TOES]):.4f} rad: {_reason(legs, angle, stopped, side)}"
+        f"{np.linalg.norm(closest.residual[0, side, POSITION]):.4f} m and its direction by "
+        f"{closest.toe_angle()[0, side]:.4f} rad: "
+        f"{_reason(legs, closest.angle[0, side], stopped, side)}"
     )
 
 
 def _closest(
     legs: LegGeometry, position: np.ndarray, rotation: np.ndarray, side: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[Equations, np.ndarray]:
     """What one leg can do within its limits for one target, by Gauss-Newton.
 
     Returns:
-        Residual (8,), hinge angles (8,), and which of them (8,) stay at a limit (bool).
+        The equations there, and which of its hinges (8,) stay at a limit (bool).
     """
     lower, upper = legs.lower[side], legs.upper[side]
     angle = guess(legs, position, rotation)
@@ -54,15 +56,15 @@ def _closest(
     for _ in range(_STEPS):
         equations = Equations.at(legs, angle, position, rotation)
         step, stopped = _bounded_step(
-            _WEIGHT * equations.residual[0, side],
-            _WEIGHT[:, None] * equations.jacobian()[0, side],
+            _WEIGHT * np.append(equations.residual[0, side], equations.toes[0, side, 0] - 1),
+            _WEIGHT[:, None]
+            * np.vstack([equations.jacobian()[0, side], equations.toes_jacobian()[0, side, :1]]),
             lower - angle[0, side],
             upper - angle[0, side],
         )
         angle[0, side] += step * MAX_STEP / max(MAX_STEP, np.abs(step).max())
-    residual = Equations.at(legs, angle, position, rotation).residual[0, side]
     at_limit = np.isclose(angle[0, side], lower) | np.isclose(angle[0, side], upper)
-    return residual, angle[0, side], stopped & at_limit
+    return Equations.at(legs, angle, position, rotation), stopped & at_limit
 
 
 def _bounded_step(

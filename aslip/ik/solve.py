@@ -160,6 +160,6 @@ def _largest_residual(equations: Equations) -> IkResidual:
     gaps = np.linalg.norm(plantar_gap(equations.legs, equations.frames), axis=-1)
     return IkResidual(
         foot_position=float(np.linalg.norm(residual[..., POSITION], axis=-1).max(initial=0)),
-        toe_direction=float(np.linalg.norm(residual[..., TOES], axis=-1).max(initial=0)),
+        toe_direction=float(equations.toe_angle().max(initial=0)),
         loop=float(np.maximum(gaps, np.abs(residual[..., ACHILLES])).max(initial=0)),
     )

@@ -72,6 +72,16 @@ def test_joint_limit_in_the_way_is_named(kinematics, joint, pose):
     assert joint in _message(kinematics, **pose)
 
 
+@pytest.mark.parametrize(("turn", "least", "most"), [(0.8, 0.4, 0.42), (2.9, 1.2, 2.9 - 0.39)])
+def test_missed_direction_is_an_angle(kinematics, turn, least, most):
+    """Hip yaw stops at 0.39 rad; toes that should point backwards are not met by such as do not."""
+    message = _message(kinematics, orientation=_about((0, 0, 1), turn))
+    found = re.search(r"its direction by ([\d.]+) rad", message)
+    assert found
+    assert least < float(found.group(1)) < most
+    assert "left_hip_yaw at its limit 0.3927" in message
+
+
 @pytest.mark.parametrize("left", [(0.021, 0.135, 0.85), (0.0, 0.1305, 0.69), (0.0, 0.0, 1e6)])
 def test_degenerate_targets_are_unreachable_like_any_other(kinematics, left):
     assert "pose 0: the left foot" in _message(kinematics, left=left)

@@ -35,20 +35,9 @@ def mid_stance_force(gait):
     return standing.min()
 
 
-def test_stride_within_3_percent(pair):
-    gait, published = pair
-    assert gait.stride == pytest.approx(published[0], rel=0.03)
-
-
 def test_stride_within_half_a_millisecond(pair):
     gait, published = pair
     assert gait.stride == pytest.approx(published[0], abs=5e-4)
-
-
-def test_body_height_within_12_millimetres(pair):
-    gait, published = pair
-    height = gait.body_position[:, 2]
-    np.testing.assert_allclose([height.min(), height.max()], published[1:3], atol=0.012)
 
 
 def test_body_height_within_half_a_millimetre(pair):
@@ -57,16 +46,16 @@ def test_body_height_within_half_a_millimetre(pair):
     np.testing.assert_allclose([height.min(), height.max()], published[1:3], atol=5e-4)
 
 
-def test_sway_within_3_millimetres(pair):
+def test_sway_within_a_third_of_a_millimetre(pair):
     gait, published = pair
-    assert np.abs(gait.body_position[:, 1]).max() == pytest.approx(published[3], abs=0.003)
+    assert np.abs(gait.body_position[:, 1]).max() == pytest.approx(published[3], abs=3e-4)
 
 
-def test_force_humps_within_5_percent(pair):
+def test_force_humps_within_half_a_percent(pair):
     gait, published = pair
     force = stance_force(gait)
     humps = force[: len(force) // 2].max(), force[len(force) // 2 :].max()
-    np.testing.assert_allclose(humps, published[4:6], rtol=0.05)
+    np.testing.assert_allclose(humps, published[4:6], rtol=0.005)
 
 
 def test_vertical_speed_within_1_percent(pair):
