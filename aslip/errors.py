@@ -4,6 +4,11 @@ Each message names the offending value and says what would be right. Classes als
 built-in exception a caller would expect, so `except ValueError` keeps working.
 """
 
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
 
 class AslipError(Exception):
     """Root of all errors raised on purpose by this package."""
@@ -31,6 +36,14 @@ class UnreachablePoseError(AslipError, ValueError):
 
 class UnknownNameError(AslipError, KeyError):
     """A joint, body, transform or policy name that does not exist."""
+
+    @classmethod
+    def among(cls, kind: str, name: object, known: Iterable[str]) -> UnknownNameError:
+        """Of a name that is none of the known, with the nearest of them."""
+        names = list(known)
+        close = difflib.get_close_matches(str(name), names, n=1)
+        hint = f", did you mean {close[0]!r}?" if close else ";"
+        return cls(f"no {kind} {name!r}{hint} there are {names}")
 
     def __str__(self) -> str:
         # KeyError would print the repr of the message

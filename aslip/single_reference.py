@@ -55,7 +55,7 @@ def pelvis(pelvis_position: Tensor, body_position: Tensor, distance: Tensor) -> 
     Args:
         pelvis_position: (*b, 3) [m, world].
         body_position: (*b, 3) of the reference; x is the deviation from uniform motion [m].
-        distance: (*b, 1) uniform motion since the start [m], see `aslip.transforms.Odometer`.
+        distance: (*b, 1) uniform motion since the start [m], of `ReferenceDistance`.
     """
     x, rest = body_position[..., :1] + distance, body_position[..., 1:]
     return torch.exp(-_square(pelvis_position - torch.cat([x, rest], dim=-1)))

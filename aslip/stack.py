@@ -19,11 +19,11 @@ an environment, where TorchRL would keep stale specs; build another.
 
 from __future__ import annotations
 
-import difflib
 import functools
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from types import MappingProxyType
 from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
@@ -53,14 +53,15 @@ from aslip.transforms import (
     LastAction,
     LowReward,
     ObservationNoise,
-    Odometer,
     PhaseClock,
     RandomDynamics,
     RandomNoise,
+    ReferenceDistance,
     ReferenceInjection,
     ReferenceStart,
     RewardTerm,
     SpeedCommand,
+    TrueState,
     WeightedReward,
 )
 from aslip.transforms.base import require_keys
@@ -73,6 +74,14 @@ Stack = dict[str, Callable[[], Transform]]
 
 MAX_EPISODE_STEPS = 400
 """Policy steps of an episode, 12 s (Sec. IV-B)."""
+
+EPISODE_ENDS: Final = ("low_reward", "step_limit")
+"""Transforms that end training episodes though nobody fell; to watch a robot, leave them out."""
+
+ON_TRUTH: Final[Mapping[str, Any]] = MappingProxyType(
+    {"drop": ("noise",), "replace": {"estimator": TrueState}}
+)
+"""What to tell `make_env` for a policy that sees the simulator's truth instead of an estimate."""
 
 
 class CassieTransformedEnv(TransformedEnv):
@@ -238,7 +247,7 @@ def single_reference_stack(
     stack: Stack = {}
     for name, make in paper_stack(library, reward_on).items():
         if name == "observation":
-            stack["clock_input"], stack["odometer"] = ClockInput, Odometer
+            stack["clock_input"], stack["reference_distance"] = ClockInput, ReferenceDistance
         if name == "reward":
             stack |= terms
         if name not in PAPER_WEIGHTS:
@@ -399,6 +408,4 @@ def _require_names(stack: Stack, names: Iterable[str]) -> None:
     """
     for name in names:
         if name not in stack:
-            close = difflib.get_close_matches(str(name), stack, n=1)
-            hint = f", did you mean {close[0]!r}?" if close else ";"
-            raise UnknownNameError(f"no transform {name!r}{hint} the stack has {list(stack)}")
+            raise UnknownNameError.among("transform", name, stack)

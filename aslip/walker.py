@@ -17,10 +17,7 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import load_policy, policy_stack
-from aslip.stack import CassieTransformedEnv, make_env
-
-ENDLESS = ("low_reward", "step_limit")
-"""Transforms that end training episodes; to watch a robot, leave them out."""
+from aslip.stack import EPISODE_ENDS, CassieTransformedEnv, make_env
 
 
 @dataclass(frozen=True)
@@ -135,7 +132,7 @@ class Walker:
         if env is None:
             stack = policy_stack(policy) if isinstance(policy, str | Path) else "aslip"
             gaits = None if stack == "single_reference" else self.library
-            env = make_env(seed=seed, stack=stack, drop=ENDLESS, library=gaits, num_threads=1)
+            env = make_env(seed=seed, stack=stack, drop=EPISODE_ENDS, library=gaits, num_threads=1)
         if env.num_envs != 1:
             raise ConfigurationError(f"a walker is one robot, the environment has {env.num_envs}")
         self.env = env

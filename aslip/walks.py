@@ -129,7 +129,7 @@ def record_walks(
 
     Args:
         policy: maps the environment's tensordict to `action`.
-        env: of n robots; leave out its `aslip.walker.ENDLESS` transforms to see whole walks.
+        env: of n robots; leave out its `aslip.stack.EPISODE_ENDS` transforms to see whole walks.
         command: (m, n) commanded speed of each policy step [m/s].
 
     Raises:

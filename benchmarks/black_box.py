@@ -36,8 +36,8 @@ from aslip.library import GaitLibrary
 from aslip.log import JointRate, Recorder, check, read, recover, replay
 from aslip.policy import policy_stack
 from aslip.run import write_text
-from aslip.stack import STACKS
-from aslip.walker import ENDLESS, Walker
+from aslip.stack import EPISODE_ENDS, STACKS
+from aslip.walker import Walker
 
 # an episode of the paper [policy steps]
 _EPISODE = 400
@@ -88,11 +88,10 @@ def walking(
     library: GaitLibrary, policy: str, path: Path | None, rate: JointRate = "policy", seed: int = 0
 ) -> Walker:
     """A robot, recorded if there is a path."""
-    whole = STACKS[policy_stack(policy)]()
-    stack = {name: make for name, make in whole.items() if name not in ENDLESS}
+    stack = STACKS[policy_stack(policy)]()
     if path is not None:
         stack["recorder"] = partial(Recorder, path, joint_rate=rate, policy=policy, library=library)
-    env = aslip.make_env(stack=stack, seed=seed, num_threads=1)
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, seed=seed, num_threads=1)
     return Walker(policy, env, library=library, speed=0.5)
 
 

@@ -21,9 +21,7 @@ from aslip.plots import save_figure
 from aslip.policy import policy_stack
 from aslip.rom import Gait
 from aslip.run import write_text
-from aslip.stack import CassieTransformedEnv
-from aslip.transforms import TrueState
-from aslip.walker import ENDLESS
+from aslip.stack import EPISODE_ENDS, ON_TRUTH, CassieTransformedEnv
 from aslip.walks import Walks, record_walks
 
 WALKING_LENGTH = 350
@@ -94,14 +92,13 @@ def environment(
     config: Common, policy: str, num_envs: int, **settings: Any
 ) -> CassieTransformedEnv:
     """The stack of a policy without an end of episodes but falls."""
-    drop = [*ENDLESS, *(["noise"] if config.truth else [])]
-    replace = {"estimator": TrueState} if config.truth else {}
+    edits = ON_TRUTH if config.truth else {}
     return aslip.make_env(
         num_envs=num_envs,
         seed=config.seed,
         stack=policy_stack(policy),
-        drop=drop,
-        replace=replace,
+        drop=[*EPISODE_ENDS, *edits.get("drop", ())],
+        replace=edits.get("replace"),
         **settings,
     )
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import statistics
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -39,8 +40,8 @@ from aslip.plots import save_figure
 from aslip.policy import policy_stack
 from aslip.run import write_text
 from aslip.sim import Sensors
+from aslip.stack import EPISODE_ENDS, ON_TRUTH
 from aslip.task import FALL_HEIGHT
-from aslip.transforms import TrueState
 
 _SPEEDS = (0.0, 0.5, 1.0, 1.5, 2.0)
 # policy step -> commanded speed [m/s]
@@ -74,7 +75,7 @@ class Config:
 
 
 @dataclass
-class Walks:
+class EstimateErrors:
     """Errors of n robots at t policy steps; NaN after a fall."""
 
     velocity: np.ndarray
@@ -118,7 +119,7 @@ def main(config: Config) -> None:
 # ------------------------------------------------------------------- walking
 
 
-def walk(config: Config) -> Walks:
+def walk(config: Config) -> EstimateErrors:
     """Walk at each speed, and through changes of speed."""
     names = [*_SPEEDS, None]
     num = len(names) * config.repeats
@@ -126,7 +127,7 @@ def walk(config: Config) -> Walks:
         num_envs=num,
         seed=config.seed,
         stack=policy_stack(config.policy),
-        drop=["low_reward", "fall", "step_limit"],
+        drop=["fall", *EPISODE_ENDS],
     )
     policy = aslip.load_policy(config.policy)
     commands = torch.tensor([_CHANGES[0] if name is None else name for name in names])
@@ -162,7 +163,7 @@ def walk(config: Config) -> Walks:
 _POSE = ("position", "orientation", "velocity")
 
 
-def _compare(seen: dict[str, np.ndarray]) -> Walks:
+def _compare(seen: dict[str, np.ndarray]) -> EstimateErrors:
     fallen = np.logical_or.accumulate(seen["truth_position"][..., 2] < FALL_HEIGHT, axis=0)
     unfallen = np.where(fallen, np.nan, 1.0)
     velocity = (seen["estimate_velocity"] - seen["truth_velocity"]) * unfallen[..., None]
@@ -175,7 +176,7 @@ def _compare(seen: dict[str, np.ndarray]) -> Walks:
     nis = seen["inside"]
     counted = np.isfinite(nis)
     share = np.where(counted, (nis > low) & (nis < high), np.nan)
-    return Walks(
+    return EstimateErrors(
         velocity=velocity,
         height=position[..., 2],
         angle=(turns[0].inv() * turns[1]).magnitude().reshape(fallen.shape) * unfallen,
@@ -189,7 +190,7 @@ def _compare(seen: dict[str, np.ndarray]) -> Walks:
     )
 
 
-def walk_rows(walks: Walks, repeats: int) -> list[dict[str, Any]]:
+def walk_rows(walks: EstimateErrors, repeats: int) -> list[dict[str, Any]]:
     """One row of numbers a walk."""
     rows = []
     for i, name in enumerate([*(f"{speed:.1f}" for speed in _SPEEDS), "changes"]):
@@ -323,10 +324,9 @@ class _NoSensors:
 
 def throughput(config: Config) -> dict[str, float]:
     """Policy steps per second of whole environments, in turn, by what the robot senses."""
-    perfect = {"drop": ["noise"], "replace": {"estimator": TrueState}}
-    variants: dict[str, dict[str, Any]] = {
-        "truth, no sensors": perfect,
-        "truth, sensors": perfect,
+    variants: dict[str, Mapping[str, Any]] = {
+        "truth, no sensors": ON_TRUTH,
+        "truth, sensors": ON_TRUTH,
         "estimator": {"drop": ["noise"]},
         "estimator and noise": {},
     }
@@ -395,7 +395,7 @@ def cost_table(costs: dict[str, Any], config: Config) -> str:
 # ------------------------------------------------------------------- picture
 
 
-def picture(walks: Walks, repeats: int) -> Figure:
+def picture(walks: EstimateErrors, repeats: int) -> Figure:
     """Truth and estimate of the first walk through changes of speed."""
     robot = len(_SPEEDS) * repeats
     seen = {key: values[:, robot] for key, values in walks.seen.items()}

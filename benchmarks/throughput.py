@@ -45,7 +45,8 @@ from aslip.cassie.model import TIMESTEPS
 from aslip.evaluation import evaluate
 from aslip.policy import policy_stack
 from aslip.sim import SimulationPool
-from aslip.transforms import ActionDelta, TrueState
+from aslip.stack import ON_TRUTH
+from aslip.transforms import ActionDelta
 from benchmarks.faults import quiet
 from recipes import ppo_aslip
 
@@ -106,7 +107,7 @@ class Candidates:
         batch = partial(aslip.make_env, num_envs=num_envs, stack=stack, num_threads=num_threads)
         self.leader = batch()
         self.envs: dict[str, EnvBase] = {
-            "environment on the truth": batch(drop=["noise"], replace={"estimator": TrueState}),
+            "environment on the truth": batch(**ON_TRUTH),
             _LEADER: self.leader,
             "the same, physics of 1 kHz": batch(timestep=TIMESTEPS[1]),
         }

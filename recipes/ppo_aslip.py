@@ -50,8 +50,8 @@ from aslip.policy import (
     set_std,
 )
 from aslip.run import TrainingRun, check_types, peak_memory, provenance, write_text
-from aslip.stack import STACKS, CassieTransformedEnv, RewardSource, randomised
-from aslip.transforms import AssembleObservation, SpeedCommand, TrueState
+from aslip.stack import ON_TRUTH, STACKS, CassieTransformedEnv, RewardSource, randomised
+from aslip.transforms import AssembleObservation, SpeedCommand
 
 
 @dataclass(frozen=True)
@@ -182,8 +182,8 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     # ------------------------------------------------------------ environment
     edits = {"drop": [], "replace": {}, **(edits or {})}
     if config.truth:
-        edits["drop"] = [*edits["drop"], "noise"]
-        edits["replace"] = {**edits["replace"], "estimator": TrueState}
+        edits["drop"] = [*edits["drop"], *ON_TRUTH["drop"]]
+        edits["replace"] = {**edits["replace"], **ON_TRUTH["replace"]}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
     speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
     # a transform that was given as it is belongs to one environment only

@@ -33,9 +33,8 @@ from aslip.errors import AslipError, ConfigurationError
 from aslip.ghost import Ghost
 from aslip.log import JointRate, Recorder
 from aslip.policy import policy_stack
-from aslip.stack import STACKS, Backend
-from aslip.transforms import TrueState
-from aslip.walker import ENDLESS, Push, Schedule, Walker
+from aslip.stack import EPISODE_ENDS, ON_TRUTH, STACKS, Backend
+from aslip.walker import Push, Schedule, Walker
 
 # how long the last speed of a schedule is held [s]
 _LAST_SPEED = 4.0
@@ -140,11 +139,8 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     library = aslip.GaitLibrary.load()
     for speed in schedule.speeds:
         library.check_speed(speed)
-    whole = STACKS[policy_stack(config.policy)]()
-    stack = {name: make for name, make in whole.items() if name not in ENDLESS}
-    if config.truth:
-        del stack["noise"]
-        stack["estimator"] = TrueState
+    stack = STACKS[policy_stack(config.policy)]()
+    edits = ON_TRUTH if config.truth else {}
     if config.log is not None:
         stack["recorder"] = partial(
             Recorder,
@@ -154,7 +150,14 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
             config=config,
             library=library,
         )
-    env = aslip.make_env(config.backend, seed=config.seed, stack=stack, num_threads=1)
+    env = aslip.make_env(
+        config.backend,
+        seed=config.seed,
+        stack=stack,
+        drop=[*EPISODE_ENDS, *edits.get("drop", ())],
+        replace=edits.get("replace"),
+        num_threads=1,
+    )
     return Walker(config.policy, env, library=library, speed=schedule.at(0.0))
 
 

@@ -12,8 +12,7 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, read
-from aslip.stack import default_stack
-from aslip.walker import ENDLESS
+from aslip.stack import EPISODE_ENDS, default_stack
 from aslip.walks import Walks, record_walks
 from tests.conftest import MakeEnv
 
@@ -28,9 +27,8 @@ def _command(*speeds: float) -> np.ndarray:
 def logged(library: GaitLibrary, tmp_path_factory: pytest.TempPathFactory) -> tuple[Walks, Path]:
     """A walk of one robot, which was also logged."""
     path = tmp_path_factory.mktemp("logs") / "walk.mcap"
-    stack = {name: make for name, make in default_stack(library).items() if name not in ENDLESS}
-    stack["recorder"] = lambda: Recorder(path, library=library)
-    env = aslip.make_env(stack=stack, num_threads=1, seed=3)
+    stack = {**default_stack(library), "recorder": lambda: Recorder(path, library=library)}
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=3)
     command = _command(0.5)
     command[20:] = 1.0
     walk = record_walks(aslip.load_policy("aslip"), env, command)
@@ -65,7 +63,7 @@ def test_what_comes_after_a_fall_is_no_number(make: MakeEnv) -> None:
         td["action"][1] = 1.0
         return td
 
-    env = make(num_envs=2, drop=ENDLESS)
+    env = make(num_envs=2, drop=EPISODE_ENDS)
     walks = record_walks(clumsy, env, _command(0.5, 0.5))  # pyright: ignore[reportArgumentType]
     assert walks.survived.tolist() == [True, False]
     fell = int(np.flatnonzero(~walks.alive[:, 1])[0])

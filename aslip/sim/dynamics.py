@@ -8,7 +8,6 @@ or into a model of each robot's own.
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -206,9 +205,7 @@ def parameter_named(name: str) -> Parameter:
         UnknownNameError: it has none of that name.
     """
     if name not in DYNAMICS:
-        close = difflib.get_close_matches(str(name), DYNAMICS, n=1)
-        hint = f", did you mean {close[0]!r}?" if close else ";"
-        raise UnknownNameError(f"no parameter {name!r}{hint} there are {list(DYNAMICS)}")
+        raise UnknownNameError.among("parameter", name, DYNAMICS)
     return DYNAMICS[name]
 
 

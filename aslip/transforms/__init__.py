@@ -20,7 +20,7 @@ from aslip.transforms.observation import (
 from aslip.transforms.randomise import DYNAMICS_RANGES, RandomDynamics, RandomNoise
 from aslip.transforms.reference import (
     Feedforward,
-    Odometer,
+    ReferenceDistance,
     ReferenceInjection,
     ReferenceStart,
 )
@@ -44,10 +44,10 @@ __all__ = [
     "LowReward",
     "NoiseLevel",
     "ObservationNoise",
-    "Odometer",
     "PhaseClock",
     "RandomDynamics",
     "RandomNoise",
+    "ReferenceDistance",
     "ReferenceInjection",
     "ReferenceStart",
     "RewardTerm",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from typing import cast
@@ -151,9 +150,7 @@ def _checked(levels: Mapping[str, NoiseLevel]) -> dict[str, NoiseLevel]:
     """Levels by sensors there are, with as many values as these have channels."""
     for sensor, level in levels.items():
         if sensor not in NOISE_CHANNELS:
-            close = difflib.get_close_matches(str(sensor), NOISE_CHANNELS, n=1)
-            hint = f", did you mean {close[0]!r}?" if close else ";"
-            raise UnknownNameError(f"no sensor {sensor!r}{hint} there are {list(NOISE_CHANNELS)}")
+            raise UnknownNameError.among("sensor", sensor, NOISE_CHANNELS)
         if not isinstance(level, NoiseLevel):
             raise ConfigurationError(f"the level of {sensor!r} must be a NoiseLevel, got {level!r}")
         for name in ("white", "bias"):

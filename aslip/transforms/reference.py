@@ -83,7 +83,7 @@ class Feedforward(CassieTransform):
         return extend_spec(observation_spec, {self.out_keys[0]: len(MOTOR_NAMES)})
 
 
-class Odometer(CassieTransform):
+class ReferenceDistance(CassieTransform):
     """Write how far the reference has gone since the reset under `("reference", "distance")` [m].
 
     The reference's own x is the deviation from uniform motion; added to this it is a place in the
