@@ -18,7 +18,7 @@ from tensordict import TensorDictBase
 
 from aslip.cassie import SIDES, Side
 from aslip.library import GaitLibrary
-from aslip.rom import Mode
+from aslip.rom import Gait, Mode
 
 # a foot of the reference that moves slower over ground is in stance [m/s]
 _STANCE_SPEED = 0.05
@@ -86,7 +86,7 @@ class Footholds:
 
     def __init__(self, library: GaitLibrary) -> None:
         self._speeds = library.speeds
-        self._phases = np.array([_touchdown_phases(gait.mode, gait.time) for gait in library.gaits])
+        self._phases = np.array([touchdown_phases(gait) for gait in library.gaits])
         self._strides = np.array([gait.stride for gait in library.gaits])
         speeds = torch.tensor(np.array(library.speeds))[:, None]
         self._steps = np.empty((2, len(speeds), 2))
@@ -127,16 +127,22 @@ class Footholds:
         return stance_foot[:2] + turn @ self.step(side, speed)
 
 
+def heading(orientation: np.ndarray) -> np.ndarray:
+    """(*b,) turn about the vertical of orientations (*b, 4), wxyz [rad]."""
+    w, x, y, z = np.moveaxis(np.asarray(orientation, dtype=np.float64), -1, 0)
+    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
 def yaw_rotation(orientation: np.ndarray) -> np.ndarray:
     """(3, 3) rotation about the vertical that is part of an orientation (4,), wxyz."""
-    w, x, y, z = orientation.tolist()
-    yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    yaw = float(heading(orientation))
     cosine, sine = math.cos(yaw), math.sin(yaw)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def _touchdown_phases(mode: np.ndarray, time: np.ndarray) -> tuple[float, float]:
-    """Stride fractions at which left and right foot touch down, from a gait's modes."""
+def touchdown_phases(gait: Gait) -> tuple[float, float]:
+    """Stride fractions at which left and right foot of a gait touch down."""
+    mode, time = gait.mode, gait.time
     begins = np.flatnonzero(np.diff(mode)) + 1
     double = [k for k in begins if mode[k] == Mode.DOUBLE]
     after = {int(mode[k - 1]): float(time[k] / time[-1]) for k in double}

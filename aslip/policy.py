@@ -291,7 +291,7 @@ def find_policy(name_or_path: str | Path) -> Path:
 
 
 def read_manifest(path: Path) -> dict[str, Any]:
-    """Contents and metadata of a policy or checkpoint.
+    """Contents and metadata of a policy.
 
     Raises:
         FileDamagedError: the file is truncated, altered, or of another kind.
@@ -303,7 +303,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
 
 
 def load_components(path: Path, **components: Any) -> None:
-    """Restore named objects from a policy or checkpoint.
+    """Restore named objects from a policy.
 
     Raises:
         FileDamagedError: the file is truncated, altered, or holds other things.
@@ -332,9 +332,7 @@ def _refuse_programs(path: Path) -> None:
 
 
 def _damaged(path: Path, error: Exception) -> FileDamagedError:
-    return FileDamagedError(
-        f"{str(path)!r} is no intact policy or checkpoint ({type(error).__name__}: {error})"
-    )
+    return FileDamagedError(f"{str(path)!r} is no intact policy ({type(error).__name__}: {error})")
 
 
 def _entry_names(table: Sequence[NestedKey]) -> list[str]:

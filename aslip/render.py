@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 import mujoco
 import numpy as np
 
-from aslip.cassie.model import load_model
+from aslip.cassie.model import APPEARANCE_GROUP, load_model
 from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
 from aslip.ghost import (
     BODY_COLOR,
@@ -28,7 +28,7 @@ from aslip.ghost import (
 )
 
 # groups of geoms in cassie.xml
-_APPEARANCE_GROUP, _COLLISION_GROUP = 1, 3
+_COLLISION_GROUP = 3
 
 _COIL_RADIUS = 0.027
 _COILS = 7
@@ -111,7 +111,7 @@ def _frames(
     width, height, supersampling = sizes
     data, option = mujoco.MjData(model), mujoco.MjvOption()
     option.geomgroup[_COLLISION_GROUP] = False
-    option.geomgroup[_APPEARANCE_GROUP] = robot
+    option.geomgroup[APPEARANCE_GROUP] = robot
     option.sitegroup[:] = False
     with _renderer(model, width * supersampling, height * supersampling) as renderer:
         for i, configuration in enumerate(qpos):

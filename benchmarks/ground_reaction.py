@@ -21,11 +21,12 @@ from tqdm import tqdm
 
 from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
 from aslip.errors import AslipError
+from aslip.ghost import touchdown_phases
 from aslip.library import GaitLibrary
 from aslip.metrics import force_profile, mean_over_strides
 from aslip.metrics.contact import stances
 from aslip.metrics.force import ForceProfile, dip_ratio, humps
-from aslip.rom import Gait, Mode
+from aslip.rom import Gait
 from aslip.walker import Walker
 from benchmarks.common import Common, environment, markdown, nearest_gait, write_report
 
@@ -125,13 +126,7 @@ def model_force(gait: Gait, samples: int = 4000) -> np.ndarray:
     axial = np.interp(time, gait.time, gait.leg_force[:, 0])
     leg = gait.body_position - gait.left_foot_position
     share = np.interp(time, gait.time, leg[:, 2] / np.linalg.norm(leg, axis=1))
-    return np.roll(axial * share, -round(touchdown(gait) * samples))
-
-
-def touchdown(gait: Gait) -> float:
-    """Stride fraction at which the left foot lands: double stance follows right stance."""
-    change = np.flatnonzero((gait.mode[1:] == Mode.DOUBLE) & (gait.mode[:-1] == Mode.RIGHT))[0]
-    return float(gait.time[change + 1]) / gait.stride
+    return np.roll(axial * share, -round(touchdown_phases(gait)[0] * samples))
 
 
 def model_profile(gait: Gait) -> dict[str, float]:
@@ -139,7 +134,7 @@ def model_profile(gait: Gait) -> dict[str, float]:
     force = model_force(gait)
     period = gait.stride / len(force)
     # a stride begins with the left foot's lift-off
-    part = force[: round((1 - touchdown(gait)) * len(force))]
+    part = force[: round((1 - touchdown_phases(gait)[0]) * len(force))]
     found = ForceProfile(
         len(humps(part, period)),
         dip_ratio(part, period),

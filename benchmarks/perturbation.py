@@ -40,6 +40,7 @@ from tqdm import tqdm
 import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import AslipError, ConfigurationError
+from aslip.ghost import heading
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import PhaseClock
 from benchmarks.common import Common, Interval, environment, markdown, write_report
@@ -220,8 +221,9 @@ def survived_pushes(config: Config, policy: str, bar: tqdm) -> np.ndarray:
     try:
         td, standing = settled(config, env, actor, phase / config.phases, bar)
         states = env.base_env.states()
-        heading = 2 * np.pi * direction / config.directions + yaw(td["truth", "pelvis_orientation"])
-        unit = np.stack([np.cos(heading), np.sin(heading), np.zeros(len(phase))], axis=1)
+        orientation = np.asarray(td["truth", "pelvis_orientation"])
+        toward = 2 * np.pi * direction / config.directions + heading(orientation)
+        unit = np.stack([np.cos(toward), np.sin(toward), np.zeros(len(phase))], axis=1)
         survived, fatal = np.zeros(len(phase)), np.full(len(phase), config.largest)
         for _ in range(config.bisections):
             impulse = (survived + fatal) / 2
@@ -270,12 +272,6 @@ def stride(env: CassieTransformedEnv, speed: float) -> float:
     """Duration of a stride of the environment's reference [s]."""
     clock = next(t for t in env.transforms if isinstance(t, PhaseClock))
     return float(clock.library.stride(torch.full((1, 1), speed)))
-
-
-def yaw(quaternion: Any) -> np.ndarray:
-    """(n,) headings of orientations (n, 4) wxyz [rad]."""
-    w, x, y, z = np.asarray(quaternion, dtype=np.float64).T
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def push_rows(config: Config, pushes: list[np.ndarray]) -> list[dict[str, Any]]:
@@ -361,13 +357,9 @@ def survived_sweeps(config: Config, policy: str, bar: tqdm) -> np.ndarray:
 
 def wilson(successes: int, trials: int) -> Interval:
     """Share of successes and Wilson's 95 % interval, which holds at 0 and 1, too."""
-    z = float(stats.norm.ppf(0.5 + _CONFIDENCE / 2))
-    share, spread = successes / trials, z * z / trials
-    middle = (share + spread / 2) / (1 + spread)
-    half = z * math.sqrt(share * (1 - share) / trials + spread / (4 * trials)) / (1 + spread)
-    # rounding must leave the share inside, and the interval within 0 and 1
-    low, high = max(0.0, middle - half), min(1.0, middle + half)
-    return Interval(share, min(share, low), max(share, high))
+    found = stats.binomtest(successes, trials)
+    interval = found.proportion_ci(_CONFIDENCE, method="wilson")
+    return Interval(successes / trials, float(interval.low), float(interval.high))
 
 
 def sweep_rows(config: Config, sweeps: Sequence[np.ndarray]) -> list[dict[str, Any]]:

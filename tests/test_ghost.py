@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 
 from aslip.cassie import SIDES
-from aslip.ghost import Footholds, Ghost, yaw_rotation
+from aslip.ghost import Footholds, Ghost, heading, yaw_rotation
 from aslip.library import GaitLibrary
 from tests.conftest import MakeEnv
 
@@ -96,3 +96,9 @@ def test_yaw_is_what_an_orientation_turns_about_the_vertical() -> None:
     # first pitched, then turned
     quaternion = np.array([cy * cp, -sy * sp, cy * sp, sy * cp])
     np.testing.assert_allclose(yaw_rotation(quaternion)[:2, 0], [np.cos(yaw), np.sin(yaw)])
+
+
+def test_headings_of_many_orientations() -> None:
+    angle = np.array([0.0, 0.3, -2.0])
+    tilted = np.array([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)]).T
+    np.testing.assert_allclose(heading(tilted), angle)

@@ -18,7 +18,7 @@ _MAY_IMPORT = {
     "errors": set(),
     "assets": set(),
     "cassie": set(),
-    "rom": {"cassie"},
+    "rom": set(),
     "ik": {"cassie"},
     "library": {"cassie", "rom", "ik"},
     "sim": {"cassie"},
@@ -27,8 +27,8 @@ _MAY_IMPORT = {
     "rewards": set(),
     "single_reference": {"cassie"},
     "metrics": {"cassie"},
-    "estimation": {"cassie", "sim"},
-    "transforms": {"cassie", "sim", "task", "library", "envs", "estimation", "rewards"},
+    "estimation": {"cassie"},
+    "transforms": {"cassie", "sim", "task", "library", "estimation"},
 }
 _TOP = {"stack", "policy", "evaluation", "run", "plots", "render", "symmetry", "__init__"}
 _TOP |= {"checkpoint", "collect", "ghost", "walker", "walks", "video", "log", "live"}

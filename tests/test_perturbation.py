@@ -89,12 +89,6 @@ def test_walks_repeat_from_where_they_are_put_back() -> None:
     assert pushed[1, 0] < first[1, 0] - 0.05
 
 
-def test_headings_are_turned_with_the_robot() -> None:
-    angle = np.array([0.0, 0.3, -2.0])
-    tilted = np.array([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)]).T
-    np.testing.assert_allclose(perturbation.yaw(tilted), angle)
-
-
 def test_each_robot_of_a_sweep_has_its_value(monkeypatch: pytest.MonkeyPatch) -> None:
     """In SI units, and all others the default."""
     config = _config(slope_deg=(-9.0, 0.0, 9.0), torque_delay_ms=(5.0,), payload=(2.0,), episodes=2)

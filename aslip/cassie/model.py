@@ -20,6 +20,10 @@ TIMESTEPS: Final = (PHYSICS_TIMESTEP, 2 * PHYSICS_TIMESTEP)
 """Timesteps that physics may have [s]; motors are controlled at 2 kHz with both."""
 
 
+APPEARANCE_GROUP: Final = 1
+"""Group of geoms that are what one sees of the robot."""
+
+
 def load_model(
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
     *,
@@ -32,7 +36,7 @@ def load_model(
     Args:
         floor_friction: sliding friction coefficient between the floor and any part of the robot.
         visual: keep what is only looked at. Without it the physics is the same, bit for bit, and a
-            physics step costs 15 % fewer instructions.
+            physics step costs less.
         timestep: of the physics [s], that of the 2 kHz loop or twice that, to train on.
         memory: torque commands that a motor remembers, one a physics step; enough for the delay of
             the robot by default.
@@ -63,6 +67,12 @@ def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
     if not (np.isfinite(friction) and friction > 0):
         raise ConfigurationError(f"floor_friction must be a positive number, got {friction!r}")
     model.geom("floor").friction[0] = friction
+
+
+def geom_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """(4,) red, green, blue and opacity of a geom: its material's, if it has one."""
+    material = model.geom_matid[geom]
+    return model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
 
 
 @dataclass(frozen=True)

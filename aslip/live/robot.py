@@ -8,10 +8,8 @@ import mujoco
 import numpy as np
 import viser
 
+from aslip.cassie.model import APPEARANCE_GROUP, geom_color
 from aslip.live.shapes import Mesh, geom_mesh
-
-# group of geoms in cassie.xml
-_APPEARANCE_GROUP = 1
 
 Color = tuple[int, int, int]
 
@@ -69,10 +67,9 @@ def body_meshes(model: mujoco.MjModel, body: int) -> Iterator[tuple[Color, Mesh]
     shapes: dict[Color, list[Mesh]] = {}
     start = model.body_geomadr[body]
     for geom in range(start, start + model.body_geomnum[body]):
-        if model.geom_group[geom] == _APPEARANCE_GROUP:
-            material = model.geom_matid[geom]
-            rgba = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-            shapes.setdefault(to_color(rgba), []).append(geom_mesh(model, geom))
+        if model.geom_group[geom] == APPEARANCE_GROUP:
+            color = to_color(geom_color(model, geom))
+            shapes.setdefault(color, []).append(geom_mesh(model, geom))
     for color, meshes in shapes.items():
         yield color, Mesh.join(meshes)
 

@@ -76,7 +76,9 @@ class Recorder(Transform):
     It must be the last of a stack's transforms, whichever backend they are on:
 
         stack = {**default_stack(library), "recorder": lambda: Recorder("walk.mcap")}
-        with make_env(stack=stack) ... env.close()
+        env = make_env(stack=stack)
+        env.rollout(400, load_policy("aslip"))
+        env.close()
 
     The file is complete once `close` was called, which closing the environment does; until then it
     is `<path>.part`. Log time is simulated time, zero at the first reset; a later reset takes the

@@ -14,10 +14,10 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from aslip.cassie.model import APPEARANCE_GROUP, geom_color
 from aslip.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
 from aslip.log.messages import ROM_FRAMES, WORLD_FRAME
 
-_APPEARANCE_GROUP = 1
 # feet larger than the model's, since nothing is drawn between them and the body
 _ROM_RADII = (BODY_RADIUS, 0.03, 0.03)
 _ROM_COLORS = (BODY_COLOR, *LEG_COLORS.values())
@@ -38,7 +38,7 @@ def robot_description(model: mujoco.MjModel, poses: np.ndarray) -> str:
     for body in range(1, model.nbody):
         link = _link(robot, model.body(body).name, poses[body - 1])
         for geom in range(model.body_geomadr[body], _end(model, body)):
-            if model.geom_group[geom] == _APPEARANCE_GROUP:
+            if model.geom_group[geom] == APPEARANCE_GROUP:
                 _geom(link, model, geom)
     frames = zip(ROM_FRAMES, poses[model.nbody - 1 :], _ROM_RADII, _ROM_COLORS, strict=True)
     for name, pose, radius, color in frames:
@@ -68,9 +68,7 @@ def _geom(link: ET.Element, model: mujoco.MjModel, geom: int) -> None:
     kinds = mujoco.mjtGeom
     kind, size, position = model.geom_type[geom], model.geom_size[geom], model.geom_pos[geom]
     rotation = Rotation.from_quat(model.geom_quat[geom], scalar_first=True).as_matrix()
-    material = model.geom_matid[geom]
-    color = model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-    name, rgba = f"{link.get('name')}_{geom}", _text(*color)
+    name, rgba = f"{link.get('name')}_{geom}", _text(*geom_color(model, geom))
     if kind == kinds.mjGEOM_BOX:
         ET.SubElement(_visual(link, name, rgba, position, rotation), "box", size=_text(*2 * size))
     elif kind == kinds.mjGEOM_SPHERE or kind == kinds.mjGEOM_ELLIPSOID:
