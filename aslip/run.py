@@ -22,19 +22,14 @@ import errno
 import json
 import math
 import os
-import platform
 import re
-import shlex
 import shutil
 import signal
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -53,8 +48,6 @@ from aslip.policy import POLICY_FILE
 _PROGRESS_FILE = "progress.csv"
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
-# whose versions a result may depend on
-_NAMED_PACKAGES = ("aslip", "mujoco", "numpy", "tensordict", "torch", "torchrl")
 
 # settings that may differ between a run and its continuation
 _MAY_DIFFER = ("resume", "out", "total_steps", "checkpoint_minutes")
@@ -365,40 +358,6 @@ def read_progress(folder: Path) -> dict[str, list[float]]:
     # a run that was killed, or writes at this moment, may have an unfinished last row
     rows = [row for row in rows if len(row) == len(header)]
     return {name: [float(row[i]) for row in rows] for i, name in enumerate(header)}
-
-
-def provenance() -> dict[str, Any]:
-    """What made a file: command line, commit of the checkout if there is one, and versions."""
-    return {
-        "command": shlex.join(["python", *sys.argv]),
-        "commit": _commit(),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: _version(name) for name in _NAMED_PACKAGES},
-        },
-    }
-
-
-def _version(package: str) -> str | None:
-    """Of an installed package; None where a checkout is on the path instead."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
-
-
-def _commit() -> str | None:
-    """Commit that the package is of, with a plus if files have changed since; None if not known."""
-    checkout = Path(__file__).parents[1]
-    if not (checkout / ".git").exists():
-        return None
-    git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=True)
-    try:
-        commit = git(["git", "rev-parse", "--short=12", "HEAD"]).stdout.strip()
-        changed = git(["git", "status", "--porcelain", "--untracked-files=no"]).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return f"{commit}+" if changed else commit
 
 
 def peak_memory() -> float:

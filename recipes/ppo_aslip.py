@@ -49,7 +49,8 @@ from aslip.policy import (
     save_policy,
     set_std,
 )
-from aslip.run import TrainingRun, check_types, peak_memory, provenance, write_text
+from aslip.provenance import provenance
+from aslip.run import TrainingRun, check_types, peak_memory, write_text
 from aslip.stack import ON_TRUTH, STACKS, CassieTransformedEnv, RewardSource, randomised
 from aslip.transforms import AssembleObservation, SpeedCommand
 

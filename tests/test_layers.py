@@ -31,7 +31,7 @@ _MAY_IMPORT = {
     "transforms": {"cassie", "sim", "task", "library", "estimation"},
 }
 _TOP = {"stack", "policy", "evaluation", "run", "plots", "render", "symmetry", "__init__"}
-_TOP |= {"checkpoint", "collect", "ghost", "walker", "walks", "video", "log", "live"}
+_TOP |= {"checkpoint", "provenance", "collect", "ghost", "walker", "walks", "video", "log", "live"}
 _FOREIGN = {
     "errors": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "assets": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},

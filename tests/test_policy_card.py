@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import aslip
-from aslip import run
+import aslip.provenance
 from aslip.errors import AssetError, ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_manifest, save_policy
-from aslip.run import provenance
+from aslip.provenance import provenance
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from benchmarks import policy_card
 from benchmarks.faults import TINY, train
@@ -111,7 +111,7 @@ def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyP
     """With a plus where files have changed; None outside a checkout."""
     if shutil.which("git") is None:
         pytest.skip("needs git")
-    monkeypatch.setattr(run, "__file__", str(tmp_path / "aslip" / "run.py"))
+    monkeypatch.setattr(aslip.provenance, "__file__", str(tmp_path / "aslip" / "provenance.py"))
     assert provenance()["commit"] is None
     file = tmp_path / "file"
     file.write_text("one")

@@ -7,12 +7,13 @@ it does so once, on marked numbers, which tells where numbers go. From then on e
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from aslip.log.messages import MessageType
+from aslip.log import messages
+from aslip.log.messages import WORLD_FRAME, MessageType
 
 # marks: exact in single precision, and no bytes that strings or counts would have
 _MARK = 2.0**20 + 0.5
@@ -99,3 +100,47 @@ class Template:
             time = struct.pack("<iI", *divmod(time_ns, 10**9)) * len(self._stamps)
             message[self._stamp_places] = np.frombuffer(time, np.uint8)
         return message.tobytes()
+
+
+def transforms_template(frames: Sequence[str]) -> Template:
+    """`/tf`: position and quaternion xyzw of each frame in the world."""
+
+    def build(marks: Marks) -> dict[str, Any]:
+        return {"transforms": [_transform(frame, marks) for frame in frames]}
+
+    return Template(messages.TRANSFORMS, build)
+
+
+def _transform(frame: str, marks: Marks) -> dict[str, Any]:
+    return {
+        "header": {"stamp": marks.stamp(), "frame_id": WORLD_FRAME},
+        "child_frame_id": frame,
+        "transform": {
+            "translation": {axis: marks.number() for axis in "xyz"},
+            "rotation": {axis: marks.number() for axis in "xyzw"},
+        },
+    }
+
+
+def joints_template(names: Sequence[str]) -> Template:
+    """`/joint_states`: position, velocity and effort of all joints, one after the other."""
+
+    def build(marks: Marks) -> dict[str, Any]:
+        columns = {key: marks.numbers(len(names)) for key in ("position", "velocity", "effort")}
+        return {"header": {"stamp": marks.stamp(), "frame_id": ""}, "name": list(names), **columns}
+
+    return Template(messages.JOINT_STATE, build)
+
+
+def state_template(integration: int, sensors: int) -> Template:
+    """`/state`: so many numbers of the physics, and of sensors and drive."""
+
+    def build(marks: Marks) -> dict[str, Any]:
+        return {
+            "episode": marks.number(),
+            "step": marks.number(),
+            "integration": marks.numbers(integration),
+            "sensors": marks.numbers(sensors),
+        }
+
+    return Template(messages.STATE, build)

@@ -1,0 +1,49 @@
+"""What made a file: to be kept with it."""
+
+from __future__ import annotations
+
+import platform
+import shlex
+import subprocess
+import sys
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+# whose versions a result may depend on
+_NAMED_PACKAGES = ("aslip", "mujoco", "numpy", "tensordict", "torch", "torchrl")
+
+
+def provenance() -> dict[str, Any]:
+    """What made a file: command line, commit of the checkout if there is one, and versions."""
+    return {
+        "command": shlex.join(["python", *sys.argv]),
+        "commit": commit(),
+        "versions": {
+            "python": platform.python_version(),
+            **{name: _version(name) for name in _NAMED_PACKAGES},
+        },
+    }
+
+
+def _version(package: str) -> str | None:
+    """Of an installed package; None where a checkout is on the path instead."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def commit() -> str | None:
+    """Commit that the package is of, with a plus if files have changed since; None if not known."""
+    checkout = Path(__file__).parents[1]
+    if not (checkout / ".git").exists():
+        return None
+    git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=True)
+    try:
+        head = git(["git", "rev-parse", "--short=12", "HEAD"]).stdout.strip()
+        changed = git(["git", "status", "--porcelain", "--untracked-files=no"]).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return f"{head}+" if changed else head
