@@ -164,14 +164,13 @@ def spike(walk: Walks) -> dict[str, float]:
 def map_rows(config: Config) -> list[dict[str, Any]]:
     """Walked speed at each commanded one."""
     walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
-    first, duration = round(_SETTLE / POLICY_PERIOD), _WALK
+    first = round(_SETTLE / POLICY_PERIOD)
     rows = []
     for i, speed in enumerate(config.speeds):
-        x = [walk.pelvis_position[:, i, 0] for walk in walks]
-        y = [walk.pelvis_position[:, i, 1] for walk in walks]
-        each = [float((p[-1] - p[first]) / duration) for p in x]
+        means = np.array([mean_velocity(walk.pelvis_position[first:, i, :2]) for walk in walks])
+        each = means[:, 0].tolist()
         walked = Interval.of([np.array([mean]) for mean in each])
-        drift = np.mean([abs(p[-1] - p[first]) / duration for p in y])
+        drift = np.abs(means[:, 1]).mean()
         rows.append(
             {
                 "command": speed,
@@ -182,6 +181,11 @@ def map_rows(config: Config) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def mean_velocity(position: np.ndarray) -> np.ndarray:
+    """(2,) of a walk's positions (m, 2) at the ends of policy steps [m/s]."""
+    return (position[-1] - position[0]) / ((len(position) - 1) * POLICY_PERIOD)
 
 
 def map_table(numbers: dict[str, Any]) -> str:

@@ -75,6 +75,12 @@ def test_velocity_tracking(tmp_path: Path) -> None:
     written(tmp_path, "velocity_tracking")
 
 
+def test_the_mean_of_a_uniform_motion_is_its_velocity() -> None:
+    time = velocity_tracking.POLICY_PERIOD * np.arange(1, 268)
+    position = np.stack([1.5 * time, 2.0 - 0.1 * time], axis=1)
+    np.testing.assert_allclose(velocity_tracking.mean_velocity(position), [1.5, -0.1], rtol=1e-12)
+
+
 def test_ground_reaction(tmp_path: Path) -> None:
     rows = ground_reaction.main(ground_reaction.Config(**settings(tmp_path, 0.5)))
     ours, model = rows
