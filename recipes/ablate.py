@@ -32,7 +32,7 @@ from torchrl.data import Composite
 import aslip
 from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices, load_model
-from aslip.errors import AslipError, ConfigurationError, UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError, one_line_errors
 from aslip.evaluation import WalkResult
 from aslip.library import pendulum_library
 from aslip.rewards import PAPER_WEIGHTS
@@ -181,7 +181,7 @@ def main(config: Config) -> dict[str, dict[int, list[WalkResult]]]:
     durations: list[float] = []
     for i, (seed, name) in enumerate(jobs):
         folder = config.out / f"{name}-{seed}"
-        results = read_results(folder, config.total_steps)
+        results = read_results(folder, config)
         if results is None:
             left = ""
             if durations:
@@ -210,19 +210,33 @@ def train(config: Config, folder: Path, variant: Variant, seed: int) -> list[Wal
         **variant.settings,
     )
     results = ppo_aslip.main(settings, variant.edits())
-    kept = {"total_steps": config.total_steps, "walks": [asdict(result) for result in results]}
+    kept = {**budget(config), "walks": [asdict(result) for result in results]}
     write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
     return results
 
 
-def read_results(folder: Path, total_steps: int) -> list[WalkResult] | None:
-    """Walks of a finished training of that budget; None if there is none."""
+def budget(config: Config) -> dict[str, int]:
+    """What all trainings of a table must have alike."""
+    return {"total_steps": config.total_steps, "num_envs": config.num_envs}
+
+
+def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
+    """Walks of a finished training; None if there is none.
+
+    Raises:
+        ConfigurationError: it had another budget. To go on would not make it one of this budget:
+            learning rate and exploration fell in the end.
+    """
     path = folder / _RESULTS
     if not path.exists():
         return None
     kept = json.loads(path.read_text())
-    if kept["total_steps"] < total_steps:
-        return None
+    other = {name: kept[name] for name, value in budget(config).items() if kept[name] != value}
+    if other:
+        raise ConfigurationError(
+            f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"
+            " --out"
+        )
     return [WalkResult(**walk) for walk in kept["walks"]]
 
 
@@ -265,7 +279,5 @@ def interval(values: Sequence[float]) -> str:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import torch
 from ablate import VARIANTS
 
 import aslip
-from aslip.errors import UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.evaluation import evaluate
 from aslip.rewards import PAPER_WEIGHTS
 
@@ -82,13 +81,12 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
     assert "±" in rows[2]
 
 
-def test_a_greater_budget_trains_on(tmp_path: Path) -> None:
+def test_another_budget_is_refused(tmp_path: Path) -> None:
+    """A training that was finished, its learning rate low, is not one of a greater budget."""
     ablate.main(tiny(tmp_path, "default"))
-    more = ablate.replace(tiny(tmp_path, "default"), total_steps=32)
-    ablate.main(more)
-    kept = json.loads((tmp_path / "default-0" / "results.json").read_text())
-    assert kept["total_steps"] == 32
-    assert len((tmp_path / "default-0" / "progress.csv").read_text().splitlines()) == 3
+    for change in ({"total_steps": 32}, {"num_envs": 8}):
+        with pytest.raises(ConfigurationError, match=rf"default-0.*{next(iter(change))}.*--out"):
+            ablate.main(ablate.replace(tiny(tmp_path, "default"), **change))
 
 
 def test_unknown_variants_are_refused() -> None:
