@@ -7,7 +7,8 @@ built-in exception a caller would expect, so `except ValueError` keeps working.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 class AslipError(Exception):
@@ -64,3 +65,12 @@ class RenderingError(AslipError, RuntimeError):
 
 class CollectorError(AslipError, RuntimeError):
     """A process that collects samples for a training has failed, or was ended."""
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """End a program with one line instead of a traceback where the user can mend what is wrong."""
+    try:
+        yield
+    except (AslipError, OSError) as error:
+        raise SystemExit(f"error: {error}") from None

@@ -31,7 +31,7 @@ from tqdm import trange
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import FileDamagedError
+from aslip.errors import FileDamagedError, one_line_errors
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, Recorder, check, read, recover, replay
 from aslip.policy import policy_stack
@@ -277,4 +277,5 @@ def closed(walker: Walker) -> Iterator[Walker]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

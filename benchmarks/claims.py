@@ -22,7 +22,7 @@ import numpy as np
 import tyro
 
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import AslipError
+from aslip.errors import one_line_errors
 from aslip.metrics import Placement, leg_length_correlation
 from aslip.run import read_progress, write_text
 from aslip.walks import Walks
@@ -319,7 +319,7 @@ def cost(policies: Sequence[str]) -> Values:
         samples.append(history["step"][walking[0]] / 1e6 if len(walking) else math.nan)
         hours.append(history["elapsed_s"][-1] / 3600)
         evaluated = np.array(history["eval_return"])
-        returns.append(evaluated[np.isfinite(evaluated)][-1])
+        returns.append([math.nan, *evaluated[np.isfinite(evaluated)]][-1])
     found = {"samples": samples, "training time": hours, "return": returns}
     return found if samples else {}
 
@@ -399,7 +399,5 @@ def _leg_correlation(walk: Walks) -> float:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         raise SystemExit(min(main(tyro.cli(Config)), 1))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

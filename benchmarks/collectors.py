@@ -27,6 +27,7 @@ from tensordict import TensorDict
 
 import aslip
 from aslip.collect import CollectorKind, make_collector
+from aslip.errors import one_line_errors
 from aslip.policy import policy_stack
 
 
@@ -88,4 +89,5 @@ def _seconds(batches: Iterator[TensorDict]) -> float:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

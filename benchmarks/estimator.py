@@ -34,6 +34,7 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.model import CassieIndices
 from aslip.cassie.sensing import PACKET_SIZES
 from aslip.envs import BatchCassieEnv
+from aslip.errors import one_line_errors
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.plots import save_figure
@@ -444,4 +445,5 @@ def _mean(values: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

@@ -44,7 +44,7 @@ import aslip
 from aslip import run as run_module
 from aslip.checkpoint import load_checkpoint, save_checkpoint
 from aslip.envs import BatchCassieEnv
-from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.evaluation import evaluate
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.run import TrainingRun, TrainingStoppedError, peak_memory, read_progress, write_text
@@ -722,7 +722,5 @@ def quiet() -> Iterator[list[str]]:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

@@ -27,7 +27,7 @@ from tensordict import TensorDict
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.ghost import Ghost
 from aslip.plots import save_figure
 from aslip.render import render_robot, strip
@@ -174,4 +174,5 @@ def draw(stride: Stride, config: Config) -> Figure:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

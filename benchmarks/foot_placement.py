@@ -21,7 +21,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from aslip.cassie import POLICY_PERIOD, SIDES
-from aslip.errors import AslipError, ConfigurationError
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
 from aslip.log import read
@@ -179,7 +179,5 @@ def picture(measured: dict[float, list[Placement]]) -> Figure:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

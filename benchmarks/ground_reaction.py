@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
-from aslip.errors import AslipError
+from aslip.errors import one_line_errors
 from aslip.ghost import touchdown_phases
 from aslip.library import GaitLibrary
 from aslip.metrics import force_profile, mean_over_strides
@@ -206,7 +206,5 @@ def picture(config: Config, curves: dict[tuple[str, float], Curve], library: Gai
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

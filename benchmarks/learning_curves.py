@@ -26,6 +26,7 @@ import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from aslip.errors import one_line_errors
 from aslip.plots import save_figure
 from aslip.run import read_progress, write_text
 from benchmarks.common import WALKING_LENGTH
@@ -184,4 +185,5 @@ def picture(curves: dict[str, Curves]) -> Figure:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

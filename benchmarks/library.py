@@ -18,6 +18,8 @@ from dataclasses import dataclass
 
 import tyro
 
+from aslip.errors import one_line_errors
+
 _GAITS = """
 from aslip.library.build import PAPER_SPEEDS
 from aslip.rom import optimize_gaits
@@ -90,4 +92,5 @@ def _bind_to_one_core() -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

@@ -39,7 +39,7 @@ from tqdm import tqdm
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import AslipError, ConfigurationError
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.ghost import heading
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import PhaseClock
@@ -477,7 +477,5 @@ def _draw_sweep(axes: Any, sweep: Sweep, rows: list[dict[str, Any]]) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

@@ -30,7 +30,7 @@ from aslip.cassie import (
     SUBSTEPS,
     TORQUE_DELAY,
 )
-from aslip.errors import AslipError, ConfigurationError
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.policy import find_policy, load_policy, read_manifest
 from aslip.run import write_text
 from aslip.stack import make_env
@@ -230,7 +230,5 @@ def _copy(source: Path, target: Path) -> None:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

@@ -13,7 +13,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import AslipError
+from aslip.errors import one_line_errors
 from aslip.library import GaitLibrary
 from aslip.metrics import duty_factor, step_frequency
 from aslip.walks import Walks
@@ -98,7 +98,5 @@ def picture(rows: list[dict[str, Any]]) -> Figure:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

@@ -42,6 +42,7 @@ import aslip
 from aslip import run
 from aslip.cassie import SUBSTEPS
 from aslip.cassie.model import TIMESTEPS
+from aslip.errors import one_line_errors
 from aslip.evaluation import evaluate
 from aslip.policy import policy_stack
 from aslip.sim import SimulationPool
@@ -288,4 +289,5 @@ def _timed(call: Callable[[], object]) -> float:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

@@ -22,7 +22,7 @@ import tyro
 from matplotlib.figure import Figure
 
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import AslipError
+from aslip.errors import one_line_errors
 from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
 from aslip.log import read
@@ -286,7 +286,5 @@ def picture(walk: Walks, mapped: list[dict[str, Any]]) -> Figure:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

@@ -18,6 +18,7 @@ import tyro
 from tqdm import tqdm
 
 import aslip
+from aslip.errors import one_line_errors
 from aslip.library import build_library
 from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.library.file import write_library
@@ -100,4 +101,5 @@ def made_by() -> dict[str, str]:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import ppo_aslip
 
-from aslip.errors import AslipError
+from aslip.errors import one_line_errors
 
 PRESETS = {
     name: replace(
@@ -30,7 +30,5 @@ PRESETS = {
 }
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         ppo_aslip.main(ppo_aslip.command_line(PRESETS))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

@@ -22,6 +22,7 @@ from rerun.blueprint.encodings import VisualizerComponentMapping
 
 from aslip.cassie import MOTOR_NAMES, SIDES
 from aslip.cassie.model import load_model
+from aslip.errors import one_line_errors
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
 from aslip.rewards import PAPER_WEIGHTS
 
@@ -336,4 +337,5 @@ def _plotjuggler_plot(parent: ET.Element, plot: Plot) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(tyro.cli(Config))

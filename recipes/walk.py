@@ -29,7 +29,7 @@ from tqdm import tqdm
 import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.model import load_model
-from aslip.errors import AslipError, ConfigurationError
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.ghost import Ghost
 from aslip.log import JointRate, Recorder
 from aslip.policy import policy_stack
@@ -293,8 +293,7 @@ def viewer(config: Config) -> Any:
 
 if __name__ == "__main__":
     try:
-        main(tyro.cli(Config))
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None
+        with one_line_errors():
+            main(tyro.cli(Config))
     except KeyboardInterrupt:
         raise SystemExit(130) from None
