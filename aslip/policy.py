@@ -206,7 +206,7 @@ def save_policy(
     shape: PolicyShape,
     made_by: Mapping[str, Any] | None = None,
     *,
-    stack: str = "aslip",
+    stack: str | None = "aslip",
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
 ) -> None:
     """Write a policy that `load_policy` reads: a ZIP archive of plain arrays, nothing pickled.
@@ -216,7 +216,7 @@ def save_policy(
         actor: from `make_actor`.
         shape: what it was made with.
         made_by: settings and versions of what made it, of JSON types.
-        stack: name of the stack that it acts on, one of `aslip.stack.STACKS`.
+        stack: name of the stack that it acts on, one of `aslip.stack.STACKS`; None for another.
         observation: keys of the entries that its observation is made of.
     """
     card = {
@@ -230,6 +230,8 @@ def save_policy(
 
 def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
     """A trained policy: maps the environment's tensordict to `action`, deterministic by default.
+
+    Its parameters require no gradients; to train it further, let them.
 
     Args:
         name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
@@ -255,7 +257,8 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
         )
     actor = make_actor(RunningNormalizer(shape.observation_size), shape, table)
     load_components(path, actor=actor)
-    return actor.eval()
+    # nothing differentiates through a simulator: without this, rollouts would carry graphs along
+    return actor.eval().requires_grad_(False)
 
 
 def policy_stack(name_or_path: str | Path) -> str:
@@ -266,8 +269,15 @@ def policy_stack(name_or_path: str | Path) -> str:
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: it is truncated, altered, or no policy.
+        ConfigurationError: it acts on a stack of its own.
     """
-    return read_manifest(find_policy(name_or_path)).get("metadata", {}).get("stack", "paper")
+    stack = read_manifest(find_policy(name_or_path)).get("metadata", {}).get("stack", "paper")
+    if stack is None:
+        raise ConfigurationError(
+            f"the policy {str(name_or_path)!r} was trained with a stack of its own, which has no"
+            " name: make an environment with the same edits, and give it that"
+        )
+    return stack
 
 
 def find_policy(name_or_path: str | Path) -> Path:

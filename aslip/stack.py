@@ -23,10 +23,12 @@ import functools
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from numbers import Integral
 from types import MappingProxyType
 from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
+import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.envs import TransformedEnv
@@ -100,13 +102,38 @@ class CassieTransformedEnv(TransformedEnv):
         self.transform_names = tuple(transforms)
         self.seed: int | None = None
         """The last seed that was set."""
-        self.stack_name: str | None = None
-        """Name of the stack in `STACKS`, if it was made by its name."""
 
     @property
     def transforms(self) -> list[Transform]:
         """The transforms, first to last."""
         return list(cast("Compose", self.transform))
+
+    def append_transform(
+        self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]
+    ) -> TransformedEnv:
+        """Add a transform at the end; it is named after its class."""
+        before = self.transforms
+        super().append_transform(transform)
+        return self._renamed(before)
+
+    def insert_transform(self, index: int, transform: Transform) -> TransformedEnv:
+        """Add a transform in front of another; it is named after its class."""
+        before = self.transforms
+        super().insert_transform(index, transform)
+        return self._renamed(before)
+
+    def _renamed(self, before: list[Transform]) -> TransformedEnv:
+        """This, when what came to the transforms there were `before` has names."""
+        known = {id(t): name for name, t in zip(self.transform_names, before, strict=True)}
+        names: list[str] = []
+        for transform in self.transforms:
+            name = known.get(id(transform), type(transform).__name__)
+            taken = [*known.values(), *names]
+            while id(transform) not in known and name in taken:
+                name += "_"
+            names.append(name)
+        self.transform_names = tuple(names)
+        return self
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         # transforms that draw need the number of robots, and asking TorchRL for it is slow
@@ -118,9 +145,12 @@ class CassieTransformedEnv(TransformedEnv):
         """Seed the environment, and every transform by its name.
 
         A transform thus draws the same numbers whichever others are dropped or replaced.
+
+        Raises:
+            ConfigurationError: it is no whole number of 0 or more.
         """
         if seed is not None:
-            self.seed = seed
+            self.seed = seed = check_seed(seed)
             for name, transform in zip(self.transform_names, self.transforms, strict=True):
                 if isinstance(transform, CassieTransform):
                     entropy = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
@@ -273,13 +303,53 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
 """Stacks by name: a function of gait library and `reward_on`."""
 
 
+def acts_on(env: CassieTransformedEnv) -> str | None:
+    """Name of the stack in `STACKS` that is the same to a policy; None if no stack is.
+
+    Which rewards there are, when episodes end, and what robots and sensors are like makes no
+    difference; what the policy observes, and what becomes of its action, does.
+    """
+    has = _interface(env.transforms)
+    for name, make in STACKS.items():
+        stack = make()
+        if has == _interface([t() for t in stack.values()]):
+            return name
+    return None
+
+
+# what a policy can not tell from its observation, nor what becomes of its action
+_NO_INTERFACE = (
+    *(RewardTerm, WeightedReward, RewardSum, Fall, LowReward, StepCounter),
+    *(ReferenceStart, SpeedCommand, RandomDynamics, ObservationNoise, EstimatedState, TrueState),
+)
+
+
+def _interface(transforms: Iterable[Transform]) -> list[tuple[Any, ...]]:
+    """What transforms are to a policy, to be compared."""
+    kept = [t for t in transforms if not isinstance(t, _NO_INTERFACE)]
+    return [
+        (type(t), t.in_keys, t.out_keys, _motion(t.library) if hasattr(t, "library") else None)
+        for t in kept
+        if t.in_keys or t.out_keys  # otherwise it only looks on
+    ]
+
+
+def _motion(library: GaitLibrary) -> list[list[float]]:
+    """Numbers that tell a library from others: its motion at some points of the stride."""
+    lowest, *_, highest = library.speeds.tolist()
+    points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
+    motion = library.lookup(points[:, :1], points[:, 1:])
+    return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()
+
+
 def randomised(stack: Stack) -> Stack:
     """A copy of a stack whose robots differ from episode to episode.
 
-    Dynamics and levels of sensor noise are drawn from `aslip.transforms.DYNAMICS_RANGES` at each
-    reset.
+    Dynamics and, if there is sensor noise, its levels are drawn from
+    `aslip.transforms.DYNAMICS_RANGES` at each reset.
     """
-    return {**insert_before(stack, "start", dynamics=RandomDynamics), "noise": RandomNoise}
+    stack = insert_before(stack, "start", dynamics=RandomDynamics)
+    return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
 
 
 def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:
@@ -329,8 +399,8 @@ def make_env(
 
     Raises:
         ConfigurationError: unknown backend, a timestep that it cannot have, a number of
-            environments or a seed that is none, a transform of another environment, or a reward
-            term after the sum.
+            environments or a seed that is none, a transform of another environment, settings of a
+            named stack for one that is not, or transforms in an order in which one has no effect.
         UnknownNameError: there is no stack of that name, `drop` or `replace` names no transform of
             the stack, or a transform reads what no other writes.
     """
@@ -340,13 +410,16 @@ def make_env(
         raise ConfigurationError(
             f"reward_on must be one of {get_args(RewardSource)}, got {reward_on!r}"
         )
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
-    stack_name = None
+    seed = check_seed(seed)
     if isinstance(stack, str):
         if stack not in STACKS:
-            raise UnknownNameError(f"no stack {stack!r}; there are {sorted(STACKS)}")
-        stack_name, stack = stack, STACKS[stack](library, reward_on)
+            raise UnknownNameError.among("stack", stack, sorted(STACKS))
+        stack = STACKS[stack](library, reward_on)
+    elif library is not None or reward_on != "truth":
+        raise ConfigurationError(
+            "library and reward_on are for a stack that is given by name; give them to what makes"
+            " the stack, such as default_stack(library, reward_on)"
+        )
     drop = [drop] if isinstance(drop, str) else list(drop)
     chosen = _edited(stack, drop, dict(replace or {}))
     base: CassieEnv
@@ -368,10 +441,20 @@ def make_env(
                 f" makes one: a class, or lambda: {type(transform).__name__}(...)"
             )
     env = CassieTransformedEnv(base, stack_of)
-    env.stack_name = stack_name
     _check_wiring(env)
     env.set_seed(seed)
     return env
+
+
+def check_seed(seed: object) -> int:
+    """A seed as a Python number, NumPy's included.
+
+    Raises:
+        ConfigurationError: it is no whole number of 0 or more.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
+    return int(seed)
 
 
 def _check_wiring(env: CassieTransformedEnv) -> None:
@@ -379,14 +462,26 @@ def _check_wiring(env: CassieTransformedEnv) -> None:
     available = env.full_observation_spec.clone()
     available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
-    summed = False
-    for transform in env.transforms:
+    summed = rewarded = sensed = False
+    for name, transform in zip(env.transform_names, env.transforms, strict=True):
         if isinstance(transform, RewardTerm) and summed:
             raise ConfigurationError(
                 f"the reward term {transform.out_keys[0][-1]!r} comes after the sum and would not"
                 ' count; insert_before(stack, "reward", ...) puts it in its place'
             )
+        if isinstance(transform, LowReward | RewardSum) and not rewarded:
+            raise ConfigurationError(
+                f"no transform before {name!r} writes the reward that it reads; without one, drop"
+                " it, too"
+            )
+        if isinstance(transform, ObservationNoise) and sensed:
+            raise ConfigurationError(
+                f"{name!r} comes after what reads the sensors and would have no effect;"
+                ' insert_before(stack, "estimator", ...) puts it in its place'
+            )
         summed |= isinstance(transform, WeightedReward)
+        rewarded |= "reward" in transform.out_keys
+        sensed |= isinstance(transform, EstimatedState)
         if isinstance(transform, RewardTerm | ActionDelta):
             require_keys(transform, available, transform.in_keys)
         if isinstance(transform, LastAction):

@@ -17,7 +17,7 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import load_policy, policy_stack
-from aslip.stack import EPISODE_ENDS, CassieTransformedEnv, make_env
+from aslip.stack import EPISODE_ENDS, CassieTransformedEnv, acts_on, make_env
 
 
 @dataclass(frozen=True)
@@ -147,8 +147,8 @@ class Walker:
     @policy.setter
     def policy(self, policy: TensorDictModuleBase | str | Path) -> None:
         if isinstance(policy, str | Path):
-            wants, has = policy_stack(policy), self.env.stack_name
-            if has not in (None, wants):
+            has = acts_on(self.env)
+            if has is not None and has != (wants := policy_stack(policy)):
                 raise ConfigurationError(
                     f"the policy {str(policy)!r} acts on the stack {wants!r}, not on {has!r}"
                 )

@@ -38,7 +38,7 @@ from tqdm import tqdm
 import aslip
 from aslip.cassie.model import TIMESTEPS
 from aslip.collect import CollectorKind, check_shares, make_collector
-from aslip.errors import AslipError, ConfigurationError
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
 from aslip.policy import (
@@ -51,7 +51,7 @@ from aslip.policy import (
 )
 from aslip.provenance import provenance
 from aslip.run import TrainingRun, check_types, peak_memory, write_text
-from aslip.stack import ON_TRUTH, STACKS, CassieTransformedEnv, RewardSource, randomised
+from aslip.stack import ON_TRUTH, STACKS, CassieTransformedEnv, RewardSource, acts_on, randomised
 from aslip.transforms import AssembleObservation, SpeedCommand
 
 
@@ -186,7 +186,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         edits["drop"] = [*edits["drop"], *ON_TRUTH["drop"]]
         edits["replace"] = {**edits["replace"], **ON_TRUTH["replace"]}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
-    speeds = [float(speed) for speed in aslip.GaitLibrary.load().speeds]
+    speeds = commanded_speeds(task)
     # a transform that was given as it is belongs to one environment only
     eval_env = aslip.make_env(num_envs=len(speeds), **copy.deepcopy(task))
 
@@ -223,7 +223,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
 
     # ------------------------------------------------------------------- loop
     collector = make_collector(
-        partial(aslip.make_env, **{**task, **variety(config, task)}),
+        partial(training_env, config.command_interval, **{**task, **variety(config, task)}),
         actor,
         kind=config.collector,
         num_envs=config.num_envs,
@@ -310,7 +310,8 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         "seconds": round(time.perf_counter() - start),
         **provenance(),
     }
-    save_policy(run.policy_file, actor, shape, made_by, stack=config.stack, observation=observation)
+    stack = acts_on(eval_env)
+    save_policy(run.policy_file, actor, shape, made_by, stack=stack, observation=observation)
     table = walk_table(results)
     minutes = (time.perf_counter() - start) / 60
     footer = f"{step} policy steps in {minutes:.1f} minutes, peak memory {peak_memory():.2f} GiB"
@@ -325,18 +326,31 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     return results
 
 
+def commanded_speeds(task: Mapping[str, Any]) -> list[float]:
+    """What the environment may command [m/s]."""
+    env = aslip.make_env(**copy.deepcopy(dict(task)))
+    command = next(t for t in env.transforms if isinstance(t, SpeedCommand))
+    return [round(speed, 6) for speed in command.speeds.tolist()]
+
+
 def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
-    """What training has and evaluation has not: coarse physics, new commands, other robots."""
+    """What training has and evaluation has not: coarse physics, other robots."""
     edits: dict[str, Any] = {"timestep": TIMESTEPS[config.coarse]}
-    if config.command_interval:
-        command = SpeedCommand(aslip.GaitLibrary.load(), interval=config.command_interval)
-        edits["replace"] = {**task["replace"], "command": command}
     if config.randomise:
         stack = task["stack"]
         if isinstance(stack, str):
             stack = STACKS[stack](task.get("library"), config.reward_on)
-        edits["stack"] = randomised(stack)
+        edits |= {"stack": randomised(stack), "library": None, "reward_on": "truth"}
     return edits
+
+
+def training_env(command_interval: float, **settings: Any) -> CassieTransformedEnv:
+    """An environment whose commands change within episodes."""
+    env = aslip.make_env(**settings)
+    for transform in env.transforms:
+        if isinstance(transform, SpeedCommand) and command_interval:
+            transform.interval = min(transform.interval, command_interval)
+    return env
 
 
 def update(
@@ -424,7 +438,5 @@ def command_line(presets: Mapping[str, Config] = PRESETS) -> Config:
 
 
 if __name__ == "__main__":
-    try:
+    with one_line_errors():
         main(command_line())
-    except AslipError as error:
-        raise SystemExit(f"error: {error}") from None

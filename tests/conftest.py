@@ -36,7 +36,9 @@ def make(library: GaitLibrary) -> MakeEnv:
     """`aslip.make_env` with the library at hand and one physics thread."""
 
     def make(backend: str = "batch", **settings: Any) -> CassieTransformedEnv:
-        defaults = {"num_threads": 1, "library": library}
+        defaults: dict[str, Any] = {"num_threads": 1}
+        if isinstance(settings.get("stack", "aslip"), str):
+            defaults["library"] = library
         return aslip.make_env(backend, **{**defaults, **settings})  # pyright: ignore
 
     return make

@@ -300,3 +300,24 @@ def test_a_checkpoint_of_something_else_is_refused(tmp_path: Path) -> None:
     Checkpoint(actor=net).save(tmp_path / "policy.zip", format="archive", metadata=card)
     with pytest.raises(FileDamagedError):
         aslip.load_policy(tmp_path)
+
+
+def test_rollouts_carry_no_graph(make: MakeEnv) -> None:
+    """Memory would grow with every step."""
+    policy, env = aslip.load_policy("aslip"), make(num_envs=2)
+    data = env.rollout(3, policy)
+    assert not any(leaf.requires_grad for leaf in data.values(True, True))
+    # nor while a policy is trained
+    data = env.rollout(3, policy.requires_grad_(True))
+    assert data["action"].requires_grad
+    assert not data["next", "reward"].requires_grad
+    assert not data["next", "last_action"].requires_grad
+
+
+def test_a_policy_of_a_stack_without_a_name_is_said_to_be_one(tmp_path: Path) -> None:
+    shape = PolicyShape(64)
+    path = tmp_path / "own.zip"
+    save_policy(path, make_actor(RunningNormalizer(64), shape), shape, stack=None)
+    with pytest.raises(ConfigurationError, match="a stack of its own"):
+        policy_module.policy_stack(path)
+    assert aslip.load_policy(path)

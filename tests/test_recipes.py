@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 
 import aslip
@@ -20,10 +21,12 @@ from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.cassie.model import TIMESTEPS
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
-from aslip.policy import read_manifest
+from aslip.library import GaitLibrary
+from aslip.policy import policy_stack, read_manifest
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.transforms import ObservationNoise, RandomNoise, SpeedCommand, WeightedReward
-from recipes import ppo_aslip
+from aslip.walker import Walker
+from recipes import ablate, ppo_aslip
 from recipes.ppo_aslip import Config
 
 TINY = Config(
@@ -261,3 +264,34 @@ def test_an_evaluation_leaves_the_random_numbers_of_training_alone(tmp_path: Pat
         ppo_aslip.main(config)
         runs.append([row["loss_critic"] for row in _rows(config.out)])
     assert runs[0] == runs[1]
+
+
+def test_own_commands_are_trained_and_evaluated(
+    library: GaitLibrary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: set[float] = set()
+
+    class Watched(SpeedCommand):
+        def _draw(self, tensordict: TensorDictBase) -> torch.Tensor:
+            drawn = super()._draw(tensordict)
+            seen.update(drawn.flatten().tolist())
+            return drawn
+
+    config = replace(TINY, out=tmp_path, total_steps=64, command_interval=0.06)
+    command = Watched(library, speeds=[0.25, 0.5, 1.0])
+    results = ppo_aslip.main(config, {"replace": {"command": command}})
+    assert [r.speed for r in results] == [0.25, 0.5, 1.0]
+    assert seen == {0.25, 0.5, 1.0}
+
+
+def test_a_policy_of_an_edited_stack_is_not_taken_for_one_of_the_default(tmp_path: Path) -> None:
+    config = replace(TINY, total_steps=64)
+    terms = {"replace": {"reward": WeightedReward(PAPER_WEIGHTS)}}
+    ppo_aslip.main(replace(config, out=tmp_path / "terms"), terms)
+    assert policy_stack(tmp_path / "terms") == "aslip"
+    absolute = ablate.VARIANTS["no_delta"].edits()
+    ppo_aslip.main(replace(config, out=tmp_path / "absolute"), absolute)
+    with pytest.raises(ConfigurationError, match="a stack of its own"):
+        Walker(tmp_path / "absolute")
+    env = aslip.make_env(**absolute, num_threads=1)
+    Walker(tmp_path / "absolute", env).step()

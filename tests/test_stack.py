@@ -5,16 +5,37 @@ from __future__ import annotations
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torchrl.data import Unbounded
+from torchrl.envs.transforms import RewardScaling
 from torchrl.envs.utils import check_env_specs
 
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
+from aslip.library.pendulum import pendulum_library
 from aslip.rewards import PAPER_WEIGHTS
-from aslip.stack import default_stack, insert_before, make_env, reward_terms
-from aslip.transforms import Fall, LowReward, RewardTerm, WeightedReward
+from aslip.stack import (
+    ON_TRUTH,
+    STACKS,
+    acts_on,
+    default_stack,
+    insert_before,
+    make_env,
+    randomised,
+    reward_terms,
+)
+from aslip.transforms import (
+    ActionDelta,
+    AssembleObservation,
+    Fall,
+    LowReward,
+    ObservationNoise,
+    RandomNoise,
+    RewardTerm,
+    WeightedReward,
+)
 from tests.conftest import MakeEnv
 
 
@@ -106,6 +127,10 @@ def test_no_transform_but_the_command_has_buffers_or_parameters(make: MakeEnv) -
     assert all((after[name] == value).all() for name, value in before.items())
 
 
+def _constant_term() -> RewardTerm:
+    return RewardTerm("late", torch.ones_like, [("truth", "diverged")])
+
+
 def test_a_term_after_the_sum_is_refused(library: GaitLibrary) -> None:
     late = {**default_stack(library), "late": _constant_term}
     with pytest.raises(ConfigurationError, match="'late' comes after the sum"):
@@ -131,11 +156,99 @@ def test_a_transform_draws_the_same_whatever_else_is_in_the_stack(library: GaitL
     torch.testing.assert_close(full["phase"], other["phase"], rtol=0, atol=0)
 
 
-@pytest.mark.parametrize("seed", [-1, 0.5, True, None])
-def test_a_seed_that_is_none_is_refused(seed: Any) -> None:
-    with pytest.raises(ConfigurationError, match="seed must be"):
-        make_env(seed=seed)
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "3"])
+def test_a_seed_that_is_none_is_refused(make: MakeEnv, seed: Any) -> None:
+    with pytest.raises(ConfigurationError, match="seed must be a whole number"):
+        make(seed=seed)
+    with pytest.raises(ConfigurationError, match="seed must be a whole number"):
+        make().set_seed(seed)
 
 
-def _constant_term() -> RewardTerm:
-    return RewardTerm("late", lambda height: torch.ones_like(height), [("estimate", "height")])
+def test_a_seed_may_be_of_numpy(make: MakeEnv) -> None:
+    first, second = (make(seed=seed).reset() for seed in (np.int64(3), 3))
+    assert (first["observation"] == second["observation"]).all()
+
+
+@pytest.mark.parametrize("stack", list(STACKS))
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_every_stack_keeps_its_specs(make: MakeEnv, backend: str, stack: str) -> None:
+    library = {"library": None} if stack == "single_reference" else {}
+    check_env_specs(make(backend, num_envs=2, stack=stack, **library))
+
+
+@pytest.mark.parametrize("stack", list(STACKS))
+def test_another_default_of_precision_changes_nothing(make: MakeEnv, stack: str) -> None:
+    library = {"library": None} if stack == "single_reference" else {}
+    walks = []
+    for dtype in (torch.float32, torch.float64):
+        torch.set_default_dtype(dtype)
+        try:
+            env = make(num_envs=2, stack=stack, seed=1, **library)
+            check_env_specs(env)
+            env.set_seed(1)
+            zeros = torch.zeros(2, 10, dtype=torch.float32)
+            walks.append(env.step(env.reset().set("action", zeros)))
+        finally:
+            torch.set_default_dtype(torch.float32)
+    for key in ("observation", ("next", "reward")):
+        assert walks[1][key].dtype == torch.float32
+        assert torch.equal(walks[0][key], walks[1][key])
+
+
+def test_transforms_that_come_later_have_names(make: MakeEnv) -> None:
+    """Seeds, checkpoints and logs go by names."""
+    env = make()
+    names = env.transform_names
+    env.append_transform(RewardScaling(0.0, 2.0))
+    env.append_transform(RewardScaling(0.0, 0.5))
+    env.insert_transform(names.index("observation"), ObservationNoise())
+    where = names.index("observation")
+    expected = [*names[:where], "ObservationNoise", *names[where:], "RewardScaling"]
+    assert env.transform_names == (*expected, "RewardScaling_")
+    assert len(env.transforms) == len(env.transform_names)
+    env.set_seed(3)
+    env.rollout(2)
+
+
+def test_transforms_in_an_order_without_effect_are_refused(library: GaitLibrary) -> None:
+    stack = default_stack(library)
+    with pytest.raises(ConfigurationError, match="'low_reward' writes the reward"):
+        make_env(library=library, drop=["reward"])
+    late = {**{k: v for k, v in stack.items() if k != "reward"}, "reward": stack["reward"]}
+    with pytest.raises(ConfigurationError, match="'low_reward' writes the reward"):
+        make_env(stack=late)
+    late = {**{k: v for k, v in stack.items() if k != "noise"}, "noise": stack["noise"]}
+    with pytest.raises(ConfigurationError, match="'noise' comes after"):
+        make_env(stack=late)
+
+
+def test_randomised_robots_have_noise_only_if_there_was_some(library: GaitLibrary) -> None:
+    stack = default_stack(library)
+    assert randomised(stack)["noise"] is RandomNoise
+    del stack["noise"]
+    assert "noise" not in randomised(stack)
+
+
+@pytest.mark.parametrize("settings", [{"reward_on": "estimate"}, {"library": None}])
+def test_settings_of_named_stacks_are_refused_for_others(
+    library: GaitLibrary, settings: dict[str, Any]
+) -> None:
+    settings = {"library": library} if "library" in settings else settings
+    with pytest.raises(ConfigurationError, match="library and reward_on"):
+        make_env(stack=default_stack(library), **settings)
+
+
+def test_the_stack_that_is_the_same_to_a_policy_is_found(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    for name in STACKS:
+        assert acts_on(make_env(stack=name, num_threads=1)) == name
+    stack = insert_before(default_stack(library), "reward", upright=_constant_term)
+    stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 0.1})
+    assert acts_on(make(stack=stack, drop=["low_reward", "fall"])) == "aslip"
+    assert acts_on(make(**ON_TRUTH)) == "aslip"
+    assert acts_on(make(stack=randomised(default_stack(library)))) == "aslip"
+    assert acts_on(make(drop=["feedforward"], replace={"action": ActionDelta})) == "paper"
+    blind = AssembleObservation([("estimate", "height")])
+    assert acts_on(make(replace={"observation": blind})) is None
+    assert acts_on(make(library=pendulum_library(library.gaits))) is None

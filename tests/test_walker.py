@@ -13,7 +13,7 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
-from aslip.stack import MAX_EPISODE_STEPS
+from aslip.stack import MAX_EPISODE_STEPS, acts_on
 from aslip.transforms import SINGLE_REFERENCE_TABLE
 from aslip.walker import Push, Schedule, Walker
 
@@ -154,7 +154,7 @@ def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:
     other = save_other_policy(tmp_path / "other.zip")
     with pytest.raises(ConfigurationError, match=r"other.zip.*'single_reference', not on"):
         walker.policy = other
-    assert Walker(other).env.stack_name == "single_reference"
+    assert acts_on(Walker(other).env) == "single_reference"
 
 
 def save_other_policy(path: Path) -> Path:

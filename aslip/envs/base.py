@@ -201,8 +201,8 @@ class CassieEnv(EnvBase):
             shape=n,
         )
         targets, single = torch.Size((*n, len(MOTOR_NAMES))), torch.Size((*n, 1))
-        self.action_spec = Composite(motor_target=Unbounded(targets), shape=n)
-        self.reward_spec = Unbounded(single)
+        self.action_spec = Composite(motor_target=Unbounded(targets, dtype=torch.float32), shape=n)
+        self.reward_spec = Unbounded(single, dtype=torch.float32)
         flag = Binary(shape=single, dtype=torch.bool)
         self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=n)
 
@@ -219,7 +219,7 @@ class CassieEnv(EnvBase):
         return TensorDict(
             {
                 **self._observed(diverged),
-                "reward": torch.zeros(*self.batch_size, 1),
+                "reward": torch.zeros(*self.batch_size, 1, dtype=torch.float32),
                 "terminated": terminated,
                 "done": terminated.clone(),
             },

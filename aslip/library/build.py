@@ -42,12 +42,14 @@ def build_library(
         The gaits, and their table for `GaitLibrary`.
 
     Raises:
-        ConfigurationError: speeds do not ascend, or are fewer than two.
+        ConfigurationError: speeds do not ascend, or are fewer than two; or samples fewer than four.
         GaitOptimizationError: a gait was not found.
         UnreachablePoseError: the robot cannot take a pose of a gait.
     """
     if len(speeds) < 2 or any(b <= a for a, b in itertools.pairwise(speeds)):
         raise ConfigurationError(f"speeds must be two or more, ascending; got {list(speeds)} m/s")
+    if samples < 4:  # of which cubic interpolation takes four
+        raise ConfigurationError(f"samples must be 4 or more, got {samples!r}")
     gaits = optimize_gaits(speeds, progress=progress)
     phase = np.arange(samples) / samples
     motions = [gait.sample(phase) for gait in gaits]

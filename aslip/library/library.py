@@ -102,7 +102,7 @@ class GaitLibrary:
         low, high = self.speeds[0], self.speeds[-1]
         if not low <= speed <= high:
             raise SpeedOutOfRangeError(
-                f"speed {speed!r} m/s is outside the gait library: {low:g} to {high:g} m/s"
+                f"speed {speed:g} m/s is outside the gait library: {low:g} to {high:g} m/s"
             )
         return float(speed)
 

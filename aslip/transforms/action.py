@@ -53,11 +53,12 @@ class LastAction(CassieTransform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        zeros = torch.zeros(*tensordict_reset.batch_size, len(MOTOR_NAMES))
+        shape = (*tensordict_reset.batch_size, len(MOTOR_NAMES))
+        zeros = torch.zeros(shape, dtype=torch.float32)
         return tensordict_reset.set("last_action", zeros)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set("last_action", tensordict["action"])
+        return next_tensordict.set("last_action", tensordict["action"].detach())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add `last_action`."""

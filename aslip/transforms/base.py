@@ -65,7 +65,7 @@ def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:
         for depth in range(1, len(parents)):
             if parents[:depth] not in spec.keys(True):
                 spec[parents[:depth]] = Composite(shape=spec.shape)
-        spec[key] = Unbounded(torch.Size((*spec.shape, size)))
+        spec[key] = Unbounded(torch.Size((*spec.shape, size)), dtype=torch.float32)
     return spec
 
 

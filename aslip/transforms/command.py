@@ -20,8 +20,9 @@ from aslip.transforms.base import CassieTransform, extend_spec, require_keys
 class SpeedCommand(CassieTransform):
     """Forward speed to walk at: drawn at each reset, then held, or drawn anew now and then.
 
-    To command from outside, write `td["command"]` between steps, or pass it to `env.reset`. It acts
-    on the reference of the next policy step; the phase goes on. In a reset of some robots only,
+    To command from outside, write `td["command"]` between steps, or pass it to `env.reset`: a speed
+    of the library's range, else `SpeedOutOfRangeError` is raised. It acts on the reference of the
+    next policy step; the phase goes on. In a reset of some robots only,
     with a `_reset` mask, theirs are drawn anew.
 
     Args:
@@ -48,16 +49,21 @@ class SpeedCommand(CassieTransform):
                 f"interval must be a policy step, {POLICY_PERIOD} s, or more, got {interval!r}"
             )
         self.interval = interval
+        self.library = library
+        self._bounds = torch.tensor([library.speeds[0], library.speeds[-1]], dtype=torch.float32)
         self.speeds: Tensor
         chosen = list(library.speeds if speeds is None else speeds)
         if not chosen:
             raise ConfigurationError("speeds is empty; give at least one speed in m/s")
-        self.register_buffer("speeds", torch.tensor([library.check_speed(v) for v in chosen]))
+        self.register_buffer(
+            "speeds",
+            torch.tensor([library.check_speed(v) for v in chosen], dtype=torch.float32),
+        )
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
         tensordict = self._draw_into_reset(tensordict, "command", self._draw(tensordict))
-        return tensordict.set("command", _checked(tensordict, "command"))
+        return tensordict.set("command", self._checked(tensordict))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -65,12 +71,21 @@ class SpeedCommand(CassieTransform):
         return tensordict_reset.set("command", tensordict["command"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        command = _checked(tensordict, "command")
+        command = self._checked(tensordict)
         if math.isfinite(self.interval):
             chance = torch.rand(command.shape, generator=self.generator)
             changes = chance < POLICY_PERIOD / self.interval
             command = torch.where(changes, self._draw(tensordict), command)
         return next_tensordict.set("command", command)
+
+    def _checked(self, tensordict: TensorDictBase) -> Tensor:
+        """What is commanded, if gaits for it are in the library."""
+        command = _checked(tensordict, "command")
+        # bounds rounded as the command is
+        outside = (command < self._bounds[0]) | (command > self._bounds[1])
+        if outside.any():
+            self.library.check_speed(float(command[outside][0]))
+        return command
 
     def _draw(self, tensordict: TensorDictBase) -> Tensor:
         shape = (*tensordict.batch_size, 1)
@@ -103,7 +118,8 @@ class PhaseClock(CassieTransform):
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
-        draw = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
+        shape = (*tensordict.batch_size, 1)
+        draw = torch.rand(shape, generator=self.generator, dtype=torch.float32)
         tensordict = self._draw_into_reset(tensordict, "phase", draw)
         return tensordict.set("phase", _checked(tensordict, "phase") % 1.0)
 

@@ -106,7 +106,7 @@ class ObservationNoise(CassieTransform):
     def _begin(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw the biases of robots, and make their packets noisy."""
         for sensor, channels in NOISE_CHANNELS.items():
-            drawn = torch.zeros(*tensordict.batch_size, channels)
+            drawn = torch.zeros(*tensordict.batch_size, channels, dtype=torch.float32)
             if sensor in self._levels:
                 drawn = self._levels[sensor][1] * _normal(drawn.shape, self._of_resets[sensor])
             tensordict.set(("sensor_bias", sensor), drawn)
@@ -165,7 +165,7 @@ def _checked(levels: Mapping[str, NoiseLevel]) -> dict[str, NoiseLevel]:
 
 def _normal(shape: Sequence[int], generator: torch.Generator) -> Tensor:
     """Independent standard normal numbers."""
-    return torch.randn(*shape, generator=generator)
+    return torch.randn(*shape, generator=generator, dtype=torch.float32)
 
 
 def _row(value: float | tuple[float, ...], channels: int) -> Tensor:

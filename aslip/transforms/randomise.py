@@ -82,7 +82,8 @@ class RandomDynamics(CassieTransform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
         # a column for every parameter there is, drawn or not
-        share = torch.rand(*tensordict.batch_size, len(DYNAMICS), generator=self.generator)
+        shape = (*tensordict.batch_size, len(DYNAMICS))
+        share = torch.rand(shape, generator=self.generator, dtype=torch.float32)
         columns = dict(zip(DYNAMICS, share.split(1, dim=-1), strict=True))
         for name, (low, high) in self.ranges.items():
             draw = (low + (high - low) * columns[name]).clamp(low, high)

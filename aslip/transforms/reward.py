@@ -40,11 +40,11 @@ class RewardTerm(CassieTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         inputs = [next_tensordict[key] for key in self.next_keys]
-        inputs += [tensordict[key] for key in self.root_keys]
+        inputs += [tensordict[key].detach() for key in self.root_keys]
         # a robot that diverged was put back on its feet, for which it deserves nothing; and what
         # made it diverge, an action that is no number, must not become a reward
         diverged = next_tensordict["truth", "diverged"]
-        value = torch.where(diverged, 0.0, self.function(*inputs))
+        value = torch.where(diverged, 0.0, self.function(*inputs).float())
         return next_tensordict.set(self.out_keys[0], value)
 
     def _reset(
@@ -57,7 +57,9 @@ class RewardTerm(CassieTransform):
         """Add the term."""
         if "reward_terms" not in reward_spec:
             reward_spec["reward_terms"] = Composite(shape=reward_spec.shape)
-        reward_spec[self.out_keys[0]] = Unbounded(torch.Size((*reward_spec.shape, 1)))
+        reward_spec[self.out_keys[0]] = Unbounded(
+            torch.Size((*reward_spec.shape, 1)), dtype=torch.float32
+        )
         return reward_spec
 
 
@@ -85,7 +87,7 @@ class WeightedReward(CassieTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         del tensordict
-        reward = torch.zeros(*next_tensordict.batch_size, 1)
+        reward = torch.zeros(*next_tensordict.batch_size, 1, dtype=torch.float32)
         for name, term in next_tensordict["reward_terms"].items():
             reward = reward + self.weights[name] * term
         return next_tensordict.set("reward", reward)

@@ -260,3 +260,14 @@ def test_the_command_is_held_through_an_episode(make: MakeEnv) -> None:
     td = env.reset()
     before = _commands(td).clone()
     torch.testing.assert_close(_commands(_walk(env, td, 4)), before, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("speed", [-0.01, 2.01, 5.0])
+def test_a_command_outside_the_library_is_refused(make: MakeEnv, speed: float) -> None:
+    env = make(num_envs=2)
+    with pytest.raises(SpeedOutOfRangeError, match=f"{speed:g} m/s.*0 to 2 m/s"):
+        env.reset(_start(speed, 0.0, 2))
+    td = env.reset(_start(2.0, 0.0, 2))
+    td["command"][1] = speed
+    with pytest.raises(SpeedOutOfRangeError, match="0 to 2 m/s"):
+        env.step(td.set("action", torch.zeros(2, 10)))
