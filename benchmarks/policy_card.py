@@ -11,6 +11,7 @@ the policy's file or is measured now, by the other benchmarks; it takes some min
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,10 +32,10 @@ from aslip.cassie import (
     TORQUE_DELAY,
 )
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.policy import find_policy, load_policy, read_manifest
+from aslip.policy import find_policy, load_policy, policy_stack, read_manifest
 from aslip.run import write_text
 from aslip.stack import make_env
-from aslip.transforms import ActionDelta
+from aslip.transforms import DYNAMICS_RANGES, ActionDelta
 from benchmarks import foot_placement, perturbation, step_frequency, velocity_tracking
 from benchmarks.common import markdown
 
@@ -94,6 +95,7 @@ def main(config: Config) -> Path:
     """Copy, measure and write; returns the card's path."""
     source = find_policy(config.run)
     load_policy(source)  # or there is nothing to ship
+    policy_stack(source)  # or no name would say what it acts on
     config.assets.mkdir(parents=True, exist_ok=True)
     shipped, curve = (config.assets / f"{config.name}.{kind}" for kind in ("zip", "png"))
     _copy(source, shipped)
@@ -109,9 +111,7 @@ def main(config: Config) -> Path:
         walks = (config.run / "summary.md").read_text().rpartition("\n\n")[0]
         parts.append(f"## Walks at constant speed\n\nTwelve seconds each, as trained.\n\n{walks}")
     if config.measure:
-        parts += measured(
-            config, str(shipped), follows_model="reference/body_position" in str(about)
-        )
+        parts += measured(config, str(shipped), about)
     card = config.assets / f"{config.name}.md"
     write_text(card, "\n\n".join(parts) + "\n")
     print(f"{shipped}, {card}")
@@ -125,7 +125,8 @@ def how_made(about: dict[str, Any]) -> str:
     versions = ", ".join(f"{k} {v}" for k, v in made.get("versions", {}).items() if v)
     minutes = made.get("seconds", float("nan")) / 60
     rows = [
-        ["command", f"`{made.get('command', 'not recorded')}`"],
+        # where the run lay is nobody's business
+        ["command", f"`{re.sub(r' --out [^ ]+', '', made.get('command', 'not recorded'))}`"],
         ["commit", str(made.get("commit") or "not recorded")],
         ["seed", str(settings.get("seed", "not recorded"))],
         ["policy steps", f"{made.get('steps', 'not recorded')}"],
@@ -175,11 +176,11 @@ def contract(about: dict[str, Any]) -> str:
     )
 
 
-def measured(config: Config, policy: str, *, follows_model: bool) -> list[str]:
+def measured(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
     """Tables of the other benchmarks, and what they say about limits."""
     common: dict[str, Any] = {"policy": (policy,), "out": config.out / config.name}
     parts = []
-    if follows_model:
+    if "reference/body_position" in about["observation"]:
         foot_placement.main(foot_placement.Config(**common))
         step_frequency.main(step_frequency.Config(**common))
         parts += [
@@ -191,7 +192,7 @@ def measured(config: Config, policy: str, *, follows_model: bool) -> list[str]:
     return [
         *parts,
         _section(config, "Speed", "velocity_tracking"),
-        f"## What makes it fall\n\n{limits(numbers)}",
+        f"## What makes it fall\n\n{limits(numbers)}\n{training_ground(about)}",
         (config.out / config.name / "perturbation.md").read_text().strip(),
     ]
 
@@ -213,8 +214,18 @@ def limits(numbers: dict[str, Any]) -> str:
         elif rows:
             values = [row["value"] for row in rows]
             lines.append(f"- {sweep.label}: none from {min(values):g} to {max(values):g}.")
-    lines.append("- It was trained on level ground with friction 1, to walk straight ahead.")
     return "\n".join(lines)
+
+
+def training_ground(about: dict[str, Any]) -> str:
+    """What robots and floors it has met."""
+    if not about.get("made_by", {}).get("settings", {}).get("randomise"):
+        return "- It was trained on level ground with friction 1, to walk straight ahead."
+    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in DYNAMICS_RANGES.items()]
+    return (
+        "- It was trained to walk straight ahead on robots and floors drawn for each episode:"
+        f" {', '.join(ranges)}; see `aslip.sim.DYNAMICS`."
+    )
 
 
 def _section(config: Config, title: str, benchmark: str) -> str:

@@ -107,6 +107,14 @@ def test_limits_are_the_worst_that_was_measured() -> None:
     assert "slope [deg]: none from -3 to 3." in text
 
 
+def test_the_card_says_what_it_was_trained_on_and_not_where() -> None:
+    made = {"command": "python recipes/ppo_aslip.py --out ../runs/mine --randomise", "settings": {}}
+    assert "ppo_aslip.py --randomise`" in policy_card.how_made({"made_by": made})
+    assert "level ground" in policy_card.training_ground({"made_by": made})
+    made["settings"] = {"randomise": True}
+    assert "floor_friction 0.4 to 1.1" in policy_card.training_ground({"made_by": made})
+
+
 def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With a plus where files have changed; None outside a checkout."""
     if shutil.which("git") is None:
