@@ -14,7 +14,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from aslip.cassie import STANDARD_GRAVITY, TOTAL_MASS
+from aslip.cassie import SIDES, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.cassie.model import CassieIndices, load_model
 
 SINGLE_REFERENCE_WEIGHTS: Final = MappingProxyType(
@@ -91,8 +91,9 @@ def springs(qpos: Tensor, left_foot_velocity: Tensor, right_foot_velocity: Tenso
 @functools.cache
 def _motors_and_shins() -> tuple[list[int], list[int]]:
     """Where the ten motor joints and the two shins are in `qpos`."""
-    indices = CassieIndices.from_model(load_model())
-    return indices.motor_qpos.tolist(), indices.joint_qpos[::3].tolist()
+    model = load_model()
+    shins = [int(model.joint(f"{side}_shin").qposadr[0]) for side in SIDES]
+    return CassieIndices.from_model(model).motor_qpos.tolist(), shins
 
 
 def _square(vector: Tensor) -> Tensor:

@@ -27,6 +27,7 @@ import mujoco
 import numpy as np
 
 from aslip.cassie import SIDES, Side, foot_site
+from aslip.errors import ConfigurationError
 from aslip.estimation.compiled import compiled
 
 HEEL, TOE, LATERAL, FORCE = range(4)
@@ -47,7 +48,7 @@ class LegKinematics:
         model: the robot.
 
     Raises:
-        ValueError: the hinges of a leg are not parallel, or its rod closes no loop.
+        ConfigurationError: the hinges of a leg are not parallel, or its rod closes no loop.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -212,7 +213,9 @@ def _chain(model: mujoco.MjModel, side: Side) -> _Chain:
     positions = {name: model.body_pos[body].copy() for name, body in bodies.items()}
     for name in _PLANAR[1:]:
         if abs(rotations[name][2, 2] - 1) > _PARALLEL:
-            raise ValueError(f"the hinge {side}_{name} is not parallel to the hip pitch hinge")
+            raise ConfigurationError(
+                f"the hinge {side}_{name} is not parallel to the hip pitch hinge"
+            )
     # the hip pitch body's own rotation is one of the hips'
     turned = [0.0, *(np.angle(_plane(rotations[name][:, 0])) for name in _PLANAR[1:])]
     links = np.array([positions[name] for name in _PLANAR[1:]])
@@ -253,7 +256,7 @@ def _rod(model: mujoco.MjModel, side: Side) -> tuple[int, np.ndarray, np.ndarray
         if {int(first), int(second)} == {rod, spring}:
             points = (data[:3], data[3:6]) if first == rod else (data[3:6], data[:3])
             return rod, points[0].copy(), points[1].copy()
-    raise ValueError(f"the model does not close the loop of the {side} Achilles rod")
+    raise ConfigurationError(f"the model does not close the loop of the {side} Achilles rod")
 
 
 def _matrix(quaternion: np.ndarray) -> np.ndarray:

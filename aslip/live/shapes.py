@@ -8,6 +8,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from aslip.errors import ConfigurationError
+
 # of a full turn; a multiple of 4, so that the corners reach out to the bounds of the shape
 _SECTIONS = 24
 # from a pole to the equator
@@ -46,7 +48,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
         geom: id of a sphere, capsule, ellipsoid, cylinder or box.
 
     Raises:
-        ValueError: the geom is of another type.
+        ConfigurationError: the geom is of another type.
     """
     kinds = mujoco.mjtGeom
     kind, size = model.geom_type[geom], model.geom_size[geom]
@@ -64,7 +66,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
     elif kind == kinds.mjGEOM_BOX:
         mesh = _box(size)
     else:
-        raise ValueError(f"geom {geom} is no primitive shape: type {kind}")
+        raise ConfigurationError(f"geom {geom} is no primitive shape: type {kind}")
     return mesh.moved(model.geom_pos[geom], model.geom_quat[geom])
 
 

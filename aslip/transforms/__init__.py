@@ -1,6 +1,6 @@
 """Everything that varies between experiments, as TorchRL transforms.
 
-Each reads and writes documented keys of the tensordict; none keeps state of an episode, so partial
+Each reads and writes documented keys of the tensordict; none holds state of an episode, so partial
 resets, several processes and replay need no care. Those that draw random numbers own a generator
 and follow `env.set_seed`.
 """

@@ -96,8 +96,9 @@ class ObservationNoise(CassieTransform):
             return self._begin(tensordict_reset)
         # TorchRL keeps only the rows of robots that are reset
         rows = mask.reshape(tensordict_reset.batch_size)
-        chosen = self._begin(tensordict_reset.select("sensors")[rows].clone())
-        for key, value in chosen.items(True, True):
+        chosen = self._begin(tensordict_reset.select(*self.in_keys)[rows].clone())
+        for key in self.out_keys:
+            value = cast("Tensor", chosen[key])
             full = torch.zeros(*tensordict_reset.batch_size, *value.shape[1:], dtype=value.dtype)
             full[rows] = value
             tensordict_reset.set(key, full)
@@ -129,14 +130,16 @@ class ObservationNoise(CassieTransform):
             packets = cast("Tensor", tensordict["sensors", sensor])
             shape = (*packets.shape[:-1], len(white))
             bias = cast("Tensor", tensordict["sensor_bias", sensor])
-            error = self._scaled(white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2))
+            error = white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2)
+            error = self._scaled(error, tensordict)
             turns = sensor == "orientation"
             noisy = _turned(packets, error) if turns else packets + error
             tensordict.set(("sensors", sensor), noisy)
         return tensordict
 
-    def _scaled(self, error: Tensor) -> Tensor:
+    def _scaled(self, error: Tensor, tensordict: TensorDictBase) -> Tensor:
         """What of an error (n, w, k) there is; for subclasses to change."""
+        del tensordict
         return error
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

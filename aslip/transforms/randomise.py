@@ -11,6 +11,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.cassie.sensing import NoiseLevel
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.dynamics import parameter_named
@@ -119,20 +120,17 @@ class RandomNoise(ObservationNoise):
     before it is multiplied.
     """
 
-    def _reset(
-        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
-    ) -> TensorDictBase:
-        mask = tensordict.get("_reset", None)
-        factor = cast("Tensor", tensordict_reset[_FACTOR_KEY])
-        self._factor = factor if mask is None or mask.all() else factor[mask.reshape(-1)]
-        return super()._reset(tensordict, tensordict_reset)
+    def __init__(
+        self,
+        levels: Mapping[str, NoiseLevel] | None = None,
+        scale: float = 1.0,
+        bias_time: float = 10.0,
+    ) -> None:
+        super().__init__(levels, scale, bias_time)
+        self.in_keys = [*self.in_keys, _FACTOR_KEY]
 
-    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        self._factor = cast("Tensor", tensordict[_FACTOR_KEY])
-        return super()._step(tensordict, next_tensordict)
-
-    def _scaled(self, error: Tensor) -> Tensor:
-        return self._factor.unsqueeze(-2) * error
+    def _scaled(self, error: Tensor, tensordict: TensorDictBase) -> Tensor:
+        return cast("Tensor", tensordict[_FACTOR_KEY]).unsqueeze(-2) * error
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """See `ObservationNoise`."""
