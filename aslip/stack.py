@@ -328,14 +328,16 @@ def _interface(transforms: Iterable[Transform]) -> list[tuple[Any, ...]]:
     """What transforms are to a policy, to be compared."""
     kept = [t for t in transforms if not isinstance(t, _NO_INTERFACE)]
     return [
-        (type(t), t.in_keys, t.out_keys, _motion(t.library) if hasattr(t, "library") else None)
+        (type(t), t.in_keys, t.out_keys, _motion(getattr(t, "library", None)))
         for t in kept
         if t.in_keys or t.out_keys  # otherwise it only looks on
     ]
 
 
-def _motion(library: GaitLibrary) -> list[list[float]]:
+def _motion(library: GaitLibrary | None) -> list[list[float]]:
     """Numbers that tell a library from others: its motion at some points of the stride."""
+    if library is None:
+        return []
     lowest, *_, highest = library.speeds.tolist()
     points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
     motion = library.lookup(points[:, :1], points[:, 1:])
