@@ -465,13 +465,18 @@ def _check_wiring(env: CassieTransformedEnv) -> None:
     available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
     summed = rewarded = sensed = False
+    ever_rewarded = any("reward" in transform.out_keys for transform in env.transforms)
     for name, transform in zip(env.transform_names, env.transforms, strict=True):
         if isinstance(transform, RewardTerm) and summed:
             raise ConfigurationError(
                 f"the reward term {transform.out_keys[0][-1]!r} comes after the sum and would not"
                 ' count; insert_before(stack, "reward", ...) puts it in its place'
             )
-        if isinstance(transform, LowReward | RewardSum) and not rewarded:
+        # a sum of nothing is right where there is no reward; an end of all episodes is not
+        reads = isinstance(transform, LowReward) or (
+            isinstance(transform, RewardSum) and ever_rewarded
+        )
+        if reads and not rewarded:
             raise ConfigurationError(
                 f"no transform before {name!r} writes the reward that it reads; without one, drop"
                 " it, too"

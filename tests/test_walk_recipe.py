@@ -65,7 +65,7 @@ def test_a_fall_ends_the_walk_and_the_log_is_whole(
     ("settings", "error", "names"),
     [
         ({"policy": "nobody"}, AssetError, "nobody"),
-        ({"command": "0:3.0"}, SpeedOutOfRangeError, "3.0"),
+        ({"command": "0:3.0"}, SpeedOutOfRangeError, "speed 3 m/s"),
         ({"command": "4:1.0"}, ConfigurationError, "from 0"),
         ({"push": ("1",)}, ConfigurationError, "push is"),
         ({"duration": -1.0}, ConfigurationError, "duration"),
