@@ -1,6 +1,6 @@
 """What goes wrong, on purpose and many times: faults injected, and faults survived.
 
-    python -m benchmarks.faults                        # all of them: most of an hour
+    python -m benchmarks.faults                        # all of them: half an hour
     python -m benchmarks.faults --steps 0 --kills 0    # without the long ones
     python -m benchmarks.faults --kills 100            # a night of killed trainings
 
