@@ -317,7 +317,7 @@ def acts_on(env: CassieTransformedEnv) -> str | None:
     return None
 
 
-# what a policy can not tell from its observation, nor what becomes of its action
+# these change neither what a policy observes nor what becomes of its action
 _NO_INTERFACE = (
     *(RewardTerm, WeightedReward, RewardSum, Fall, LowReward, StepCounter),
     *(ReferenceStart, SpeedCommand, RandomDynamics, ObservationNoise, EstimatedState, TrueState),

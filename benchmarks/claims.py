@@ -1,7 +1,7 @@
 """Every claim of the paper's results as a number: what it says, what it published, what is here.
 
-    python -m benchmarks.claims                                          # the shipped policies
-    python -m benchmarks.claims --policy runs/seed0 runs/seed1 runs/seed2 --baseline single_reference
+    python -m benchmarks.claims --baseline single_reference      # the shipped policies
+    python -m benchmarks.claims --policy runs/seed0 runs/seed1 --baseline single_reference
 
 Runs the other benchmarks of a policy and judges what they find. Training cost is read from the runs
 that made the policies, where they are folders of runs. Rows with a section are sentences of the

@@ -330,6 +330,7 @@ def commanded_speeds(task: Mapping[str, Any]) -> list[float]:
     """What the environment may command [m/s]."""
     env = aslip.make_env(**copy.deepcopy(dict(task)))
     command = next(t for t in env.transforms if isinstance(t, SpeedCommand))
+    env.close()
     return [round(speed, 6) for speed in command.speeds.tolist()]
 
 
