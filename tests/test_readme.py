@@ -1,22 +1,34 @@
 """What the README says one can type works."""
 
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+from aslip.policy import policy_stack
+
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
+# of the training it shows: too much for a test
+_BUDGET = "total_steps=300_000"
 
 
 def test_every_python_block_runs(tmp_path: Path) -> None:
     """One after the other in one process, as a reader would paste them."""
     code = "\n".join(re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL))
-    assert "make_env" in code
+    assert code.count(_BUDGET) == 1
+    code = code.replace(_BUDGET, "total_steps=64, num_envs=8, samples=64, minibatch=32")
     result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert result.returncode == 0, result.stderr
+    assert policy_stack(tmp_path / "runs" / "upright") == "aslip"
 
 
 def test_every_picture_and_linked_file_exists() -> None:
