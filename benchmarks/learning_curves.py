@@ -180,7 +180,8 @@ def picture(curves: dict[str, Curves]) -> Figure:
             axis.fill_between(steps, values.min(0), values.max(0), color=color, alpha=0.25, lw=0)
         axis.set(xlabel="million policy steps", ylabel=column.replace("_", " "), ylim=(0, 400))
         axis.grid(alpha=0.3)
-    axes[0].legend(loc="lower right")
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
 
 
