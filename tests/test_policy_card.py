@@ -6,20 +6,31 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import ppo_single_reference
 import pytest
 
 import aslip
 import aslip.provenance
 from aslip.errors import AssetError, ConfigurationError
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_manifest, save_policy
+from aslip.policy import (
+    PolicyShape,
+    RunningNormalizer,
+    find_policy,
+    make_actor,
+    read_manifest,
+    save_policy,
+)
 from aslip.provenance import provenance
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from benchmarks import policy_card
 from benchmarks.faults import TINY, train
 from benchmarks.policy_card import Config
+from recipes import ppo_aslip
 
 
 def _card(run_folder: Path, assets: Path, **settings: bool) -> str:
@@ -132,3 +143,20 @@ def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert provenance()["commit"] == f"{commit}+"
     assert json.dumps(provenance())
     assert np.all([provenance()["versions"][name] for name in ("torch", "mujoco")])
+
+
+@pytest.mark.parametrize(
+    ("name", "recipe", "other"),
+    [
+        ("aslip", ppo_aslip, set()),
+        ("robust", ppo_aslip, {"randomise"}),
+        ("single_reference", ppo_single_reference, {"preset"}),
+    ],
+)
+def test_shipped_policies_have_the_settings_of_their_recipes(
+    name: str, recipe: Any, other: set[str]
+) -> None:
+    """Whoever runs the recipe trains such a policy."""
+    made = read_manifest(find_policy(name))["metadata"]["made_by"]["settings"]
+    default = asdict(recipe.PRESETS["default"])
+    assert {key for key in made if made[key] != default[key]} == other

@@ -7,11 +7,32 @@ from pathlib import Path
 import pytest
 
 from aslip import GaitLibrary
-from aslip.errors import ConfigurationError, RenderingError, SpeedOutOfRangeError
+from aslip.errors import (
+    ConfigurationError,
+    RenderingError,
+    SpeedOutOfRangeError,
+    one_line_errors,
+)
 from aslip.library.file import read_made_by
 from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
 from benchmarks.faults import TINY
 from recipes import gait_library, ppo_aslip
+
+
+@pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])
+def test_what_a_user_can_mend_is_told_in_one_line(kind: type[Exception]) -> None:
+    with pytest.raises(SystemExit, match="error: no such thing"), one_line_errors():
+        raise kind("no such thing")
+    with pytest.raises(ZeroDivisionError), one_line_errors():
+        raise ZeroDivisionError
+
+
+def test_every_script_tells_it_so() -> None:
+    root = Path(__file__).parent.parent
+    scripts = [p.read_text() for d in ("recipes", "benchmarks") for p in (root / d).glob("*.py")]
+    programs = [text for text in scripts if "if __name__ ==" in text]
+    assert len(programs) >= 20
+    assert all("with one_line_errors():" in text for text in programs)
 
 
 def test_a_library_of_other_speeds_can_be_built(

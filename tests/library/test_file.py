@@ -233,6 +233,11 @@ def test_speeds_must_ascend(speeds: list[float]) -> None:
         build_library(speeds)
 
 
+def test_a_stride_needs_samples_to_interpolate() -> None:
+    with pytest.raises(ConfigurationError, match="samples must be 4 or more, got 3"):
+        build_library((0.5, 1.0), samples=3)
+
+
 def test_a_table_with_holes_is_refused(small: GaitLibrary) -> None:
     qpos = small.table.qpos.copy()
     qpos[0, 0, 2] = np.nan

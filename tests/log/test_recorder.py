@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from aslip.ghost import Ghost
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, check, read
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
+from aslip.provenance import commit
 from aslip.stack import default_stack
 from tests.log.conftest import MakeRecorded, run
 
@@ -335,3 +337,9 @@ def test_physics_that_a_replay_does_not_know_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"timestep of 0\.0005 s, .* is 0\.001 s"):
         env.reset()
     assert not list(tmp_path.iterdir())
+
+
+def test_a_log_names_the_code_that_made_it(recording: Recording) -> None:
+    assert recording.metadata["commit"] == (commit() or "")
+    assert recording.metadata["version/mujoco"] == mujoco.__version__
+    assert recording.metadata["version/python"] == platform.python_version()
