@@ -6,6 +6,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Iterable
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,11 +21,13 @@ def provenance() -> dict[str, Any]:
     return {
         "command": shlex.join(["python", *sys.argv]),
         "commit": commit(),
-        "versions": {
-            "python": platform.python_version(),
-            **{name: _version(name) for name in _NAMED_PACKAGES},
-        },
+        "versions": versions(_NAMED_PACKAGES),
     }
+
+
+def versions(packages: Iterable[str]) -> dict[str, str | None]:
+    """Of Python and of packages."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in packages}}
 
 
 def _version(package: str) -> str | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -139,6 +140,10 @@ class Walker:
         self.policy = policy
         self.reset(speed)
 
+    @cached_property
+    def _stack(self) -> str | None:
+        return acts_on(self.env)
+
     @property
     def policy(self) -> TensorDictModuleBase:
         """What acts; a name or path may be assigned at any time."""
@@ -147,7 +152,7 @@ class Walker:
     @policy.setter
     def policy(self, policy: TensorDictModuleBase | str | Path) -> None:
         if isinstance(policy, str | Path):
-            has = acts_on(self.env)
+            has = self._stack
             if has is not None and has != (wants := policy_stack(policy)):
                 raise ConfigurationError(
                     f"the policy {str(policy)!r} acts on the stack {wants!r}, not on {has!r}"

@@ -231,7 +231,7 @@ def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
     if not path.exists():
         return None
     kept = json.loads(path.read_text())
-    other = {name: kept[name] for name, value in budget(config).items() if kept[name] != value}
+    other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
     if other:
         raise ConfigurationError(
             f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"

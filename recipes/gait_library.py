@@ -6,11 +6,9 @@ python recipes/gait_library.py --out my_gaits.npz --speeds 0.5 0.75 1.0
 
 from __future__ import annotations
 
-import platform
 import sys
 import time
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +21,7 @@ from aslip.library import build_library
 from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.library.file import write_library
 from aslip.plots import gait_figure, gait_sheet, save_figure
+from aslip.provenance import versions
 from aslip.rom import Gait, Mode
 
 
@@ -95,8 +94,7 @@ def made_by() -> dict[str, str]:
     return {
         "command": " ".join(["python recipes/gait_library.py", *sys.argv[1:]]),
         "aslip": aslip.__version__,
-        "python": platform.python_version(),
-        **{package: version(package) for package in packages},
+        **{name: found or "" for name, found in versions(packages).items()},
     }
 
 

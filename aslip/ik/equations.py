@@ -56,7 +56,7 @@ class Equations:
     target_rotation: np.ndarray
     """(n, 2, 3, 3) wanted sole orientation, target to pelvis."""
     toes: np.ndarray
-    """(n, 2, 3) x axis of the sole, target frame: the target's is (1, 0, 0)."""
+    """(n, 2, 3) x axis of the sole, pelvis frame."""
     residual: np.ndarray
     """(n, 2, 8), rows as in the module's table."""
 
@@ -75,24 +75,27 @@ class Equations:
         frames = legs.frames(angle)
         sole, sole_to_pelvis = legs.sole_frame(frames)
         rod, length = _rod(legs, frames), legs.rod_length
-        toes = rotate_back(rotation, sole_to_pelvis[..., 0])
+        toes = sole_to_pelvis[..., 0]
         residual = np.empty((*angle.shape[:-1], EQUATIONS))
         residual[..., POSITION] = sole - position
-        residual[..., TOES] = toes[..., 1:]
+        residual[..., TOES] = rotate_back(rotation, toes)[..., 1:]
         residual[..., ACHILLES] = (dot(rod, rod) - length**2) / (2 * length)
         residual[..., PLANTAR_LOOP] = plantar_gap(legs, frames)[..., :2]
         return cls(legs, angle, frames, rotation, toes, residual)
 
     def toe_angle(self) -> np.ndarray:
         """(n, 2) angle between toes and where they should point [rad]; the residual is its sine."""
-        return np.arctan2(np.linalg.norm(self.toes[..., 1:], axis=-1), self.toes[..., 0])
+        return np.arctan2(np.linalg.norm(self.residual[..., TOES], axis=-1), self.toes_forward())
+
+    def toes_forward(self) -> np.ndarray:
+        """(n, 2) cosine of the same angle."""
+        return dot(self.target_rotation[..., 0], self.toes)
 
     def toes_jacobian(self) -> np.ndarray:
-        """(n, 2, 3, 8) derivative of the toes with respect to the hinge angles."""
-        _, sole_to_pelvis = self.legs.sole_frame(self.frames)
+        """(n, 2, 3, 8) derivative of the toes, in the target frame, with respect to the hinges."""
         jacobian = np.zeros((*self.toes.shape, len(JOINTS)))
         for joint in CHAIN:
-            rate = cross(self.frames.axis(joint), sole_to_pelvis[..., 0])
+            rate = cross(self.frames.axis(joint), self.toes)
             jacobian[..., joint] = rotate_back(self.target_rotation, rate)
         return jacobian
 

@@ -56,7 +56,7 @@ def _closest(
     for _ in range(_STEPS):
         equations = Equations.at(legs, angle, position, rotation)
         step, stopped = _bounded_step(
-            _WEIGHT * np.append(equations.residual[0, side], equations.toes[0, side, 0] - 1),
+            _WEIGHT * np.append(equations.residual[0, side], equations.toes_forward()[0, side] - 1),
             _WEIGHT[:, None]
             * np.vstack([equations.jacobian()[0, side], equations.toes_jacobian()[0, side, :1]]),
             lower - angle[0, side],

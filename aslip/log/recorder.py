@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.metadata
 import json
 import platform
 from collections.abc import Mapping
@@ -29,7 +28,7 @@ from aslip.log.frozen_model import freeze_model, model_digest
 from aslip.log.session import Session, require_one_model
 from aslip.log.writer import LogWriter
 from aslip.policy import POLICY_FILE, find_policy
-from aslip.provenance import commit
+from aslip.provenance import commit, versions
 
 JointRate = Literal["policy", "physics"]
 
@@ -171,16 +170,12 @@ class Recorder(Transform):
 
 def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str]:
     """How the log was made."""
-    versions = {
-        f"version/{name}": importlib.metadata.version(name)
-        for name in ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
-    }
+    packages = ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
     return {
         "format": messages.FORMAT,
         "version/aslip": aslip.__version__,
         "commit": commit() or "",
-        "version/python": platform.python_version(),
-        **versions,
+        **{f"version/{name}": found or "" for name, found in versions(packages).items()},
         "model_digest": model_digest(model),
         "low_level_digest": low_level_digest(),
         "gaits_sha256": hashlib.sha256(asset_path("gaits.npz").read_bytes()).hexdigest(),

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import cast
+from typing import ClassVar, cast
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
@@ -48,13 +49,15 @@ class ObservationNoise(CassieTransform):
             finite; the time constant is not positive.
     """
 
+    _reads: ClassVar[Sequence[NestedKey]] = _SENSOR_KEYS
+
     def __init__(
         self,
         levels: Mapping[str, NoiseLevel] | None = None,
         scale: float = 1.0,
         bias_time: float = 10.0,
     ) -> None:
-        super().__init__(in_keys=[*_SENSOR_KEYS], out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
+        super().__init__(in_keys=[*self._reads], out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
         if not 0 <= scale < math.inf:
             raise ConfigurationError(f"scale must be finite and 0 or more, got {scale!r}")
         if not bias_time > 0:
@@ -144,7 +147,7 @@ class ObservationNoise(CassieTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the biases."""
-        require_keys(self, observation_spec, _SENSOR_KEYS)
+        require_keys(self, observation_spec, self._reads)
         sizes = dict(zip(_BIAS_KEYS, NOISE_CHANNELS.values(), strict=True))
         return extend_spec(observation_spec, sizes)
 

@@ -11,11 +11,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.cassie.sensing import NoiseLevel
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.dynamics import parameter_named
-from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.base import CassieTransform, extend_spec
 from aslip.transforms.noise import ObservationNoise
 
 DYNAMICS_RANGES: Final = MappingProxyType(
@@ -120,19 +119,7 @@ class RandomNoise(ObservationNoise):
     before it is multiplied.
     """
 
-    def __init__(
-        self,
-        levels: Mapping[str, NoiseLevel] | None = None,
-        scale: float = 1.0,
-        bias_time: float = 10.0,
-    ) -> None:
-        super().__init__(levels, scale, bias_time)
-        self.in_keys = [*self.in_keys, _FACTOR_KEY]
+    _reads = (*ObservationNoise._reads, _FACTOR_KEY)
 
     def _scaled(self, error: Tensor, tensordict: TensorDictBase) -> Tensor:
         return cast("Tensor", tensordict[_FACTOR_KEY]).unsqueeze(-2) * error
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """See `ObservationNoise`."""
-        require_keys(self, observation_spec, [_FACTOR_KEY])
-        return super().transform_observation_spec(observation_spec)
