@@ -1,21 +1,30 @@
-"""How fast the recipe learns: on the estimate, on the truth, and with the paper's settings.
+r"""How fast the recipe learns: on the estimate, on the truth, and with the paper's settings.
 
     python -m benchmarks.learning_curves                      # train what is missing, then report
     python -m benchmarks.learning_curves --jobs 2             # two runs at once, a processor each
     python -m benchmarks.learning_curves --no-train           # report what there is
-    python -m benchmarks.learning_curves --variants estimate paper --seeds 0 1 2 3 4 5 6 7 8 9
+    python -m benchmarks.learning_curves --record docs/learning_curves.csv --no-train \
+        --variants estimate paper --seeds 0 1 2 3 4 5 6 7 8 9
 
 Each run is `recipes/ppo_aslip.py` in a folder of its own. Runs that were interrupted, with Ctrl-C
 or otherwise, go on from their last checkpoint the next time. Curves are means over seeds with
 their range.
+
+Many seeds take days, and maybe several machines. A record, `--record`, keeps the curves of runs
+that are done, without their folders: it is reported with the rest, what it holds is not trained
+again, and what else is done is added to it.
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -26,23 +35,71 @@ import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from aslip.errors import one_line_errors
+from aslip.errors import FileDamagedError, one_line_errors
 from aslip.plots import save_figure
+from aslip.policy import POLICY_FILE, read_manifest
 from aslip.run import read_progress, write_text
-from benchmarks.common import WALKING_LENGTH
+from benchmarks.common import WALKING_LENGTH, Interval, markdown
 
 VARIANTS: Final = MappingProxyType(
     {"truth": ("--truth",), "estimate": (), "paper": ("--preset", "paper")}
 )
 """Name -> flags of the recipe; the paper's settings are on the estimate, too."""
 
-_COLORS = {"truth": "black", "estimate": "tab:red", "paper": "tab:blue"}
+ROBUST_LENGTH: Final = 390
+"""Mean length of training episodes in which hardly any fall is left, of 400 [policy steps]."""
 
-Curves = dict[int, dict[str, np.ndarray]]
-"""Seed -> columns of a run's progress."""
+COLUMNS: Final = (
+    "step", "elapsed_s", "episode_length", "episode_return", "eval_return", "eval_survived",
+)  # fmt: skip
+"""Of a run's progress, those that are reported; evaluations are NaN in rows without one."""
+
+_COLORS = {"truth": "black", "estimate": "tab:red", "paper": "tab:blue"}
 
 _RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
 _POLL = 5.0  # [s]
+_THINNED = 8  # a record keeps one row of so many
+
+
+@dataclass(frozen=True)
+class Run:
+    """The progress of one training."""
+
+    variant: str
+    seed: int
+    commit: str
+    """Of the code that ended it; empty if not known, or not ended."""
+    columns: dict[str, np.ndarray]
+    """By `COLUMNS`."""
+
+    @property
+    def steps(self) -> int:
+        """Policy steps done."""
+        return int(self.columns["step"][-1])
+
+    def after(self, length: float) -> int | None:
+        """First row with episodes of such a mean length; None if there is none."""
+        found = np.flatnonzero(self.columns["episode_length"] >= length)
+        return int(found[0]) if len(found) else None
+
+    def evaluations(self) -> np.ndarray:
+        """Rows with an evaluation over all speeds."""
+        return np.flatnonzero(np.isfinite(self.columns["eval_return"]))
+
+    def thinned(self) -> Run:
+        """A few rows, with all those that the report is about."""
+        rows = {0, len(self.columns["step"]) - 1, *self.evaluations().tolist()}
+        rows |= set(range(0, len(self.columns["step"]), _THINNED))
+        rows |= {row for row in map(self.after, _LENGTHS) if row is not None}
+        kept = sorted(rows)
+        columns = {name: column[kept] for name, column in self.columns.items()}
+        return Run(self.variant, self.seed, self.commit, columns)
+
+
+Runs = dict[tuple[str, int], Run]
+"""(Variant, seed) -> a training."""
+
+_LENGTHS = (WALKING_LENGTH, ROBUST_LENGTH)
 
 
 @dataclass(frozen=True)
@@ -61,6 +118,8 @@ class Config:
     """Runs at once; more than one are bound to a processor each."""
     train: bool = True
     """Train what is missing; otherwise report what there is."""
+    record: Path | None = None
+    """Curves of runs that are done, here or elsewhere; begun if there is none."""
     picture: Path = Path("runs/learning_curves/learning_curves.png")
     """Where to draw."""
 
@@ -68,13 +127,28 @@ class Config:
 def main(config: Config) -> None:
     """Train, print and draw."""
     config.out.mkdir(parents=True, exist_ok=True)
+    recorded = read_record(config.record) if config.record else {}
     if config.train:
-        _train(config)
-    curves = {name: _curves(config, name) for name in config.variants}
-    table = report(curves)
+        _train(config, recorded)
+    found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
+    if config.record:
+        done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
+        write_record(config.record, {**recorded, **done})
+    found = {**recorded, **found}
+    runs = [found[key] for key in _wanted(config) if key in found]
+    table = report(runs)
     print(table)
     write_text(config.out / "summary.md", table + "\n")
-    save_figure(picture(curves), config.picture)
+    save_figure(picture(runs), config.picture)
+
+
+def _longer(run: Run, other: Run | None) -> bool:
+    return other is None or run.steps > other.steps
+
+
+def _wanted(config: Config) -> list[tuple[str, int]]:
+    """Variant by variant."""
+    return [(variant, seed) for variant in config.variants for seed in config.seeds]
 
 
 def _folder(config: Config, variant: str, seed: int) -> Path:
@@ -84,9 +158,11 @@ def _folder(config: Config, variant: str, seed: int) -> Path:
 # --------------------------------------------------------------------- training
 
 
-def _train(config: Config) -> None:
+def _train(config: Config, recorded: Runs) -> None:
     """Run what is missing, seed by seed, so that variants can be compared early."""
-    wanted = [(variant, seed) for seed in config.seeds for variant in config.variants]
+    done = {key for key, run in recorded.items() if run.steps >= config.total_steps}
+    wanted = [run for run in _wanted(config) if run not in done]
+    wanted.sort(key=lambda run: run[1])
     total = len(wanted) * config.total_steps
     waiting = [run for run in wanted if _steps(_folder(config, *run)) < config.total_steps]
     running: dict[int, subprocess.Popen[bytes]] = {}
@@ -129,60 +205,161 @@ def _steps(folder: Path) -> int:
     return int(steps[-1]) if steps else 0
 
 
+# ----------------------------------------------------------------------- record
+
+
+def _found(config: Config) -> Runs:
+    """Runs in the folder, done or not."""
+    runs = {}
+    for variant, seed in _wanted(config):
+        folder = _folder(config, variant, seed)
+        history = read_progress(folder)
+        if history.get("step"):
+            columns = {name: np.array(history[name]) for name in COLUMNS}
+            runs[variant, seed] = Run(variant, seed, _commit(folder), columns)
+    return runs
+
+
+def _commit(folder: Path) -> str:
+    """Of what made the policy of a run."""
+    policy = folder / POLICY_FILE
+    made_by = read_manifest(policy).get("made_by", {}) if policy.exists() else {}
+    return made_by.get("commit") or ""
+
+
+def write_record(path: Path, runs: Runs) -> None:
+    """Keep runs, a line a row of their progress."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["variant", "seed", "commit", *COLUMNS])
+    for run in (runs[key] for key in sorted(runs)):
+        about = [run.variant, run.seed, run.commit]
+        for row in zip(*(run.columns[name] for name in COLUMNS), strict=True):
+            writer.writerow([*about, *(f"{value:.7g}" for value in row)])
+    write_text(path, text.getvalue())
+
+
+def read_record(path: Path) -> Runs:
+    """Runs of a record; none if there is no file yet.
+
+    Raises:
+        FileDamagedError: it cannot be read.
+    """
+    if not path.exists():
+        return {}
+    rows: dict[tuple[str, int], list[dict[str, str]]] = {}
+    try:
+        with path.open(newline="") as file:
+            for row in csv.DictReader(file, strict=True):
+                rows.setdefault((row["variant"], int(row["seed"])), []).append(row)
+        return {
+            (variant, seed): Run(
+                variant,
+                seed,
+                lines[0]["commit"],
+                {name: np.array([float(line[name]) for line in lines]) for name in COLUMNS},
+            )
+            for (variant, seed), lines in rows.items()
+        }
+    except (csv.Error, KeyError, TypeError, ValueError) as error:
+        raise FileDamagedError(
+            f"{str(path)!r} is not a record of learning curves ({error})"
+        ) from error
+
+
 # ---------------------------------------------------------------------- reports
 
 
-def _curves(config: Config, variant: str) -> Curves:
-    histories = {seed: read_progress(_folder(config, variant, seed)) for seed in config.seeds}
-    return {
-        seed: {name: np.array(column) for name, column in history.items()}
-        for seed, history in histories.items()
-        if history.get("step")
-    }
+def report(runs: Sequence[Run]) -> str:
+    """A row for each run, when it walks and how well in the end; their means for each variant."""
+    header = ["variant", "seed", "commit", "policy steps", "minutes"]
+    header += [f"episodes of {length} after" for length in _LENGTHS]
+    header += ["length at the end", "return", "evaluation: return", "speeds walked"]
+    lines = []
+    for variant in dict.fromkeys(run.variant for run in runs):
+        group = [run for run in runs if run.variant == variant]
+        values = np.array([_numbers(run) for run in group])
+        for run, row in zip(group, values, strict=True):
+            lines.append([variant, str(run.seed), _short(run.commit), *map(_cell, row[:, None])])
+        if len(group) > 1:
+            lines.append([variant, f"{len(group)} seeds", "", *map(_cell, values.T)])
+    return markdown(header, lines)
 
 
-def report(curves: dict[str, Curves]) -> str:
-    """A row for each run: when it walks, and how well in the end."""
-    lines = [
-        f"| variant | seed | policy steps | episodes of {WALKING_LENGTH} after"
-        " | length at the end | return | evaluation: return | speeds walked |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|",
+def _short(commit: str) -> str:
+    """Seven digits, and a plus if files had changed since."""
+    return commit[:7] + "+" * commit.endswith("+")
+
+
+def _numbers(run: Run) -> list[float]:
+    """Of a row of the report; NaN for what the run did not come to."""
+    columns = run.columns
+    reached = [run.after(length) for length in _LENGTHS]
+    evaluations = run.evaluations()
+    last = evaluations[-1] if len(evaluations) else None
+    numbers = [
+        run.steps,
+        columns["elapsed_s"][-1] / 60,
+        *(math.nan if row is None else columns["step"][row] for row in reached),
+        columns["episode_length"][-1],
+        columns["episode_return"][-1],
+        math.nan if last is None else columns["eval_return"][last],
+        math.nan if last is None else 100 * columns["eval_survived"][last],
     ]
-    for variant, runs in curves.items():
-        for seed, run in runs.items():
-            walking = run["step"][run["episode_length"] >= WALKING_LENGTH]
-            evaluated = np.flatnonzero(np.isfinite(run["eval_return"]))
-            last = evaluated[-1] if len(evaluated) else -1
-            lines.append(
-                f"| {variant} | {seed} | {run['step'][-1]:.0f}"
-                f" | {f'{walking[0]:.0f}' if len(walking) else 'not yet'}"
-                f" | {run['episode_length'][-1]:.0f} | {run['episode_return'][-1]:.0f}"
-                f" | {run['eval_return'][last]:.0f} | {100 * run['eval_survived'][last]:.0f} % |"
-            )
-    return "\n".join(lines)
+    return [float(number) for number in numbers]
 
 
-def picture(curves: dict[str, Curves]) -> Figure:
-    """Length and return of training episodes, mean and range over seeds."""
-    figure = Figure(figsize=(10, 4), layout="constrained")
-    axes = figure.subplots(1, 2)
-    for axis, column in zip(axes, ("episode_length", "episode_return"), strict=True):
-        for variant, runs in curves.items():
-            if not runs:
-                continue
-            color = _COLORS[variant]
-            shortest = min(runs.values(), key=lambda run: len(run["step"]))
-            steps = shortest["step"] / 1e6
-            values = np.stack([run[column][: len(steps)] for run in runs.values()])
-            label = f"{variant}, seeds {', '.join(map(str, runs))}"
-            # the shorter on top, as curves of truth and estimate coincide
-            axis.plot(steps, values.mean(0), color=color, label=label, zorder=3 - steps[-1] / 100)
-            axis.fill_between(steps, values.min(0), values.max(0), color=color, alpha=0.25, lw=0)
-        axis.set(xlabel="million policy steps", ylabel=column.replace("_", " "), ylim=(0, 400))
+def _cell(values: np.ndarray) -> str:
+    """One run's value, or mean and interval over several: all of them, or failures would hide."""
+    if not np.isfinite(values).all():
+        return f"{np.isfinite(values).sum()} of {len(values)}" if len(values) > 1 else "not yet"
+    return Interval.of([values[i : i + 1] for i in range(len(values))]).text(0)
+
+
+def picture(runs: Sequence[Run]) -> Figure:
+    """Length and return of training episodes and of evaluations, mean and range over seeds."""
+    figure = Figure(figsize=(12, 4), layout="constrained")
+    axes = figure.subplots(1, 3)
+    for variant in dict.fromkeys(run.variant for run in runs):
+        group = [run for run in runs if run.variant == variant]
+        _draw(axes, variant, group)
+    for axis, label in zip(
+        axes, ("episode length", "episode return", "evaluation: return"), strict=True
+    ):
+        axis.set(xlabel="million policy steps", ylabel=label, ylim=(0, 400))
         axis.grid(alpha=0.3)
     handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside upper center", ncols=max(len(labels), 1))
     return figure
+
+
+def _draw(axes: np.ndarray, variant: str, runs: Sequence[Run]) -> None:
+    """One variant in all panels, as far as its shortest run goes."""
+    shortest = min(runs, key=lambda run: run.steps).columns
+    for axis, column in zip(axes, ("episode_length", "episode_return", "eval_return"), strict=True):
+        steps = shortest["step"][np.isfinite(shortest[column])]
+        values = np.stack([_at(run, column, steps) for run in runs])
+        # the shorter on top, as curves of truth and estimate coincide
+        style = {"color": _COLORS[variant], "zorder": 3 - shortest["step"][-1] / 1e8}
+        marker = "o" if column == "eval_return" else ""
+        seeds = ", ".join(str(run.seed) for run in runs)
+        axis.plot(
+            steps / 1e6,
+            values.mean(0),
+            marker=marker,
+            ms=3,
+            label=f"{variant}, seeds {seeds}",
+            **style,
+        )
+        axis.fill_between(steps / 1e6, values.min(0), values.max(0), alpha=0.25, lw=0, **style)
+
+
+def _at(run: Run, column: str, steps: np.ndarray) -> np.ndarray:
+    """Values of a column at policy steps, between those that it has."""
+    known = np.isfinite(run.columns[column])
+    if not known.any():
+        return np.full(len(steps), math.nan)
+    return np.interp(steps, run.columns["step"][known], run.columns[column][known])
 
 
 if __name__ == "__main__":

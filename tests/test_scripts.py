@@ -3,12 +3,15 @@
 import json
 import math
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from aslip import GaitLibrary
 from aslip.errors import (
     ConfigurationError,
+    FileDamagedError,
     RenderingError,
     SpeedOutOfRangeError,
     one_line_errors,
@@ -114,22 +117,88 @@ def test_the_estimator_is_measured_and_drawn(
     assert (tmp_path / "estimator.png").read_bytes().startswith(b"\x89PNG")
 
 
+def curves_of(folder: Path, walks_at: int, steps: int = 600, seed: int = 0) -> None:
+    """A run's progress: three evaluations, and the last row is being written."""
+    rng = np.random.default_rng(seed)
+    lines = ["step,elapsed_s,episode_length,episode_return,kl,eval_return,eval_survived"]
+    for step in range(10, steps + 1, 10):
+        length = 395 if step >= walks_at + 100 else 360 if step >= walks_at else 20
+        evaluation = f"{step / 2:g},1" if step % 200 == 0 else "nan,nan"
+        lines.append(f"{step},{6 * step},{length},{rng.uniform():.6g},0.01,{evaluation}")
+    folder.mkdir(parents=True)
+    (folder / "progress.csv").write_text("\n".join([*lines, f"{steps + 10},4"]))
+
+
+def curves_config(out: Path, **settings: Any) -> learning_curves.Config:
+    settings = {"total_steps": 600, "train": False, **settings}
+    return learning_curves.Config(out=out, picture=out / "curves.png", **settings)
+
+
 def test_learning_curves_are_reported_from_what_there_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    header = "step,episode_length,episode_return,eval_return,eval_survived"
-    for name, walks_at in (("truth-0", 20), ("estimate-0", 30), ("estimate-2", 90)):
-        (tmp_path / name).mkdir()
-        rows = [f"{k},{400 if k >= walks_at else 20},{k},nan,nan" for k in range(0, 60, 10)]
-        lines = [header, *rows, "60,300,250,333,1.0", "70,4"]  # the last is being written
-        (tmp_path / name / "progress.csv").write_text("\n".join(lines))
-    config = learning_curves.Config(out=tmp_path, train=False, picture=tmp_path / "curves.png")
-    learning_curves.main(config)
-    table = capsys.readouterr().out
-    assert "| truth | 0 | 60 | 20 | 300 | 250 | 333 | 100 % |" in table
-    assert "| estimate | 0 | 60 | 30 |" in table
-    assert "| estimate | 2 | 60 | not yet |" in table
+    curves_of(tmp_path / "truth-0", walks_at=230)
+    curves_of(tmp_path / "estimate-0", walks_at=240)
+    curves_of(tmp_path / "estimate-2", walks_at=550)
+    learning_curves.main(curves_config(tmp_path))
+    truth, *estimate = capsys.readouterr().out.splitlines()[2:]
+    assert truth.startswith("| truth | 0 |  | 600 | 60 | 230 | 330 | 395 |")
+    assert truth.endswith("| 300 | 100 |")
+    assert estimate[0].startswith("| estimate | 0 |  | 600 | 60 | 240 | 340 | 395 |")
+    assert estimate[1].startswith("| estimate | 2 |  | 600 | 60 | 550 | not yet | 360 |")
+    # a mean over those that succeeded would hide the other
+    assert estimate[2].startswith(
+        "| estimate | 2 seeds |  | 600 | 60 | 395 [-1574, 2364] | 1 of 2 |"
+    )
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_record_of_learning_curves_grows_over_machines_and_days(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here, there, record = tmp_path / "here", tmp_path / "there", tmp_path / "curves.csv"
+    curves_of(here / "estimate-0", walks_at=213, seed=1)
+    curves_of(here / "paper-0", walks_at=300, steps=590)  # not done
+    curves_of(there / "estimate-1", walks_at=217, seed=2)
+    settings = {"variants": ("estimate", "paper"), "seeds": (0, 1), "record": record}
+    learning_curves.main(curves_config(here, **settings))
+    assert list(learning_curves.read_record(record)) == [("estimate", 0)]
+    learning_curves.main(curves_config(there, **settings))
+    assert list(learning_curves.read_record(record)) == [("estimate", 0), ("estimate", 1)]
+
+    # it says what the runs' own files say
+    curves_of(there / "estimate-0", walks_at=213, seed=1)
+    capsys.readouterr()
+    learning_curves.main(curves_config(there, **{**settings, "record": None}))
+    from_runs = capsys.readouterr().out
+    kept = record.read_bytes()
+    learning_curves.main(curves_config(tmp_path / "nothing", **settings))
+    assert capsys.readouterr().out == from_runs
+    assert record.read_bytes() == kept
+    assert len(kept.splitlines()) < 40
+    # and what it holds is not trained again
+    estimate = {**settings, "variants": ("estimate",), "train": True}
+    learning_curves.main(curves_config(tmp_path / "nothing", **estimate))
+    assert not list((tmp_path / "nothing").glob("estimate-*"))
+
+
+def test_a_longer_run_takes_the_place_of_a_recorded_one(tmp_path: Path) -> None:
+    record = tmp_path / "curves.csv"
+    settings = {"variants": ("estimate",), "seeds": (0,), "record": record}
+    for steps in (600, 900, 700):
+        folder = tmp_path / str(steps)
+        curves_of(folder / "estimate-0", walks_at=300, steps=steps)
+        learning_curves.main(curves_config(folder, **settings))
+    assert learning_curves.read_record(record)["estimate", 0].steps == 900
+
+
+def test_a_damaged_record_of_learning_curves_is_named(tmp_path: Path) -> None:
+    record = tmp_path / "curves.csv"
+    for damage in ("variant,seed,commit,step\n", "estimate,0,abc,1\n", "estimate,zero,abc,1,1,1\n"):
+        header = f"variant,seed,commit,{','.join(learning_curves.COLUMNS)}\n"
+        record.write_text(damage + "estimate,0,abc\n" if "variant" in damage else header + damage)
+        with pytest.raises(FileDamagedError, match=r"curves\.csv"):
+            learning_curves.main(curves_config(tmp_path, record=record))
 
 
 def test_logs_are_measured_killed_cut_and_replayed(
