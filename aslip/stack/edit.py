@@ -1,0 +1,62 @@
+"""Stacks made of stacks: more, fewer, or other transforms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+from torchrl.envs.transforms import Transform
+
+from aslip.errors import UnknownNameError
+from aslip.stack.stacks import Stack
+from aslip.transforms import RandomDynamics, RandomNoise
+
+
+def randomised(stack: Stack) -> Stack:
+    """A copy of a stack whose robots differ from episode to episode.
+
+    Dynamics and, if there is sensor noise, its levels are drawn from
+    `aslip.transforms.DYNAMICS_RANGES` at each reset.
+    """
+    stack = insert_before(stack, "start", dynamics=RandomDynamics)
+    return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
+
+
+def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:
+    """A copy of a stack with more transforms, in front of the named one.
+
+    Raises:
+        UnknownNameError: the stack has no transform of that name.
+    """
+    _require_names(stack, [name])
+    longer: Stack = {}
+    for key, make in stack.items():
+        if key == name:
+            longer |= new
+        longer[key] = make
+    return longer
+
+
+def edited(
+    stack: Stack,
+    drop: Iterable[str],
+    replace: Mapping[str, Transform | Callable[[], Transform]],
+) -> dict[str, Transform | Callable[[], Transform]]:
+    """A copy of a stack without some transforms, and with something else for others.
+
+    Raises:
+        UnknownNameError: the stack has no transform of such a name.
+    """
+    drop = [drop] if isinstance(drop, str) else list(drop)
+    _require_names(stack, [*drop, *replace])
+    return {name: replace.get(name, make) for name, make in stack.items() if name not in drop}
+
+
+def _require_names(stack: Stack, names: Iterable[str]) -> None:
+    """Check that a stack has transforms of these names.
+
+    Raises:
+        UnknownNameError: it lacks one; the message has the nearest name and all others.
+    """
+    for name in names:
+        if name not in stack:
+            raise UnknownNameError.among("transform", name, stack)

@@ -1,0 +1,100 @@
+"""An environment whose transforms have names, and whose seed reaches them."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from numbers import Integral
+from typing import Any, cast
+
+import numpy as np
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import Compose, Transform
+
+from aslip.envs import CassieEnv
+from aslip.errors import ConfigurationError
+from aslip.transforms import CassieTransform
+
+
+class CassieTransformedEnv(TransformedEnv):
+    """A transformed environment whose transforms have names, and whose seed reaches them.
+
+    Args:
+        env: the environment.
+        transforms: name -> transform, first to last.
+    """
+
+    base_env: CassieEnv
+
+    def __init__(self, env: CassieEnv, transforms: Mapping[str, Transform]) -> None:
+        compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
+        super().__init__(env, compose)
+        self.transform_names = tuple(transforms)
+        self.seed: int | None = None
+        """The last seed that was set."""
+
+    @property
+    def transforms(self) -> list[Transform]:
+        """The transforms, first to last."""
+        return list(cast("Compose", self.transform))
+
+    def append_transform(
+        self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]
+    ) -> TransformedEnv:
+        """Add a transform at the end; it is named after its class."""
+        before = self.transforms
+        super().append_transform(transform)
+        return self._renamed(before)
+
+    def insert_transform(self, index: int, transform: Transform) -> TransformedEnv:
+        """Add a transform in front of another; it is named after its class."""
+        before = self.transforms
+        super().insert_transform(index, transform)
+        return self._renamed(before)
+
+    def _renamed(self, before: list[Transform]) -> TransformedEnv:
+        """This, when what came to the transforms there were `before` has names."""
+        known = {id(t): name for name, t in zip(self.transform_names, before, strict=True)}
+        names: list[str] = []
+        for transform in self.transforms:
+            name = known.get(id(transform), type(transform).__name__)
+            taken = [*known.values(), *names]
+            while id(transform) not in known and name in taken:
+                name += "_"
+            names.append(name)
+        self.transform_names = tuple(names)
+        return self
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        # transforms that draw need the number of robots, and asking TorchRL for it is slow
+        if tensordict is None:
+            tensordict = TensorDict(batch_size=self.batch_size)
+        return super()._reset(tensordict, **kwargs)
+
+    def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
+        """Seed the environment, and every transform by its name.
+
+        A transform thus draws the same numbers whichever others are dropped or replaced.
+
+        Raises:
+            ConfigurationError: it is no whole number of 0 or more.
+        """
+        if seed is not None:
+            self.seed = seed = check_seed(seed)
+            for name, transform in zip(self.transform_names, self.transforms, strict=True):
+                if isinstance(transform, CassieTransform):
+                    entropy = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
+                    transform.set_seed(int(entropy.generate_state(1)[0]))
+        return super().set_seed(seed, static_seed=static_seed)
+
+
+def check_seed(seed: object) -> int:
+    """A seed as a Python number, NumPy's included.
+
+    Raises:
+        ConfigurationError: it is no whole number of 0 or more.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
+    return int(seed)

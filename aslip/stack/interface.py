@@ -1,0 +1,66 @@
+"""What an environment is to a policy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import torch
+from torchrl.envs.transforms import RewardSum, StepCounter, Transform
+
+from aslip.library import GaitLibrary
+from aslip.stack.environment import CassieTransformedEnv
+from aslip.stack.stacks import STACKS
+from aslip.transforms import (
+    EstimatedState,
+    Fall,
+    LowReward,
+    ObservationNoise,
+    RandomDynamics,
+    ReferenceStart,
+    RewardTerm,
+    SpeedCommand,
+    TrueState,
+    WeightedReward,
+)
+
+
+def acts_on(env: CassieTransformedEnv) -> str | None:
+    """Name of the stack in `STACKS` that is the same to a policy; None if no stack is.
+
+    Which rewards there are, when episodes end, and what robots and sensors are like makes no
+    difference; what the policy observes, and what becomes of its action, does.
+    """
+    has = _interface(env.transforms)
+    for name, make in STACKS.items():
+        stack = make()
+        if has == _interface([t() for t in stack.values()]):
+            return name
+    return None
+
+
+# these change neither what a policy observes nor what becomes of its action
+_NO_INTERFACE = (
+    *(RewardTerm, WeightedReward, RewardSum, Fall, LowReward, StepCounter),
+    *(ReferenceStart, SpeedCommand, RandomDynamics, ObservationNoise, EstimatedState, TrueState),
+)
+
+
+def _interface(transforms: Iterable[Transform]) -> list[tuple[Any, ...]]:
+    """What transforms are to a policy, to be compared."""
+    kept = [t for t in transforms if not isinstance(t, _NO_INTERFACE)]
+    return [
+        (type(t), t.in_keys, t.out_keys, _motion(getattr(t, "library", None)))
+        for t in kept
+        if t.in_keys or t.out_keys  # otherwise it only looks on
+    ]
+
+
+def _motion(library: GaitLibrary | None) -> list[list[float]]:
+    """Numbers that tell a library from others: its motion at some points of the stride."""
+    if library is None:
+        return []
+    lowest, *_, highest = library.speeds.tolist()
+    points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
+    motion = library.lookup(points[:, :1], points[:, 1:])
+    return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()
