@@ -6,7 +6,7 @@
     python recipes/ppo_aslip.py --truth --out runs/truth # without noise and estimator
     python recipes/ppo_aslip.py --preset paper --out runs/paper
     python recipes/ppo_aslip.py --randomise --out runs/robust # robots that differ
-    python recipes/ppo_aslip.py --collector ray --num-collectors 8 # on a cluster: aslip/collect.py
+    python recipes/ppo_aslip.py --collector ray --num-collectors 8 # on a cluster: aslip/collect
 
 This is Green et al. 2021 from top to bottom: settings, environment, policy, PPO, evaluation. An
 ablation is a call of `main` in which `make_env` gets something else to `drop` or to `replace`.

@@ -25,6 +25,7 @@ from torchrl.objectives.value import GAE
 import aslip
 from aslip import collect
 from aslip.collect import SENT, CollectorKind, SampleCollector, make_collector
+from aslip.collect.ray import threads_each
 from aslip.errors import ConfigurationError
 from aslip.evaluation import evaluate
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, set_std
@@ -331,12 +332,12 @@ def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatc
 def test_threads_are_as_many_as_all_collectors_find_room_with(
     processors: list[int], collectors: int, threads: int
 ) -> None:
-    assert collect._threads(processors, collectors) == threads
+    assert threads_each(processors, collectors) == threads
 
 
 def test_collectors_that_a_cluster_has_no_room_for_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="at most 4, the processors of the Ray cluster"):
-        collect._threads([2, 2], 5)
+        threads_each([2, 2], 5)
 
 
 def test_a_resumed_collector_draws_other_numbers() -> None:

@@ -16,9 +16,9 @@ from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 
 import aslip
-from aslip import collect
 from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.cassie.model import TIMESTEPS
+from aslip.collect import local
 from aslip.errors import ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
 from aslip.library import GaitLibrary
@@ -192,7 +192,7 @@ def test_robots_differ_in_training_and_not_in_evaluation(
         envs.append(env)
         return evaluate(actor, env, speeds, num_steps=EVAL_STEPS)
 
-    monkeypatch.setattr(collect, "Collector", collector)
+    monkeypatch.setattr(local, "Collector", collector)
     monkeypatch.setattr(ppo_aslip, "evaluate", evaluated)
     ppo_aslip.main(replace(TINY, out=tmp_path / "run", randomise=True, **settings))
     trained, judged = envs

@@ -1,0 +1,75 @@
+"""Collectors by kind."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from typing import Literal, get_args
+
+from torch import nn
+
+from aslip.collect.base import SampleCollector
+from aslip.collect.distributed import DistributedCollectors
+from aslip.collect.local import LocalCollector
+from aslip.collect.ray import RayCollectors
+from aslip.errors import ConfigurationError
+from aslip.stack import CassieTransformedEnv
+
+CollectorKind = Literal["single", "distributed", "ray"]
+
+
+def make_collector(
+    make_env: Callable[..., CassieTransformedEnv],
+    actor: nn.Module,
+    *,
+    kind: CollectorKind = "single",
+    num_envs: int,
+    samples: int,
+    num_collectors: int = 2,
+    seed: int = 0,
+) -> SampleCollector:
+    """What yields batches of samples that the actor took, on and on.
+
+    Args:
+        make_env: of keywords `num_envs`, `seed` and `num_threads`, as `aslip.make_env`; must be
+            possible to pickle with cloudpickle, unless for `single`.
+        actor: the policy, in this process.
+        kind: where robots are, see `aslip.collect`.
+        num_envs: robots, of all collectors together.
+        samples: policy steps of a batch, of all robots together.
+        num_collectors: processes or actors to share robots out to, unless for `single`.
+        seed: of their environments and actions; those of `single` have the seed of `make_env`, and
+            torch's.
+
+    Raises:
+        ConfigurationError: unknown kind; Ray is not installed; or robots and samples cannot be
+            shared out equally.
+    """
+    if kind not in get_args(CollectorKind):
+        kinds = get_args(CollectorKind)
+        raise ConfigurationError(f"collector must be one of {kinds}, got {kind!r}")
+    if kind == "single":
+        return LocalCollector(make_env(num_envs=num_envs), actor, samples)
+    check_shares(num_envs, samples, num_collectors)
+    if kind == "ray" and importlib.util.find_spec("ray") is None:
+        raise ConfigurationError("the collector 'ray' needs Ray: pip install 'aslip[ray]'")
+    remote = DistributedCollectors if kind == "distributed" else RayCollectors
+    return remote(make_env, actor, num_envs, samples, num_collectors, seed)
+
+
+def check_shares(num_envs: int, samples: int, num_collectors: int) -> None:
+    """Check that each collector gets as many robots, and each robot as many samples.
+
+    Raises:
+        ConfigurationError: it does not.
+    """
+    if num_collectors < 1:
+        raise ConfigurationError(f"num_collectors must be 1 or more, got {num_collectors}")
+    if num_envs % num_collectors:
+        raise ConfigurationError(
+            f"num_envs must be a multiple of num_collectors = {num_collectors}, got {num_envs}"
+        )
+    if samples % num_envs:
+        raise ConfigurationError(
+            f"samples must be a multiple of num_envs = {num_envs}, got {samples}"
+        )
