@@ -48,7 +48,7 @@ from aslip.policy import policy_stack
 from aslip.sim import SimulationPool
 from aslip.stack import ON_TRUTH
 from aslip.transforms import ActionDelta
-from benchmarks.faults import quiet
+from benchmarks.faults.trainings import quiet
 from recipes import ppo_aslip
 
 _BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"

@@ -1,4 +1,4 @@
-"""What goes wrong on purpose, a few times each; `benchmarks/faults.py` does it many times."""
+"""What goes wrong on purpose, a few times each; `benchmarks.faults` does it many times."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ import aslip
 from aslip.envs import BatchCassieEnv
 from aslip.errors import AslipError, ConfigurationError
 from aslip.run import check_types, read_progress
-from benchmarks import faults
-from benchmarks.faults import TINY
+from benchmarks.faults import checkpoints, processes, simulations, strangers, suite, trainings
+from benchmarks.faults import settings as bad_settings
+from benchmarks.faults.trainings import TINY
 from recipes import ppo_aslip
 
-FEW: dict[faults.Inject, int] = {
-    faults.bad_numbers: 20,
-    faults.raises: 1,
-    faults.cuts: 5,
-    faults.flips: 5,
-    faults.losses: 2,
-    faults.full_disks: 3,
-    faults.strangers: 4,
-    faults.settings: 300,
-    faults.steps: 500,
+FEW: dict[suite.Inject, int] = {
+    simulations.bad_numbers: 20,
+    processes.raises: 1,
+    checkpoints.cuts: 5,
+    checkpoints.flips: 5,
+    checkpoints.losses: 2,
+    checkpoints.full_disks: 3,
+    strangers.strangers: 4,
+    bad_settings.settings: 300,
+    simulations.steps: 500,
 }
 
 
@@ -38,19 +39,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("faults")
 
 
-def _survived(inject: faults.Inject, count: int, folder: Path) -> int:
+def _survived(inject: suite.Inject, count: int, folder: Path) -> int:
     return inject(count, np.random.default_rng(0), folder)
 
 
 @pytest.mark.parametrize("inject", FEW, ids=lambda inject: inject.__name__)
-def test_faults_are_survived(inject: faults.Inject, folder: Path) -> None:
+def test_faults_are_survived(inject: suite.Inject, folder: Path) -> None:
     """Each is described at the function."""
     assert _survived(inject, FEW[inject], folder) == FEW[inject]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("inject", [faults.kills, faults.workers], ids=lambda f: f.__name__)
-def test_killed_processes_are_survived(inject: faults.Inject, tmp_path: Path) -> None:
+@pytest.mark.parametrize("inject", [processes.kills, processes.workers], ids=lambda f: f.__name__)
+def test_killed_processes_are_survived(inject: suite.Inject, tmp_path: Path) -> None:
     assert _survived(inject, 2, tmp_path) == 2
 
 
@@ -61,13 +62,13 @@ def _say_nothing(*args: object, **kwargs: object) -> None:
 @pytest.mark.parametrize(
     ("inject", "count", "target"),
     [
-        (faults.settings, 100, "recipes.ppo_aslip.check_types"),
-        (faults.cuts, 2, "aslip.run.torchrl_logger.warning"),
-        (faults.full_disks, 2, "aslip.run.torchrl_logger.warning"),
+        (bad_settings.settings, 100, "recipes.ppo_aslip.check_types"),
+        (checkpoints.cuts, 2, "aslip.run.torchrl_logger.warning"),
+        (checkpoints.full_disks, 2, "aslip.run.torchrl_logger.warning"),
     ],
 )
 def test_faults_that_are_not_survived_are_not_counted(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, inject: faults.Inject, count: int, target: str
+    folder: Path, monkeypatch: pytest.MonkeyPatch, inject: suite.Inject, count: int, target: str
 ) -> None:
     monkeypatch.setattr(target, _say_nothing)
     assert _survived(inject, count, folder) < count
@@ -89,7 +90,7 @@ def test_simulations_that_diverge_do_not_stop_a_training(
 
     monkeypatch.setattr(BatchCassieEnv, "_advance", spoil)
     config = replace(TINY, out=tmp_path / "run", total_steps=128)
-    faults.train(config)
+    trainings.train(config)
     progress = read_progress(config.out)
     assert progress["divergences"] == [2, 3]
     for name, column in progress.items():
@@ -103,7 +104,7 @@ def test_simulations_that_diverge_do_not_stop_a_training(
 def test_a_setting_of_a_wrong_type_is_named(field: Any) -> None:
     rng = np.random.default_rng(len(field.name))
     for _ in range(20):
-        value = faults.bad_value(field.name, rng)
+        value = bad_settings.bad_value(field.name, rng)
         with pytest.raises(ConfigurationError, match=field.name):
             replace(TINY, **{field.name: value})
 
@@ -127,20 +128,20 @@ def test_an_environment_refuses_what_is_no_setting(name: str) -> None:
 
 def test_equal_states_are_told_from_others() -> None:
     """The comparison that the other tests rest on."""
-    state = faults.Holder({"a": (1, [2.0]), "t": np.float64(3)}).state_dict()
-    assert faults.same(state, {"a": (1, [2.0]), "t": 3.0})
+    state = trainings.Holder({"a": (1, [2.0]), "t": np.float64(3)}).state_dict()
+    assert trainings.same(state, {"a": (1, [2.0]), "t": 3.0})
     for other in ({"a": (1, [2.5]), "t": 3.0}, {"a": (1, [2.0])}, {"a": (1, []), "t": 3.0}):
-        assert not faults.same(state, other)
+        assert not trainings.same(state, other)
 
 
 def test_the_benchmark_prints_a_table_and_writes_numbers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     none: dict[str, Any] = {
-        field.name: 0 for field in fields(faults.Config) if isinstance(field.default, int)
+        field.name: 0 for field in fields(suite.Config) if isinstance(field.default, int)
     }
-    config = faults.Config(**{**none, "numbers": 2, "settings": 5, "report": tmp_path / "f.json"})
-    table = faults.main(config)
+    config = suite.Config(**{**none, "numbers": 2, "settings": 5, "report": tmp_path / "f.json"})
+    table = suite.main(config)
     assert table["setting of wrong type or range"] == {"injected": 5, "survived": 5}
     assert len(table) == 2
     assert "| 5 | 5 |" in capsys.readouterr().out

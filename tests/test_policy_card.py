@@ -28,7 +28,7 @@ from aslip.policy import (
 from aslip.provenance import provenance
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from benchmarks import policy_card
-from benchmarks.faults import TINY, train
+from benchmarks.faults.trainings import TINY, train
 from benchmarks.policy_card import Config
 from recipes import ppo_aslip
 

@@ -26,8 +26,7 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.run import TrainingRun
 from aslip.stack import default_stack, randomised
 from aslip.transforms import TrueState
-from benchmarks import faults
-from benchmarks.faults import TINY, killed, resumed, train
+from benchmarks.faults.trainings import TINY, Holder, killed, resumed, same, train, updates
 from recipes import ppo_aslip
 from tests.conftest import MakeEnv, differing
 
@@ -123,8 +122,8 @@ def test_a_snapshot_stays_what_it_was(make: MakeEnv) -> None:
     before = deepcopy(kept)
     _batches(collector, 1)
     torch.nn.init.constant_(net.weight, 3.0)
-    assert faults.same(kept, before)
-    assert [n for n, state in snapshot(components).items() if faults.same(state, kept[n])] == []
+    assert same(kept, before)
+    assert [n for n, state in snapshot(components).items() if same(state, kept[n])] == []
 
 
 def test_robots_keep_their_dynamics(make: MakeEnv) -> None:
@@ -169,10 +168,10 @@ def test_a_state_is_read_as_it_was_written(tmp_path: Path) -> None:
             "none": torch.zeros(0, 3),
         },
     }
-    holder = faults.Holder()
+    holder = Holder()
     save_checkpoint(tmp_path / "file", {"state": state, "empty": {}}, {"step": 3})
     assert load_checkpoint(tmp_path / "file", {"state": holder}) == {"step": 3}
-    assert faults.same(holder.state, state)
+    assert same(holder.state, state)
     assert type(holder.state["nested"]) is tuple
 
 
@@ -203,7 +202,7 @@ def test_a_training_killed_at_a_random_moment_goes_on(
     config = replace(TINY, out=tmp_path / "run")
     entropy = int.from_bytes(os.urandom(2), "little")
     killed(config.out, entropy % 4, 0.3 * entropy / 2**16)
-    before = faults.updates(config.out)
+    before = updates(config.out)
     assert resumed(config) == undisturbed, f"killed by {entropy} after {before} updates"
 
 

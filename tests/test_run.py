@@ -21,7 +21,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from aslip import run as run_module
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.run import TrainingRun, TrainingStoppedError, peak_memory, write_text
-from benchmarks.faults import quiet
+from benchmarks.faults.trainings import quiet
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from aslip.errors import (
 )
 from aslip.library.file import read_made_by
 from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
-from benchmarks.faults import TINY
+from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
 
 
@@ -32,7 +32,7 @@ def test_what_a_user_can_mend_is_told_in_one_line(kind: type[Exception]) -> None
 
 def test_every_script_tells_it_so() -> None:
     root = Path(__file__).parent.parent
-    scripts = [p.read_text() for d in ("recipes", "benchmarks") for p in (root / d).glob("*.py")]
+    scripts = [p.read_text() for d in ("recipes", "benchmarks") for p in (root / d).rglob("*.py")]
     programs = [text for text in scripts if "if __name__ ==" in text]
     assert len(programs) >= 20
     assert all("with one_line_errors():" in text for text in programs)

@@ -1,0 +1,12 @@
+"""See the package."""
+
+from __future__ import annotations
+
+import tyro
+
+from aslip.errors import one_line_errors
+from benchmarks.faults.suite import Config, main
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(tyro.cli(Config))

@@ -1,0 +1,173 @@
+"""Tiny trainings to disturb, and whether two of them are the same."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import logging
+import subprocess
+import sys
+import time
+import zipfile
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import torch
+from torchrl import torchrl_logger
+
+from aslip.checkpoint import load_checkpoint
+from aslip.evaluation import evaluate
+from aslip.run import read_progress
+from recipes import ppo_aslip
+
+TINY = ppo_aslip.Config(
+    num_envs=8, samples=64, total_steps=512, minibatch=32, eval_interval=400, checkpoint_minutes=0
+)
+"""A training of eight updates, a checkpoint each."""
+
+SHORT_WALKS = partial(evaluate, num_steps=5)
+"""What its evaluations are."""
+
+PATIENCE = 120.0
+"""A training whose policy step is not over by then hangs [s]."""
+
+
+def train(config: ppo_aslip.Config) -> dict[str, Any]:
+    """Train, with short evaluations and without a word; returns what `fingerprint` says."""
+    with quiet(), mock.patch.object(ppo_aslip, "evaluate", SHORT_WALKS):
+        ppo_aslip.main(config)
+    return fingerprint(config.out)
+
+
+def resumed(config: ppo_aslip.Config) -> dict[str, Any]:
+    """Train on to the end."""
+    return train(replace(config, resume=True))
+
+
+def undisturbed(folder: Path) -> dict[str, Any]:
+    """What a training leaves that nothing happens to; trained once a folder."""
+    config = replace(TINY, out=folder / "undisturbed")
+    return fingerprint(config.out) if config.out.exists() else train(config)
+
+
+def fingerprint(out: Path) -> dict[str, Any]:
+    """All of a finished run that is no time: its progress, last checkpoint, and policy.
+
+    Of the global generators only torch's: those of Python and NumPy are neither seeded nor used.
+    """
+    progress = read_progress(out)
+    del progress["elapsed_s"]
+    newest = max((out / "checkpoints").glob("checkpoint-*.torchrl"))
+    with zipfile.ZipFile(newest) as archive:
+        kept = json.loads(archive.read("manifest.json"))["metadata"]
+    del kept["elapsed_s"]
+    generators = Holder()
+    load_checkpoint(newest, {"rng": generators})
+    states = {name: crc for name, crc in _checksums(newest).items() if "rng" not in name}
+    return {
+        # NaN equals NaN in text
+        "progress": json.dumps(progress),
+        "kept": kept,
+        "checkpoint": newest.name,
+        "states": states,
+        "generator": generators.state["torch_cpu"].tolist(),
+        "policy": _checksums(out / "policy.zip"),
+    }
+
+
+def _checksums(path: Path) -> dict[str, int]:
+    """Of everything in an archive but its manifest, which has the time in it."""
+    with zipfile.ZipFile(path) as archive:
+        return {
+            info.filename: info.CRC
+            for info in archive.infolist()
+            if info.filename != "manifest.json"
+        }
+
+
+_VICTIM = """
+import sys, torch
+from dataclasses import replace
+from pathlib import Path
+torch.set_num_threads(1)
+from benchmarks.faults.trainings import TINY, train
+train(replace(TINY, out=Path(sys.argv[1])))
+"""
+
+
+def killed(out: Path, after: int, delay: float) -> None:
+    """Train in a process of its own, and kill it after so many updates and a delay [s].
+
+    Raises:
+        RuntimeError: it ended, or hung, before.
+    """
+    command = [sys.executable, "-c", _VICTIM, str(out)]
+    victim = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + PATIENCE
+        while not (out / "config.json").exists() or updates(out) < after:
+            if victim.poll() is not None or time.monotonic() > until:
+                raise RuntimeError(f"the training in {out} ended or hung on its own")
+            time.sleep(0.005)
+        time.sleep(delay)
+    finally:
+        victim.kill()
+        victim.wait()
+
+
+def updates(out: Path) -> int:
+    """How many a training has told of."""
+    try:
+        return len(read_progress(out).get("step", ()))
+    except (OSError, ValueError):  # read while a row was being written
+        return 0
+
+
+def same(a: Any, b: Any) -> bool:
+    """Whether two states are equal, bit for bit."""
+    if isinstance(a, torch.Tensor):
+        return a.dtype == b.dtype and torch.equal(a, b)
+    if isinstance(a, Mapping):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return a == b
+
+
+class Holder:
+    """Something to load any state into."""
+
+    def __init__(self, state: Any = None) -> None:
+        self.state = state
+
+    def state_dict(self) -> Any:
+        """What was loaded."""
+        return self.state
+
+    def load_state_dict(self, state: Any) -> None:
+        """Keep it."""
+        self.state = state
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[list[str]]:
+    """Print nothing and show no bars; yields the list that TorchRL's log messages go to."""
+    said: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            said.append(record.getMessage())
+
+    handlers = torchrl_logger.handlers[:]
+    torchrl_logger.handlers[:] = [Listener()]
+    silence = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+            yield said
+    finally:
+        torchrl_logger.handlers[:] = handlers
