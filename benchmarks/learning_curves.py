@@ -50,7 +50,8 @@ ROBUST_LENGTH: Final = 390
 """Mean length of training episodes in which hardly any fall is left, of 400 [policy steps]."""
 
 COLUMNS: Final = (
-    "step", "elapsed_s", "episode_length", "episode_return", "eval_return", "eval_survived",
+    "step", "elapsed_s", "episode_length", "episode_return", "divergences",
+    "eval_return", "eval_survived",
 )  # fmt: skip
 """Of a run's progress, those that are reported; evaluations are NaN in rows without one."""
 
@@ -272,9 +273,10 @@ def read_record(path: Path) -> Runs:
 
 def report(runs: Sequence[Run]) -> str:
     """A row for each run, when it walks and how well in the end; their means for each variant."""
-    header = ["variant", "seed", "commit", "policy steps", "minutes"]
+    header = ["variant", "seed", "commit", "thousand steps", "minutes"]
     header += [f"episodes of {length} after" for length in _LENGTHS]
-    header += ["length at the end", "return", "evaluation: return", "speeds walked"]
+    header += ["in the end", "return", "evaluation: return", "speeds walked %"]
+    header += ["diverged"]
     lines = []
     for variant in dict.fromkeys(run.variant for run in runs):
         group = [run for run in runs if run.variant == variant]
@@ -298,13 +300,14 @@ def _numbers(run: Run) -> list[float]:
     evaluations = run.evaluations()
     last = evaluations[-1] if len(evaluations) else None
     numbers = [
-        run.steps,
+        run.steps / 1000,
         columns["elapsed_s"][-1] / 60,
-        *(math.nan if row is None else columns["step"][row] for row in reached),
+        *(math.nan if row is None else columns["step"][row] / 1000 for row in reached),
         columns["episode_length"][-1],
         columns["episode_return"][-1],
         math.nan if last is None else columns["eval_return"][last],
         math.nan if last is None else 100 * columns["eval_survived"][last],
+        columns["divergences"][-1],
     ]
     return [float(number) for number in numbers]
 
@@ -319,7 +322,7 @@ def _cell(values: np.ndarray) -> str:
 def picture(runs: Sequence[Run]) -> Figure:
     """Length and return of training episodes and of evaluations, mean and range over seeds."""
     figure = Figure(figsize=(12, 4), layout="constrained")
-    axes = figure.subplots(1, 3)
+    axes = figure.subplots(1, 3, sharex=True)
     for variant in dict.fromkeys(run.variant for run in runs):
         group = [run for run in runs if run.variant == variant]
         _draw(axes, variant, group)

@@ -118,19 +118,23 @@ def test_the_estimator_is_measured_and_drawn(
 
 
 def curves_of(folder: Path, walks_at: int, steps: int = 600, seed: int = 0) -> None:
-    """A run's progress: three evaluations, and the last row is being written."""
+    """Progress of a run of so many thousand steps; the last row is being written."""
     rng = np.random.default_rng(seed)
-    lines = ["step,elapsed_s,episode_length,episode_return,kl,eval_return,eval_survived"]
+    lines = [
+        "step,elapsed_s,episode_length,episode_return,divergences,kl,eval_return,eval_survived"
+    ]
     for step in range(10, steps + 1, 10):
         length = 395 if step >= walks_at + 100 else 360 if step >= walks_at else 20
         evaluation = f"{step / 2:g},1" if step % 200 == 0 else "nan,nan"
-        lines.append(f"{step},{6 * step},{length},{rng.uniform():.6g},0.01,{evaluation}")
+        lines.append(
+            f"{step}000,{6 * step},{length},{rng.uniform():.6g},{step // 250},0.01,{evaluation}"
+        )
     folder.mkdir(parents=True)
-    (folder / "progress.csv").write_text("\n".join([*lines, f"{steps + 10},4"]))
+    (folder / "progress.csv").write_text("\n".join([*lines, f"{steps + 10}000,4"]))
 
 
 def curves_config(out: Path, **settings: Any) -> learning_curves.Config:
-    settings = {"total_steps": 600, "train": False, **settings}
+    settings = {"total_steps": 600_000, "train": False, **settings}
     return learning_curves.Config(out=out, picture=out / "curves.png", **settings)
 
 
@@ -143,7 +147,7 @@ def test_learning_curves_are_reported_from_what_there_is(
     learning_curves.main(curves_config(tmp_path))
     truth, *estimate = capsys.readouterr().out.splitlines()[2:]
     assert truth.startswith("| truth | 0 |  | 600 | 60 | 230 | 330 | 395 |")
-    assert truth.endswith("| 300 | 100 |")
+    assert truth.endswith("| 300 | 100 | 2 |")
     assert estimate[0].startswith("| estimate | 0 |  | 600 | 60 | 240 | 340 | 395 |")
     assert estimate[1].startswith("| estimate | 2 |  | 600 | 60 | 550 | not yet | 360 |")
     # a mean over those that succeeded would hide the other
@@ -189,7 +193,7 @@ def test_a_longer_run_takes_the_place_of_a_recorded_one(tmp_path: Path) -> None:
         folder = tmp_path / str(steps)
         curves_of(folder / "estimate-0", walks_at=300, steps=steps)
         learning_curves.main(curves_config(folder, **settings))
-    assert learning_curves.read_record(record)["estimate", 0].steps == 900
+    assert learning_curves.read_record(record)["estimate", 0].steps == 900_000
 
 
 def test_a_damaged_record_of_learning_curves_is_named(tmp_path: Path) -> None:
