@@ -224,8 +224,8 @@ def _found(config: Config) -> Runs:
 def _commit(folder: Path) -> str:
     """Of what made the policy of a run."""
     policy = folder / POLICY_FILE
-    made_by = read_manifest(policy).get("made_by", {}) if policy.exists() else {}
-    return made_by.get("commit") or ""
+    about = read_manifest(policy).get("metadata", {}) if policy.exists() else {}
+    return about.get("made_by", {}).get("commit") or ""
 
 
 def write_record(path: Path, runs: Runs) -> None:

@@ -17,6 +17,7 @@ from aslip.errors import (
     one_line_errors,
 )
 from aslip.library.file import read_made_by
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
 from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
@@ -167,8 +168,12 @@ def test_a_record_of_learning_curves_grows_over_machines_and_days(
     settings = {"variants": ("estimate", "paper"), "seeds": (0, 1), "record": record}
     learning_curves.main(curves_config(here, **settings))
     assert list(learning_curves.read_record(record)) == [("estimate", 0)]
+    shape = PolicyShape()
+    actor = make_actor(RunningNormalizer(shape.observation_size), shape)
+    save_policy(there / "estimate-1" / "policy.zip", actor, shape, {"commit": "0123456789ab+"})
     learning_curves.main(curves_config(there, **settings))
     assert list(learning_curves.read_record(record)) == [("estimate", 0), ("estimate", 1)]
+    assert "| estimate | 1 | 0123456+ | 600 |" in capsys.readouterr().out
 
     # it says what the runs' own files say
     curves_of(there / "estimate-0", walks_at=213, seed=1)
