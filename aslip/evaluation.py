@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import torch
@@ -13,6 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from aslip.cassie import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.errors import ConfigurationError
 from aslip.stack import MAX_EPISODE_STEPS, CassieTransformedEnv
+from aslip.transforms import SpeedCommand
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ def evaluate(
 ) -> list[WalkResult]:
     """Walk once at each speed, from phase 0, without exploration noise.
 
+    The speed is kept, also where the environment's `SpeedCommand` would change it on the way.
+
     Args:
         policy: maps the environment's tensordict to `action`.
         env: as many robots as there are speeds.
@@ -68,7 +73,7 @@ def evaluate(
     steps = torch.zeros(len(speeds))
     total, force = torch.zeros(len(speeds)), torch.zeros(len(speeds))
     terms: dict[str, torch.Tensor] = {}
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
+    with set_exploration_type(ExplorationType.DETERMINISTIC), _commands_kept(env):
         for _ in range(num_steps):
             after = env.step(policy(td))["next"]
             steps += alive
@@ -97,13 +102,27 @@ def evaluate(
     ]
 
 
+@contextmanager
+def _commands_kept(env: CassieTransformedEnv) -> Iterator[None]:
+    """Let no command change by itself."""
+    commands = [t for t in env.transforms if isinstance(t, SpeedCommand)]
+    intervals = [command.interval for command in commands]
+    for command in commands:
+        command.interval = math.inf
+    try:
+        yield
+    finally:
+        for command, interval in zip(commands, intervals, strict=True):
+            command.interval = interval
+
+
 def walk_table(results: Sequence[WalkResult]) -> str:
     """The results as a Markdown table, one row a speed, and a line that sums them up."""
     names = list(results[0].terms)
     header = ["command m/s", "steps", "return", "speed m/s", "drift m", "force/weight", *names]
     rows = [
         [
-            f"{r.speed:.1f}",
+            str(round(r.speed, 3)),
             f"{r.steps}" + ("" if r.survived else " fell"),
             f"{r.total:.1f}",
             f"{r.mean_speed:.3f}",

@@ -53,7 +53,7 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
     axes.set_zlabel("z [m]")
     axes.view_init(elev=16, azim=-72)
     figure.legend(handles=_gait_legend(), loc="center left", fontsize=8)
-    axes.set_title(f"Optimal actuated-SLIP gait at {gait.speed:.1f} m/s")
+    axes.set_title(f"Optimal actuated-SLIP gait at {round(gait.speed, 3)} m/s")
     return figure
 
 

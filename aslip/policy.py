@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -33,8 +33,14 @@ from torchrl.modules import (
 )
 
 from aslip.assets import asset_path
-from aslip.errors import AssetError, ConfigurationError, FileDamagedError
-from aslip.symmetry import Symmetrised, action_mirror, observation_mirror
+from aslip.errors import (
+    AssetError,
+    ConfigurationError,
+    FileDamagedError,
+    ShapeError,
+    UnknownNameError,
+)
+from aslip.symmetry import Mirror, Symmetrised, action_mirror, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 
 # normalised inputs further out than this are cut off: a fall must not shout down the rest
@@ -101,7 +107,16 @@ class RunningNormalizer(nn.Module):
         self._scale.copy_((self.variance + _EPSILON**2).rsqrt().clamp(max=1 / _EPSILON))
 
     def forward(self, values: Tensor) -> Tensor:
-        """Normalised (*b, size) values."""
+        """Normalised (*b, size) values.
+
+        Raises:
+            ShapeError: there is another number of values.
+        """
+        if values.shape[-1] != len(self._offset):
+            raise ShapeError(
+                f"a policy that reads {len(self._offset)} numbers was shown {values.shape[-1]}: it"
+                " belongs to another stack of transforms"
+            )
         return ((values - self._offset) * self._scale).clamp(-_CLIP, _CLIP)
 
 
@@ -119,6 +134,10 @@ def make_actor(
         shape: sizes, standard deviation, symmetry.
         observation: keys of the observation's entries, of which a symmetric policy knows mirror
             images.
+
+    Raises:
+        ConfigurationError: a symmetric policy would observe more or less than these entries.
+        UnknownNameError: it does not know how the mirror image of an entry looks.
     """
     shape = shape or PolicyShape()
     net = MLP(
@@ -140,7 +159,7 @@ def make_actor(
     )
     layers: list[nn.Module] = [normalizer, net]
     if shape.symmetric:
-        mirrors = observation_mirror(observation), action_mirror()
+        mirrors = _mirror_of(shape, observation), action_mirror()
         layers = [Symmetrised(nn.Sequential(*layers), *mirrors)]
     return ProbabilisticActor(
         TensorDictModule(
@@ -187,8 +206,19 @@ def make_critic(
     )
     value: nn.Module = nn.Sequential(normalizer, net, _Scale(scale))
     if shape.symmetric:
-        value = Symmetrised(value, observation_mirror(observation))
+        value = Symmetrised(value, _mirror_of(shape, observation))
     return ValueOperator(value, in_keys=["observation"])
+
+
+def _mirror_of(shape: PolicyShape, observation: Sequence[NestedKey]) -> Mirror:
+    mirror = observation_mirror(observation)
+    if len(mirror.index) != shape.observation_size:
+        raise ConfigurationError(
+            f"the observation has {shape.observation_size} numbers, and the entries whose mirror"
+            f" images are known have {len(mirror.index)}; a policy that is not symmetric"
+            " (--no-symmetric) needs none"
+        )
+    return mirror
 
 
 class _Scale(nn.Module):
@@ -222,7 +252,7 @@ def save_policy(
     card = {
         "shape": asdict(shape),
         "stack": stack,
-        "observation": _entry_names(observation),
+        "observation": entry_names(observation),
         "made_by": dict(made_by or {}),
     }
     Checkpoint(actor=actor).save(path, format="archive", metadata=card)
@@ -239,22 +269,23 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: it expects another observation than this version of the package gives.
+        ConfigurationError: the stack it was trained on, one of `aslip.stack.STACKS`, gives another
+            observation in this version of the package.
     """
     path = find_policy(name_or_path)
     card = read_manifest(path).get("metadata", {})
     try:
         shape = PolicyShape(**{**card["shape"], "hidden": tuple(card["shape"]["hidden"])})
-        observation = card["observation"]
+        names = [str(name) for name in card["observation"]]
     except (KeyError, TypeError) as error:
         raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
-    known = [(_entry_names(table), table) for table in (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE)]
-    table = next((table for names, table in known if names == observation), None)
-    if table is None:
+    known = [entry_names(table) for table in (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE)]
+    if card.get("stack", "paper") is not None and names not in known:
         raise ConfigurationError(
-            f"the policy {str(path)!r} expects the observation {observation}; this version of aslip"
-            f" gives {' or '.join(str(names) for names, _ in known)}"
+            f"the policy {str(path)!r} expects the observation {names}; this version of aslip"
+            f" gives {' or '.join(map(str, known))}"
         )
+    table = [unravel_key(tuple(name.split("/"))) for name in names]
     actor = make_actor(RunningNormalizer(shape.observation_size), shape, table)
     load_components(path, actor=actor)
     # nothing differentiates through a simulator: without this, rollouts would carry graphs along
@@ -280,6 +311,20 @@ def policy_stack(name_or_path: str | Path) -> str:
     return stack
 
 
+def policy_observation(name_or_path: str | Path) -> list[str]:
+    """Entries of the observation that a policy was trained on, such as "estimate/height".
+
+    Raises:
+        AssetError: there is no such policy.
+        FileDamagedError: it is truncated, altered, or no policy.
+    """
+    path = find_policy(name_or_path)
+    try:
+        return list(read_manifest(path)["metadata"]["observation"])
+    except (KeyError, TypeError) as error:
+        raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
+
+
 def find_policy(name_or_path: str | Path) -> Path:
     """The file of a policy: given, inside the folder of a run, or shipped.
 
@@ -294,9 +339,12 @@ def find_policy(name_or_path: str | Path) -> Path:
     try:
         return asset_path(f"policies/{name_or_path}.zip")
     except AssetError:
+        folder = asset_path("policies/aslip.zip").parent
+        shipped = sorted(policy.stem for policy in folder.glob("*.zip"))
+        hint = UnknownNameError.among("shipped policy", str(name_or_path), shipped)
         raise AssetError(
             f"no policy {str(name_or_path)!r}: it is neither a file, nor the folder of a run with"
-            f" a {POLICY_FILE}, nor the name of a shipped policy"
+            f" a {POLICY_FILE}, and there is {hint}"
         ) from None
 
 
@@ -345,6 +393,7 @@ def _damaged(path: Path, error: Exception) -> FileDamagedError:
     return FileDamagedError(f"{str(path)!r} is no intact policy ({type(error).__name__}: {error})")
 
 
-def _entry_names(table: Sequence[NestedKey]) -> list[str]:
+def entry_names(table: Iterable[NestedKey]) -> list[str]:
+    """Keys of an observation's entries as in a policy's card, such as "estimate/height"."""
     keys = [unravel_key(key) for key in table]
     return [key if isinstance(key, str) else "/".join(map(str, key)) for key in keys]

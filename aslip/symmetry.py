@@ -15,7 +15,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
 from aslip.cassie import JOINT_NAMES, MOTOR_NAMES, mirror_name
-from aslip.errors import UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.transforms import OBSERVATION_TABLE
 
 # mirrored at the xz plane: vectors turn their y; axial vectors (rates of rotation, and a
@@ -52,6 +52,9 @@ class Mirror(nn.Module):
         names: one name an element.
         partners: for each element the name of the element it becomes.
         signs: for each element the sign it gets.
+
+    Raises:
+        ConfigurationError: a name comes twice, or the mirror image of the mirror image is another.
     """
 
     index: Tensor
@@ -62,11 +65,26 @@ class Mirror(nn.Module):
     ) -> None:
         super().__init__()
         place = {name: i for i, name in enumerate(names)}
+        lacking = sorted(set(partners) - set(place))
+        if len(place) < len(names) or lacking:
+            twice = sorted({name for name in names if names.count(name) > 1})
+            raise ConfigurationError(
+                f"no mirror image: {f'{twice} come twice' if twice else f'there is no {lacking}'}"
+            )
         self.register_buffer("index", torch.tensor([place[partner] for partner in partners]))
         self.register_buffer("sign", torch.tensor(signs))
 
     def forward(self, values: Tensor) -> Tensor:
-        """Mirror image of (*b, k) values."""
+        """Mirror image of (*b, k) values.
+
+        Raises:
+            ShapeError: there is another number of values.
+        """
+        if values.shape[-1] != len(self.index):
+            raise ShapeError(
+                f"a policy that reads {len(self.index)} numbers was shown {values.shape[-1]}: it"
+                " belongs to another stack of transforms"
+            )
         return values[..., self.index] * self.sign
 
 
@@ -105,6 +123,7 @@ def observation_mirror(table: Sequence[NestedKey] = OBSERVATION_TABLE) -> Mirror
 
     Raises:
         UnknownNameError: it is not known how an entry's mirror image looks.
+        ConfigurationError: an entry comes twice, or one of the left has none of the right.
     """
     names: list[str] = []
     partners: list[str] = []
@@ -113,8 +132,10 @@ def observation_mirror(table: Sequence[NestedKey] = OBSERVATION_TABLE) -> Mirror
         entry = key if isinstance(key, str) else str(key[-1])
         parts, entry_signs = _entry(entry)
         swapped = mirror_name(entry) if entry.startswith(("left_", "right_")) else entry
-        names += [f"{entry}/{part}" for part in parts]
-        partners += [f"{swapped}/{_mirrored_part(part)}" for part in parts]
+        # entries of two sources may have the same name
+        source = "" if isinstance(key, str) else "/".join(map(str, key[:-1]))
+        names += [f"{source}/{entry}/{part}" for part in parts]
+        partners += [f"{source}/{swapped}/{_mirrored_part(part)}" for part in parts]
         signs += entry_signs
     return Mirror(names, partners, signs)
 
@@ -126,7 +147,8 @@ def _entry(entry: str) -> tuple[Sequence[str], list[float]]:
             return members, _turns(members)
     if entry not in _SIGNS:
         raise UnknownNameError(
-            f"no mirror image is known for {entry!r}; known are motor_*, joint_* and {list(_SIGNS)}"
+            f"no mirror image is known for {entry!r}, known are motor_*, joint_* and"
+            f" {list(_SIGNS)}; a policy that is not symmetric (--no-symmetric) needs none"
         )
     return [str(i) for i in range(len(_SIGNS[entry]))], list(_SIGNS[entry])
 

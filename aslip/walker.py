@@ -17,8 +17,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.policy import load_policy, policy_stack
-from aslip.stack import EPISODE_ENDS, CassieTransformedEnv, acts_on, make_env
+from aslip.policy import entry_names, load_policy, policy_observation, policy_stack
+from aslip.stack import EPISODE_ENDS, CassieTransformedEnv, acts_on, make_env, observed
 
 
 @dataclass(frozen=True)
@@ -156,6 +156,12 @@ class Walker:
             if has is not None and has != (wants := policy_stack(policy)):
                 raise ConfigurationError(
                     f"the policy {str(policy)!r} acts on the stack {wants!r}, not on {has!r}"
+                )
+            if has is None and (seen := entry_names(observed(self.env))) != (
+                needed := policy_observation(policy)
+            ):
+                raise ConfigurationError(
+                    f"the policy {str(policy)!r} observes {needed}, the environment shows {seen}"
                 )
             policy = load_policy(policy)
         self._policy = policy

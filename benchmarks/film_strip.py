@@ -166,8 +166,8 @@ def draw(stride: Stride, config: Config) -> Figure:
     rows[1].set_xticks((np.arange(count) + 0.5) * config.width, labels, fontsize=13)
     rows[1].tick_params(length=0)
     rows[0].set_title(
-        f"one stride at {config.speed:.1f} m/s, from left lift-off; left leg blue, right leg red,"
-        " pale in swing",
+        f"one stride at {round(config.speed, 3)} m/s, from left lift-off;"
+        " left leg blue, right leg red, pale in swing",
         fontsize=14,
     )
     return figure

@@ -140,7 +140,7 @@ def table(measured: dict[float, list[Placement]]) -> str:
         published = next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), np.nan)
         rows.append(
             [
-                f"{speed:.1f}",
+                str(round(speed, 3)),
                 error.text(1, 100),
                 f"{100 * np.mean([p.error.std() for p in placements]):.1f}",
                 f"{100 * forward.mean:+.1f}",

@@ -156,14 +156,14 @@ def table(rows: list[dict[str, Any]]) -> str:
             if not found:
                 continue
             if not walked:
-                cells.append([method, f"{speed:.1f}", found[0]["failed"], *[""] * 5])
+                cells.append([method, str(round(speed, 3)), found[0]["failed"], *[""] * 5])
                 continue
             mean = {k: np.mean([r[k] for r in walked]) for k in walked[0] if k in _NUMBERS}
             ratios = [row["dip_ratio"] for row in walked]
             cells.append(
                 [
                     method,
-                    f"{speed:.1f}",
+                    str(round(speed, 3)),
                     f"{mean['humps']:.1f}",
                     f"{mean['dip_ratio']:.2f} [{min(ratios):.2f}, {max(ratios):.2f}]",
                     f"{mean['duration']:.3f}",
@@ -197,7 +197,7 @@ def picture(config: Config, curves: dict[tuple[str, float], Curve], library: Gai
                 axis.plot(share, found.mean, color=color, label=method)
                 low, high = found.mean - found.std, found.mean + found.std
                 axis.fill_between(share, low, high, color=color, alpha=0.25, lw=0)
-        axis.set(title=f"{speed:.1f} m/s", xlabel="stride from touchdown", xlim=(0, 1))
+        axis.set(title=f"{round(speed, 3)} m/s", xlabel="stride from touchdown", xlim=(0, 1))
         axis.set_ylim(0, _LARGEST_SHOWN)
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("vertical force of one foot [N]")

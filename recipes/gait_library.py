@@ -1,7 +1,7 @@
 """Rebuild the gait library from nothing: optimise, solve the inverse kinematics, store, draw.
 
 python recipes/gait_library.py --pictures docs/images    # the 21 that ship in assets/
-python recipes/gait_library.py --out my_gaits.npz --speeds 0.5 0.75 1.0
+python recipes/gait_library.py --out runs/my_gaits.npz --speeds 0.5 0.75 1.0
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import tyro
 from tqdm import tqdm
 
 import aslip
-from aslip.errors import one_line_errors
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.library import build_library
 from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.library.file import write_library
@@ -40,6 +40,15 @@ class Config:
     figure_speed: float = 1.0
     """Speed of the gait to draw in space [m/s]; the nearest there is."""
 
+    def __post_init__(self) -> None:
+        """Check that nobody loses what ships by a slip."""
+        usual = Config.speeds, Config.samples
+        if self.out == Config.out and (self.speeds, self.samples) != usual:
+            raise ConfigurationError(
+                f"{str(self.out)!r} is the library that ships, of other speeds and samples; give"
+                " another file with --out"
+            )
+
 
 def main(config: Config) -> None:
     """Build, store, print and draw."""
@@ -48,7 +57,7 @@ def main(config: Config) -> None:
     with tqdm(total=len(config.speeds), desc="gaits", unit="gait") as bar:
 
         def progress(index: int, count: int, gait: Gait) -> None:
-            bar.set_postfix_str(f"{gait.speed:.1f} m/s, stride {gait.stride:.3f} s")
+            bar.set_postfix_str(f"{gait.speed:.3g} m/s, stride {gait.stride:.3f} s")
             bar.update()
 
         gaits, table = build_library(config.speeds, samples=config.samples, progress=progress)
@@ -77,7 +86,7 @@ def gait_table(gaits: list[Gait]) -> str:
         height, sway = gait.body_position[:, 2], np.ptp(gait.body_position[:, 1]) / 2
         least = gait.leg_force[gait.mode == Mode.LEFT, 0].min()
         rows.append(
-            f"{gait.speed:4.1f}  {gait.stride:.4f}  {gait.double_stance:.4f}"
+            f"{round(gait.speed, 3)!s:>4}  {gait.stride:.4f}  {gait.double_stance:.4f}"
             f"  {gait.step_length:.3f}  {height.min():.4f}  {height.max():.4f}"
             f"  {1e3 * sway:4.1f}  {gait.leg_force.max():5.1f}"
             f"  {least:5.1f}  {gait.cost:7.2f}  {certificate.kkt_residual:.0e}"

@@ -28,7 +28,6 @@ from typing import Any, Literal, cast
 import torch
 import tyro
 from tensordict import TensorDict
-from tensordict.utils import NestedKey
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
@@ -51,8 +50,17 @@ from aslip.policy import (
 )
 from aslip.provenance import provenance
 from aslip.run import TrainingRun, check_types, peak_memory, write_text
-from aslip.stack import ON_TRUTH, STACKS, CassieTransformedEnv, RewardSource, acts_on, randomised
-from aslip.transforms import AssembleObservation, SpeedCommand
+from aslip.stack import (
+    ON_TRUTH,
+    STACKS,
+    CassieTransformedEnv,
+    RewardSource,
+    acts_on,
+    commanded,
+    observed,
+    randomised,
+)
+from aslip.transforms import SpeedCommand
 
 
 @dataclass(frozen=True)
@@ -186,7 +194,9 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         edits["drop"] = [*edits["drop"], *ON_TRUTH["drop"]]
         edits["replace"] = {**edits["replace"], **ON_TRUTH["replace"]}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
-    speeds = commanded_speeds(task)
+    probe = aslip.make_env(**copy.deepcopy(task))
+    speeds = commanded(probe)
+    probe.close()
     # a transform that was given as it is belongs to one environment only
     eval_env = aslip.make_env(num_envs=len(speeds), **copy.deepcopy(task))
 
@@ -256,6 +266,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
                 normalizer.update(data["observation"])
                 continue
             results = []
+            check_rewards(data)
             with torch.no_grad():
                 advantage(data)
             for group in optimizer.param_groups:
@@ -326,14 +337,6 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     return results
 
 
-def commanded_speeds(task: Mapping[str, Any]) -> list[float]:
-    """What the environment may command [m/s]."""
-    env = aslip.make_env(**copy.deepcopy(dict(task)))
-    command = next(t for t in env.transforms if isinstance(t, SpeedCommand))
-    env.close()
-    return [round(speed, 6) for speed in command.speeds.tolist()]
-
-
 def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
     """What training has and evaluation has not: coarse physics, other robots."""
     edits: dict[str, Any] = {"timestep": TIMESTEPS[config.coarse]}
@@ -352,6 +355,13 @@ def training_env(command_interval: float, **settings: Any) -> CassieTransformedE
         if isinstance(transform, SpeedCommand) and command_interval:
             transform.interval = min(transform.interval, command_interval)
     return env
+
+
+def check_rewards(data: TensorDict) -> None:
+    """Raise FloatingPointError if a term of the reward is no number, which all would learn from."""
+    for name, term in data["next", "reward_terms"].items():
+        if not term.isfinite().all():
+            raise FloatingPointError(f"the reward term {name!r} is not finite for some robots")
 
 
 def update(
@@ -394,11 +404,6 @@ def std(config: Config, step: int) -> float:
 def _falling(config: Config, step: int, first: float, last: float) -> float:
     share = (step / config.total_steps - config.fall_after) / (1 - config.fall_after)
     return first * (last / first) ** min(max(share, 0.0), 1.0)
-
-
-def observed(env: CassieTransformedEnv) -> list[NestedKey]:
-    """Keys of the entries of an environment's observation, in order."""
-    return next(list(t.in_keys) for t in env.transforms if isinstance(t, AssembleObservation))
 
 
 def evaluated(

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
 
+import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
-from aslip.evaluation import evaluate, walk_table
+from aslip.evaluation import WalkResult, evaluate, walk_table
+from aslip.library import GaitLibrary
+from aslip.transforms import SpeedCommand
 from tests.conftest import MakeEnv
 
 SPEEDS = [0.0, 1.0, 2.0]
@@ -70,3 +75,22 @@ def test_the_table_marks_who_fell(make: MakeEnv) -> None:
     results = evaluate(_still(), make(num_envs=3), SPEEDS, num_steps=40)
     table = walk_table(results)
     assert table.count(" fell |") == sum(not result.survived for result in results) > 0
+
+
+def test_a_speed_is_kept_though_the_environment_would_change_it(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    policy, speeds = aslip.load_policy("aslip"), [0.0, 1.0, 2.0]
+    restless = SpeedCommand(library, interval=0.06)
+    found = [
+        evaluate(policy, make(num_envs=3, replace=edits), speeds, num_steps=20)
+        for edits in ({}, {"command": restless})
+    ]
+    assert found[0] == found[1]
+    assert restless.interval == 0.06
+
+
+def test_the_table_does_not_round_speeds_to_others() -> None:
+    result = WalkResult(0.25, 400, True, 1.0, 0.2, 0.0, 1.0, {})
+    assert "| 0.25 |" in walk_table([result])
+    assert "| 1.0 |" in walk_table([replace(result, speed=1.0)])

@@ -15,7 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 import aslip
 from aslip import policy as policy_module
-from aslip.errors import AssetError, ConfigurationError, FileDamagedError
+from aslip.errors import AssetError, ConfigurationError, FileDamagedError, ShapeError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, save_policy
 from tests.conftest import MakeEnv
 
@@ -321,3 +321,24 @@ def test_a_policy_of_a_stack_without_a_name_is_said_to_be_one(tmp_path: Path) ->
     with pytest.raises(ConfigurationError, match="a stack of its own"):
         policy_module.policy_stack(path)
     assert aslip.load_policy(path)
+
+
+def test_a_policy_says_when_it_is_shown_something_else(make: MakeEnv) -> None:
+    with pytest.raises(ShapeError, match="reads 64 numbers was shown 49"):
+        make(stack="single_reference").rollout(2, aslip.load_policy("aslip"))
+    with pytest.raises(ShapeError, match="reads 49 numbers was shown 64"):
+        make().rollout(2, aslip.load_policy("single_reference"))
+
+
+def test_a_symmetric_policy_must_know_all_that_it_observes() -> None:
+    """Frames stacked by another transform, for one."""
+    shape = PolicyShape(192, symmetric=True)
+    for make_net in (make_actor, make_critic):
+        with pytest.raises(ConfigurationError, match=r"192.*have 64.*no-symmetric"):
+            make_net(RunningNormalizer(192), shape)
+    make_actor(RunningNormalizer(192), PolicyShape(192))
+
+
+def test_a_misspelt_policy_is_answered_with_the_nearest() -> None:
+    with pytest.raises(AssetError, match=r"did you mean 'aslip'.*'robust'"):
+        aslip.load_policy("asslip")

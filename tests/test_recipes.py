@@ -14,17 +14,30 @@ import pytest
 import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
+from torchrl.data import Composite
+from torchrl.envs.transforms import Transform
 
 import aslip
 from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.cassie.model import TIMESTEPS
 from aslip.collect import local
-from aslip.errors import ConfigurationError
+from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
 from aslip.library import GaitLibrary
 from aslip.policy import policy_stack, read_manifest
 from aslip.rewards import PAPER_WEIGHTS
-from aslip.transforms import ObservationNoise, RandomNoise, SpeedCommand, WeightedReward
+from aslip.run import TrainingStoppedError
+from aslip.transforms import (
+    OBSERVATION_TABLE,
+    AssembleObservation,
+    CassieTransform,
+    ObservationNoise,
+    RandomNoise,
+    RewardTerm,
+    SpeedCommand,
+    WeightedReward,
+)
+from aslip.transforms.base import extend_spec
 from aslip.walker import Walker
 from recipes import ablate, ppo_aslip
 from recipes.ppo_aslip import Config
@@ -272,13 +285,14 @@ def test_own_commands_are_trained_and_evaluated(
     seen: set[float] = set()
 
     class Watched(SpeedCommand):
-        def _draw(self, tensordict: TensorDictBase) -> torch.Tensor:
-            drawn = super()._draw(tensordict)
+        def draw(self, shape: tuple[int, ...]) -> torch.Tensor:
+            drawn = super().draw(shape)
             seen.update(drawn.flatten().tolist())
             return drawn
 
     config = replace(TINY, out=tmp_path, total_steps=64, command_interval=0.06)
-    command = Watched(library, speeds=[0.25, 0.5, 1.0])
+    # a speed may come twice, to be drawn more often
+    command = Watched(library, speeds=[0.25, 0.5, 0.5, 1.0])
     results = ppo_aslip.main(config, {"replace": {"command": command}})
     assert [r.speed for r in results] == [0.25, 0.5, 1.0]
     assert seen == {0.25, 0.5, 1.0}
@@ -295,3 +309,50 @@ def test_a_policy_of_an_edited_stack_is_not_taken_for_one_of_the_default(tmp_pat
         Walker(tmp_path / "absolute")
     env = aslip.make_env(**absolute, num_threads=1)
     Walker(tmp_path / "absolute", env).step()
+
+
+def test_a_policy_of_another_observation_goes_where_there_is_one(tmp_path: Path) -> None:
+    table = (*OBSERVATION_TABLE, ("reference", "motor_position"), "command")
+    edits: dict[str, Any] = {"replace": {"observation": partial(AssembleObservation, table)}}
+    ppo_aslip.main(replace(TINY, out=tmp_path, total_steps=64), edits)
+    Walker(tmp_path, aslip.make_env(**edits, num_threads=1)).step()
+    edits["drop"] = ["noise"]
+    Walker(tmp_path, aslip.make_env(**edits, num_threads=1)).step()
+    clock = ablate.VARIANTS["no_model_inputs"].edits()
+    with pytest.raises(ConfigurationError, match=r"observes .*the environment shows .*clock/sin"):
+        Walker(tmp_path, aslip.make_env(**clock, num_threads=1))
+
+
+@pytest.mark.parametrize("name", ["command", "observation"])
+def test_a_stack_without_what_the_recipe_needs_is_refused(tmp_path: Path, name: str) -> None:
+    def nothing() -> Transform:
+        return Named(name)
+
+    with pytest.raises(AslipError, match=r"lacks a SpeedCommand|observation|phase and command"):
+        ppo_aslip.main(replace(TINY, out=tmp_path), {"replace": {name: nothing}})
+
+
+class Named(CassieTransform):
+    """Writes a key of ones, at resets and at steps."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__([], [name])
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        return self._call(self._request(tensordict))
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        ones = torch.ones(*next_tensordict.batch_size, 1)
+        return next_tensordict.set(self.out_keys[0], ones)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
+
+
+def test_a_reward_that_is_no_number_is_named(tmp_path: Path) -> None:
+    def root(orientation: torch.Tensor) -> torch.Tensor:
+        return (orientation[..., :1] - 2).sqrt()
+
+    term = partial(RewardTerm, "foot_orient", root, [("truth", "pelvis_orientation")])
+    with pytest.raises(TrainingStoppedError, match="'foot_orient' is not finite"):
+        ppo_aslip.main(replace(TINY, out=tmp_path), {"replace": {"foot_orient": term}})

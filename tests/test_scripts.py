@@ -56,6 +56,11 @@ def test_a_library_of_other_speeds_can_be_built(
     assert " 0.8025 " in table
 
 
+def test_the_shipped_library_is_not_replaced_by_another() -> None:
+    with pytest.raises(ConfigurationError, match=r"give another file with --out"):
+        gait_library.Config(speeds=(0.5, 1.0))
+
+
 def test_a_library_of_impossible_speeds_leaves_no_file(tmp_path: Path) -> None:
     config = gait_library.Config(out=tmp_path / "mine.npz", speeds=(0.5, 9.0), pictures=tmp_path)
     with pytest.raises(SpeedOutOfRangeError, match="9"):

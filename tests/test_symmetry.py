@@ -1,12 +1,14 @@
 """The mirror image of a walk is a walk."""
 
+from typing import Any
+
 import pytest
 import torch
 
 from aslip import GaitLibrary, make_env
-from aslip.errors import UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.symmetry import Symmetrised, action_mirror, observation_mirror
-from aslip.transforms import SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
+from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
 
 
 def test_mirroring_twice_changes_nothing() -> None:
@@ -66,3 +68,30 @@ def test_clock_and_command_have_mirror_images() -> None:
     mirror = observation_mirror(SINGLE_REFERENCE_TABLE)
     image = mirror(torch.arange(49.0))
     assert image[46:].tolist() == [-46.0, -47.0, 48.0]
+
+
+def test_entries_of_two_sources_may_have_the_same_name() -> None:
+    table = (*OBSERVATION_TABLE, ("reference", "motor_position"))
+    mirror = observation_mirror(table)
+    values = torch.randn(74)
+    torch.testing.assert_close(mirror(mirror(values)), values)
+    # motors are at 14 of the estimate, and last
+    assert mirror.index[14:24].tolist() == [*range(19, 24), *range(14, 19)]
+    assert mirror.index[64:].tolist() == [*range(69, 74), *range(64, 69)]
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (["command", "command"], "twice"),
+        ([("reference", "left_foot_position")], "there is no .*right_foot_position"),
+    ],
+)
+def test_tables_without_a_mirror_image_are_refused(table: list[Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        observation_mirror(table)
+
+
+def test_an_observation_of_another_size_is_told_of() -> None:
+    with pytest.raises(ShapeError, match="reads 64 numbers was shown 49"):
+        observation_mirror()(torch.zeros(49))

@@ -149,7 +149,9 @@ def read_made_by(path: Path) -> dict[str, str]:
 def _read(path: Path) -> dict[str, np.ndarray]:
     """All arrays of a file whose hash is right."""
     if not path.is_file():
-        raise AssetError(f"there is no gait library {str(path)!r}; make it with gait_library.py")
+        raise AssetError(
+            f"there is no gait library {str(path)!r}; make it with recipes/gait_library.py"
+        )
     try:
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

@@ -18,7 +18,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from aslip.assets import asset_path
-from aslip.errors import SpeedOutOfRangeError
+from aslip.errors import ShapeError, SpeedOutOfRangeError
 from aslip.library.file import GaitTable, read_library
 from aslip.rom import Gait
 
@@ -118,7 +118,14 @@ class GaitLibrary:
 
         Returns:
             Reference with batch shape b, single precision.
+
+        Raises:
+            ShapeError: one is no tensor of such a shape.
         """
+        for name, value in (("phase", phase), ("speed", speed)):
+            if not isinstance(value, Tensor) or value.shape[-1:] != (1,):
+                got = tuple(value.shape) if isinstance(value, Tensor) else value
+                raise ShapeError(f"{name} must be a tensor of shape (..., 1), got {got!r}")
         values = self._reference(phase, speed).float()
         return Reference(*values.split(self._widths, dim=-1))
 

@@ -19,7 +19,7 @@ an environment, where TorchRL would keep stale specs; build another.
 
 from aslip.stack.edit import insert_before, randomised
 from aslip.stack.environment import CassieTransformedEnv, check_seed
-from aslip.stack.interface import acts_on
+from aslip.stack.interface import acts_on, commanded, observed
 from aslip.stack.make import Backend, make_env
 from aslip.stack.stacks import (
     EPISODE_ENDS,
@@ -45,9 +45,11 @@ __all__ = [
     "Stack",
     "acts_on",
     "check_seed",
+    "commanded",
     "default_stack",
     "insert_before",
     "make_env",
+    "observed",
     "paper_stack",
     "randomised",
     "reward_terms",

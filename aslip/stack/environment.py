@@ -67,10 +67,15 @@ class CassieTransformedEnv(TransformedEnv):
         return self
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        if kwargs:
+            raise ConfigurationError(
+                f"reset takes no keyword {', '.join(kwargs)}; to choose commands or phases, give it"
+                " TensorDict(command=..., batch_size=...) with one number a robot, (n, 1)"
+            )
         # transforms that draw need the number of robots, and asking TorchRL for it is slow
         if tensordict is None:
             tensordict = TensorDict(batch_size=self.batch_size)
-        return super()._reset(tensordict, **kwargs)
+        return super()._reset(tensordict)
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the environment, and every transform by its name.

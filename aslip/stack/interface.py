@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
+from tensordict.utils import NestedKey
 from torchrl.envs.transforms import RewardSum, StepCounter, Transform
 
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.stack.environment import CassieTransformedEnv
 from aslip.stack.stacks import STACKS
 from aslip.transforms import (
+    AssembleObservation,
     EstimatedState,
     Fall,
     LowReward,
@@ -37,6 +40,38 @@ def acts_on(env: CassieTransformedEnv) -> str | None:
         if has == _interface([t() for t in stack.values()]):
             return name
     return None
+
+
+def observed(env: CassieTransformedEnv) -> list[NestedKey]:
+    """Keys of the entries of an environment's observation, in order.
+
+    Raises:
+        ConfigurationError: no `AssembleObservation` makes one.
+    """
+    return list(_only(env, AssembleObservation).in_keys)
+
+
+def commanded(env: CassieTransformedEnv) -> list[float]:
+    """Speeds that an environment may command [m/s], each once.
+
+    Raises:
+        ConfigurationError: no `SpeedCommand` commands any.
+    """
+    speeds = _only(env, SpeedCommand).speeds.tolist()
+    return list(dict.fromkeys(round(speed, 6) for speed in speeds))
+
+
+Kind = TypeVar("Kind", bound=Transform)
+
+
+def _only(env: CassieTransformedEnv, kind: type[Kind]) -> Kind:
+    """The transform of a kind."""
+    for transform in env.transforms:
+        if isinstance(transform, kind):
+            return transform
+    raise ConfigurationError(
+        f"the stack lacks a {kind.__name__}, or a subclass; it has {list(env.transform_names)}"
+    )
 
 
 # these change neither what a policy observes nor what becomes of its action

@@ -16,7 +16,8 @@ class ActionDelta(CassieTransform):
     r"""The policy's delta on the reference's motor angles: :math:`a = \hat a + \delta_a`.
 
     (Sec. III-B.) The delta is unbounded, unscaled and unfiltered, as in the paper. To act on
-    another baseline, such as what `Feedforward` writes, name its key.
+    another baseline, such as what `Feedforward` writes, name its key. A robot whose action is not
+    finite counts as diverged: no motor could take it.
 
     Args:
         baseline_key: (*b, 10) angles to add the delta to [rad].
@@ -31,7 +32,8 @@ class ActionDelta(CassieTransform):
         expected = (*tensordict.batch_size, len(MOTOR_NAMES))
         if action.shape != expected:
             raise ShapeError(f"action must have shape {expected}, got {tuple(action.shape)}")
-        return tensordict.set("motor_target", tensordict[self.baseline_key] + action)
+        finite = torch.where(action.isfinite(), action, torch.nan)
+        return tensordict.set("motor_target", tensordict[self.baseline_key] + finite)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict

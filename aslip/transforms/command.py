@@ -23,7 +23,7 @@ class SpeedCommand(CassieTransform):
     To command from outside, write `td["command"]` between steps, or pass it to `env.reset`: a speed
     of the library's range, else `SpeedOutOfRangeError` is raised. It acts on the reference of the
     next policy step; the phase goes on. In a reset of some robots only,
-    with a `_reset` mask, theirs are drawn anew.
+    with a `_reset` mask, theirs are drawn anew. For another distribution override `draw`.
 
     Args:
         library: bounds the speeds.
@@ -62,7 +62,9 @@ class SpeedCommand(CassieTransform):
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
-        tensordict = self._draw_into_reset(tensordict, "command", self._draw(tensordict))
+        tensordict = self._draw_into_reset(
+            tensordict, "command", self.draw((*tensordict.batch_size, 1))
+        )
         return tensordict.set("command", self._checked(tensordict))
 
     def _reset(
@@ -75,7 +77,7 @@ class SpeedCommand(CassieTransform):
         if math.isfinite(self.interval):
             chance = torch.rand(command.shape, generator=self.generator)
             changes = chance < POLICY_PERIOD / self.interval
-            command = torch.where(changes, self._draw(tensordict), command)
+            command = torch.where(changes, self.draw((*tensordict.batch_size, 1)), command)
         return next_tensordict.set("command", command)
 
     def _checked(self, tensordict: TensorDictBase) -> Tensor:
@@ -87,8 +89,8 @@ class SpeedCommand(CassieTransform):
             self.library.check_speed(float(command[outside][0]))
         return command
 
-    def _draw(self, tensordict: TensorDictBase) -> Tensor:
-        shape = (*tensordict.batch_size, 1)
+    def draw(self, shape: tuple[int, ...]) -> Tensor:
+        """Speeds to command [m/s], by `self.generator`, so that seeds reach them."""
         return self.speeds[torch.randint(len(self.speeds), shape, generator=self.generator)]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -140,8 +140,9 @@ class ReferenceStart(CassieTransform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None or not {"phase", "command"} <= set(tensordict.keys()):
             raise ConfigurationError(
-                "ReferenceStart found no phase and command; it must stand before SpeedCommand and"
-                " PhaseClock in the stack"
+                "ReferenceStart found no phase and command: it must stand before SpeedCommand and"
+                " PhaseClock in the stack, and what takes their place must write them in"
+                " `_reset_env_preprocess`, as they do"
             )
         qpos, qvel = self.library.initial_state(tensordict["phase"], tensordict["command"])
         if self.velocity == "rest":

@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
-from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.transforms.base import CassieTransform
 
 TermFunction = Callable[..., Tensor]
@@ -21,9 +21,11 @@ class RewardTerm(CassieTransform):
 
     Args:
         name: the term is written under `("reward_terms", name)`.
-        function: tensors in the order of the keys -> (*b, 1) in [0, 1].
+        function: tensors (*b, k) in the order of the keys -> (*b, 1) in [0, 1].
         next_keys: what it reads of the state after the step.
         root_keys: what it reads of the state before the step and of the action; these come last.
+
+    A step raises `ShapeError` if the function does not give one number a robot.
     """
 
     def __init__(
@@ -44,7 +46,13 @@ class RewardTerm(CassieTransform):
         # a robot that diverged was put back on its feet, for which it deserves nothing; and what
         # made it diverge, an action that is no number, must not become a reward
         diverged = next_tensordict["truth", "diverged"]
-        value = torch.where(diverged, 0.0, self.function(*inputs).float())
+        value = self.function(*inputs)
+        if value.shape != diverged.shape:
+            raise ShapeError(
+                f"the reward term {self.out_keys[0][-1]!r} must have shape {tuple(diverged.shape)},"
+                f" one number a robot, got {tuple(value.shape)}; reduce with dim=-1, keepdim=True"
+            )
+        value = torch.where(diverged, 0.0, value.float())
         return next_tensordict.set(self.out_keys[0], value)
 
     def _reset(
@@ -81,7 +89,8 @@ class WeightedReward(CassieTransform):
         for name, weight in weights.items():
             if not 0 <= weight < float("inf"):
                 raise ConfigurationError(
-                    f"the weight of {name!r} must be a number >= 0, got {weight!r}"
+                    f"the weight of {name!r} must be a number >= 0, got {weight!r}; a penalty is"
+                    " a term that falls from one to zero, such as exp(-cost)"
                 )
         self.weights = dict(weights)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,7 +16,7 @@ import torch
 from torch import Tensor
 
 from aslip.cassie.model import CassieIndices, load_model
-from aslip.errors import SpeedOutOfRangeError
+from aslip.errors import ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary, Reference
 
 NAMES = [field.name for field in fields(Reference)]
@@ -323,3 +324,9 @@ def test_lookups_share_no_memory_with_the_library(library: GaitLibrary) -> None:
     library.lookup(phase, speed).body_position.add_(1.0)
     library.initial_state(phase, speed)[0].add_(1.0)
     torch.testing.assert_close(library.lookup(phase, speed).body_position, before)
+
+
+@pytest.mark.parametrize("phase", [0.25, torch.tensor(0.25), torch.zeros(5), np.zeros((5, 1))])
+def test_what_is_no_column_is_refused(library: GaitLibrary, phase: Any) -> None:
+    with pytest.raises(ShapeError, match=r"phase must be a tensor of shape \(..., 1\)"):
+        library.lookup(phase, torch.ones(5, 1))

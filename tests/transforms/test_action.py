@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
-from torchrl.envs.utils import check_env_specs
+from torchrl.envs.utils import check_env_specs, step_mdp
 
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.stack import CassieTransformedEnv
@@ -101,3 +103,20 @@ def test_the_first_action_is_compared_with_no_delta(make: MakeEnv) -> None:
     after = env.step(td.set("action", small))["next"]
     term = after["reward_terms", "action_diff"]
     torch.testing.assert_close(term, torch.full((2, 1), -0.1).exp())
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_an_action_that_is_not_finite_is_a_divergence_of_one_robot(
+    make: MakeEnv, value: float
+) -> None:
+    env = make(num_envs=3)
+    td = env.reset()
+    for _ in range(2):
+        action = torch.zeros(3, 10)
+        action[1, 4] = value
+        td = env.step(td.set("action", action))
+        assert td["next", "truth", "diverged"][:, 0].tolist() == [False, True, False]
+        assert td["next", "reward"].isfinite().all()
+        assert td["next", "reward"][1] == 0
+        assert td["next", "observation"].isfinite().all()
+        td = step_mdp(td)

@@ -271,3 +271,8 @@ def test_a_command_outside_the_library_is_refused(make: MakeEnv, speed: float) -
     td["command"][1] = speed
     with pytest.raises(SpeedOutOfRangeError, match="0 to 2 m/s"):
         env.step(td.set("action", torch.zeros(2, 10)))
+
+
+def test_a_keyword_of_reset_is_not_ignored(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match=r"no keyword command.*TensorDict\(command"):
+        make().reset(command=1.0)

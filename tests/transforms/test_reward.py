@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -9,7 +11,7 @@ from torchrl.envs.transforms import StepCounter
 from torchrl.envs.utils import check_env_specs
 
 from aslip import rewards
-from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.stack import default_stack
 from aslip.transforms import LowReward, RewardTerm, WeightedReward
@@ -218,3 +220,13 @@ def test_the_sum_of_an_episode_is_that_of_its_rewards(make: MakeEnv) -> None:
     data = env.rollout(5, lambda td: td.set("action", torch.zeros(3, 10)))
     expected = data["next", "reward"].cumsum(dim=1)
     torch.testing.assert_close(data["next", "episode_reward"], expected)
+
+
+@pytest.mark.parametrize(
+    "function", [lambda v: v.abs().sum(-1), lambda v: v.abs().mean(), lambda v: v.abs()]
+)
+def test_a_term_that_is_not_one_number_a_robot_is_named(make: MakeEnv, function: Any) -> None:
+    term = RewardTerm("com_vel", function, [("truth", "pelvis_velocity")])
+    env = make(num_envs=3, replace={"com_vel": term})
+    with pytest.raises(ShapeError, match=r"'com_vel' must have shape \(3, 1\).*keepdim"):
+        env.rollout(2)
