@@ -17,6 +17,7 @@ import torch
 from tensordict import TensorDictBase
 
 from aslip.cassie import SIDES, Side
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.rom import Gait, Mode
 
@@ -82,9 +83,17 @@ class Footholds:
 
     Args:
         library: the gaits; between two of them the step is interpolated linearly.
+
+    Raises:
+        ConfigurationError: the library has motions, but no gaits.
     """
 
     def __init__(self, library: GaitLibrary) -> None:
+        if not library.gaits:
+            raise ConfigurationError(
+                "footholds are planned from gaits, and this library, of a pendulum's motion or a"
+                " single reference, has none; leave it out for the library that ships"
+            )
         self._speeds = library.speeds
         self._phases = np.array([touchdown_phases(gait) for gait in library.gaits])
         self._strides = np.array([gait.stride for gait in library.gaits])

@@ -99,11 +99,9 @@ class Walks:
         def vectors(series: Any, names: Sequence[str], axes: str = "xyz") -> np.ndarray:
             return np.stack([series.vector(name, axes)[rows] for name in names], axis=1)
 
-        terminated = step["terminated"][:count] > 0
+        alive = ~np.logical_or.accumulate(step["terminated"][:count] > 0)
         forces = [[f"ground_force_{side}_{axis}" for axis in "xyz"] for side in SIDES]
         arrays = {
-            "command": step["command"][:count],
-            "alive": ~terminated,
             "phase": reference["phase"][rows],
             "reward": step["reward"][:count],
             "action": columns(step, [f"action_{name}" for name in MOTOR_NAMES], slice(count)),
@@ -118,6 +116,11 @@ class Walks:
             "body_velocity": reference.vector("body_velocity")[rows],
             "body_to_foot": vectors(reference, _FEET),
         }
+        # there is nothing to say of a walk after its fall, as in `record_walks`
+        arrays = {name: array.astype(np.float64) for name, array in arrays.items()}
+        for array in arrays.values():
+            array[~alive] = np.nan
+        arrays |= {"command": step["command"][:count], "alive": alive}
         return cls(**{name: array[:, None] for name, array in arrays.items()})
 
 

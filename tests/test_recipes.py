@@ -15,7 +15,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.data import Composite
-from torchrl.envs.transforms import Transform
+from torchrl.envs.transforms import StepCounter, Transform
 
 import aslip
 from aslip.cassie import PHYSICS_TIMESTEP
@@ -356,3 +356,74 @@ def test_a_reward_that_is_no_number_is_named(tmp_path: Path) -> None:
     term = partial(RewardTerm, "foot_orient", root, [("truth", "pelvis_orientation")])
     with pytest.raises(TrainingStoppedError, match="'foot_orient' is not finite"):
         ppo_aslip.main(replace(TINY, out=tmp_path), {"replace": {"foot_orient": term}})
+
+
+def test_an_update_gets_what_ppo_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """GAE written out, samples as likely as the actor says, and the settings' numbers."""
+    monkeypatch.setattr(ppo_aslip, "evaluate", partial(evaluate, num_steps=EVAL_STEPS))
+    config = replace(
+        TINY,
+        out=tmp_path / "run",
+        std=1.0,
+        last_std=0.5,
+        gamma=0.9,
+        gae_lambda=0.5,
+        clip=0.3,
+        value_scale=3.0,
+        fall_after=0.0,
+        last_learning_rate=1e-5,
+        max_grad_norm=1e-3,
+    )
+    seen: list[float] = []
+    ends = torch.zeros(2)
+    update = ppo_aslip.update
+
+    def spied(data: Any, loss: Any, optimizer: Any, nets: Any, config: Any) -> Any:
+        with torch.no_grad():
+            likely = loss.actor_network.get_dist(data.clone()).log_prob(data["action"])
+            now, later = (
+                loss.critic_network(td.select("observation"))["state_value"]
+                for td in (data, data["next"])
+            )
+        torch.testing.assert_close(likely, data["action_log_prob"], atol=1e-4, rtol=1e-4)
+        after = data["next"]
+        delta = after["reward"] + 0.9 * later * ~after["terminated"] - now
+        advantage, running = torch.zeros_like(delta), torch.zeros(delta.shape[0], 1)
+        for t in reversed(range(delta.shape[1])):
+            running = delta[:, t] + 0.9 * 0.5 * running * ~after["done"][:, t]
+            advantage[:, t] = running
+        torch.testing.assert_close(data["value_target"], advantage + now, atol=1e-4, rtol=1e-4)
+        normal = (advantage - advantage.mean()) / advantage.std()
+        torch.testing.assert_close(data["advantage"], normal, atol=1e-3, rtol=1e-3)
+        ends.add_(
+            torch.stack(
+                [after["terminated"].sum(), (after["truncated"] & ~after["terminated"]).sum()]
+            )
+        )
+        assert float(loss.clip_epsilon) == pytest.approx(0.3)
+        assert any(getattr(m, "factor", None) == 3.0 for m in loss.critic_network.modules())
+        seen.append(optimizer.param_groups[0]["lr"])
+        step = optimizer.step
+
+        def watched(*args: Any, **kwargs: Any) -> Any:
+            for parameters in nets:
+                norm = torch.stack([p.grad.norm() for p in parameters]).norm()
+                assert 0 < norm <= 1e-3 * (1 + 1e-4)
+            return step(*args, **kwargs)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(optimizer, "step", watched)
+            return update(data, loss, optimizer, nets, config)
+
+    monkeypatch.setattr(ppo_aslip, "update", spied)
+    ppo_aslip.main(
+        config, {"replace": {"step_limit": lambda: StepCounter(3)}, "drop": ["low_reward"]}
+    )
+    assert seen == pytest.approx([3e-4, 3e-4 * (1e-5 / 3e-4) ** 0.5])
+    assert ends[1] > 0
+
+
+def test_randomised_training_keeps_what_is_rewarded() -> None:
+    config = replace(TINY, randomise=True, reward_on="estimate")
+    stack = ppo_aslip.variety(config, {"stack": "aslip"})["stack"]
+    assert ("odometry", "pelvis_velocity") in stack["com_vel"]().in_keys

@@ -191,3 +191,24 @@ def test_rewards_can_be_given_on_the_estimate(make: MakeEnv, library: GaitLibrar
 def test_rewards_on_anything_else_are_refused(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"'sensors'.*truth.*estimate|truth.*'sensors'"):
         make(reward_on="sensors")
+
+
+def test_feet_are_on_the_ground_and_contact_is_the_loaded_foots(make: MakeEnv) -> None:
+    env = make(num_envs=4, seed=0, drop=["noise", "low_reward", "fall", "step_limit"])
+    policy = aslip.load_policy("aslip")
+    td = env.reset()
+    same, apart = [], []
+    with torch.no_grad():
+        for _ in range(60):
+            td = step_mdp(env.step(policy(td)))
+            loaded = td["truth", "ground_force"][..., 2] > 60
+            clear = loaded[:, 0] != loaded[:, 1]
+            same.append((td["estimator", "contact"] == loaded).all(-1)[clear])
+            for side in ("left", "right"):
+                seen, true = (
+                    td[g, f"{side}_foot_position"] - td[g, "pelvis_position"]
+                    for g in ("odometry", "truth")
+                )
+                apart.append((seen - true).abs().amax(0))
+    assert torch.cat(same).float().mean() > 0.8
+    assert torch.stack(apart).max() < 0.01

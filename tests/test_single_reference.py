@@ -162,3 +162,23 @@ def test_the_recipe_trains_a_policy_that_knows_its_stack(
         assert policy_stack(tmp_path / config.preset) == "single_reference"
         walker = Walker(tmp_path / config.preset, speed=1.0)
         assert walker.step()["observation"].shape == (1, 49)
+
+
+def test_single_reference_terms_read_what_they_say(make: MakeEnv) -> None:
+    env = make(num_envs=16, stack="single_reference", library=None)
+    td = env.reset()
+    data = env.step(td.set("action", torch.full((16, 10), 0.05)))
+    truth, reference = data["next", "truth"], data["next", "reference"]
+    feet = [reference[f"{side}_foot_velocity"] for side in ("left", "right")]
+    expected = {
+        "joints": terms.joints(truth["qpos"], data["reference", "motor_position"]),
+        "pelvis": terms.pelvis(
+            truth["pelvis_position"], reference["body_position"], reference["distance"]
+        ),
+        "upright": terms.upright(truth["pelvis_orientation"]),
+        "springs": terms.springs(truth["qpos"], *feet),
+    }
+    for name, value in expected.items():
+        torch.testing.assert_close(
+            data["next", "reward_terms", name], value.float(), rtol=0, atol=1e-6, msg=name
+        )

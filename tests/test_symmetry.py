@@ -95,3 +95,8 @@ def test_tables_without_a_mirror_image_are_refused(table: list[Any], message: st
 def test_an_observation_of_another_size_is_told_of() -> None:
     with pytest.raises(ShapeError, match="reads 64 numbers was shown 49"):
         observation_mirror()(torch.zeros(49))
+
+
+def test_rates_and_accelerations_have_mirror_images() -> None:
+    image = observation_mirror()(torch.arange(64.0))
+    assert image[8:14].tolist() == [-8.0, 9.0, -10.0, 11.0, -12.0, 13.0]

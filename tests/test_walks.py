@@ -43,6 +43,27 @@ def test_a_log_gives_the_same_walk(logged: tuple[Walks, Path]) -> None:
         np.testing.assert_array_equal(getattr(read_back, name), values, err_msg=name)
 
 
+def test_a_log_of_a_fall_gives_the_same_walk(library: GaitLibrary, tmp_path: Path) -> None:
+    """Also where a step after the divergence went well again."""
+    policy, path, count = aslip.load_policy("aslip"), tmp_path / "fall.mcap", 0
+
+    def fails(td):
+        nonlocal count
+        td, count = policy(td), count + 1
+        if count == 6:
+            td["action"][:] = np.nan
+        return td
+
+    stack = {**default_stack(library), "recorder": lambda: Recorder(path, library=library)}
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1)
+    walk = record_walks(fails, env, _command(0.5))  # pyright: ignore[reportArgumentType]
+    env.close()
+    read_back = Walks.from_log(read(path))
+    assert read_back.survived.tolist() == [False]
+    for name, values in vars(walk).items():
+        np.testing.assert_array_equal(getattr(read_back, name), values, err_msg=name)
+
+
 def test_rows_are_instants_a_policy_step_apart(logged: tuple[Walks, Path]) -> None:
     walk = logged[0]
     velocity = np.diff(walk.pelvis_position[:, 0], axis=0) / POLICY_PERIOD

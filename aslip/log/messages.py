@@ -29,6 +29,7 @@ from typing import Any, Final
 from mcap_ros2.writer import serialize_dynamic  # pyright: ignore[reportPrivateImportUsage]
 
 from aslip.cassie import JOINT_NAMES, MOTOR_NAMES, SIDES
+from aslip.estimation import FAULTS
 
 FORMAT: Final = "1"
 """Version of this layout; readers refuse others."""
@@ -150,6 +151,8 @@ def component_names(name: str, size: int) -> list[str]:
         return [f"{name}_{side}_{axis}" for side in SIDES for axis in "xyz"]
     if size == len(SIDES):
         return [f"{name}_{side}" for side in SIDES]
+    if name == "fault":
+        return [f"{name}_{fault}" for fault in FAULTS]
     axes = {3: "xyz", 4: "wxyz"}.get(size)
     return [f"{name}_{part}" for part in axes or range(size)]
 

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from tensordict import TensorDictBase
 from torchrl.envs.utils import step_mdp
 
 import aslip
-from aslip.cassie.sensing import PACKET_SIZES, SENSOR_WINDOW
+from aslip.cassie.model import CassieIndices, load_model
+from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SIZES, SENSOR_WINDOW
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import FAULTS, PACKET_SIZE, TRACKING_SIZE, StateEstimator, Tracking
+from aslip.estimation.estimator import _DOUBT, _standing
+from aslip.estimation.filter import V
 from aslip.estimation.packets import SLICES, join
 from aslip.transforms import TrueState
 
@@ -320,3 +324,87 @@ def test_packets_lacking_an_entry_are_refused() -> None:
 def test_a_period_that_is_none_is_refused(period: float) -> None:
     with pytest.raises(ConfigurationError, match="period"):
         StateEstimator(period=period)
+
+
+def _packet(turn: Rotation, gyro: np.ndarray, force: Any) -> np.ndarray:
+    """Of the standing robot at an attitude, turning [rad/s], and feeling a force [m/s^2]."""
+    model = load_model()
+    at = CassieIndices.from_model(model)
+    qpos = model.key("standing").qpos
+    packet = np.zeros(PACKET_SIZE)
+    packet[SLICES["motor_position"]] = qpos[at.motor_qpos]
+    packet[SLICES["joint_position"]] = qpos[at.joint_qpos]
+    packet[SLICES["orientation"]] = turn.as_quat(canonical=True, scalar_first=True)
+    packet[SLICES["gyro"]], packet[SLICES["accelerometer"]] = gyro, force
+    return packet
+
+
+def test_the_acceleration_is_the_pelvis_origins_in_its_frame() -> None:
+    """Of a robot that turns faster and faster, from what an IMU beside the origin feels."""
+    arm = load_model().site("imu").pos
+    turns = [
+        Rotation.from_euler("xyz", angles) for angles in ([0.4, -0.3, 1.0], [0.41, -0.32, 1.01])
+    ]
+    before, after, world = (
+        np.array([2.0, -2.0, 1.5]),
+        np.array([2.3, -2.2, 1.9]),
+        np.array([1.0, 2.0, -0.5]),
+    )
+    alpha, spin = (after - before) / 0.003, (before + after) / 2
+    own = turns[1].inv().apply(world)
+    force = (
+        own
+        + turns[1].inv().apply([0, 0, 9.81])
+        + np.cross(alpha, arm)
+        + np.cross(spin, np.cross(spin, arm))
+    )
+    estimator = StateEstimator()
+    tracking, _ = estimator.start(_packet(turns[0], before, turns[0].inv().apply([0, 0, 9.81])))
+    estimate = estimator.update(tracking, _packet(turns[1], after, force))
+    assert not estimate.faults.any()
+    np.testing.assert_allclose(estimate.acceleration[0], own, atol=1e-9)
+    np.testing.assert_array_equal(estimate.angular_velocity[0], after)
+
+
+def test_a_turning_robot_starts_with_the_velocity_of_its_resting_foot() -> None:
+    turn, gyro = Rotation.from_euler("xyz", [0.1, -0.2, 0.5]), np.array([1.0, -2.0, 0.5])
+    _, first = StateEstimator().start(_packet(turn, gyro, turn.inv().apply([0, 0, 9.81])))
+    lower = int(first.sole[0, :, 2].argmin())
+    expected = -np.cross(turn.apply(gyro), first.sole[0, lower])
+    np.testing.assert_allclose(first.velocity[0], expected, atol=1e-6)
+
+
+def test_acceleration_is_turned_by_the_mean_attitude_of_its_time() -> None:
+    rate = 3.0
+    estimator = StateEstimator()
+
+    def turn(k: float) -> Rotation:
+        return Rotation.from_euler("y", rate * 0.003 * k)
+
+    spin = np.array([0.0, rate, 0.0])
+    arm = load_model().site("imu").pos
+
+    def force(k: int) -> np.ndarray:  # mean over the packet before
+        felt = [turn(k - 1 + s).inv().apply([0, 0, 9.81]) for s in np.linspace(0, 1, 11)]
+        return np.mean(felt, 0) + np.cross(spin, np.cross(spin, arm))
+
+    free = _packet(turn(0), spin, force(0))
+    tracking, first = estimator.start(free)
+    before = first.velocity[0].copy()
+    for k in range(1, 51):
+        packet = _packet(turn(k), spin, force(k))
+        packet[SLICES["joint_position"]][[0, 3]] = 0.0  # springs at rest: no contact
+        estimate = estimator.update(tracking, packet)
+    np.testing.assert_allclose(estimate.velocity[0], before, atol=2e-3)
+
+
+def test_a_lost_packet_leaves_the_velocity_in_doubt() -> None:
+    packet = _standing(load_model())
+    growth = []
+    for lost in (False, True):
+        estimator = StateEstimator()
+        tracking, _ = estimator.start(packet)
+        before = tracking.belief.covariance[0, 0, V, V]
+        estimator.update(tracking, None if lost else packet + np.eye(42)[-1] * 1e-6)
+        growth.append(tracking.belief.covariance[0, 0, V, V] - before)
+    assert growth[1] - growth[0] == pytest.approx((_DOUBT * PACKET_PERIOD) ** 2, rel=1e-6)

@@ -274,3 +274,20 @@ def test_its_errors_are_as_large_as_it_says() -> None:
     nees = (error**2 / belief.covariance[..., V, V])[:, :2].mean()
     assert nees == pytest.approx(1.0, abs=5 * np.sqrt(2 / (2 * num)))
     assert np.mean(nis) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_loaded_foot_stays_so_down_to_a_lower_force() -> None:
+    filter_ = _filter()
+    belief = _started(filter_)
+    forces = [(52.0, False), (61.0, True), (52.0, True), (44.0, False), (52.0, False)]
+    for k, (force, loaded) in enumerate(forces, 1):
+        filter_.step(belief, _motion(k * PERIOD, STANDING, (force, force)))
+        assert belief.loaded[0].tolist() == [loaded] * 2
+
+
+def test_it_starts_on_the_lower_end_of_a_sole() -> None:
+    half = np.array([[[HALF * 0.8, 0, HALF * 0.6], [HALF, 0, 0]]])
+    feet = np.array([[0.0, 0.1, RADIUS], [0.0, -0.1, RADIUS]])
+    motion = replace(_motion(0.0, feet, (FREE, FREE)), half_sole=half)
+    belief = _filter().start(motion, np.zeros((1, 2, 3)))
+    np.testing.assert_allclose(belief.mean[0, 2, P], 0.9 + 0.6 * HALF)

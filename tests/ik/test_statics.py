@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from aslip.cassie import SIDES, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.errors import ShapeError
@@ -52,3 +53,19 @@ def test_what_does_not_fit_is_refused() -> None:
     kinematics = CassieKinematics()
     with pytest.raises(ShapeError, match="force"):
         static_torque(kinematics, np.zeros((3, 35)), np.zeros((2, 2, 3)))
+
+
+def test_torques_do_not_depend_on_the_heading_or_tilt() -> None:
+    kinematics = CassieKinematics()
+    qpos = standing_pose(kinematics).qpos.reshape(1, -1)
+    force = np.array([[[10.0, 20.0, 160.0], [-5.0, 8.0, 170.0]]])
+    turn = Rotation.from_euler("xyz", [0.2, -0.3, 1.0])
+    turned = qpos.copy()
+    turned[:, 3:7] = (turn * Rotation.from_quat(qpos[0, 3:7], scalar_first=True)).as_quat(
+        scalar_first=True
+    )
+    np.testing.assert_allclose(
+        static_torque(kinematics, turned, turn.apply(force[0])[None]),
+        static_torque(kinematics, qpos, force),
+        atol=1e-9,
+    )

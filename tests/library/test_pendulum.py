@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.cassie import STANDARD_GRAVITY
+from aslip.cassie import STANDARD_GRAVITY, TOTAL_MASS
 from aslip.errors import ConfigurationError
 from aslip.library import (
     GaitLibrary,
@@ -108,3 +108,10 @@ def test_walks_that_are_none_are_refused(setting: str, value: float) -> None:
 def test_a_walk_on_the_spot_cannot_be_stretched() -> None:
     with pytest.raises(ConfigurationError, match="forward"):
         single_reference_library(PendulumWalk(speed=0.0))
+
+
+def test_the_ground_pushes_on_the_foot_that_stands() -> None:
+    motion = pendulum_motion(WALK, PHASE)
+    swinging = np.linalg.norm(motion.foot_velocity, axis=-1) > 1e-6
+    assert not motion.ground_force[swinging].any()
+    np.testing.assert_allclose(motion.ground_force[..., 2].sum(0), TOTAL_MASS * STANDARD_GRAVITY)

@@ -17,13 +17,14 @@ from tensordict import TensorDict
 
 import aslip
 from aslip.assets import asset_path
-from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD
+from aslip.cassie import JOINT_NAMES, MOTOR_NAMES, POLICY_PERIOD, SIDES
 from aslip.cassie.model import TIMESTEPS, load_model
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
-from aslip.ghost import Ghost
-from aslip.library import GaitLibrary
+from aslip.estimation import FAULTS
+from aslip.ghost import Footholds, Ghost
+from aslip.library import GaitLibrary, single_reference_library
 from aslip.log import Recorder, Recording, check, read
-from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
+from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
 from aslip.provenance import commit
 from aslip.stack import default_stack
 from tests.log.conftest import MakeRecorded, run
@@ -343,3 +344,51 @@ def test_a_log_names_the_code_that_made_it(recording: Recording) -> None:
     assert recording.metadata["commit"] == (commit() or "")
     assert recording.metadata["version/mujoco"] == mujoco.__version__
     assert recording.metadata["version/python"] == platform.python_version()
+
+
+def test_numbers_are_named_in_their_order() -> None:
+    assert component_names("joint_position", 6) == [
+        f"joint_position_{joint}" for joint in JOINT_NAMES
+    ]
+    assert component_names("contact", 2) == ["contact_left", "contact_right"]
+    assert component_names("fault", 4) == [f"fault_{fault}" for fault in FAULTS]
+    assert component_names("orientation", 4) == [f"orientation_{part}" for part in "wxyz"]
+
+
+def test_the_robot_that_was_chosen_is_recorded(make_recorded: Any, tmp_path: Path) -> None:
+    env = make_recorded(tmp_path / "a.mcap", num_envs=3, robot=2)
+    seen: Any = run(env, 4)
+    env.close()
+    log = read(tmp_path / "a.mcap")
+    assert log["/step"]["reward"].tolist() == [td["next", "reward"][2].item() for td in seen]
+    assert log["/step"]["term_com_vel"].tolist() == [
+        td["next", "reward_terms", "com_vel"][2].item() for td in seen
+    ]
+    for group, name in (("estimate", "velocity"), ("reference", "body_velocity")):
+        expected = [td["next", group, name][2].tolist() for td in seen]
+        assert log[f"/{group}"].vector(name)[1:].tolist() == expected
+
+
+def test_footholds_are_planned_in_the_robots_heading(
+    make_recorded: Any, tmp_path: Path, library: GaitLibrary
+) -> None:
+    env = make_recorded(tmp_path / "a.mcap")
+    start = TensorDict(command=torch.full((1, 1), 1.0), phase=torch.zeros(1, 1), batch_size=1)
+    env.rollout(40, aslip.load_policy("aslip"), auto_reset=False, tensordict=env.reset(start))
+    env.close()
+    log, footholds = read(tmp_path / "a.mcap"), Footholds(library)
+    events, truth = log["/touchdown"], log["/truth"]
+    assert len(events) > 1
+    for i, k in enumerate(np.searchsorted(truth.time, events.time)):
+        side, other = SIDES[events["side"][i]], SIDES[1 - events["side"][i]]
+        stance = truth.vector(f"{other}_foot_position")[k].astype(float)
+        turn = truth.vector("pelvis_orientation", "wxyz")[k]
+        expected = footholds.planned(side, 1.0, stance, turn)
+        np.testing.assert_allclose(
+            [events["x_planned"][i], events["y_planned"][i]], expected, atol=1e-9
+        )
+
+
+def test_a_library_without_gaits_has_no_footholds() -> None:
+    with pytest.raises(ConfigurationError, match="leave it out"):
+        Footholds(single_reference_library())

@@ -110,3 +110,9 @@ def test_a_leg_without_load_in_mid_stance_has_not_swung() -> None:
     assert step_frequency(left, right, PERIOD, swing=0.15) == pytest.approx(2 / stride, rel=1e-3)
     assert step_frequency(left, right, PERIOD) > 3 / stride
     assert duty_factor(left, PERIOD, swing=0.15) == pytest.approx(1040 / 1640, abs=1e-3)
+
+
+def test_duty_is_of_the_stride_that_its_stance_begins() -> None:
+    force = np.zeros(3000)
+    force[200:400] = force[1000:1300] = 300.0
+    assert duty_factor(force, 0.0005) == pytest.approx(200 / 800)

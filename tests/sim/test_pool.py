@@ -83,3 +83,13 @@ def test_bad_arguments_are_named() -> None:
         SimulationPool(1, num_threads=-1)
     with pytest.raises(ShapeError, match=r"\(2, 10\)"):
         SimulationPool(2).advance(np.zeros((3, 10)))
+
+
+def test_each_part_gets_its_own_pushes() -> None:
+    pool, whole = SimulationPool(5, num_threads=2), Simulations(5, num_threads=1)
+    assert len(pool.parts) == 2
+    push = np.random.default_rng(0).normal(0, 50, (5, 3))
+    target = whole.qpos[:, whole.indices.motor_qpos].copy()
+    for simulations in (pool, whole):
+        simulations.advance(target, push)
+    np.testing.assert_array_equal(pool.states(), whole.states())

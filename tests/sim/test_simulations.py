@@ -433,3 +433,15 @@ def test_mean_ground_force_is_weight_plus_change_of_momentum() -> None:
     gained = after - before + [0, 0, WEIGHT * steps * POLICY_PERIOD]
     assert np.abs(after - before).max() > 1.0  # it does move
     np.testing.assert_allclose(impulse, gained, atol=0.01 * WEIGHT * steps * POLICY_PERIOD)
+
+
+def test_a_falling_robots_imu_feels_nothing_with_coarse_steps_either() -> None:
+    model = load_model(visual=False, timestep=TIMESTEPS[1])
+    coarse = Simulations(1, model=model, num_threads=1)
+    start = coarse.qpos.copy()
+    target = start[:, coarse.indices.motor_qpos]
+    start[:, 2] += 1.0
+    coarse.reset(np.arange(1), start)
+    coarse.advance(target)
+    coarse.advance(target)
+    assert np.abs(coarse.sensors.packets()["accelerometer"]).max() < 0.5

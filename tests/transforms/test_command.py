@@ -276,3 +276,16 @@ def test_a_command_outside_the_library_is_refused(make: MakeEnv, speed: float) -
 def test_a_keyword_of_reset_is_not_ignored(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"no keyword command.*TensorDict\(command"):
         make().reset(command=1.0)
+
+
+def test_a_change_of_command_acts_from_the_next_step_on(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    command = SpeedCommand(library, interval=POLICY_PERIOD)
+    env = make(num_envs=8, replace={"command": command}, drop=["fall", "low_reward"])
+    walk = env.rollout(5, break_when_any_done=False)
+    assert (walk["command"] != walk["next", "command"]).any()
+    advance = (walk["next", "phase"] - walk["phase"]) % 1
+    torch.testing.assert_close(
+        advance, POLICY_PERIOD / library.stride(walk["command"]), atol=1e-6, rtol=0
+    )
