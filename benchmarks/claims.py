@@ -154,7 +154,7 @@ CLAIMS: tuple[Claim, ...] = (
     ),
     Claim(
         "feet above 1 m/s",
-        "V-A: above 1.0 m/s footsteps lag more and more; growth to 2.0 m/s",
+        "V-A: above 1.0 m/s footsteps lag more and more; growth of the error to 2.0 m/s",
         "34",
         "cm",
         at_least=0,

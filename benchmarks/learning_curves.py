@@ -1,10 +1,10 @@
-r"""How fast the recipe learns: on the estimate, on the truth, and with the paper's settings.
+r"""How fast the recipe learns: by default, on the truth, and with the paper's settings.
 
     python -m benchmarks.learning_curves                      # train what is missing, then report
     python -m benchmarks.learning_curves --jobs 2             # two runs at once, a processor each
     python -m benchmarks.learning_curves --no-train           # report what there is
     python -m benchmarks.learning_curves --record docs/learning_curves.csv --no-train \
-        --variants estimate paper --seeds 0 1 2 3 4 5 6 7 8 9
+        --variants default paper --seeds 0 1 2 3 4 5 6 7 8 9
 
 Each run is `recipes/ppo_aslip.py` in a folder of its own. Runs that were interrupted, with Ctrl-C
 or otherwise, go on from their last checkpoint the next time. Curves are means over seeds with
@@ -35,16 +35,16 @@ import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from aslip.errors import FileDamagedError, one_line_errors
+from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.plots import save_figure
 from aslip.policy import POLICY_FILE, read_manifest
 from aslip.run import read_progress, write_text
 from benchmarks.common import WALKING_LENGTH, Interval, markdown
 
 VARIANTS: Final = MappingProxyType(
-    {"truth": ("--truth",), "estimate": (), "paper": ("--preset", "paper")}
+    {"truth": ("--truth",), "default": (), "paper": ("--preset", "paper")}
 )
-"""Name -> flags of the recipe; the paper's settings are on the estimate, too."""
+"""Name -> flags of the recipe; all but `truth` learn on the state estimate."""
 
 ROBUST_LENGTH: Final = 390
 """Mean length of training episodes in which hardly any fall is left, of 400 [policy steps]."""
@@ -55,7 +55,7 @@ COLUMNS: Final = (
 )  # fmt: skip
 """Of a run's progress, those that are reported; evaluations are NaN in rows without one."""
 
-_COLORS = {"truth": "black", "estimate": "tab:red", "paper": "tab:blue"}
+_COLORS = {"truth": "black", "default": "tab:red", "paper": "tab:blue"}
 
 _RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
 _POLL = 5.0  # [s]
@@ -109,7 +109,7 @@ class Config:
 
     out: Path = Path("runs/learning_curves")
     """Folder of the runs, one each, by variant and seed."""
-    variants: tuple[Literal["truth", "estimate", "paper"], ...] = ("truth", "estimate")
+    variants: tuple[Literal["truth", "default", "paper"], ...] = ("truth", "default")
     """What to compare."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
@@ -137,6 +137,11 @@ def main(config: Config) -> None:
         write_record(config.record, {**recorded, **done})
     found = {**recorded, **found}
     runs = [found[key] for key in _wanted(config) if key in found]
+    if not runs:
+        raise ConfigurationError(
+            f"there is no run in {str(config.out)!r}, nor in a --record, of {config.variants} with"
+            f" the seeds {config.seeds}; without --no-train they are trained"
+        )
     table = report(runs)
     print(table)
     write_text(config.out / "summary.md", table + "\n")
@@ -342,7 +347,7 @@ def _draw(axes: np.ndarray, variant: str, runs: Sequence[Run]) -> None:
     for axis, column in zip(axes, ("episode_length", "episode_return", "eval_return"), strict=True):
         steps = shortest["step"][np.isfinite(shortest[column])]
         values = np.stack([_at(run, column, steps) for run in runs])
-        # the shorter on top, as curves of truth and estimate coincide
+        # the shorter on top, as curves of truth and default coincide
         style = {"color": _COLORS[variant], "zorder": 3 - shortest["step"][-1] / 1e8}
         marker = "o" if column == "eval_return" else ""
         seeds = ", ".join(str(run.seed) for run in runs)

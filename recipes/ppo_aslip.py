@@ -68,7 +68,7 @@ class Config:
     """Settings; "Table II" is the paper's table of PPO hyper-parameters, the preset "paper"."""
 
     preset: Literal["default", "paper"] = "default"
-    """What all other settings are by default: what learns fastest here, or what the paper says."""
+    """What all other settings are by default: the recipe's own, or what the paper says."""
 
     out: Path = Path("runs/ppo_aslip")
     """Folder of the run."""
@@ -82,7 +82,8 @@ class Config:
     num_envs: int = 256
     """Robots simulated side by side."""
     stack: Literal["aslip", "paper", "single_reference"] = "aslip"
-    """What to learn on: with motor targets that make up for load and damping, or without."""
+    """What to learn on: with motor targets that make up for load and damping, or without, or the
+    paper's baseline, one reference motion."""
     symmetric: bool = True
     """Make actor and critic treat left and right alike; not in the paper."""
     value_scale: float = 10.0

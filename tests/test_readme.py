@@ -40,6 +40,8 @@ def test_every_picture_and_linked_file_exists() -> None:
 
 def test_every_script_it_names_exists() -> None:
     scripts = re.findall(r"python ((?:recipes|benchmarks)/\w+\.py)", README)
-    scripts += [f"{m.replace('.', '/')}.py" for m in re.findall(r"-m (benchmarks\.\w+)", README)]
+    for module in re.findall(r"-m (benchmarks\.\w+)", README):
+        path = module.replace(".", "/")
+        scripts.append(f"{path}/__main__.py" if (ROOT / path).is_dir() else f"{path}.py")
     assert len(scripts) >= 4
     assert not [script for script in scripts if not (ROOT / script).is_file()]

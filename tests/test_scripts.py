@@ -148,18 +148,16 @@ def test_learning_curves_are_reported_from_what_there_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     curves_of(tmp_path / "truth-0", walks_at=230)
-    curves_of(tmp_path / "estimate-0", walks_at=240)
-    curves_of(tmp_path / "estimate-2", walks_at=550)
+    curves_of(tmp_path / "default-0", walks_at=240)
+    curves_of(tmp_path / "default-2", walks_at=550)
     learning_curves.main(curves_config(tmp_path))
-    truth, *estimate = capsys.readouterr().out.splitlines()[2:]
+    truth, *default = capsys.readouterr().out.splitlines()[2:]
     assert truth.startswith("| truth | 0 |  | 600 | 60 | 230 | 330 | 395 |")
     assert truth.endswith("| 300 | 100 | 2 |")
-    assert estimate[0].startswith("| estimate | 0 |  | 600 | 60 | 240 | 340 | 395 |")
-    assert estimate[1].startswith("| estimate | 2 |  | 600 | 60 | 550 | not yet | 360 |")
+    assert default[0].startswith("| default | 0 |  | 600 | 60 | 240 | 340 | 395 |")
+    assert default[1].startswith("| default | 2 |  | 600 | 60 | 550 | not yet | 360 |")
     # a mean over those that succeeded would hide the other
-    assert estimate[2].startswith(
-        "| estimate | 2 seeds |  | 600 | 60 | 395 [-1574, 2364] | 1 of 2 |"
-    )
+    assert default[2].startswith("| default | 2 seeds |  | 600 | 60 | 395 [-1574, 2364] | 1 of 2 |")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -167,21 +165,21 @@ def test_a_record_of_learning_curves_grows_over_machines_and_days(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here, there, record = tmp_path / "here", tmp_path / "there", tmp_path / "curves.csv"
-    curves_of(here / "estimate-0", walks_at=213, seed=1)
+    curves_of(here / "default-0", walks_at=213, seed=1)
     curves_of(here / "paper-0", walks_at=300, steps=590)  # not done
-    curves_of(there / "estimate-1", walks_at=217, seed=2)
-    settings = {"variants": ("estimate", "paper"), "seeds": (0, 1), "record": record}
+    curves_of(there / "default-1", walks_at=217, seed=2)
+    settings = {"variants": ("default", "paper"), "seeds": (0, 1), "record": record}
     learning_curves.main(curves_config(here, **settings))
-    assert list(learning_curves.read_record(record)) == [("estimate", 0)]
+    assert list(learning_curves.read_record(record)) == [("default", 0)]
     shape = PolicyShape()
     actor = make_actor(RunningNormalizer(shape.observation_size), shape)
-    save_policy(there / "estimate-1" / "policy.zip", actor, shape, {"commit": "0123456789ab+"})
+    save_policy(there / "default-1" / "policy.zip", actor, shape, {"commit": "0123456789ab+"})
     learning_curves.main(curves_config(there, **settings))
-    assert list(learning_curves.read_record(record)) == [("estimate", 0), ("estimate", 1)]
-    assert "| estimate | 1 | 0123456+ | 600 |" in capsys.readouterr().out
+    assert list(learning_curves.read_record(record)) == [("default", 0), ("default", 1)]
+    assert "| default | 1 | 0123456+ | 600 |" in capsys.readouterr().out
 
     # it says what the runs' own files say
-    curves_of(there / "estimate-0", walks_at=213, seed=1)
+    curves_of(there / "default-0", walks_at=213, seed=1)
     capsys.readouterr()
     learning_curves.main(curves_config(there, **{**settings, "record": None}))
     from_runs = capsys.readouterr().out
@@ -191,26 +189,31 @@ def test_a_record_of_learning_curves_grows_over_machines_and_days(
     assert record.read_bytes() == kept
     assert len(kept.splitlines()) < 40
     # and what it holds is not trained again
-    estimate = {**settings, "variants": ("estimate",), "train": True}
-    learning_curves.main(curves_config(tmp_path / "nothing", **estimate))
-    assert not list((tmp_path / "nothing").glob("estimate-*"))
+    default = {**settings, "variants": ("default",), "train": True}
+    learning_curves.main(curves_config(tmp_path / "nothing", **default))
+    assert not list((tmp_path / "nothing").glob("default-*"))
 
 
 def test_a_longer_run_takes_the_place_of_a_recorded_one(tmp_path: Path) -> None:
     record = tmp_path / "curves.csv"
-    settings = {"variants": ("estimate",), "seeds": (0,), "record": record}
+    settings = {"variants": ("default",), "seeds": (0,), "record": record}
     for steps in (600, 900, 700):
         folder = tmp_path / str(steps)
-        curves_of(folder / "estimate-0", walks_at=300, steps=steps)
+        curves_of(folder / "default-0", walks_at=300, steps=steps)
         learning_curves.main(curves_config(folder, **settings))
-    assert learning_curves.read_record(record)["estimate", 0].steps == 900_000
+    assert learning_curves.read_record(record)["default", 0].steps == 900_000
+
+
+def test_no_learning_curves_are_not_an_empty_table(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="there is no run"):
+        learning_curves.main(curves_config(tmp_path))
 
 
 def test_a_damaged_record_of_learning_curves_is_named(tmp_path: Path) -> None:
     record = tmp_path / "curves.csv"
-    for damage in ("variant,seed,commit,step\n", "estimate,0,abc,1\n", "estimate,zero,abc,1,1,1\n"):
+    for damage in ("variant,seed,commit,step\n", "default,0,abc,1\n", "default,zero,abc,1,1,1\n"):
         header = f"variant,seed,commit,{','.join(learning_curves.COLUMNS)}\n"
-        record.write_text(damage + "estimate,0,abc\n" if "variant" in damage else header + damage)
+        record.write_text(damage + "default,0,abc\n" if "variant" in damage else header + damage)
         with pytest.raises(FileDamagedError, match=r"curves\.csv"):
             learning_curves.main(curves_config(tmp_path, record=record))
 
