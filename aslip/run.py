@@ -1,6 +1,6 @@
 """The folder of a training run: settings, logs, checkpoints that resume.
 
-    config.json         settings, as the recipe's dataclass has them
+    config.json         settings, as the recipe's dataclass has them, and transforms
     progress.csv        one row an update
     tensorboard/        the same for TensorBoard
     checkpoints/        the last three, each a ZIP archive without pickle
@@ -28,7 +28,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -46,6 +46,7 @@ from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.policy import POLICY_FILE
 
 _PROGRESS_FILE = "progress.csv"
+_TRANSFORMS = "transforms"
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
 
@@ -64,17 +65,26 @@ class TrainingRun:
         folder: made if need be.
         config: a frozen dataclass of settings.
         resume: continue the run in the folder instead of starting one there.
+        transforms: what the environment is made of, name -> text; kept with the settings.
 
     Raises:
         ConfigurationError: the folder holds a checkpoint and `resume` is not set; or there is
-            nothing to resume; or the settings differ from the run's; or the folder cannot be
-            written to.
+            nothing to resume; or settings or transforms differ from the run's; or the folder
+            cannot be written to.
         FileDamagedError: the settings of the run in the folder cannot be read.
     """
 
-    def __init__(self, folder: Path, config: Any, *, resume: bool) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: Any,
+        *,
+        resume: bool,
+        transforms: Mapping[str, str] | None = None,
+    ) -> None:
         self.folder = Path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
+        self.transforms = dict(transforms or {})
         self._csv = self.folder / _PROGRESS_FILE
         self._rows = ""  # not in the file yet
         self._tensorboard: SummaryWriter | None = None
@@ -212,7 +222,8 @@ class TrainingRun:
         if resume:
             self._check_settings(settings_file)
         self._checkpoint_folder.mkdir(parents=True, exist_ok=True)
-        write_text(settings_file, json.dumps(self.settings, indent=1) + "\n")
+        about = self.settings | ({_TRANSFORMS: self.transforms} if self.transforms else {})
+        write_text(settings_file, json.dumps(about, indent=1) + "\n")
         # what a killed process was writing
         for unfinished in self._checkpoint_folder.glob(".checkpoint-*"):
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
@@ -282,13 +293,13 @@ class TrainingRun:
             )
         try:
             old = dict(json.loads(settings_file.read_text()))
+            transforms = dict(old.pop(_TRANSFORMS, {}))
         except (ValueError, TypeError) as error:
             raise FileDamagedError(f"{str(settings_file)!r} is damaged ({error})") from error
-        differing = [
-            f"{name} was {old.get(name)!r} and is {self.settings.get(name)!r}"
-            for name in sorted(old.keys() | self.settings.keys())
-            if name not in _MAY_DIFFER and old.get(name) != self.settings.get(name)
-        ]
+        differing = _differences(old, self.settings, _MAY_DIFFER)
+        # runs of before have not told what they are made of
+        if transforms and self.transforms:
+            differing += _differences(transforms, self.transforms)
         if differing:
             raise ConfigurationError(
                 f"the run in {str(self.folder)!r} has other settings: {'; '.join(differing)}"
@@ -308,6 +319,16 @@ class TrainingRun:
             write_text(self._csv, "".join(lines[:1] + kept))
         else:
             self._csv.unlink()
+
+
+def _differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], may_differ: Sequence[str] = ()
+) -> list[str]:
+    return [
+        f"{name} was {old.get(name)!r} and is {new.get(name)!r}"
+        for name in sorted(old.keys() | new.keys())
+        if name not in may_differ and old.get(name) != new.get(name)
+    ]
 
 
 def _unsaved(step: int, error: OSError) -> str:

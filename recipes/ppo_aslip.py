@@ -57,6 +57,7 @@ from aslip.stack import (
     RewardSource,
     acts_on,
     commanded,
+    described,
     observed,
     randomised,
 )
@@ -186,7 +187,6 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         config: the settings.
         edits: more settings of `aslip.make_env`, such as what to drop and to replace.
     """
-    run = TrainingRun(config.out, config, resume=config.resume)
     torch.manual_seed(config.seed)
 
     # ------------------------------------------------------------ environment
@@ -196,8 +196,9 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         edits["replace"] = {**edits["replace"], **ON_TRUTH["replace"]}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
     probe = aslip.make_env(**copy.deepcopy(task))
-    speeds = commanded(probe)
+    speeds, transforms = commanded(probe), described(probe)
     probe.close()
+    run = TrainingRun(config.out, config, resume=config.resume, transforms=transforms)
     # a transform that was given as it is belongs to one environment only
     eval_env = aslip.make_env(num_envs=len(speeds), **copy.deepcopy(task))
 
@@ -318,6 +319,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     results = results or evaluated(actor, eval_env, speeds, config.seed)
     made_by = {
         "settings": {k: v for k, v in run.settings.items() if k not in ("out", "resume")},
+        "transforms": run.transforms,
         "steps": step,
         "seconds": round(time.perf_counter() - start),
         **provenance(),

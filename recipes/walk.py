@@ -14,6 +14,8 @@ from __future__ import annotations
 
 import contextlib
 import math
+import os
+import sys
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -116,7 +118,7 @@ def main(config: Config) -> None:
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
     if config.video is not None:
-        check_rendering()  # before the walk, not after it
+        check_rendering(config)  # before the walk, not after it
     walker = make_walker(config, schedule)
     with contextlib.closing(walker.env):
         if config.live:
@@ -219,15 +221,18 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     return "\n".join(lines)
 
 
-def check_rendering() -> None:
-    """Draw something.
+def check_rendering(config: Config) -> None:
+    """Draw one picture of the film.
 
     Raises:
         RenderingError: no OpenGL works.
+        UnknownNameError: there is no such camera.
+        ConfigurationError: pictures cannot have that size.
     """
     from aslip.render import render_robot
 
-    render_robot(load_model().key("standing").qpos, width=16, height=16)
+    qpos = load_model().key("standing").qpos
+    render_robot(qpos, camera=config.camera, width=config.width, height=config.height)
 
 
 def film(config: Config, frames: list[Frame]) -> None:
@@ -261,6 +266,9 @@ def viewer(config: Config) -> Any:
     from aslip.errors import RenderingError
     from aslip.render import add_ghost
 
+    # without one, MuJoCo says so in a thread of its own, and waits
+    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        raise RenderingError("MuJoCo's viewer needs a display; without one use --video")
     model = load_model()
     data = mujoco.MjData(model)
     try:

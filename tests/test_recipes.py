@@ -427,3 +427,21 @@ def test_randomised_training_keeps_what_is_rewarded() -> None:
     config = replace(TINY, randomise=True, reward_on="estimate")
     stack = ppo_aslip.variety(config, {"stack": "aslip"})["stack"]
     assert ("odometry", "pelvis_velocity") in stack["com_vel"]().in_keys
+
+
+def test_edits_are_kept_with_a_run_and_may_not_change(tmp_path: Path) -> None:
+    config = replace(TINY, out=tmp_path, total_steps=64)
+    edits = {"replace": {"reward": WeightedReward(PAPER_WEIGHTS)}, "drop": ["noise"]}
+    ppo_aslip.main(config, edits)
+    made_of = read_manifest(tmp_path / "policy.zip")["metadata"]["made_by"]["transforms"]
+    assert "noise" not in made_of
+    assert "'com_vel': '0.3'" in made_of["reward"]
+    other = {name: 0.2 for name in PAPER_WEIGHTS}
+    for name, changed in (
+        ("reward", {**edits, "replace": {"reward": WeightedReward(other)}}),
+        ("noise", {**edits, "drop": []}),
+    ):
+        with pytest.raises(ConfigurationError, match=rf"other settings: {name} was"):
+            ppo_aslip.main(replace(config, resume=True), changed)
+    edits["replace"] = {"reward": WeightedReward(PAPER_WEIGHTS)}
+    ppo_aslip.main(replace(config, resume=True, total_steps=128), edits)

@@ -21,6 +21,7 @@ from aslip.stack import (
     STACKS,
     acts_on,
     default_stack,
+    described,
     insert_before,
     make_env,
     randomised,
@@ -34,6 +35,7 @@ from aslip.transforms import (
     ObservationNoise,
     RandomNoise,
     RewardTerm,
+    SpeedCommand,
     WeightedReward,
 )
 from tests.conftest import MakeEnv
@@ -255,3 +257,19 @@ def test_the_stack_that_is_the_same_to_a_policy_is_found(
     blind = AssembleObservation([("estimate", "height")])
     assert acts_on(make(replace={"observation": blind})) is None
     assert acts_on(make(library=pendulum_library(library.gaits))) is None
+
+
+def test_an_environment_tells_what_it_is_made_of(make: MakeEnv, library: GaitLibrary) -> None:
+    """Whatever its robots and seed, and before and after it is used."""
+    env = make(num_envs=2)
+    told = described(env)
+    assert list(told) == list(env.transform_names)
+    assert "threshold=0.3" in told["low_reward"]
+    assert "21 motions from 0 to 2 m/s" in told["clock"]
+    env.rollout(3)
+    assert described(env) == told == described(make(num_envs=1, seed=7))
+    slow = make(replace={"command": SpeedCommand(library, [0.0, 0.25])})
+    assert [name for name in told if described(slow)[name] != told[name]] == ["command"]
+    louder = make(stack=randomised(default_stack(library)))
+    assert described(louder)["noise"] != told["noise"]
+    assert "'mass': '(0." in described(louder)["dynamics"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from aslip.errors import (
     ConfigurationError,
     RenderingError,
     SpeedOutOfRangeError,
+    UnknownNameError,
 )
 from aslip.log import read, replay
 from aslip.log.__main__ import main as log_main
@@ -71,6 +73,9 @@ def test_a_fall_ends_the_walk_and_the_log_is_whole(
         ({"duration": -1.0}, ConfigurationError, "duration"),
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
         ({"log": Path(".")}, ConfigurationError, "--log"),
+        # told with or without OpenGL
+        ({"video": Path("walk.mp4"), "camera": "nose"}, UnknownNameError, "nose.*side"),
+        ({"video": Path("walk.mp4"), "width": 10**5}, ConfigurationError, "100000"),
     ],
 )
 def test_mistakes_are_named_before_anything_is_written(
@@ -84,6 +89,14 @@ def test_mistakes_are_named_before_anything_is_written(
     with pytest.raises(error, match=names):
         walk.main(Config(**{"log": Path("walk.mcap"), **settings}))
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="how to tell is another matter elsewhere")
+def test_a_viewer_without_a_display_is_told_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(RenderingError, match="use --video"):
+        walk.main(Config(duration=0.3, viewer=True))
 
 
 # ---------------------------------------------------------------------- films

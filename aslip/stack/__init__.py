@@ -19,7 +19,7 @@ an environment, where TorchRL would keep stale specs; build another.
 
 from aslip.stack.edit import insert_before, randomised
 from aslip.stack.environment import CassieTransformedEnv, check_seed
-from aslip.stack.interface import acts_on, commanded, observed
+from aslip.stack.interface import acts_on, commanded, described, observed
 from aslip.stack.make import Backend, make_env
 from aslip.stack.stacks import (
     EPISODE_ENDS,
@@ -47,6 +47,7 @@ __all__ = [
     "check_seed",
     "commanded",
     "default_stack",
+    "described",
     "insert_before",
     "make_env",
     "observed",

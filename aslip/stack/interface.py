@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import is_dataclass
 from typing import Any, TypeVar
 
 import torch
@@ -59,6 +60,45 @@ def commanded(env: CassieTransformedEnv) -> list[float]:
     """
     speeds = _only(env, SpeedCommand).speeds.tolist()
     return list(dict.fromkeys(round(speed, 6) for speed in speeds))
+
+
+def described(env: CassieTransformedEnv) -> dict[str, str]:
+    """What an environment is made of: name of a transform -> its class, and what it was told.
+
+    Functions and whatever else has no short text are named by their kind.
+    """
+    return {
+        name: f"{type(t).__name__}({', '.join(_told(t))})"
+        for name, t in zip(env.transform_names, env.transforms, strict=True)
+    }
+
+
+def _told(transform: Transform) -> list[str]:
+    """Public attributes of a transform that TorchRL does not give to all."""
+    usual = vars(Transform())
+    keys = {key: getattr(transform, key) for key in ("in_keys", "out_keys")}
+    own = {
+        name: value
+        for name, value in {**vars(transform), **dict(transform.named_buffers())}.items()
+        if not name.startswith("_") and name not in usual and name not in _LEFT_OUT
+    }
+    return [f"{name}={_text(value)}" for name, value in sorted({**keys, **own}.items())]
+
+
+# what follows from others, or changes while a training goes on
+_LEFT_OUT = ("generator", "next_keys", "root_keys")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, torch.Tensor):
+        return str([round(number, 6) for number in value.flatten().tolist()])
+    if isinstance(value, Mapping):
+        return str({str(key): _text(item) for key, item in value.items()})
+    if isinstance(value, GaitLibrary):
+        return f"{len(value.speeds)} motions from {value.speeds[0]:g} to {value.speeds[-1]:g} m/s"
+    if isinstance(value, str | int | float | bool | tuple | list | None) or is_dataclass(value):
+        return str(value)
+    return getattr(value, "__qualname__", type(value).__name__)
 
 
 Kind = TypeVar("Kind", bound=Transform)
