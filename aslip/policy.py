@@ -37,10 +37,9 @@ from aslip.errors import (
     AssetError,
     ConfigurationError,
     FileDamagedError,
-    ShapeError,
     UnknownNameError,
 )
-from aslip.symmetry import Mirror, Symmetrised, action_mirror, observation_mirror
+from aslip.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 
 # normalised inputs further out than this are cut off: a fall must not shout down the rest
@@ -112,11 +111,7 @@ class RunningNormalizer(nn.Module):
         Raises:
             ShapeError: there is another number of values.
         """
-        if values.shape[-1] != len(self._offset):
-            raise ShapeError(
-                f"a policy that reads {len(self._offset)} numbers was shown {values.shape[-1]}: it"
-                " belongs to another stack of transforms"
-            )
+        check_size(values, len(self._offset))
         return ((values - self._offset) * self._scale).clamp(-_CLIP, _CLIP)
 
 

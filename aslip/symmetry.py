@@ -80,12 +80,21 @@ class Mirror(nn.Module):
         Raises:
             ShapeError: there is another number of values.
         """
-        if values.shape[-1] != len(self.index):
-            raise ShapeError(
-                f"a policy that reads {len(self.index)} numbers was shown {values.shape[-1]}: it"
-                " belongs to another stack of transforms"
-            )
+        check_size(values, len(self.index))
         return values[..., self.index] * self.sign
+
+
+def check_size(values: Tensor, size: int) -> None:
+    """Check that what a policy is shown, (*b, size), is what it reads.
+
+    Raises:
+        ShapeError: there is another number of values.
+    """
+    if values.shape[-1] != size:
+        raise ShapeError(
+            f"a policy that reads {size} numbers was shown {values.shape[-1]}: it belongs to"
+            " another stack of transforms"
+        )
 
 
 class Symmetrised(nn.Module):

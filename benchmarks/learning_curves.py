@@ -166,8 +166,8 @@ def _folder(config: Config, variant: str, seed: int) -> Path:
 
 def _train(config: Config, recorded: Runs) -> None:
     """Run what is missing, seed by seed, so that variants can be compared early."""
-    done = {key for key, run in recorded.items() if run.steps >= config.total_steps}
-    wanted = [run for run in _wanted(config) if run not in done]
+    kept = {key for key, run in recorded.items() if run.steps >= config.total_steps}
+    wanted = [run for run in _wanted(config) if run not in kept]
     wanted.sort(key=lambda run: run[1])
     total = len(wanted) * config.total_steps
     waiting = [run for run in wanted if _steps(_folder(config, *run)) < config.total_steps]

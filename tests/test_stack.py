@@ -259,6 +259,12 @@ def test_the_stack_that_is_the_same_to_a_policy_is_found(
     assert acts_on(make(library=pendulum_library(library.gaits))) is None
 
 
+class WithFunctions(Fall):
+    def __init__(self, functions: list[Any]) -> None:
+        super().__init__()
+        self.functions = functions
+
+
 def test_an_environment_tells_what_it_is_made_of(make: MakeEnv, library: GaitLibrary) -> None:
     """Whatever its robots and seed, and before and after it is used."""
     env = make(num_envs=2)
@@ -268,6 +274,9 @@ def test_an_environment_tells_what_it_is_made_of(make: MakeEnv, library: GaitLib
     assert "21 motions from 0 to 2 m/s" in told["clock"]
     env.rollout(3)
     assert described(env) == told == described(make(num_envs=1, seed=7))
+    # what is in a list has no address in its text, or no run could be resumed
+    both = [described(make(replace={"fall": lambda: WithFunctions([lambda: 0])})) for _ in range(2)]
+    assert both[0] == both[1]
     slow = make(replace={"command": SpeedCommand(library, [0.0, 0.25])})
     assert [name for name in told if described(slow)[name] != told[name]] == ["command"]
     louder = make(stack=randomised(default_stack(library)))

@@ -96,7 +96,9 @@ def _text(value: Any) -> str:
         return str({str(key): _text(item) for key, item in value.items()})
     if isinstance(value, GaitLibrary):
         return f"{len(value.speeds)} motions from {value.speeds[0]:g} to {value.speeds[-1]:g} m/s"
-    if isinstance(value, str | int | float | bool | tuple | list | None) or is_dataclass(value):
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_text, value))})"
+    if isinstance(value, str | int | float | None) or is_dataclass(value):
         return str(value)
     return getattr(value, "__qualname__", type(value).__name__)
 
