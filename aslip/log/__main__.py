@@ -18,7 +18,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     try:
         return options.run(options)
-    except AslipError as error:
+    except (AslipError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
 

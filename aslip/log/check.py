@@ -13,13 +13,17 @@ from mcap.records import Attachment, Channel, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 
-from aslip.log.reader import check_metadata, hash_problems, open_log
+from aslip.log.reader import (
+    FOOTER,
+    MAGIC,
+    begins_as_mcap,
+    check_metadata,
+    ending_problem,
+    hash_problems,
+    open_log,
+)
 from aslip.log.writer import METADATA
 
-_MAGIC = b"\x89MCAP0\r\n"
-# opcode and length of a record, then summary start, its offsets' start, and the checksum
-_FOOTER = struct.Struct("<BQQQI")
-_FOOTER_OPCODE = 0x02
 _DATA_END_SIZE = 1 + 8 + 4
 
 
@@ -38,12 +42,11 @@ def check(path: str | Path) -> list[str]:
     """
     path = Path(path)
     with open_log(path) as file:
-        data = file.read()
-    if not data.startswith(_MAGIC):
-        return [f"{str(path)!r} is no MCAP file: it does not begin as one"]
-    problems = _ending_problems(data)
-    if not problems:
-        problems += _checksum_problems(data)
+        if not begins_as_mcap(file):
+            return ["it is no MCAP file: it does not begin as one"]
+        problem = ending_problem(file)
+        file.seek(0)
+        problems = [problem] if problem else _checksum_problems(file.read())
     try:
         problems += _content_problems(path, finished=not problems)
     except Exception as error:  # one cause, a bad file, has many exceptions
@@ -51,26 +54,15 @@ def check(path: str | Path) -> list[str]:
     return problems
 
 
-def _ending_problems(data: bytes) -> list[str]:
-    """Whether the file was finished."""
-    tail = _FOOTER.size + len(_MAGIC)
-    if not data.endswith(_MAGIC) or len(data) < tail + len(_MAGIC):
-        return ["is unfinished: it does not end as an MCAP file"]
-    opcode, length, start, _, _ = _FOOTER.unpack(data[-tail : -len(_MAGIC)])
-    if opcode != _FOOTER_OPCODE or length != _FOOTER.size - 1 - 8 or not 0 < start < len(data):
-        return ["its footer is damaged"]
-    return []
-
-
 def _checksum_problems(data: bytes) -> list[str]:
     """Checksums over the data section and over the summary."""
-    tail = _FOOTER.size + len(_MAGIC)
-    _, _, start, _, summary_crc = _FOOTER.unpack(data[-tail : -len(_MAGIC)])
+    tail = FOOTER.size + len(MAGIC)
+    _, _, start, _, summary_crc = FOOTER.unpack(data[-tail : -len(MAGIC)])
     problems = []
     (data_crc,) = struct.unpack("<I", data[start - 4 : start])
     if zlib.crc32(data[: start - _DATA_END_SIZE]) != data_crc:
         problems.append("a byte of the data is wrong: their checksum differs")
-    if zlib.crc32(data[start : -len(_MAGIC) - 4]) != summary_crc:
+    if zlib.crc32(data[start : -len(MAGIC) - 4]) != summary_crc:
         problems.append("a byte of the summary is wrong: its checksum differs")
     return problems
 

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -15,6 +18,12 @@ from mcap_ros2.decoder import DecoderFactory
 from aslip.errors import AssetError, FileDamagedError, UnknownNameError
 from aslip.log import messages
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA
+
+MAGIC = b"\x89MCAP0\r\n"
+"""A file's first and last bytes."""
+FOOTER = struct.Struct("<BQQQI")
+"""The record before them: opcode, length, where the summary and its offsets start, checksum."""
+_FOOTER_OPCODE = 0x02
 
 
 @dataclass(frozen=True)
@@ -83,7 +92,13 @@ def read(path: str | Path, topics: list[str] | None = None) -> Recording:
         FileDamagedError: it is no log, not finished, damaged, or of another format.
     """
     path = Path(path)
-    with _explained(path), open_log(path) as file:
+    with open_log(path) as file, _explained(path):
+        if not begins_as_mcap(file):
+            raise FileDamagedError(f"{str(path)!r} is no MCAP file: it does not begin as one")
+        problem = ending_problem(file)
+        if problem:
+            raise ValueError(problem)
+        file.seek(0)
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         if reader.get_summary() is None:
             raise ValueError("it has no summary")
@@ -99,7 +114,7 @@ def read(path: str | Path, topics: list[str] | None = None) -> Recording:
     return Recording(path, metadata, records.get(END_METADATA, {}), attachments, series)
 
 
-def open_log(path: Path) -> Any:
+def open_log(path: Path) -> IO[bytes]:
     """The file, open for reading.
 
     Raises:
@@ -109,6 +124,26 @@ def open_log(path: Path) -> Any:
         return path.open("rb")
     except (FileNotFoundError, IsADirectoryError) as error:
         raise AssetError(f"no log {str(path)!r}: {error.strerror}") from None
+
+
+def begins_as_mcap(file: IO[bytes]) -> bool:
+    """Whether a file may be an MCAP file at all."""
+    file.seek(0)
+    return file.read(len(MAGIC)) == MAGIC
+
+
+def ending_problem(file: IO[bytes]) -> str | None:
+    """Why an MCAP file was not finished; None if it was."""
+    size = file.seek(0, os.SEEK_END)
+    tail = FOOTER.size + len(MAGIC)
+    file.seek(max(size - tail, 0))
+    ending = file.read()
+    if not ending.endswith(MAGIC) or size < tail + len(MAGIC):
+        return "it is unfinished: it does not end as an MCAP file"
+    opcode, length, start, _, _ = FOOTER.unpack(ending[: -len(MAGIC)])
+    if opcode != _FOOTER_OPCODE or length != FOOTER.size - 1 - 8 or not 0 < start < size:
+        return "its footer is damaged"
+    return None
 
 
 def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
@@ -143,22 +178,20 @@ def hash_problems(metadata: dict[str, str], attachments: dict[str, bytes]) -> It
         yield f"the attachment {name!r} has no hash in the metadata"
 
 
-class _explained:
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
     """Turn whatever a parser trips over into one error."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, kind: type[BaseException] | None, error: Any, trace: Any) -> None:
-        if isinstance(error, Exception) and not isinstance(error, AssetError):
-            name = str(self.path)
-            raise FileDamagedError(
-                f"{name!r} is no whole, intact log ({type(error).__name__}: {error}); what is left"
-                f" of it can be saved with: python -m aslip.log recover {name}"
-            ) from error
+    try:
+        yield
+    except FileDamagedError:
+        raise
+    except Exception as error:  # one cause, a bad file, has many exceptions
+        # ours say what is wrong, others at least what was being done
+        reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
+        raise FileDamagedError(
+            f"{str(path)!r} is no whole, intact log: {reason}; what is left of it can be saved"
+            f" with: python -m aslip.log recover {path}"
+        ) from error
 
 
 def _series(topic: str, entries: list[tuple[int, Any]]) -> Series:

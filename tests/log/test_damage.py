@@ -115,8 +115,9 @@ def test_an_unfinished_log_is_told_as_such(
         del data[len(data) // 2 :]
 
     path = altered(cut)
-    assert check(path)[0] == "is unfinished: it does not end as an MCAP file"
-    with pytest.raises(FileDamagedError, match="no whole, intact log"):
+    unfinished = "it is unfinished: it does not end as an MCAP file"
+    assert check(path)[0] == unfinished
+    with pytest.raises(FileDamagedError, match=f"no whole, intact log: {unfinished}; .* recover"):
         read(path)
 
 
@@ -152,7 +153,7 @@ def test_other_formats_and_files_are_refused(log: Path, tmp_path: Path) -> None:
     assert "its format is '99'" in check(path)[0]
     text = tmp_path / "notes.mcap"
     text.write_text("walked well")
-    with pytest.raises(FileDamagedError, match=r"notes\.mcap"):
+    with pytest.raises(FileDamagedError, match=r"notes\.mcap' is no MCAP file"):
         read(text)
     assert "no MCAP file" in check(text)[0]
     for function in (read, check, recover):
