@@ -232,6 +232,8 @@ def test_randomised_robots_have_noise_only_if_there_was_some(library: GaitLibrar
     assert randomised(stack)["noise"] is RandomNoise
     del stack["noise"]
     assert "noise" not in randomised(stack)
+    with pytest.raises(ConfigurationError, match="'aslip' is the name of a stack"):
+        randomised("aslip")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("settings", [{"reward_on": "estimate"}, {"library": None}])

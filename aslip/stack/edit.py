@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from torchrl.envs.transforms import Transform
 
-from aslip.errors import UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.stack.stacks import Stack
 from aslip.transforms import RandomDynamics, RandomNoise
 
@@ -16,6 +16,10 @@ def randomised(stack: Stack) -> Stack:
 
     Dynamics and, if there is sensor noise, its levels are drawn from
     `aslip.transforms.DYNAMICS_RANGES` at each reset.
+
+    Raises:
+        ConfigurationError: the stack is only the name of one.
+        UnknownNameError: it has no transform `start`.
     """
     stack = insert_before(stack, "start", dynamics=RandomDynamics)
     return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
@@ -25,6 +29,7 @@ def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> St
     """A copy of a stack with more transforms, in front of the named one.
 
     Raises:
+        ConfigurationError: the stack is only the name of one.
         UnknownNameError: the stack has no transform of that name.
     """
     _require_names(stack, [name])
@@ -55,8 +60,13 @@ def _require_names(stack: Stack, names: Iterable[str]) -> None:
     """Check that a stack has transforms of these names.
 
     Raises:
+        ConfigurationError: it is the name of a stack.
         UnknownNameError: it lacks one; the message has the nearest name and all others.
     """
+    if isinstance(stack, str):
+        raise ConfigurationError(
+            f"{stack!r} is the name of a stack, give the stack itself, such as default_stack()"
+        )
     for name in names:
         if name not in stack:
             raise UnknownNameError.among("transform", name, stack)
