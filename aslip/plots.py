@@ -79,7 +79,8 @@ def gait_sheet(gaits: Sequence[Gait]) -> Figure:
         _shade_modes(axes, gaits[0])
     rows[2].plot([], [], "k-", label="left leg")
     rows[2].plot([], [], "k:", label="right leg")
-    rows[2].legend(loc="upper right", fontsize=8)
+    # over the left leg's flight, between the humps of the right one
+    rows[2].legend(loc="upper center", bbox_to_anchor=(0.2, 1.0), fontsize=8)
     rows[-1].set(xlabel="phase (0: left lift-off)", xlim=(0, 1))
     scale = ScalarMappable(
         Normalize(gaits[0].speed, gaits[-1].speed), ListedColormap([tuple(c) for c in colors])

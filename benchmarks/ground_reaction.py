@@ -35,8 +35,6 @@ _SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
 # a foot that stood less often has not walked
 _LEAST_STANCES = 3
-# impacts rise far above the humps [N]
-_LARGEST_SHOWN = 600.0
 _VERTICAL = [-4, -1]  # of both feet, in what is watched
 
 
@@ -197,8 +195,8 @@ def picture(config: Config, curves: dict[tuple[str, float], Curve], library: Gai
                 axis.plot(share, found.mean, color=color, label=method)
                 low, high = found.mean - found.std, found.mean + found.std
                 axis.fill_between(share, low, high, color=color, alpha=0.25, lw=0)
-        axis.set(title=f"{round(speed, 3)} m/s", xlabel="stride from touchdown", xlim=(0, 1))
-        axis.set_ylim(0, _LARGEST_SHOWN)
+        axis.set(title=f"{round(speed, 3)} m/s", xlabel="stride from touchdown", ylim=(0, None))
+        axis.set_xlim(-0.02, 1)  # impacts are at touchdown
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("vertical force of one foot [N]")
     axes[0].legend(fontsize=8)
