@@ -259,7 +259,7 @@ def measure(row: dict[str, Any]) -> str:
     """What was measured, for people."""
     if math.isnan(row["mean"]):
         return "none"
-    interval = Interval(row["mean"], row["low"], row["high"])
+    interval = Interval.of_row(row)
     return f"{interval.text(row['digits'])} {row['unit']}".rstrip()
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,9 @@ from aslip.walks import Walks, record_walks
 WALKING_LENGTH = 350
 """Mean length of training episodes that counts as having learned to walk, of 400 [policy steps]."""
 
-_CONFIDENCE = 0.95
+CONFIDENCE = 0.95
+"""Of all intervals."""
+
 _RESAMPLES = 2000
 
 
@@ -72,15 +74,20 @@ class Interval:
         means = np.array([group.mean() for group in kept])
         mean = float(means.mean())
         if len(means) > 1:
-            half = stats.t.ppf(0.5 + _CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
+            half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
             return cls(mean, mean - float(half), mean + float(half))
         values = kept[0]
         if len(values) < 2 or np.ptp(values) == 0:
             return cls(mean, mean, mean)
         rng = np.random.default_rng(0)
         drawn = rng.choice(values, (_RESAMPLES, len(values))).mean(axis=1)
-        low, high = np.quantile(drawn, [0.5 - _CONFIDENCE / 2, 0.5 + _CONFIDENCE / 2])
+        low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
         return cls(mean, float(low), float(high))
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> Interval:
+        """From numbers that `vars` of one are among."""
+        return cls(row["mean"], row["low"], row["high"])
 
     def text(self, digits: int, scale: float = 1.0) -> str:
         """Mean and, if it has one, interval, with so many digits, times `scale`."""

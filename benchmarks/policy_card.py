@@ -36,8 +36,10 @@ from aslip.policy import find_policy, load_policy, policy_stack, read_manifest
 from aslip.run import write_text
 from aslip.stack import make_env
 from aslip.transforms import DYNAMICS_RANGES, ActionDelta
-from benchmarks import foot_placement, perturbation, step_frequency, velocity_tracking
+from benchmarks import foot_placement, step_frequency, velocity_tracking
 from benchmarks.common import markdown
+from benchmarks.perturbation import suite as perturbation
+from benchmarks.perturbation.config import SWEEPS
 
 _LEFT = "---"
 _MOTORS, _JOINTS = "; ".join(MOTOR_NAMES), "; ".join(JOINT_NAMES)
@@ -206,7 +208,7 @@ def limits(numbers: dict[str, Any]) -> str:
         f" {weakest['mean']:.1f} N s on, where it is weakest: at phase {weakest['phase']:g}, at"
         f" {row['direction_deg']:.0f}° from forward to the left."
     ]
-    for name, sweep in perturbation.SWEEPS.items():
+    for name, sweep in SWEEPS.items():
         rows = [row for row in numbers["sweeps"] if row["parameter"] == name]
         bad = [f"{row['value']:g}" for row in rows if row["mean"] < 1]
         if bad:

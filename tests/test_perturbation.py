@@ -16,10 +16,15 @@ from tqdm import tqdm
 
 import aslip
 from aslip.errors import ConfigurationError
-from benchmarks import perturbation
 from benchmarks.common import environment
+from benchmarks.perturbation import sweeps as sweeps_module
+from benchmarks.perturbation.config import SWEEPS, Config
+from benchmarks.perturbation.pushes import settled, survived_pushes
+from benchmarks.perturbation.suite import main
+from benchmarks.perturbation.sweeps import survived_sweeps, sweep_rows, trials, wilson
+from benchmarks.perturbation.walking import walk
 
-NO_SWEEPS: dict[str, Any] = {s.flag: () for s in perturbation.SWEEPS.values()}
+NO_SWEEPS: dict[str, Any] = {s.flag: () for s in SWEEPS.values()}
 BAR = tqdm(disable=True)
 
 
@@ -29,10 +34,10 @@ def deterministic() -> Iterator[None]:
         yield
 
 
-def _config(**settings: Any) -> perturbation.Config:
+def _config(**settings: Any) -> Config:
     small = {"directions": 2, "phases": 1, "repeats": 1, "bisections": 1, "settle": 0.3}
     small |= {"after": 0.9, "speeds": (1.0,), "episodes": 1, "episode": 1.2, **NO_SWEEPS}
-    return perturbation.Config(**(small | settings))
+    return Config(**(small | settings))
 
 
 def test_the_benchmark_measures_draws_and_reports(
@@ -42,7 +47,7 @@ def test_the_benchmark_measures_draws_and_reports(
     config = _config(
         out=tmp_path, directions=4, bisections=2, largest=480.0, motor_strength=(0.0, 1.0)
     )
-    perturbation.main(config)
+    main(config)
     report = json.loads((tmp_path / "perturbation.json").read_text())
     assert [row["direction_deg"] for row in report["pushes"]] == [0, 90, 180, 270]
     assert [row["mean"] for row in report["pushes"]] == [0] * 4
@@ -58,7 +63,7 @@ def test_the_benchmark_measures_draws_and_reports(
 def test_bisection_closes_in_from_below() -> None:
     """Where every push is survived, on the end of the range."""
     config = _config(bisections=3, largest=1.6, after=0.3)
-    survived = perturbation.survived_pushes(config, "aslip", BAR)
+    survived = survived_pushes(config, "aslip", BAR)
     np.testing.assert_allclose(survived, 1.4)
 
 
@@ -66,7 +71,7 @@ def test_pushes_begin_at_their_phase() -> None:
     config = _config(settle=0.51, speed=1.5)
     env = environment(config, "aslip", 4)
     phase = np.arange(4) / 4
-    td, _ = perturbation.settled(config, env, aslip.load_policy("aslip"), phase, BAR)
+    td, _ = settled(config, env, aslip.load_policy("aslip"), phase, BAR)
     difference = np.asarray(td["phase"][:, 0]) - phase
     np.testing.assert_allclose((difference + 0.5) % 1 - 0.5, 0, atol=1e-5)
 
@@ -75,14 +80,14 @@ def test_walks_repeat_from_where_they_are_put_back() -> None:
     """Bit for bit without noise, pushed in between or not; and pushes push where they should."""
     config = _config(truth=True)
     actor, env = aslip.load_policy("aslip"), environment(config, "aslip", 2)
-    td, _ = perturbation.settled(config, env, actor, np.array([0.0, 0.5]), BAR)
+    td, _ = settled(config, env, actor, np.array([0.0, 0.5]), BAR)
     states = env.base_env.states()
     forces = [None, np.array([[0.0, 100.0, 0.0], [-100.0, 0.0, 0.0]]), None]
     ends = []
     for force in forces:
         env.base_env.set_states(states)
-        after, _ = perturbation.walk(env, actor, td, 4, BAR, force)
-        ends.append(perturbation.walk(env, actor, after, 4, BAR)[0])
+        after, _ = walk(env, actor, td, 4, BAR, force)
+        ends.append(walk(env, actor, after, 4, BAR)[0])
     first, pushed, second = (end["truth", "qvel"].numpy() for end in ends)
     np.testing.assert_array_equal(first, second)
     assert pushed[0, 1] > first[0, 1] + 0.05
@@ -94,13 +99,13 @@ def test_each_robot_of_a_sweep_has_its_value(monkeypatch: pytest.MonkeyPatch) ->
     config = _config(slope_deg=(-9.0, 0.0, 9.0), torque_delay_ms=(5.0,), payload=(2.0,), episodes=2)
     seen = {}
 
-    def walk(env: Any, *_: Any) -> tuple[None, np.ndarray]:
+    def stand(env: Any, *_: Any) -> tuple[None, np.ndarray]:
         seen.update(env.base_env.dynamics)
         return None, np.ones(env.num_envs, dtype=bool)
 
-    monkeypatch.setattr(perturbation, "walk", walk)
-    assert perturbation.survived_sweeps(config, "aslip", BAR).all()
-    rows = [(t.parameter, t.shown) for t in perturbation.trials(config)]
+    monkeypatch.setattr(sweeps_module, "walk", stand)
+    assert survived_sweeps(config, "aslip", BAR).all()
+    rows = [(t.parameter, t.shown) for t in trials(config)]
     for i, (name, shown) in enumerate(rows):
         value = {"slope": math.radians(shown), "torque_delay": shown / 1000}.get(name, shown)
         assert seen[name][i] == pytest.approx(value, abs=1e-12)
@@ -111,7 +116,7 @@ def test_each_robot_of_a_sweep_has_its_value(monkeypatch: pytest.MonkeyPatch) ->
 def test_policies_and_speeds_are_counted_together() -> None:
     config = _config(payload=(0.0, 5.0), speeds=(0.0, 1.0), episodes=1)
     sweeps = [np.array([True, True, True, False]), np.array([True, False, False, False])]
-    rows = perturbation.sweep_rows(config, sweeps)
+    rows = sweep_rows(config, sweeps)
     assert [(row["mean"], row["trials"]) for row in rows] == [(0.75, 4), (0.25, 4)]
     assert rows[0]["by_speed"] == {"0.0": 1.0, "1.0": 0.5}
 
@@ -121,16 +126,16 @@ def test_policies_and_speeds_are_counted_together() -> None:
 )
 def test_wilsons_interval(successes: int, low: float, high: float) -> None:
     """Of ten trials, from the literature's tables."""
-    interval = perturbation.wilson(successes, 10)
+    interval = wilson(successes, 10)
     assert interval.mean == successes / 10
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-4)
 
 
 def test_wilsons_interval_holds_the_share() -> None:
     """To the last bit, for all that draw it."""
-    for trials in range(1, 80):
-        for successes in range(trials + 1):
-            interval = perturbation.wilson(successes, trials)
+    for count in range(1, 80):
+        for successes in range(count + 1):
+            interval = wilson(successes, count)
             assert 0 <= interval.low <= interval.mean <= interval.high <= 1
 
 
@@ -145,4 +150,4 @@ def test_wilsons_interval_holds_the_share() -> None:
 )
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        perturbation.Config(**settings)
+        Config(**settings)
