@@ -155,14 +155,21 @@ def shortest_swing(library: GaitLibrary, speed: float) -> float:
 def write_report(
     config: Common, name: str, numbers: dict[str, Any], table: str, figure: Figure | None = None
 ) -> None:
-    """Print the table; write it, the numbers and the picture."""
-    config.out.mkdir(parents=True, exist_ok=True)
-    print(table)
-    write_text(config.out / f"{name}.md", table + "\n")
+    """Report about policies: `write_results` with what every benchmark of them is told."""
     about = {"policies": list(config.policy), "seed": config.seed, "truth": config.truth}
-    write_text(config.out / f"{name}.json", json.dumps({**about, **numbers}, indent=1) + "\n")
+    write_results(config.out, name, {**about, **numbers}, table, figure)
+
+
+def write_results(
+    out: Path, name: str, numbers: dict[str, Any], table: str, figure: Figure | None = None
+) -> None:
+    """Print a table; write it, numbers and picture into a folder, by name."""
+    print(table)
+    out.mkdir(parents=True, exist_ok=True)
+    write_text(out / f"{name}.md", table + "\n")
+    write_text(out / f"{name}.json", json.dumps(numbers, indent=1) + "\n")
     if figure is not None:
-        save_figure(figure, config.out / f"{name}.png")
+        save_figure(figure, out / f"{name}.png")
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]], align: str = "---:") -> str:

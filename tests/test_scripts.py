@@ -18,7 +18,8 @@ from aslip.errors import (
 )
 from aslip.library.file import read_made_by
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
-from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
+from benchmarks import black_box, collectors, film_strip, learning_curves, throughput
+from benchmarks.estimator import suite as estimator
 from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
 
@@ -108,8 +109,7 @@ def test_the_estimator_is_measured_and_drawn(
         falls=2,
         num_envs=2,
         rounds=1,
-        picture=tmp_path / "estimator.png",
-        report=tmp_path / "estimator.json",
+        out=tmp_path,
     )
     estimator.main(config)
     printed = capsys.readouterr().out
