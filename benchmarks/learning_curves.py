@@ -280,7 +280,7 @@ def report(runs: Sequence[Run]) -> str:
     """A row for each run, when it walks and how well in the end; their means for each variant."""
     header = ["variant", "seed", "commit", "thousand steps", "minutes"]
     header += [f"episodes of {length} after" for length in _LENGTHS]
-    header += ["in the end", "return", "evaluation: return", "speeds walked %"]
+    header += ["in the end", "return", "evaluation: return", "speeds survived %"]
     header += ["diverged"]
     lines = []
     for variant in dict.fromkeys(run.variant for run in runs):

@@ -247,7 +247,7 @@ def measures(results: Sequence[WalkResult]) -> dict[str, float]:
         for r in results
     ]
     return {
-        "speeds walked": float(sum(r.survived for r in results)),
+        "speeds walked": float(sum(r.walked for r in results)),
         "paper's return": float(np.mean(returns)),
         "speed error m/s": float(np.mean([abs(r.mean_speed - r.speed) for r in results])),
         **{name: float(np.mean([r.terms[name] for r in results])) for name in PAPER_WEIGHTS},

@@ -94,3 +94,16 @@ def test_the_table_does_not_round_speeds_to_others() -> None:
     result = WalkResult(0.25, 400, True, 1.0, 0.2, 0.0, 1.0, {})
     assert "| 0.25 |" in walk_table([result])
     assert "| 1.0 |" in walk_table([replace(result, speed=1.0)])
+
+
+def test_who_leans_on_more_than_its_feet_does_not_walk() -> None:
+    walk = WalkResult(0.25, 400, True, 300.0, 0.2, 0.0, 0.99, {})
+    results = [walk, replace(walk, weight_ratio=0.8), replace(walk, survived=False)]
+    assert [result.walked for result in results] == [True, False, False]
+    assert walk_table(results).endswith(
+        "\n\n1 of 3 speeds walked; mean return 300.0; at 1 more it leans on something else than"
+        " its feet"
+    )
+    assert "lean" not in walk_table([walk])
+    # in three policy steps momentum may carry it
+    assert replace(walk, steps=3, weight_ratio=0.8).walked
