@@ -186,7 +186,7 @@ def _explained(path: Path) -> Iterator[None]:
     except FileDamagedError:
         raise
     except Exception as error:  # one cause, a bad file, has many exceptions
-        # ours say what is wrong, others at least what was being done
+        # our own say what is wrong; a parser's say little without their kind
         reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
         raise FileDamagedError(
             f"{str(path)!r} is no whole, intact log: {reason}; what is left of it can be saved"
