@@ -15,6 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from aslip.cassie import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.errors import ConfigurationError
 from aslip.stack import MAX_EPISODE_STEPS, CassieTransformedEnv
+from aslip.tables import markdown
 from aslip.transforms import SpeedCommand
 
 # share of the weight that feet carry on the long run, and what the pelvis may bob up and down [m/s]
@@ -141,12 +142,10 @@ def walk_table(results: Sequence[WalkResult]) -> str:
         ]
         for r in results
     ]
-    lines = [header, ["---:"] * len(header), *rows]
-    table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
     mean = sum(r.total for r in results) / len(results)
     walked = sum(r.walked for r in results)
     summary = f"{walked} of {len(results)} speeds walked; mean return {mean:.1f}"
     leaning = sum(r.survived and not r.walked for r in results)
     if leaning:
         summary += f"; at {leaning} more it leans on something else than its feet"
-    return f"{table}\n\n{summary}"
+    return f"{markdown(header, rows)}\n\n{summary}"

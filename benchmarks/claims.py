@@ -25,6 +25,7 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import one_line_errors
 from aslip.metrics import Placement, leg_length_correlation
 from aslip.run import read_progress, write_text
+from aslip.tables import markdown
 from aslip.walks import Walks
 from benchmarks import foot_placement, ground_reaction, step_frequency, velocity_tracking
 from benchmarks.common import (
@@ -32,7 +33,6 @@ from benchmarks.common import (
     Common,
     Interval,
     constant_walks,
-    markdown,
     write_report,
 )
 
@@ -250,9 +250,9 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     ]
     header = ["claim", "where the paper says it, or what we ask", "published", "here", "limit", ""]
     passed = sum(row["holds"] for row in rows)
-    lines = markdown(header, cells).splitlines()
-    lines[1] = "|---|---|---:|---:|---:|---|"
-    return "\n".join(lines) + f"\n\n{passed} of {len(rows)} hold; intervals of 95 % over seeds."
+    align = ["---", "---", "---:", "---:", "---:", "---"]
+    text = markdown(header, cells, align)
+    return f"{text}\n\n{passed} of {len(rows)} hold; intervals of 95 % over seeds."
 
 
 def measure(row: dict[str, Any]) -> str:

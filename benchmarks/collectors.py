@@ -29,6 +29,7 @@ import aslip
 from aslip.collect import CollectorKind, make_collector
 from aslip.errors import one_line_errors
 from aslip.policy import policy_stack
+from aslip.tables import markdown
 
 
 @dataclass(frozen=True)
@@ -73,12 +74,14 @@ def main(config: Config) -> None:
             {kind: _seconds(iterator) for kind, iterator in batches.items()}
             for _ in range(config.rounds)
         ]
-    print(f"| {config.num_envs} robots | policy steps/s | of `{config.kinds[0]}` | first batch s |")
-    print("|---|---:|---:|---:|")
+    rows = []
     for kind in config.kinds:
         rate = statistics.median(config.samples / r[kind] for r in rounds)
         share = statistics.median(r[config.kinds[0]] / r[kind] for r in rounds)
-        print(f"| `{kind}` | {rate:.0f} | {100 * share:.0f} % | {first[kind]:.1f} |", flush=True)
+        rows.append([f"`{kind}`", f"{rate:.0f}", f"{100 * share:.0f} %", f"{first[kind]:.1f}"])
+    robots, beside = f"{config.num_envs} robots", f"of `{config.kinds[0]}`"
+    header = [robots, "policy steps/s", beside, "first batch s"]
+    print(markdown(header, rows, ["---", "---:", "---:", "---:"]))
 
 
 def _seconds(batches: Iterator[TensorDict]) -> float:

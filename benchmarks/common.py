@@ -170,9 +170,3 @@ def write_results(
     write_text(out / f"{name}.json", json.dumps(numbers, indent=1) + "\n")
     if figure is not None:
         save_figure(figure, out / f"{name}.png")
-
-
-def markdown(header: Sequence[str], rows: Sequence[Sequence[str]], align: str = "---:") -> str:
-    """A table, numbers to the right unless `align` says otherwise."""
-    lines = [list(header), [align] * len(header), *map(list, rows)]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)

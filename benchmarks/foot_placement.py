@@ -26,12 +26,12 @@ from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
 from aslip.log import read
 from aslip.metrics import Placement, footsteps, placement
+from aslip.tables import markdown
 from aslip.walks import Walks
 from benchmarks.common import (
     Common,
     Interval,
     constant_walks,
-    markdown,
     shortest_swing,
     write_report,
 )

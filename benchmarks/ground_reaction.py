@@ -27,8 +27,9 @@ from aslip.metrics import force_profile, mean_over_strides
 from aslip.metrics.contact import stances
 from aslip.metrics.force import ForceProfile, dip_ratio, humps
 from aslip.rom import Gait
+from aslip.tables import markdown
 from aslip.walker import Walker
-from benchmarks.common import Common, environment, markdown, nearest_gait, write_report
+from benchmarks.common import Common, environment, nearest_gait, write_report
 
 # before strides count, and while they do [s]
 _SETTLE, _WALK = 4.0, 8.0

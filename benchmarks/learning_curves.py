@@ -39,7 +39,8 @@ from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.plots import save_figure
 from aslip.policy import POLICY_FILE, read_manifest
 from aslip.run import read_progress, write_text
-from benchmarks.common import WALKING_LENGTH, Interval, markdown
+from aslip.tables import markdown
+from benchmarks.common import WALKING_LENGTH, Interval
 
 VARIANTS: Final = MappingProxyType(
     {"truth": ("--truth",), "default": (), "paper": ("--preset", "paper")}

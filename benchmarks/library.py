@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import tyro
 
 from aslip.errors import one_line_errors
+from aslip.tables import markdown
 
 _GAITS = """
 from aslip.library.build import PAPER_SPEEDS
@@ -68,11 +69,13 @@ def main(config: Config) -> None:
         outputs.append([float(word) for word in _run(_POSES).split()])
     count, _, loop, foot = outputs[0]
     rate = count / statistics.median(output[1] for output in outputs)
-    print("| on one core | |\n|---|---:|")
-    print(f"| 21 gaits from a cold start | {statistics.median(seconds):.1f} s |")
-    print(f"| inverse kinematics of {count:.0f} poses | {rate:.0f} poses/s |")
-    print(f"| largest gap of a loop | {loop:.0e} m |")
-    print(f"| largest error of a foot | {foot:.0e} m |")
+    rows = [
+        ["21 gaits from a cold start", f"{statistics.median(seconds):.1f} s"],
+        [f"inverse kinematics of {count:.0f} poses", f"{rate:.0f} poses/s"],
+        ["largest gap of a loop", f"{loop:.0e} m"],
+        ["largest error of a foot", f"{foot:.0e} m"],
+    ]
+    print(markdown(["on one core", ""], rows, ["---", "---:"]))
 
 
 def _run(code: str) -> str:

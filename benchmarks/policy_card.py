@@ -35,9 +35,9 @@ from aslip.errors import ConfigurationError, one_line_errors
 from aslip.policy import find_policy, load_policy, policy_stack, read_manifest
 from aslip.run import write_text
 from aslip.stack import make_env
+from aslip.tables import markdown
 from aslip.transforms import DYNAMICS_RANGES, ActionDelta
 from benchmarks import foot_placement, step_frequency, velocity_tracking
-from benchmarks.common import markdown
 from benchmarks.perturbation import suite as perturbation
 from benchmarks.perturbation.config import SWEEPS
 

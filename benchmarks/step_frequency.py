@@ -16,12 +16,12 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import one_line_errors
 from aslip.library import GaitLibrary
 from aslip.metrics import duty_factor, step_frequency
+from aslip.tables import markdown
 from aslip.walks import Walks
 from benchmarks.common import (
     Common,
     Interval,
     constant_walks,
-    markdown,
     shortest_swing,
     strides,
     write_report,

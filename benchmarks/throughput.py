@@ -47,6 +47,7 @@ from aslip.evaluation import evaluate
 from aslip.policy import policy_stack
 from aslip.sim import SimulationPool
 from aslip.stack import ON_TRUTH
+from aslip.tables import markdown
 from aslip.transforms import ActionDelta
 from benchmarks.faults.trainings import quiet
 from recipes import ppo_aslip
@@ -196,7 +197,8 @@ def main(config: Config) -> None:
 def update_table(config: Config) -> str:
     """Seconds that a training spends between updates and on them, on copies and checkpoints."""
     header = ["settings", "samples", "collecting s", "update s", "share of the update"]
-    lines = [[*header, "copy s", "checkpoint s"], ["---", *["---:"] * 6]]
+    header += ["copy s", "checkpoint s"]
+    rows = []
     for name, preset in ppo_aslip.PRESETS.items():
         training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
         updates, copies, saves = _iterations(training, config.rounds)
@@ -207,8 +209,8 @@ def update_table(config: Config) -> str:
         cells += [f"{statistics.median(times):.2f}" for times in (collecting, updating)]
         cells += [f"{100 * share:.0f} %"]
         cells += [f"{statistics.median(e - s for s, e in spans):.2f}" for spans in (copies, saves)]
-        lines.append(cells)
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        rows.append(cells)
+    return markdown(header, rows, ["---", *["---:"] * 6])
 
 
 Spans = list[tuple[float, float]]
@@ -256,12 +258,12 @@ def memory_table(config: Config) -> str:
         "import sys; from benchmarks.throughput import memory_of;"
         " print(memory_of(int(sys.argv[1])))"
     )
-    lines = ["| N | peak memory GiB |", "|---:|---:|"]
+    rows = []
     for num_envs in config.num_envs:
         command = [sys.executable, "-c", code, str(num_envs)]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-        lines.append(f"| {num_envs} | {float(done.stdout.split()[-1]):.2f} |")
-    return "\n".join(lines)
+        rows.append([str(num_envs), f"{float(done.stdout.split()[-1]):.2f}"])
+    return markdown(["N", "peak memory GiB"], rows)
 
 
 def memory_of(num_envs: int) -> float:

@@ -34,12 +34,12 @@ from aslip.metrics import (
     stride_average,
     touchdown_spike,
 )
+from aslip.tables import markdown
 from aslip.walks import Walks
 from benchmarks.common import (
     Common,
     Interval,
     constant_walks,
-    markdown,
     walks_of,
     write_report,
 )

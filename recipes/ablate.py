@@ -38,6 +38,7 @@ from aslip.library import pendulum_library
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.run import write_text
 from aslip.stack import MAX_EPISODE_STEPS, Stack, default_stack, insert_before
+from aslip.tables import markdown
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
     ActionDelta,
@@ -262,8 +263,7 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
         cells = [interval([m[key] for m in judged]) for key in judged[0]]
         rows.append([name, str(len(judged)), *cells])
     header = ["variant", "seeds", *measures(next(iter(next(iter(found.values())).values())))]
-    lines = [header, ["---", *["---:"] * (len(header) - 1)], *rows]
-    text = "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    text = markdown(header, rows, ["---", *["---:"] * (len(header) - 1)])
     best = f"The largest return is {MAX_EPISODE_STEPS}."
     return f"{text}\n\n{total_steps} policy steps each; mean and 95 % interval over seeds. {best}"
 

@@ -36,6 +36,7 @@ from aslip.ghost import Ghost
 from aslip.log import JointRate, Recorder
 from aslip.policy import policy_stack
 from aslip.stack import EPISODE_ENDS, ON_TRUTH, STACKS, Backend
+from aslip.tables import markdown
 from aslip.walker import Push, Schedule, Walker
 
 # how long the last speed of a schedule is held [s]
@@ -208,7 +209,7 @@ def frame(td: TensorDictBase) -> Frame:
 
 def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     """Commanded and walked speed of each part of the schedule, over its second half."""
-    lines = ["| from s | command m/s | speed m/s | mean reward |", "|---:|---:|---:|---:|"]
+    lines = []
     times = np.array([row["time"] for row in rows])
     ends = [*schedule.times[1:], math.inf]
     for start, end, speed in zip(schedule.times, ends, schedule.speeds, strict=True):
@@ -217,8 +218,8 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
         if part:
             walked = np.mean([row["speed"] for row in part])
             reward = np.mean([row["reward"] for row in part])
-            lines.append(f"| {start:g} | {speed:.2f} | {walked:.3f} | {reward:.3f} |")
-    return "\n".join(lines)
+            lines.append([f"{start:g}", f"{speed:.2f}", f"{walked:.3f}", f"{reward:.3f}"])
+    return markdown(["from s", "command m/s", "speed m/s", "mean reward"], lines)
 
 
 def check_rendering(config: Config) -> None:

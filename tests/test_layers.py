@@ -30,8 +30,9 @@ _MAY_IMPORT = {
     "estimation": {"cassie"},
     "transforms": {"cassie", "sim", "task", "library", "estimation"},
 }
-_TOP = {"stack", "policy", "evaluation", "run", "plots", "render", "symmetry", "__init__"}
+_TOP = {"stack", "policy", "evaluation", "run", "tables", "plots", "render", "symmetry"}
 _TOP |= {"checkpoint", "provenance", "collect", "ghost", "walker", "walks", "video", "log", "live"}
+_TOP |= {"__init__"}
 _FOREIGN = {
     "errors": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "assets": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},

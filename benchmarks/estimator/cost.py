@@ -17,7 +17,7 @@ from aslip.estimation import StateEstimator
 from aslip.policy import policy_stack
 from aslip.sim import Sensors
 from aslip.stack import ON_TRUTH
-from benchmarks.common import markdown
+from aslip.tables import markdown
 from benchmarks.estimator.arrays import packets
 from benchmarks.estimator.config import Config
 

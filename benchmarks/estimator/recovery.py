@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 
 import aslip
 from aslip.policy import policy_stack
-from benchmarks.common import markdown
+from aslip.tables import markdown
 from benchmarks.estimator.arrays import array
 from benchmarks.estimator.config import Config
 

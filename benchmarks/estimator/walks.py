@@ -17,8 +17,8 @@ from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.policy import policy_stack
 from aslip.stack import EPISODE_ENDS
+from aslip.tables import markdown
 from aslip.task import FALL_HEIGHT
-from benchmarks.common import markdown
 from benchmarks.estimator.arrays import array, packets
 from benchmarks.estimator.config import Config
 

@@ -15,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 from aslip.run import write_text
-from benchmarks.common import markdown
+from aslip.tables import markdown
 from benchmarks.faults.checkpoints import checkpoint_cost, cuts, flips, full_disks, losses
 from benchmarks.faults.processes import kills, raises, workers
 from benchmarks.faults.settings import settings

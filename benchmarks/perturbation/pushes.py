@@ -15,8 +15,9 @@ import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.ghost import heading
 from aslip.stack import CassieTransformedEnv
+from aslip.tables import markdown
 from aslip.transforms import PhaseClock
-from benchmarks.common import Interval, environment, markdown
+from benchmarks.common import Interval, environment
 from benchmarks.perturbation.config import SIDES, Config
 from benchmarks.perturbation.walking import reset, walk
 

@@ -12,7 +12,8 @@ from tqdm import tqdm
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
-from benchmarks.common import CONFIDENCE, Interval, environment, markdown
+from aslip.tables import markdown
+from benchmarks.common import CONFIDENCE, Interval, environment
 from benchmarks.perturbation.config import SWEEPS, Config
 from benchmarks.perturbation.walking import reset, walk
 
