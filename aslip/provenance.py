@@ -12,6 +12,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+# what no program reads; a record of results among it is written by those that are compared
+_DOCUMENTS = [":(exclude,top)docs", ":(exclude,top)*.md"]
+
 # whose versions a result may depend on
 _NAMED_PACKAGES = ("aslip", "mujoco", "numpy", "tensordict", "torch", "torchrl")
 
@@ -39,14 +42,18 @@ def _version(package: str) -> str | None:
 
 
 def commit() -> str | None:
-    """Commit that the package is of, with a plus if files have changed since; None if not known."""
+    """Commit that the package is of; None if not known.
+
+    A plus follows if files, other than documents, have changed since.
+    """
     checkout = Path(__file__).parents[1]
     if not (checkout / ".git").exists():
         return None
     git = partial(subprocess.run, cwd=checkout, capture_output=True, text=True, check=True)
     try:
         head = git(["git", "rev-parse", "--short=12", "HEAD"]).stdout.strip()
-        changed = git(["git", "status", "--porcelain", "--untracked-files=no"]).stdout.strip()
+        status = ["git", "status", "--porcelain", "--untracked-files=no", "--", *_DOCUMENTS]
+        changed = git(status).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
     return f"{head}+" if changed else head

@@ -127,18 +127,23 @@ def test_the_card_says_what_it_was_trained_on_and_not_where() -> None:
 
 
 def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a plus where files have changed; None outside a checkout."""
+    """With a plus where files but documents have changed; None outside a checkout."""
     if shutil.which("git") is None:
         pytest.skip("needs git")
     monkeypatch.setattr(aslip.provenance, "__file__", str(tmp_path / "aslip" / "provenance.py"))
     assert provenance()["commit"] is None
-    file = tmp_path / "file"
-    file.write_text("one")
+    (tmp_path / "docs").mkdir()
+    file, *documents = (tmp_path / name for name in ("file", "docs/record.csv", "README.md"))
+    for path in (file, *documents):
+        path.write_text("one")
     identity = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
-    for words in (["init", "-q"], ["add", "file"], [*identity, "commit", "-qm", "one"]):
+    for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "one"]):
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
     commit = provenance()["commit"]
     assert re.fullmatch("[0-9a-f]{12}", commit)
+    for path in documents:
+        path.write_text("two")
+    assert provenance()["commit"] == commit
     file.write_text("two")
     assert provenance()["commit"] == f"{commit}+"
     assert json.dumps(provenance())
