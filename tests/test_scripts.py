@@ -75,7 +75,7 @@ def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixtur
     )
     throughput.main(config)
     rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
-    assert len(rows) == 7 + 5
+    assert len(rows) == 9 + 7
     assert all(row.endswith("% |") for row in rows)
 
 
