@@ -46,8 +46,17 @@ class WalkResult:
     @property
     def walked(self) -> bool:
         """Whether it survived on its feet; robots also learn to shuffle along on their heels."""
-        bob = _BOB / (STANDARD_GRAVITY * self.steps * POLICY_PERIOD)
-        return self.survived and self.weight_ratio > _ON_FEET - bob
+        return self.survived and on_feet(self.weight_ratio, self.steps * POLICY_PERIOD)
+
+
+def on_feet(weight_ratio: float, duration: float) -> bool:
+    """Whether feet carried the robot, but for what its momentum can carry for a while.
+
+    Args:
+        weight_ratio: mean vertical ground force on the feet over the robot's weight.
+        duration: time that the mean is over [s].
+    """
+    return weight_ratio > _ON_FEET - _BOB / (STANDARD_GRAVITY * duration)
 
 
 @torch.no_grad()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,8 @@ CONFIDENCE = 0.95
 """Of all intervals."""
 
 _RESAMPLES = 2000
+# a bootstrap of fewer is too narrow
+_LEAST_VALUES = 10
 
 
 @dataclass(frozen=True)
@@ -54,7 +57,7 @@ class Common:
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean and its 95 % confidence interval."""
+    """A mean and its 95 % confidence interval, which single values may well be outside."""
 
     mean: float
     low: float
@@ -64,8 +67,8 @@ class Interval:
     def of(cls, groups: Sequence[np.ndarray]) -> Interval:
         """Of the mean over groups, one a seed.
 
-        With several groups Student's interval over their means, which is about what another seed
-        would bring; with one group a bootstrap over its values. NaN are left out.
+        With several groups Student's interval over their means; with one group a bootstrap over its
+        values, none if they are fewer than ten. NaN are left out.
         """
         kept = [group[np.isfinite(group)] for group in map(np.asarray, groups)]
         kept = [group for group in kept if len(group)]
@@ -77,7 +80,7 @@ class Interval:
             half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
             return cls(mean, mean - float(half), mean + float(half))
         values = kept[0]
-        if len(values) < 2 or np.ptp(values) == 0:
+        if len(values) < _LEAST_VALUES or np.ptp(values) == 0:
             return cls(mean, mean, mean)
         rng = np.random.default_rng(0)
         drawn = rng.choice(values, (_RESAMPLES, len(values))).mean(axis=1)
@@ -167,6 +170,16 @@ def write_results(
     print(table)
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / f"{name}.md", table + "\n")
-    write_text(out / f"{name}.json", json.dumps(numbers, indent=1) + "\n")
+    text = json.dumps(_finite(numbers), indent=1, allow_nan=False)
+    write_text(out / f"{name}.json", text + "\n")
     if figure is not None:
         save_figure(figure, out / f"{name}.png")
+
+
+def _finite(value: Any) -> Any:
+    """The same with None in place of numbers that JSON does not have."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

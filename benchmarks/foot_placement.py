@@ -11,6 +11,8 @@ of its sole in the middle of its stance.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -81,7 +83,8 @@ def main(config: Config) -> dict[float, list[Placement]]:
             speed: [placed(walk, i, speed, library) for walk in walks]
             for i, speed in enumerate(config.speeds)
         }
-    write_report(config, "foot_placement", numbers(measured), table(measured), picture(measured))
+    figure = picture({speed: walked(placements) for speed, placements in measured.items()})
+    write_report(config, "foot_placement", numbers(measured), table(measured), figure)
     return measured
 
 
@@ -104,10 +107,11 @@ def placed(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Place
 def numbers(measured: dict[float, list[Placement]]) -> dict[str, list[dict[str, float | None]]]:
     """Everything, for machines."""
     rows = []
-    for speed, placements in measured.items():
+    for speed, every in measured.items():
+        placements = walked(every)
         interval = Interval.of([p.error for p in placements])
         sides = {
-            f"{side}_{axis}": float(np.mean([p.offset[p.side == i, k].mean() for p in placements]))
+            f"{side}_{axis}": _mean([p.offset[p.side == i, k].mean() for p in placements])
             for i, side in enumerate(SIDES)
             for k, axis in enumerate("xy")
         }
@@ -115,10 +119,12 @@ def numbers(measured: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
             {
                 "speed": speed,
                 **vars(interval),
-                "std": float(np.mean([p.error.std() for p in placements])),
-                "outward": float(np.mean([p.outward.mean() for p in placements])),
+                "std": _mean([p.error.std() for p in placements]),
+                "outward": _mean([p.outward.mean() for p in placements]),
                 "footsteps": sum(len(p.error) for p in placements),
-                "published": PUBLISHED.get(speed, (None, None))[0],
+                "walked": len(placements),
+                "policies": len(every),
+                "published": published(speed),
                 **sides,
             }
         )
@@ -129,27 +135,43 @@ def table(measured: dict[float, list[Placement]]) -> str:
     """A row a speed."""
     header = [
         "command m/s", "error cm", "std cm", "forward cm", "outward cm", "width cm",
-        "published cm",
+        "walked", "published cm",
     ]  # fmt: skip
     rows = []
-    for speed, placements in measured.items():
+    for speed, every in measured.items():
+        placements = walked(every)
         error = Interval.of([p.error for p in placements])
         forward = Interval.of([p.offset[:, 0] for p in placements])
         outward = Interval.of([p.outward for p in placements])
         width = Interval.of([p.width for p in placements])
-        published = next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), np.nan)
+        theirs = published(speed)
         rows.append(
             [
                 str(round(speed, 3)),
                 error.text(1, 100),
-                f"{100 * np.mean([p.error.std() for p in placements]):.1f}",
+                f"{100 * _mean([p.error.std() for p in placements]):.1f}",
                 f"{100 * forward.mean:+.1f}",
                 f"{100 * outward.mean:+.1f}",
                 f"{100 * width.mean:.1f}",
-                f"{100 * published:.1f}" if np.isfinite(published) else "",
+                f"{len(placements)} of {len(every)}",
+                f"{100 * theirs:.1f}" if theirs is not None else "",
             ]
         )
     return markdown(header, rows)
+
+
+def walked(placements: Sequence[Placement]) -> list[Placement]:
+    """Those of robots that did not fall."""
+    return [p for p in placements if np.isfinite(p.error).all()]
+
+
+def published(speed: float) -> float | None:
+    """The paper's mean error at a speed, if it has one [m]."""
+    return next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), None)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else math.nan
 
 
 def picture(measured: dict[float, list[Placement]]) -> Figure:
@@ -157,10 +179,10 @@ def picture(measured: dict[float, list[Placement]]) -> Figure:
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     speeds = list(measured)
-    means = [100 * np.mean([p.error.mean() for p in ps]) for ps in measured.values()]
-    spread = [100 * np.mean([p.error.std() for p in ps]) for ps in measured.values()]
-    published = np.array(list(PUBLISHED.values())).T * 100
-    left.errorbar(list(PUBLISHED), *published, color="tab:gray", capsize=3, label="published")
+    means = [100 * _mean([p.error.mean() for p in ps]) for ps in measured.values()]
+    spread = [100 * _mean([p.error.std() for p in ps]) for ps in measured.values()]
+    theirs = np.array(list(PUBLISHED.values())).T * 100
+    left.errorbar(list(PUBLISHED), *theirs, color="tab:gray", capsize=3, label="published")
     left.errorbar(speeds, means, spread, color="tab:red", capsize=3, label="here")
     left.set(xlabel="commanded speed [m/s]", ylabel="foot-placement error [cm]", ylim=(0, None))
     left.legend()
@@ -168,7 +190,7 @@ def picture(measured: dict[float, list[Placement]]) -> Figure:
         ("forward", lambda p: p.offset[:, 0], "tab:blue"),
         ("outward", lambda p: p.outward, "tab:orange"),
     ):
-        means = [100 * np.mean([pick(p).mean() for p in ps]) for ps in measured.values()]
+        means = [100 * _mean([pick(p).mean() for p in ps]) for ps in measured.values()]
         right.plot(speeds, means, "o-", color=color, label=name)
     right.axhline(0, color="black", lw=0.8)
     right.set(xlabel="commanded speed [m/s]", ylabel="actual minus ideal place [cm]")

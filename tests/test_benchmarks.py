@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,9 @@ import pytest
 
 from aslip.errors import ConfigurationError
 from aslip.metrics import Placement
+from aslip.walks import Walks
 from benchmarks import claims, foot_placement, ground_reaction, step_frequency, velocity_tracking
-from benchmarks.common import Common, Interval
+from benchmarks.common import Common, Interval, write_results
 from recipes import walk
 
 
@@ -140,7 +142,10 @@ def test_claims_on_feet() -> None:
 
 def test_claims_on_speed() -> None:
     offs = ((0.0, 0.02, 0.01), (0.3, -0.04, 0.045), (2.0, -0.3, 0.1))
-    mapped = [{"command": c, "each": [c + first, c + second]} for c, first, second in offs]
+    mapped = [
+        {"command": c, "each": [c + first, c + second], "walked": [True, True]}
+        for c, first, second in offs
+    ]
     steps = [
         {"each": {"steady_error": [0.0, 0.1], "settling": [1.2, 1.0]}},
         {"each": {"steady_error": [0.0, math.nan], "settling": [1.1, math.inf]}},
@@ -159,9 +164,10 @@ def test_claims_on_speed() -> None:
     assert list(found) == list(expected)
     for name, values in expected.items():
         assert found[name] == pytest.approx(values), name
-    mapped[2]["each"] = [2.0, math.nan]
+    mapped[0]["walked"] = [False, True]  # on its heels, it keeps its speed
+    mapped[2] |= {"each": [2.0, math.nan], "walked": [True, False]}
     found = claims.tracking(numbers)
-    assert found["all speeds"] == [3, 2]
+    assert found["all speeds"] == [2, 2]
     assert np.isnan(found["velocity tracking"]).tolist() == [False, True]
     assert found["slow walking"] == pytest.approx([0.04, 0.045])
 
@@ -229,3 +235,42 @@ def test_intervals_are_over_seeds_where_there_are_several() -> None:
     alone = Interval.of([np.random.default_rng(0).normal(size=400)])
     assert alone.high - alone.low == pytest.approx(2 * 1.96 / 20, rel=0.15)
     assert math.isnan(Interval.of([np.array([np.nan])]).mean)
+    few = Interval.of([np.array([1.0, 2.0, 6.0])])
+    assert few == Interval(3.0, 3.0, 3.0)
+
+
+def test_results_are_json_whatever_failed(tmp_path: Path) -> None:
+    write_results(tmp_path, "mine", {"rows": [{"a": math.nan, "b": (1.0, -math.inf)}]}, "|")
+    text = (tmp_path / "mine.json").read_text()
+    assert json.loads(text, parse_constant=pytest.fail) == {"rows": [{"a": None, "b": [1.0, None]}]}
+
+
+def test_the_table_of_foot_placement_tells_of_falls() -> None:
+    sides = np.array([0, 1])
+    good = [Placement(sides, np.full((2, 2), x), np.full(2, 0.3)) for x in (0.01, 0.03)]
+    fell = Placement(sides[:1], np.full((1, 2), np.nan), np.full(1, np.nan))
+    header, _, row = foot_placement.table({1.0: [*good, fell]}).splitlines()
+    cells = dict(zip(header.split(" | "), row.split(" | "), strict=True))
+    assert cells["walked"] == "2 of 3"
+    assert cells["std cm"] == "0.0"
+    (numbers,) = foot_placement.numbers({1.0: [*good, fell]})["rows"]
+    assert (numbers["footsteps"], numbers["walked"], numbers["policies"]) == (4, 2, 3)
+    assert numbers["left_x"] == pytest.approx(0.02)
+    (none,) = foot_placement.numbers({1.0: [fell]})["rows"]
+    assert none["footsteps"] == 0
+    assert str(none["mean"]) == "nan"
+    assert "0 of 1" in foot_placement.table({1.0: [fell]})
+
+
+@pytest.mark.parametrize("fallen", [False, True])
+def test_likeness_of_a_seed_that_fell_is_none(
+    fallen: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(claims, "_speed_correlation", lambda walk: 1.0)
+    monkeypatch.setattr(claims, "_leg_correlation", lambda walk: 1.0)
+    alive = np.ones((200, 5), dtype=bool)
+    alive[150:, 3] = not fallen
+    sizes = {field.name: np.zeros((200, 5)) for field in fields(Walks)}
+    found = claims.likeness([Walks(**{**sizes, "command": alive.astype(float), "alive": alive})])
+    assert list(found) == ["velocity oscillation", "springy legs"]
+    assert all(np.isnan(values).tolist() == [fallen] for values in found.values())

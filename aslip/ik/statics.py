@@ -40,8 +40,8 @@ def static_torque(kinematics: CassieKinematics, qpos: np.ndarray, force: np.ndar
     rod = jacobian[..., ACHILLES, :]
     follows = -rod[..., KNEE] / rod[..., TARSUS]
     sole[..., KNEE] += sole[..., TARSUS] * follows[..., None]
-    world_to_pelvis = quaternion_to_matrix(qpos[:, None, PELVIS_ORIENTATION])
-    local = rotate_back(world_to_pelvis, force)
+    pelvis_to_world = quaternion_to_matrix(qpos[:, None, PELVIS_ORIENTATION])
+    local = rotate_back(pelvis_to_world, force)
     torque = -np.einsum("nsij,nsi->nsj", sole, local)
     assert torque.shape[-1] == len(JOINTS)
     return torque[..., MOTORS].reshape(len(qpos), -1)

@@ -44,7 +44,7 @@ def step_response(
     """Describe the answer to one change of command.
 
     Args:
-        speed: (m,) forward speed from the change on, until the next [m/s].
+        speed: (m,) forward speed at the ends of the steps after the change, until the next [m/s].
         before: command before the change [m/s].
         command: and after [m/s].
         stride: duration to average over [s].
@@ -54,12 +54,21 @@ def step_response(
     # trailing means: what has been averaged is past, so settling is not seen before it happens
     total = np.cumsum(np.concatenate([np.full(length, before), speed]))
     averaged = (total[length:] - total[:-length]) / length
-    off = np.flatnonzero(np.abs(averaged - command) > SETTLED)
-    settled = len(off) == 0 or off[-1] + length < len(averaged)
-    time = (off[-1] + 1) * period if len(off) else 0.0
+    error = averaged - command
+    off = np.flatnonzero(np.abs(error) > SETTLED)
+    time = 0.0
+    if len(off):
+        last = off[-1]
+        settled = last + length < len(error)
+        time = (last + 1 + _crossing(error[last : last + 2])) * period if settled else np.inf
     beyond = np.sign(command - before) * (averaged - command)
     return StepResponse(
-        float(time) if settled else float("inf"),
+        float(time),
         max(float(beyond.max()), 0.0),
         float(np.mean(speed[-length:]) - command),
     )
+
+
+def _crossing(error: np.ndarray) -> float:
+    """When an error (2,) that settles crosses the limit, in steps after the first."""
+    return float((abs(error[0]) - SETTLED) / abs(error[1] - error[0]))

@@ -36,7 +36,7 @@ class Walk(base.Task):
     Args:
         speed: forward speed to keep [m/s].
         terminate_on_fall: end the episode, without bootstrap, when the robot has fallen.
-        random: `numpy.random.RandomState` or seed; the initial joint velocities are drawn from it.
+        random: `numpy.random.RandomState` or seed; the pelvis' initial velocity is drawn from it.
     """
 
     def __init__(
