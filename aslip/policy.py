@@ -34,6 +34,7 @@ from torchrl.modules import (
 
 from aslip.assets import asset_path
 from aslip.errors import (
+    AslipError,
     AssetError,
     ConfigurationError,
     FileDamagedError,
@@ -268,7 +269,7 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
             observation in this version of the package.
     """
     path = find_policy(name_or_path)
-    card = read_manifest(path).get("metadata", {})
+    card = _card(path)
     try:
         shape = PolicyShape(**{**card["shape"], "hidden": tuple(card["shape"]["hidden"])})
         names = [str(name) for name in card["observation"]]
@@ -281,7 +282,12 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
             f" gives {' or '.join(map(str, known))}"
         )
     table = [unravel_key(tuple(name.split("/"))) for name in names]
-    actor = make_actor(RunningNormalizer(shape.observation_size), shape, table)
+    try:
+        actor = make_actor(RunningNormalizer(shape.observation_size), shape, table)
+    except AslipError:
+        raise
+    except Exception as error:  # whatever a wrong size makes of a network
+        raise _damaged(path, error) from error
     load_components(path, actor=actor)
     # nothing differentiates through a simulator: without this, rollouts would carry graphs along
     return actor.eval().requires_grad_(False)
@@ -297,7 +303,7 @@ def policy_stack(name_or_path: str | Path) -> str:
         FileDamagedError: it is truncated, altered, or no policy.
         ConfigurationError: it acts on a stack of its own.
     """
-    stack = read_manifest(find_policy(name_or_path)).get("metadata", {}).get("stack", "paper")
+    stack = _card(find_policy(name_or_path)).get("stack", "paper")
     if stack is None:
         raise ConfigurationError(
             f"the policy {str(name_or_path)!r} was trained with a stack of its own, which has no"
@@ -315,7 +321,7 @@ def policy_observation(name_or_path: str | Path) -> list[str]:
     """
     path = find_policy(name_or_path)
     try:
-        return list(read_manifest(path)["metadata"]["observation"])
+        return list(_card(path)["observation"])
     except (KeyError, TypeError) as error:
         raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
 
@@ -353,6 +359,14 @@ def read_manifest(path: Path) -> dict[str, Any]:
         return Checkpoint.manifest(path)
     except Exception as error:  # one cause, a bad file, has many exceptions
         raise _damaged(path, error) from error
+
+
+def _card(path: Path) -> dict[str, Any]:
+    """What a policy says of itself; see `save_policy`."""
+    card = read_manifest(path).get("metadata", {})
+    if not isinstance(card, dict):
+        raise FileDamagedError(f"{str(path)!r} is no policy: its card is {card!r}")
+    return card
 
 
 def load_components(path: Path, **components: Any) -> None:

@@ -16,7 +16,6 @@ cannot be written the run ends with an error.
 from __future__ import annotations
 
 import contextlib
-import csv
 import dataclasses
 import errno
 import json
@@ -214,7 +213,7 @@ class TrainingRun:
     # ---------------------------------------------------------------- private
 
     def _open(self, settings_file: Path, resume: bool) -> None:
-        if self._checkpoints() and not resume:
+        if not resume and self._holds_something(settings_file):
             raise ConfigurationError(
                 f"{str(self.folder)!r} holds a run already; continue it with --resume, or give"
                 " another folder with --out"
@@ -227,8 +226,18 @@ class TrainingRun:
         # what a killed process was writing
         for unfinished in self._checkpoint_folder.glob(".checkpoint-*"):
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
-        if not resume:
-            self._csv.unlink(missing_ok=True)
+
+    def _holds_something(self, settings_file: Path) -> bool:
+        """Whether the folder has what a new run would overwrite, of a run or of something else."""
+        if self._checkpoints() or self.policy_file.exists() or self._csv.exists():
+            return True
+        if not settings_file.exists():
+            return False
+        # a run that ended before its first checkpoint leaves its settings alone
+        try:
+            return not self.settings.keys() <= json.loads(settings_file.read_text()).keys()
+        except (ValueError, AttributeError):
+            return True
 
     @property
     def _checkpoint_folder(self) -> Path:
@@ -306,15 +315,11 @@ class TrainingRun:
             )
 
     def _forget_after(self, step: int) -> None:
-        """Drop rows that the resumed run will write again, and one that was cut off."""
+        """Drop rows that the resumed run will write again, and what is damaged."""
         if not self._csv.exists():
             return
-        lines = self._csv.read_text().splitlines(keepends=True)
-        kept = []
-        for line in lines[1:]:
-            number = line.partition(",")[0]
-            if line.endswith("\n") and number.isdigit() and int(number) <= step:
-                kept.append(line)
+        lines = self._csv.read_text(errors="replace").splitlines(keepends=True)
+        kept = [line for line in lines[1:] if (row := _row(line, lines[0])) and row[0] <= step]
         if kept:
             write_text(self._csv, "".join(lines[:1] + kept))
         else:
@@ -370,15 +375,37 @@ def check_types(config: Any) -> None:
 
 
 def read_progress(folder: Path) -> dict[str, list[float]]:
-    """Columns of a run's `progress.csv`; empty if there is none yet."""
-    file_name = folder / _PROGRESS_FILE
-    if not file_name.exists():
+    """Columns of a run's `progress.csv`; empty if there is none yet.
+
+    Raises:
+        FileDamagedError: a line is not numbers.
+    """
+    path = folder / _PROGRESS_FILE
+    if not path.exists():
         return {}
-    with file_name.open(newline="") as file:
-        header, *rows = list(csv.reader(file)) or [[]]
+    lines = path.read_text(errors="replace").splitlines(keepends=True)
     # a run that was killed, or writes at this moment, may have an unfinished last row
-    rows = [row for row in rows if len(row) == len(header)]
-    return {name: [float(row[i]) for row in rows] for i, name in enumerate(header)}
+    if not lines or not lines[0].endswith("\n"):
+        return {}
+    rows = []
+    for number, line in enumerate(lines[1:], 2):
+        row = _row(line, lines[0])
+        if row is not None:
+            rows.append(row)
+        elif line.endswith("\n"):
+            raise FileDamagedError(f"line {number} of {str(path)!r} is damaged: {line[:60]!r}")
+    return {name: [row[i] for row in rows] for i, name in enumerate(lines[0].strip().split(","))}
+
+
+def _row(line: str, header: str) -> list[float] | None:
+    """Numbers of a whole line of `progress.csv`."""
+    cells = line.strip().split(",")
+    if not line.endswith("\n") or len(cells) != header.count(",") + 1:
+        return None
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return None
 
 
 def peak_memory() -> float:

@@ -56,6 +56,8 @@ COLUMNS: Final = (
 )  # fmt: skip
 """Of a run's progress, those that are reported; evaluations are NaN in rows without one."""
 
+_HEADER = ["variant", "seed", "commit", *COLUMNS]
+
 _COLORS = {"truth": "black", "default": "tab:red", "paper": "tab:blue"}
 
 _RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
@@ -125,6 +127,11 @@ class Config:
     picture: Path = Path("runs/learning_curves/learning_curves.png")
     """Where to draw."""
 
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.jobs < 1:
+            raise ConfigurationError(f"jobs must be 1 or more, got {self.jobs}")
+
 
 def main(config: Config) -> None:
     """Train, print and draw."""
@@ -132,9 +139,11 @@ def main(config: Config) -> None:
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
+        # days later, others may have added to it
+        recorded = read_record(config.record) if config.record else {}
     found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
-    if config.record:
-        done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
+    done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
+    if config.record and done:
         write_record(config.record, {**recorded, **done})
     found = {**recorded, **found}
     runs = [found[key] for key in _wanted(config) if key in found]
@@ -155,7 +164,8 @@ def _longer(run: Run, other: Run | None) -> bool:
 
 def _wanted(config: Config) -> list[tuple[str, int]]:
     """Variant by variant."""
-    return [(variant, seed) for variant in config.variants for seed in config.seeds]
+    pairs = [(variant, seed) for variant in config.variants for seed in config.seeds]
+    return list(dict.fromkeys(pairs))
 
 
 def _folder(config: Config, variant: str, seed: int) -> Path:
@@ -222,6 +232,8 @@ def _found(config: Config) -> Runs:
         folder = _folder(config, variant, seed)
         history = read_progress(folder)
         if history.get("step"):
+            if lacking := [name for name in COLUMNS if name not in history]:
+                raise FileDamagedError(f"the progress in {str(folder)!r} lacks {lacking}")
             columns = {name: np.array(history[name]) for name in COLUMNS}
             runs[variant, seed] = Run(variant, seed, _commit(folder), columns)
     return runs
@@ -238,7 +250,7 @@ def write_record(path: Path, runs: Runs) -> None:
     """Keep runs, a line a row of their progress."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["variant", "seed", "commit", *COLUMNS])
+    writer.writerow(_HEADER)
     for run in (runs[key] for key in sorted(runs)):
         about = [run.variant, run.seed, run.commit]
         for row in zip(*(run.columns[name] for name in COLUMNS), strict=True):
@@ -257,17 +269,18 @@ def read_record(path: Path) -> Runs:
     rows: dict[tuple[str, int], list[dict[str, str]]] = {}
     try:
         with path.open(newline="") as file:
-            for row in csv.DictReader(file, strict=True):
+            reader = csv.DictReader(file, strict=True)
+            if reader.fieldnames != _HEADER:
+                raise ValueError(f"its columns are {reader.fieldnames}, not {_HEADER}")
+            for row in reader:
                 rows.setdefault((row["variant"], int(row["seed"])), []).append(row)
-        return {
-            (variant, seed): Run(
-                variant,
-                seed,
-                lines[0]["commit"],
-                {name: np.array([float(line[name]) for line in lines]) for name in COLUMNS},
-            )
-            for (variant, seed), lines in rows.items()
-        }
+        runs = {}
+        for (variant, seed), lines in rows.items():
+            columns = {name: np.array([float(line[name]) for line in lines]) for name in COLUMNS}
+            if not np.isfinite(columns["step"]).all():
+                raise ValueError(f"{variant}, seed {seed}, has a step that is no number")
+            runs[variant, seed] = Run(variant, seed, lines[0]["commit"], columns)
+        return runs
     except (csv.Error, KeyError, TypeError, ValueError) as error:
         raise FileDamagedError(
             f"{str(path)!r} is not a record of learning curves ({error})"

@@ -32,11 +32,11 @@ from torchrl.data import Composite
 import aslip
 from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices, load_model
-from aslip.errors import ConfigurationError, UnknownNameError, one_line_errors
+from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError, one_line_errors
 from aslip.evaluation import WalkResult
 from aslip.library import pendulum_library
 from aslip.rewards import PAPER_WEIGHTS
-from aslip.run import write_text
+from aslip.run import TrainingStoppedError, read_progress, write_text
 from aslip.stack import MAX_EPISODE_STEPS, Stack, default_stack, insert_before
 from aslip.tables import markdown
 from aslip.transforms import (
@@ -199,7 +199,11 @@ def main(config: Config) -> dict[str, dict[int, list[WalkResult]]]:
 
 
 def train(config: Config, folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
-    """One training, resumed if it was interrupted."""
+    """One training, resumed if it was interrupted.
+
+    Raises:
+        TrainingStoppedError: it was interrupted again, and is no result.
+    """
     settings = replace(
         ppo_aslip.PRESETS["default"],
         out=folder,
@@ -211,6 +215,12 @@ def train(config: Config, folder: Path, variant: Variant, seed: int) -> list[Wal
         **variant.settings,
     )
     results = ppo_aslip.main(settings, variant.edits())
+    done = int(max(read_progress(folder).get("step", []), default=0))
+    if done < config.total_steps:
+        raise TrainingStoppedError(
+            f"stopped after {done} of {config.total_steps} policy steps of {folder.name}; the same"
+            " command goes on"
+        )
     kept = {**budget(config), "walks": [asdict(result) for result in results]}
     write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
     return results
@@ -227,18 +237,25 @@ def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
     Raises:
         ConfigurationError: it had another budget. To go on would not make it one of this budget:
             learning rate and exploration fell in the end.
+        FileDamagedError: its results cannot be read.
     """
     path = folder / _RESULTS
     if not path.exists():
         return None
-    kept = json.loads(path.read_text())
-    other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
+    try:
+        kept = json.loads(path.read_text())
+        other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
+        walks = [WalkResult(**walk) for walk in kept["walks"]]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileDamagedError(
+            f"{str(path)!r} is damaged ({error}); without it the training is evaluated again"
+        ) from error
     if other:
         raise ConfigurationError(
             f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"
             " --out"
         )
-    return [WalkResult(**walk) for walk in kept["walks"]]
+    return walks
 
 
 def measures(results: Sequence[WalkResult]) -> dict[str, float]:

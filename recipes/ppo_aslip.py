@@ -35,6 +35,7 @@ from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
 import aslip
+from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.model import TIMESTEPS
 from aslip.collect import CollectorKind, check_shares, make_collector
 from aslip.errors import ConfigurationError, one_line_errors
@@ -162,9 +163,15 @@ class Config:
             raise ConfigurationError(f"fall_after must be in [0, 1), got {self.fall_after}")
         if not 0 <= self.seed < 2**63:
             raise ConfigurationError(f"seed must be from 0 to 2**63 - 1, got {self.seed}")
-        for name in ("checkpoint_minutes", "command_interval"):
-            if getattr(self, name) < 0:
-                raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if self.checkpoint_minutes < 0:
+            raise ConfigurationError(
+                f"checkpoint_minutes must be 0 or more, got {self.checkpoint_minutes}"
+            )
+        if self.command_interval != 0 and self.command_interval < POLICY_PERIOD:
+            raise ConfigurationError(
+                f"command_interval must be 0, or a policy step, {POLICY_PERIOD} s, or more; got"
+                f" {self.command_interval}"
+            )
         collectors = 1 if self.collector == "single" else self.num_collectors
         check_shares(self.num_envs, self.samples, collectors)
 
@@ -190,10 +197,11 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     torch.manual_seed(config.seed)
 
     # ------------------------------------------------------------ environment
-    edits = {"drop": [], "replace": {}, **(edits or {})}
+    edits = dict(edits or {})
     if config.truth:
-        edits["drop"] = [*edits["drop"], *ON_TRUTH["drop"]]
-        edits["replace"] = {**edits["replace"], **ON_TRUTH["replace"]}
+        drop = edits.get("drop", ())
+        edits["drop"] = [*([drop] if isinstance(drop, str) else drop), *ON_TRUTH["drop"]]
+        edits["replace"] = {**(edits.get("replace") or {}), **ON_TRUTH["replace"]}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
     probe = aslip.make_env(**copy.deepcopy(task))
     speeds, transforms = commanded(probe), described(probe)

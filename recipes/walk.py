@@ -118,6 +118,7 @@ def main(config: Config) -> None:
     """Walk."""
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
+    check_pushes(pushes, duration(config, schedule))
     if config.video is not None:
         check_rendering(config)  # before the walk, not after it
     walker = make_walker(config, schedule)
@@ -164,16 +165,45 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     return Walker(config.policy, env, library=library, speed=schedule.at(0.0))
 
 
+def duration(config: Config, schedule: Schedule) -> float:
+    """How long to walk [s]."""
+    return schedule.times[-1] + _LAST_SPEED if config.duration is None else config.duration
+
+
+def check_pushes(pushes: list[Push], duration: float) -> None:
+    """Check that each push acts as it is asked for.
+
+    Raises:
+        ConfigurationError: one is not within the walk, or begins while another acts.
+    """
+    free = 0
+    for push in sorted(pushes, key=lambda push: push.time):
+        if not 0 <= push.time < duration:
+            raise ConfigurationError(
+                f"the walk is from 0 to {duration:g} s, there is no push at {push.time:g} s"
+            )
+        if _steps(push.time) < free:
+            raise ConfigurationError(
+                f"the push at {push.time:g} s begins before the one before ends, at"
+                f" {free * POLICY_PERIOD:g} s"
+            )
+        free = _steps(push.time) + _steps(push.duration)
+
+
+def _steps(time: float) -> int:
+    """Policy steps that a time takes, the last one begun."""
+    return math.ceil(time / POLICY_PERIOD - 1e-9)
+
+
 def walk(
     config: Config, walker: Walker, schedule: Schedule, pushes: list[Push]
 ) -> list[dict[str, float]]:
     """Walk through the schedule, or until a fall; returns a row a policy step."""
-    duration = schedule.times[-1] + _LAST_SPEED if config.duration is None else config.duration
     waiting = sorted(pushes, key=lambda push: push.time, reverse=True)
     rows, frames = [], [frame(walker.td)]
     with contextlib.ExitStack() as stack:
         show = stack.enter_context(viewer(config)) if config.viewer else None
-        for _ in tqdm(range(math.ceil(duration / POLICY_PERIOD - 1e-9)), unit="step"):
+        for _ in tqdm(range(_steps(duration(config, schedule))), unit="step"):
             walker.command = schedule.at(walker.time)
             if waiting and waiting[-1].time <= walker.time + 1e-9:
                 push = waiting.pop()

@@ -12,9 +12,10 @@ import torch
 from ablate import VARIANTS
 
 import aslip
-from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
 from aslip.evaluation import evaluate
 from aslip.rewards import PAPER_WEIGHTS
+from aslip.run import TrainingStoppedError
 
 
 @pytest.fixture(autouse=True)
@@ -79,6 +80,38 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
     rows = (tmp_path / "ablation.md").read_text().splitlines()
     assert [row.split("|")[1].strip() for row in rows[2:4]] == ["default", "no_symmetry"]
     assert "±" in rows[2]
+
+
+def test_an_interrupted_training_is_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same command goes on where it stopped."""
+    config = ablate.replace(tiny(tmp_path, "default", "no_symmetry"), total_steps=32)
+    update, calls = ablate.ppo_aslip.update, []
+
+    def interrupted(*args: Any) -> dict[str, float]:
+        calls.append(args)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return update(*args)
+
+    monkeypatch.setattr(ablate.ppo_aslip, "update", interrupted)
+    with pytest.raises(TrainingStoppedError, match=r"16 of 32 policy steps of default-0"):
+        ablate.main(config)
+    assert not list(tmp_path.glob("*/results.json"))
+    assert not (tmp_path / "no_symmetry-0").exists()
+    found = ablate.main(config)
+    assert len(calls) == 2 + 1 + 2
+    assert list(found) == ["default", "no_symmetry"]
+
+
+def test_damaged_results_are_named(tmp_path: Path) -> None:
+    ablate.main(tiny(tmp_path, "default"))
+    file = tmp_path / "default-0" / "results.json"
+    for text in (file.read_text()[:-20], "[]", "{}"):
+        file.write_text(text)
+        with pytest.raises((FileDamagedError, ConfigurationError), match="default-0"):
+            ablate.main(tiny(tmp_path, "default"))
 
 
 def test_another_budget_is_refused(tmp_path: Path) -> None:

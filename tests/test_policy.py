@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import zipfile
 from pathlib import Path
@@ -279,6 +280,36 @@ def test_a_pickle_inside_the_archive_is_not_run(file: Path) -> None:
     with contextlib.suppress(FileDamagedError):
         aslip.load_policy(file)
     assert not Program.ran
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"std": 0},
+        {"std": "a"},
+        {"hidden": [-1, 256]},
+        {"hidden": "ab"},
+        {"observation_size": "64"},
+        None,
+    ],
+)
+def test_a_card_that_makes_no_network_is_refused(file: Path, change: dict | None) -> None:
+    with zipfile.ZipFile(file) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    manifest = json.loads(parts["manifest.json"])
+    if change is None:
+        manifest["metadata"] = None
+    else:
+        manifest["metadata"]["shape"] |= change
+    parts["manifest.json"] = json.dumps(manifest).encode()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content)
+    with pytest.raises(FileDamagedError, match=r"policy\.zip"):
+        aslip.load_policy(file)
+    if change is None:
+        with pytest.raises(FileDamagedError, match=r"policy\.zip"):
+            policy_module.policy_stack(file)
 
 
 def test_a_policy_for_another_observation_is_refused(

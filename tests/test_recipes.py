@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -167,6 +168,7 @@ def test_another_seed_gives_another_run(run: tuple[Path, list[WalkResult]], tmp_
         ({"fall_after": 1.0}, "fall_after"),
         ({"gamma": 1.5}, "gamma"),
         ({"eval_interval": 0}, "eval_interval"),
+        ({"command_interval": 0.001}, "command_interval must be 0, or a policy step"),
         ({"checkpoint_minutes": -1.0}, "checkpoint_minutes must be 0 or more"),
         ({"seed": -1}, r"seed must be from 0 to 2\*\*63 - 1, got -1"),
         ({"seed": 2**63}, "seed"),
@@ -445,3 +447,12 @@ def test_edits_are_kept_with_a_run_and_may_not_change(tmp_path: Path) -> None:
             ppo_aslip.main(replace(config, resume=True), changed)
     edits["replace"] = {"reward": WeightedReward(PAPER_WEIGHTS)}
     ppo_aslip.main(replace(config, resume=True, total_steps=128), edits)
+
+
+def test_the_truth_goes_with_edits_in_every_form(tmp_path: Path) -> None:
+    config = replace(TINY, out=tmp_path, total_steps=64, truth=True)
+    (result, *_) = ppo_aslip.main(config, {"drop": "foot_orient", "replace": None})
+    assert "foot_orient" not in result.terms
+    kept = json.loads((tmp_path / "config.json").read_text())["transforms"]
+    assert kept["estimator"].startswith("TrueState")
+    assert "noise" not in kept

@@ -86,6 +86,22 @@ def test_a_folder_with_a_run_is_not_overwritten(settings: Settings) -> None:
     assert (settings.out / "progress.csv").read_bytes() == before
 
 
+@pytest.mark.parametrize("name", ["progress.csv", "policy.zip", "config.json"])
+def test_what_is_left_of_a_run_is_not_overwritten(settings: Settings, name: str) -> None:
+    """Its curve or its policy; or the settings of something else."""
+    settings.out.mkdir()
+    (settings.out / name).write_text('{"other": "thing"}')
+    with pytest.raises(ConfigurationError, match="holds a run already"):
+        _open(settings)
+    assert [file.name for file in settings.out.iterdir()] == [name]
+    assert (settings.out / name).read_text() == '{"other": "thing"}'
+
+
+def test_a_run_that_never_had_a_checkpoint_may_begin_again(settings: Settings) -> None:
+    _open(settings)
+    _open(settings)
+
+
 def test_nothing_cannot_be_resumed(settings: Settings) -> None:
     with pytest.raises(ConfigurationError, match="holds no run to resume"):
         _open(settings, resume=True)
@@ -444,6 +460,25 @@ def test_a_half_written_row_is_ignored(settings: Settings) -> None:
     with (settings.out / "progress.csv").open("a") as file:
         file.write("20,3.")
     assert run.history() == {"step": [10], "value": [1.0], "other": [2.0]}
+    with (settings.out / "progress.csv").open("a") as file:
+        file.write(",na")
+    assert run.history() == {"step": [10], "value": [1.0], "other": [2.0]}
+
+
+def test_a_damaged_row_is_named_and_does_not_prevent_resuming(settings: Settings) -> None:
+    run = _open(settings)
+    for step in (10, 20, 30):
+        run.log(step, {"value": 1.0})
+    _save(run, 30)
+    file = settings.out / "progress.csv"
+    file.write_bytes(file.read_bytes().replace(b"20,1", b"\xff0,1"))
+    with pytest.raises(FileDamagedError, match=r"line 3 of .*progress\.csv"):
+        run.history()
+    again = _open(settings, resume=True)
+    kept = again.restore({"net": _net(0.0)})
+    assert kept is not None
+    assert kept["step"] == 30
+    assert again.history() == {"step": [10, 30], "value": [1.0, 1.0]}
 
 
 def test_rows_after_the_checkpoint_are_forgotten_on_resume(settings: Settings) -> None:

@@ -204,6 +204,41 @@ def test_a_longer_run_takes_the_place_of_a_recorded_one(tmp_path: Path) -> None:
     assert learning_curves.read_record(record)["default", 0].steps == 900_000
 
 
+def test_what_others_record_during_a_training_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = tmp_path / "curves.csv"
+    settings = {"variants": ("default",), "record": record}
+
+    def train(config: learning_curves.Config, recorded: object) -> None:
+        curves_of(tmp_path / "there" / "default-5", walks_at=300)
+        there = curves_config(tmp_path / "there", **settings, seeds=(5,))
+        learning_curves.main(there)
+        curves_of(config.out / "default-4", walks_at=300)
+
+    monkeypatch.setattr(learning_curves, "_train", train)
+    learning_curves.main(curves_config(tmp_path / "here", **settings, seeds=(4,), train=True))
+    assert list(learning_curves.read_record(record)) == [("default", 4), ("default", 5)]
+
+
+def test_a_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    curves_of(tmp_path / "default-4", walks_at=300)
+    learning_curves.main(curves_config(tmp_path, variants=("default",), seeds=(4, 4)))
+    assert capsys.readouterr().out.count("| default |") == 1
+
+
+def test_trainings_at_once_are_one_or_more(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="jobs must be 1 or more, got 0"):
+        learning_curves.Config(jobs=0)
+
+
+def test_progress_without_what_is_reported_is_named(tmp_path: Path) -> None:
+    (tmp_path / "default-0").mkdir()
+    (tmp_path / "default-0" / "progress.csv").write_text("step,elapsed_s\n100,1\n")
+    with pytest.raises(FileDamagedError, match=r"default-0.*lacks.*episode_length"):
+        learning_curves.main(curves_config(tmp_path))
+
+
 def test_no_learning_curves_are_not_an_empty_table(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="there is no run"):
         learning_curves.main(curves_config(tmp_path))
@@ -216,6 +251,12 @@ def test_a_damaged_record_of_learning_curves_is_named(tmp_path: Path) -> None:
         record.write_text(damage + "default,0,abc\n" if "variant" in damage else header + damage)
         with pytest.raises(FileDamagedError, match=r"curves\.csv"):
             learning_curves.main(curves_config(tmp_path, record=record))
+    rows = [f"{header}default,0,abc,nan,1,1,1,1,1,1\n", "notes of mine\n", ""]
+    for text in rows:
+        record.write_text(text)
+        with pytest.raises(FileDamagedError, match=r"curves\.csv"):
+            learning_curves.main(curves_config(tmp_path, record=record))
+        assert record.read_text() == text
 
 
 def test_logs_are_measured_killed_cut_and_replayed(

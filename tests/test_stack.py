@@ -284,3 +284,10 @@ def test_an_environment_tells_what_it_is_made_of(make: MakeEnv, library: GaitLib
     louder = make(stack=randomised(default_stack(library)))
     assert described(louder)["noise"] != told["noise"]
     assert "'mass': '(0." in described(louder)["dynamics"]
+
+
+def test_names_that_a_stack_has_cannot_be_inserted(library: GaitLibrary) -> None:
+    with pytest.raises(ConfigurationError, match=r"\['noise'\] already"):
+        insert_before(default_stack(library), "start", noise=RandomNoise)
+    with pytest.raises(ConfigurationError, match=r"\['dynamics'\] already"):
+        randomised(randomised(default_stack(library)))

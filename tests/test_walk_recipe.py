@@ -71,6 +71,13 @@ def test_a_fall_ends_the_walk_and_the_log_is_whole(
         ({"command": "4:1.0"}, ConfigurationError, "from 0"),
         ({"push": ("1",)}, ConfigurationError, "push is"),
         ({"duration": -1.0}, ConfigurationError, "duration"),
+        ({"push": ("9:0,5,0",), "duration": 2.0}, ConfigurationError, "from 0 to 2 s.* at 9 s"),
+        ({"push": ("-1:0,5,0",)}, ConfigurationError, "no push at -1 s"),
+        (
+            {"push": ("1.05:0,5,0", "1:5,0,0")},
+            ConfigurationError,
+            "1.05 s begins before.*1.14 s",
+        ),
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
         ({"log": Path(".")}, ConfigurationError, "--log"),
         # told with or without OpenGL

@@ -46,8 +46,11 @@ def check(path: str | Path) -> list[str]:
             return ["it is no MCAP file: it does not begin as one"]
         problem = ending_problem(file)
         file.seek(0)
-        problems = [problem] if problem else _checksum_problems(file.read())
+        data = file.read()
+    problems = [problem] if problem else []
     try:
+        if not problem:
+            problems += _checksum_problems(data)
         problems += _content_problems(path, finished=not problems)
     except Exception as error:  # one cause, a bad file, has many exceptions
         problems.append(f"cannot be read to its end ({type(error).__name__}: {error})")

@@ -53,7 +53,8 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
     out = Path(out)
     if out.exists():
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
-    temporary = out.with_name(out.name + ".part")
+    # not ".part", which the damaged log, or one that is being written, may be called
+    temporary = out.with_name(out.name + ".recovering")
     with open_log(path) as damaged, temporary.open("wb") as file:
         try:
             recovery = _copy(damaged, file, out)

@@ -55,7 +55,7 @@ def replay(log: str | Path | Recording, start: float = 0.0) -> Replay:
         FileDamagedError: the log is damaged, or has no states or steps.
         ConfigurationError: it was made by another version of MuJoCo, or its model compiles to
             something else here, so that nothing could be said about its simulation; or it has no
-            state at or before `start`.
+            state at or before `start`, or no policy step after that.
     """
     recording = log if isinstance(log, Recording) else read(log, ["/step", "/state"])
     model = _same_model(recording)
@@ -92,6 +92,11 @@ def replay(log: str | Path | Recording, start: float = 0.0) -> Replay:
         if state.tobytes() != rows[row].tobytes():
             difference = float(np.nanmax(np.abs(state - rows[row])))
             return _result(states, first, path, compared, (tick, difference))
+    if not path:
+        raise ConfigurationError(
+            f"nothing follows the state at {states.time[first]:g} s, the last of the log before"
+            f" {start:g} s"
+        )
     return _result(states, first, path, compared, None)
 
 

@@ -18,7 +18,7 @@ def randomised(stack: Stack) -> Stack:
     `aslip.transforms.DYNAMICS_RANGES` at each reset.
 
     Raises:
-        ConfigurationError: the stack is only the name of one.
+        ConfigurationError: the stack is only the name of one, or randomised already.
         UnknownNameError: it has no transform `start`.
     """
     stack = insert_before(stack, "start", dynamics=RandomDynamics)
@@ -29,10 +29,12 @@ def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> St
     """A copy of a stack with more transforms, in front of the named one.
 
     Raises:
-        ConfigurationError: the stack is only the name of one.
+        ConfigurationError: the stack is only the name of one, or has a new transform's name.
         UnknownNameError: the stack has no transform of that name.
     """
     _require_names(stack, [name])
+    if taken := sorted(new.keys() & stack.keys()):
+        raise ConfigurationError(f"the stack has {taken} already; assign, or take other names")
     longer: Stack = {}
     for key, make in stack.items():
         if key == name:

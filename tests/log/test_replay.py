@@ -162,6 +162,25 @@ def test_commands_fail_on_a_damaged_log(
     assert main(["replay", "--verify", str(tmp_path / "walk.recovered.mcap")]) == 0
 
 
+def test_a_recovered_log_may_have_its_name_back(
+    walk: tuple[Path, list], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "walk.mcap.part"
+    cut.write_bytes(walk[0].read_bytes()[:-1000])
+    kept = cut.read_bytes()
+    assert main(["recover", str(cut), "--out", str(tmp_path / "walk.mcap")]) == 0
+    assert main(["check", str(tmp_path / "walk.mcap")]) == 0
+    assert cut.read_bytes() == kept
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["walk.mcap", "walk.mcap.part"]
+
+
+def test_a_replay_of_nothing_verifies_nothing(
+    walk: tuple[Path, list], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["replay", "--verify", "--start", "100", str(walk[0])]) == 2
+    assert "nothing follows the state at" in capsys.readouterr().err
+
+
 def test_verifying_fails_when_the_simulation_differs(
     walk: tuple[Path, list], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
