@@ -10,6 +10,7 @@ the humps over that of the lower hump, after two passes of a moving average of 3
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -58,12 +59,18 @@ class Curve:
     std: np.ndarray
     """(k,) [N]."""
 
+    @classmethod
+    def of(cls, curves: Sequence[Curve]) -> Curve:
+        """All strides of several policies, which count alike."""
+        means, variances = ([c.mean for c in curves], [c.std**2 for c in curves])
+        return cls(np.mean(means, axis=0), np.sqrt(np.mean(variances, axis=0) + np.var(means, 0)))
+
 
 def main(config: Config) -> list[dict[str, Any]]:
     """Measure, print and draw; returns a row a method and speed."""
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
-    curves: dict[tuple[str, float], Curve] = {}
+    curves: dict[tuple[str, float], list[Curve]] = {}
     methods = {"ASLIP": config.policy, "single reference": config.baseline}
     runs = [(m, p, v) for m, ps in methods.items() for p in ps for v in config.speeds]
     for method, policy, speed in tqdm(runs, unit="walk", leave=False):
@@ -79,7 +86,7 @@ def main(config: Config) -> list[dict[str, Any]]:
             continue
         mean = ForceProfile(*np.mean([list(asdict(p).values()) for p in profiles], axis=0))
         row |= asdict(mean)
-        curves.setdefault((method, speed), curve(force[:, 0]))
+        curves.setdefault((method, speed), []).append(curve(force[:, 0]))
     for speed in config.speeds:
         gait = nearest_gait(library, speed)
         rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
@@ -88,7 +95,7 @@ def main(config: Config) -> list[dict[str, Any]]:
         "ground_reaction",
         {"rows": rows},
         table(rows),
-        picture(config, curves, library),
+        picture(config, {key: Curve.of(found) for key, found in curves.items()}, library),
     )
     return rows
 

@@ -96,7 +96,7 @@ def main(config: Config) -> dict[str, Any]:
         "spike": spikes(walks),
     }
     tables = [schedule_table(numbers), map_table(numbers), step_table(numbers)]
-    figure = picture(walks[0], numbers["map"])
+    figure = picture(walks[0], numbers["map"], len(walks))
     write_report(config, "velocity_tracking", numbers, "\n\n".join(tables), figure)
     return numbers
 
@@ -261,14 +261,15 @@ def step_table(numbers: dict[str, Any]) -> str:
 # ---------------------------------------------------------------------- picture
 
 
-def picture(walk: Walks, mapped: list[dict[str, Any]]) -> Figure:
-    """Speeds through the schedule; walked against commanded speed."""
+def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Figure:
+    """Speeds through the schedule, of the first of policies; walked against commanded speed."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     parts = figure.subplots(1, 2, width_ratios=(2, 1)) if mapped else [figure.subplots()]
     time = (np.arange(len(walk.command)) + 1) * POLICY_PERIOD
     robot, model = walk.pelvis_velocity[:, 0, 0], walk.body_velocity[:, 0, 0]
     parts[0].plot(time, model, color="tab:blue", lw=1, label="reduced-order model")
-    parts[0].plot(time, robot, color="tab:red", lw=1.2, label="robot's pelvis")
+    name = "robot's pelvis" if policies == 1 else f"robot's pelvis, first of {policies} policies"
+    parts[0].plot(time, robot, color="tab:red", lw=1.2, label=name)
     smooth = stride_average(robot, 0.8, POLICY_PERIOD)
     parts[0].plot(time, smooth, color="tab:red", lw=3, alpha=0.3, label="mean of a stride")
     parts[0].step(time, walk.command[:, 0], "k--", where="pre", label="command")

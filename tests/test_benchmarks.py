@@ -274,3 +274,13 @@ def test_likeness_of_a_seed_that_fell_is_none(
     found = claims.likeness([Walks(**{**sizes, "command": alive.astype(float), "alive": alive})])
     assert list(found) == ["velocity oscillation", "springy legs"]
     assert all(np.isnan(values).tolist() == [fallen] for values in found.values())
+
+
+def test_curves_of_policies_count_alike() -> None:
+    rng = np.random.default_rng(0)
+    strides = rng.normal(100, 10, (2, 6, 50))  # (policies, strides, samples)
+    strides[1] += 30
+    curves = [ground_reaction.Curve(s.mean(0), s.std(0)) for s in strides]
+    together = ground_reaction.Curve.of(curves)
+    np.testing.assert_allclose(together.mean, strides.reshape(12, 50).mean(0))
+    np.testing.assert_allclose(together.std, strides.reshape(12, 50).std(0))
