@@ -76,6 +76,8 @@ class Interval:
             return cls(np.nan, np.nan, np.nan)
         means = np.array([group.mean() for group in kept])
         mean = float(means.mean())
+        if np.ptp(means) == 0 and len(means) > 1:
+            return cls(float(means[0]), float(means[0]), float(means[0]))
         if len(means) > 1:
             half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
             return cls(mean, mean - float(half), mean + float(half))

@@ -25,7 +25,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final, Literal
@@ -296,14 +296,17 @@ def report(runs: Sequence[Run]) -> str:
     header += [f"episodes of {length} after" for length in _LENGTHS]
     header += ["in the end", "return", "evaluation: return", "speeds survived %"]
     header += ["diverged"]
+    # an interval of Student's does not know
+    most = [100.0 if name.endswith("%") else math.inf for name in header[3:]]
     lines = []
     for variant in dict.fromkeys(run.variant for run in runs):
         group = [run for run in runs if run.variant == variant]
         values = np.array([_numbers(run) for run in group])
         for run, row in zip(group, values, strict=True):
-            lines.append([variant, str(run.seed), _short(run.commit), *map(_cell, row[:, None])])
+            cells = map(_cell, row[:, None], most)
+            lines.append([variant, str(run.seed), _short(run.commit), *cells])
         if len(group) > 1:
-            lines.append([variant, f"{len(group)} seeds", "", *map(_cell, values.T)])
+            lines.append([variant, f"{len(group)} seeds", "", *map(_cell, values.T, most)])
     return markdown(header, lines)
 
 
@@ -331,11 +334,12 @@ def _numbers(run: Run) -> list[float]:
     return [float(number) for number in numbers]
 
 
-def _cell(values: np.ndarray) -> str:
+def _cell(values: np.ndarray, most: float) -> str:
     """One run's value, or mean and interval over several: all of them, or failures would hide."""
     if not np.isfinite(values).all():
         return f"{np.isfinite(values).sum()} of {len(values)}" if len(values) > 1 else "not yet"
-    return Interval.of([values[i : i + 1] for i in range(len(values))]).text(0)
+    interval = Interval.of([values[i : i + 1] for i in range(len(values))])
+    return replace(interval, high=min(interval.high, most)).text(0)
 
 
 def picture(runs: Sequence[Run]) -> Figure:
