@@ -10,7 +10,7 @@ the humps over that of the lower hump, after two passes of a moving average of 3
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -59,12 +59,6 @@ class Curve:
     std: np.ndarray
     """(k,) [N]."""
 
-    @classmethod
-    def of(cls, curves: Sequence[Curve]) -> Curve:
-        """All strides of several policies, which count alike."""
-        means, variances = ([c.mean for c in curves], [c.std**2 for c in curves])
-        return cls(np.mean(means, axis=0), np.sqrt(np.mean(variances, axis=0) + np.var(means, 0)))
-
 
 def main(config: Config) -> list[dict[str, Any]]:
     """Measure, print and draw; returns a row a method and speed."""
@@ -95,7 +89,7 @@ def main(config: Config) -> list[dict[str, Any]]:
         "ground_reaction",
         {"rows": rows},
         table(rows),
-        picture(config, {key: Curve.of(found) for key, found in curves.items()}, library),
+        picture(config, curves, library),
     )
     return rows
 
@@ -188,8 +182,10 @@ def table(rows: list[dict[str, Any]]) -> str:
 _NUMBERS = {"humps", "dip_ratio", "duration", "impulse", "peak"}
 
 
-def picture(config: Config, curves: dict[tuple[str, float], Curve], library: GaitLibrary) -> Figure:
-    """Force over the stride, a panel a speed."""
+def picture(
+    config: Config, curves: Mapping[tuple[str, float], Sequence[Curve]], library: GaitLibrary
+) -> Figure:
+    """Force over the stride, a panel a speed; a line a policy, with its spread if there is one."""
     figure = Figure(figsize=(4 * len(config.speeds), 3.6), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, len(config.speeds), sharey=True))
     share = np.arange(_SAMPLES) / _SAMPLES
@@ -198,11 +194,13 @@ def picture(config: Config, curves: dict[tuple[str, float], Curve], library: Gai
         model = model_force(gait)
         axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
         for method, color in (("ASLIP", "tab:red"), ("single reference", "tab:blue")):
-            found = curves.get((method, speed))
-            if found is not None:
-                axis.plot(share, found.mean, color=color, label=method)
-                low, high = found.mean - found.std, found.mean + found.std
-                axis.fill_between(share, low, high, color=color, alpha=0.25, lw=0)
+            found = curves.get((method, speed), ())
+            for i, one in enumerate(found):
+                style: dict[str, Any] = {} if len(found) == 1 else {"lw": 0.8, "alpha": 0.7}
+                axis.plot(share, one.mean, color=color, label=None if i else method, **style)
+                if len(found) == 1:
+                    low, high = one.mean - one.std, one.mean + one.std
+                    axis.fill_between(share, low, high, color=color, alpha=0.25, lw=0)
         axis.set(title=f"{round(speed, 3)} m/s", xlabel="stride from touchdown", ylim=(0, None))
         axis.set_xlim(-0.02, 1)  # impacts are at touchdown
         axis.grid(alpha=0.3)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
 from aslip.metrics import Placement
 from aslip.walks import Walks
 from benchmarks import claims, foot_placement, ground_reaction, step_frequency, velocity_tracking
@@ -276,11 +277,11 @@ def test_likeness_of_a_seed_that_fell_is_none(
     assert all(np.isnan(values).tolist() == [fallen] for values in found.values())
 
 
-def test_curves_of_policies_count_alike() -> None:
-    rng = np.random.default_rng(0)
-    strides = rng.normal(100, 10, (2, 6, 50))  # (policies, strides, samples)
-    strides[1] += 30
-    curves = [ground_reaction.Curve(s.mean(0), s.std(0)) for s in strides]
-    together = ground_reaction.Curve.of(curves)
-    np.testing.assert_allclose(together.mean, strides.reshape(12, 50).mean(0))
-    np.testing.assert_allclose(together.std, strides.reshape(12, 50).std(0))
+def test_every_policy_has_a_curve_of_its_own(library: GaitLibrary) -> None:
+    ones = [ground_reaction.Curve(np.full(200, x), np.full(200, 5.0)) for x in (1.0, 2.0, 3.0)]
+    config = ground_reaction.Config(speeds=(1.0,))
+    curves = {("ASLIP", 1.0): ones, ("single reference", 1.0): ones[:1]}
+    (axis,) = ground_reaction.picture(config, curves, library).axes
+    assert len(axis.lines) == 1 + 3 + 1
+    assert len(axis.collections) == 1  # a single policy has a band
+    assert axis.get_legend_handles_labels()[1] == ["model", "ASLIP", "single reference"]
