@@ -397,6 +397,16 @@ def read_progress(folder: Path) -> dict[str, list[float]]:
     return {name: [row[i] for row in rows] for i, name in enumerate(lines[0].strip().split(","))}
 
 
+def steps_done(folder: Path) -> int:
+    """Policy steps that a run has done.
+
+    Raises:
+        FileDamagedError: as `read_progress`.
+    """
+    steps = read_progress(folder).get("step")
+    return int(steps[-1]) if steps else 0
+
+
 def _row(line: str, header: str) -> list[float] | None:
     """Numbers of a whole line of `progress.csv`."""
     cells = line.strip().split(",")

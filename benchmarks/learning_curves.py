@@ -38,7 +38,7 @@ from tqdm import tqdm
 from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.plots import save_figure
 from aslip.policy import POLICY_FILE, read_manifest
-from aslip.run import read_progress, write_text
+from aslip.run import read_progress, steps_done, write_text
 from aslip.tables import markdown
 from benchmarks.common import WALKING_LENGTH, Interval
 
@@ -181,9 +181,9 @@ def _train(config: Config, recorded: Runs) -> None:
     wanted = [run for run in _wanted(config) if run not in kept]
     wanted.sort(key=lambda run: run[1])
     total = len(wanted) * config.total_steps
-    waiting = [run for run in wanted if _steps(_folder(config, *run)) < config.total_steps]
+    waiting = [run for run in wanted if steps_done(_folder(config, *run)) < config.total_steps]
     running: dict[int, subprocess.Popen[bytes]] = {}
-    done = sum(_steps(_folder(config, *run)) for run in wanted)
+    done = sum(steps_done(_folder(config, *run)) for run in wanted)
     with tqdm(total=total, initial=done, unit="step", dynamic_ncols=True) as bar:
         try:
             while waiting or running:
@@ -191,7 +191,7 @@ def _train(config: Config, recorded: Runs) -> None:
                     if slot not in running and waiting:
                         running[slot] = _start(config, *waiting.pop(0), slot)
                 time.sleep(_POLL)
-                bar.update(sum(_steps(_folder(config, *run)) for run in wanted) - bar.n)
+                bar.update(sum(steps_done(_folder(config, *run)) for run in wanted) - bar.n)
                 for slot, process in list(running.items()):
                     if process.poll() is not None:
                         if process.returncode:
@@ -206,7 +206,8 @@ def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Pop
     folder = _folder(config, variant, seed)
     command = [sys.executable, str(_RECIPE), "--seed", str(seed), "--out", str(folder)]
     command += ["--total-steps", str(config.total_steps), *VARIANTS[variant]]
-    if any((folder / "checkpoints").glob("checkpoint-*")):
+    # where there is no checkpoint yet, that begins anew
+    if (folder / "config.json").exists():
         command.append("--resume")
     with (config.out / f"{folder.name}.log").open("ab") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log)
@@ -214,12 +215,6 @@ def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Pop
         processors = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(process.pid, {processors[slot % len(processors)]})
     return process
-
-
-def _steps(folder: Path) -> int:
-    """Policy steps a run has done."""
-    steps = read_progress(folder).get("step")
-    return int(steps[-1]) if steps else 0
 
 
 # ----------------------------------------------------------------------- record

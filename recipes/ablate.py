@@ -36,7 +36,7 @@ from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError,
 from aslip.evaluation import WalkResult
 from aslip.library import pendulum_library
 from aslip.rewards import PAPER_WEIGHTS
-from aslip.run import TrainingStoppedError, read_progress, write_text
+from aslip.run import TrainingStoppedError, steps_done, write_text
 from aslip.stack import MAX_EPISODE_STEPS, Stack, default_stack, insert_before
 from aslip.tables import markdown
 from aslip.transforms import (
@@ -215,7 +215,7 @@ def train(config: Config, folder: Path, variant: Variant, seed: int) -> list[Wal
         **variant.settings,
     )
     results = ppo_aslip.main(settings, variant.edits())
-    done = int(max(read_progress(folder).get("step", []), default=0))
+    done = steps_done(folder)
     if done < config.total_steps:
         raise TrainingStoppedError(
             f"stopped after {done} of {config.total_steps} policy steps of {folder.name}; the same"

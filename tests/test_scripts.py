@@ -18,6 +18,7 @@ from aslip.errors import (
 )
 from aslip.library.file import read_made_by
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.run import steps_done
 from benchmarks import black_box, collectors, film_strip, learning_curves, throughput
 from benchmarks.estimator import suite as estimator
 from benchmarks.faults.trainings import TINY
@@ -221,6 +222,22 @@ def test_what_others_record_during_a_training_stays(
     assert list(learning_curves.read_record(record)) == [("default", 4), ("default", 5)]
 
 
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_training_that_was_begun_is_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
+) -> None:
+    """Also one that was killed before its first checkpoint, and has a curve."""
+    commands: list[list[str]] = []
+    monkeypatch.setattr(
+        learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)
+    )
+    if begun:
+        curves_of(tmp_path / "default-0", walks_at=300, steps=20)
+        (tmp_path / "default-0" / "config.json").write_text("{}")
+    learning_curves._start(curves_config(tmp_path), "default", 0, 0)
+    assert [command[-1] == "--resume" for command in commands] == [begun]
+
+
 def test_a_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     curves_of(tmp_path / "default-4", walks_at=300)
     learning_curves.main(curves_config(tmp_path, variants=("default",), seeds=(4, 4)))
@@ -298,4 +315,4 @@ def test_learning_curves_train_what_is_missing_and_resume(tmp_path: Path) -> Non
     for steps in (5120, 10240):
         learning_curves.main(learning_curves.Config(total_steps=steps, **settings))
         for variant in learning_curves.VARIANTS:
-            assert learning_curves._steps(tmp_path / f"{variant}-0") == steps
+            assert steps_done(tmp_path / f"{variant}-0") == steps
