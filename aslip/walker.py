@@ -71,6 +71,11 @@ class Schedule:
         return self.speeds[int(np.searchsorted(self.times, time + 2.5e-4, side="right")) - 1]
 
 
+def policy_steps(time: float) -> int:
+    """Policy steps that a time [s] takes, the last one begun."""
+    return math.ceil(time / POLICY_PERIOD - 1e-9)
+
+
 @dataclass(frozen=True)
 class Push:
     """A force on the pelvis for a while."""
@@ -190,7 +195,7 @@ class Walker:
             raise ConfigurationError(f"a push is three finite forces [N], got {force!r}")
         if not 0 < duration < math.inf:
             raise ConfigurationError(f"a push takes a positive time [s], got {duration!r}")
-        self._push, self._push_steps = vector[None], math.ceil(duration / POLICY_PERIOD - 1e-9)
+        self._push, self._push_steps = vector[None], policy_steps(duration)
 
     def reset(self, speed: float | None = None) -> None:
         """Start again on the reference at phase 0.

@@ -76,13 +76,14 @@ class Interval:
             return cls(np.nan, np.nan, np.nan)
         means = np.array([group.mean() for group in kept])
         mean = float(means.mean())
-        if np.ptp(means) == 0 and len(means) > 1:
-            return cls(float(means[0]), float(means[0]), float(means[0]))
+        values = means if len(means) > 1 else kept[0]
+        if np.ptp(values) == 0:
+            mean = float(values[0])  # without what rounding adds
+            return cls(mean, mean, mean)
         if len(means) > 1:
             half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
             return cls(mean, mean - float(half), mean + float(half))
-        values = kept[0]
-        if len(values) < _LEAST_VALUES or np.ptp(values) == 0:
+        if len(values) < _LEAST_VALUES:
             return cls(mean, mean, mean)
         rng = np.random.default_rng(0)
         drawn = rng.choice(values, (_RESAMPLES, len(values))).mean(axis=1)

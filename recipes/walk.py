@@ -37,7 +37,7 @@ from aslip.log import JointRate, Recorder
 from aslip.policy import policy_stack
 from aslip.stack import EPISODE_ENDS, ON_TRUTH, STACKS, Backend
 from aslip.tables import markdown
-from aslip.walker import Push, Schedule, Walker
+from aslip.walker import Push, Schedule, Walker, policy_steps
 
 # how long the last speed of a schedule is held [s]
 _LAST_SPEED = 4.0
@@ -182,17 +182,12 @@ def check_pushes(pushes: list[Push], duration: float) -> None:
             raise ConfigurationError(
                 f"the walk is from 0 to {duration:g} s, there is no push at {push.time:g} s"
             )
-        if _steps(push.time) < free:
+        if policy_steps(push.time) < free:
             raise ConfigurationError(
                 f"the push at {push.time:g} s begins before the one before ends, at"
                 f" {free * POLICY_PERIOD:g} s"
             )
-        free = _steps(push.time) + _steps(push.duration)
-
-
-def _steps(time: float) -> int:
-    """Policy steps that a time takes, the last one begun."""
-    return math.ceil(time / POLICY_PERIOD - 1e-9)
+        free = policy_steps(push.time) + policy_steps(push.duration)
 
 
 def walk(
@@ -203,7 +198,7 @@ def walk(
     rows, frames = [], [frame(walker.td)]
     with contextlib.ExitStack() as stack:
         show = stack.enter_context(viewer(config)) if config.viewer else None
-        for _ in tqdm(range(_steps(duration(config, schedule))), unit="step"):
+        for _ in tqdm(range(policy_steps(duration(config, schedule))), unit="step"):
             walker.command = schedule.at(walker.time)
             if waiting and waiting[-1].time <= walker.time + 1e-9:
                 push = waiting.pop()

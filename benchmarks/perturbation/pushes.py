@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from aslip.ghost import heading
 from aslip.stack import CassieTransformedEnv
 from aslip.tables import markdown
 from aslip.transforms import PhaseClock
+from aslip.walker import policy_steps
 from benchmarks.common import Interval, environment
 from benchmarks.perturbation.config import SIDES, Config
 from benchmarks.perturbation.walking import reset, walk
@@ -24,7 +24,7 @@ from benchmarks.perturbation.walking import reset, walk
 
 def push_steps(config: Config) -> int:
     """Policy steps of a push."""
-    return math.ceil(config.duration / POLICY_PERIOD - 1e-9)
+    return policy_steps(config.duration)
 
 
 def survived_pushes(config: Config, policy: str, bar: tqdm) -> np.ndarray:
