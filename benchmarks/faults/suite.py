@@ -7,6 +7,7 @@ import logging
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from tqdm import tqdm
 from aslip.run import write_text
 from aslip.tables import markdown
 from benchmarks.faults.checkpoints import checkpoint_cost, cuts, flips, full_disks, losses
+from benchmarks.faults.files import damaged
+from benchmarks.faults.kinds import KINDS
 from benchmarks.faults.processes import kills, raises, workers
 from benchmarks.faults.settings import settings
 from benchmarks.faults.simulations import bad_numbers, steps
@@ -45,6 +48,8 @@ class Config:
     """Disks that are full after a random number of bytes of a checkpoint."""
     strangers: int = 20
     """Policies and checkpoints with a program inside, hidden in four ways."""
+    files: int = 1000
+    """Damaged files of each kind."""
     settings: int = 1000
     """Settings of a wrong type or out of range."""
     steps: int = 1_000_000
@@ -76,6 +81,7 @@ def main(config: Config) -> dict[str, dict[str, int]]:
         "all checkpoints truncated": (config.losses, losses),
         "disk full": (config.full_disks, full_disks),
         "program in a policy or checkpoint": (config.strangers, strangers),
+        **{f"damaged {kind}": (config.files, partial(damaged, kind)) for kind in KINDS},
         "setting of wrong type or range": (config.settings, settings),
         "policy steps of random actions": (config.steps, steps),
     }

@@ -1,0 +1,113 @@
+"""Kinds of files, for tests and faults: how one is written, read, and compared.
+
+To add a kind, add a `Kind` to `KINDS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+
+import aslip
+from aslip.checkpoint import load_checkpoint, save_checkpoint
+from aslip.library import GaitLibrary
+from aslip.library.file import GaitTable, read_made_by, write_library
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_manifest, save_policy
+from benchmarks.faults.trainings import Holder, same
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of file."""
+
+    name: str
+    """What it is called in tables."""
+    suffix: str
+    """End of a file's name, with the dot."""
+    write: Callable[[Path], None]
+    """Write a whole file, the same content every time; replaces a file that is there."""
+    load: Callable[[Path], Any]
+    """Everything that a file says; raises an `AslipError` if the file is damaged."""
+    same: Callable[[Any, Any], bool] = same
+    """Whether two contents are equal, bit for bit."""
+    archive: bool = True
+    """Whether it is a ZIP archive."""
+    damages: Mapping[str, Callable[[bytes, np.random.Generator], bytes]] = field(
+        default_factory=dict
+    )
+    """Ways to damage it that no other kind has, by name."""
+
+
+def _write_policy(path: Path) -> None:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        shape = PolicyShape(symmetric=True)
+        normalizer = RunningNormalizer(64)
+        normalizer.update(torch.randn(100, 64))
+        save_policy(path, make_actor(normalizer, shape), shape, {"seed": 0})
+
+
+def _load_policy(path: Path) -> Any:
+    actor = aslip.load_policy(path)
+    observation = torch.linspace(-1, 1, 64).expand(2, -1)
+    action = actor(TensorDict(observation=observation, batch_size=2))["action"]
+    return {"card": read_manifest(path)["metadata"], "weights": actor.state_dict(), "act": action}
+
+
+def _write_library(path: Path) -> None:
+    library = GaitLibrary.load()
+    rows = {f.name: getattr(library.table, f.name)[[5, 10]] for f in fields(GaitTable)}
+    thinned = {name: v[:, ::16] if v.ndim == 3 else v for name, v in rows.items()}
+    gaits = [library.gaits[5], library.gaits[10]]
+    write_library(path, gaits, GaitTable(**thinned), {"command": "none"})
+
+
+def _load_library(path: Path) -> Any:
+    library = GaitLibrary.load(path)
+    point = torch.full((1, 1), 0.7)
+    arrays = [gait.to_arrays() for gait in library.gaits]
+    return {
+        "table": [_tensor(getattr(library.table, f.name)) for f in fields(GaitTable)],
+        "gaits": [{k: v.tolist() for k, v in gait.items()} for gait in arrays],
+        "reference": library.lookup(point, point).motor_position,
+        "start": library.initial_state(point, point),
+        "made_by": read_made_by(path),
+    }
+
+
+def _tensor(array: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(array.copy())
+
+
+def _write_checkpoint(path: Path) -> None:
+    generator = torch.Generator().manual_seed(0)
+    weights = torch.randn(64, 64, generator=generator)
+    states = {
+        "actor": {"weights": weights, "count": torch.tensor(3.0, dtype=torch.float64)},
+        "optimizer": {"state": {0: {"step": 5, "moments": weights[0]}}, "groups": [{"lr": 1e-3}]},
+        "rng": {"torch_cpu": generator.get_state(), "numpy": ("MT19937", 1, None)},
+    }
+    save_checkpoint(path, states, {"step": 64, "episodes": [0.5, 1.5]})
+
+
+def _load_checkpoint(path: Path) -> Any:
+    holders = {name: Holder() for name in ("actor", "optimizer", "rng")}
+    metadata = load_checkpoint(path, holders)
+    return {"metadata": metadata, **{name: holder.state for name, holder in holders.items()}}
+
+
+KINDS: dict[str, Kind] = {
+    kind.name: kind
+    for kind in (
+        Kind("policy", ".zip", _write_policy, _load_policy),
+        Kind("library", ".npz", _write_library, _load_library),
+        Kind("checkpoint", ".torchrl", _write_checkpoint, _load_checkpoint),
+    )
+}
+"""Every kind of file, by name."""
