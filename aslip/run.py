@@ -42,6 +42,7 @@ except ImportError:  # not on Windows
 
 from aslip.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.files import replacing
 from aslip.policy import POLICY_FILE
 
 _PROGRESS_FILE = "progress.csv"
@@ -434,6 +435,5 @@ def peak_memory() -> float:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file as a whole or not at all."""
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(text)
-    os.replace(temporary, path)
+    with replacing(path) as file:
+        file.write(text.encode())

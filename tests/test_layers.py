@@ -12,11 +12,12 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
-# each layer may import those listed, itself, and the two that stand below everything
-_BELOW_ALL = {"errors", "assets"}
+# each layer may import those listed, itself, and the three that stand below everything
+_BELOW_ALL = {"errors", "assets", "files"}
 _MAY_IMPORT = {
     "errors": set(),
     "assets": set(),
+    "files": set(),
     "cassie": set(),
     "rom": set(),
     "ik": {"cassie"},
@@ -36,6 +37,7 @@ _TOP |= {"__init__"}
 _FOREIGN = {
     "errors": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "assets": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
+    "files": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "cassie": {"torch", "torchrl", "tensordict", "casadi", "pinocchio", "dm_control"},
     "rom": {"torch", "torchrl", "tensordict", "mujoco", "pinocchio", "dm_control"},
     "ik": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"},
