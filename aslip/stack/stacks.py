@@ -66,18 +66,18 @@ def reward_terms(reward_on: RewardSource = "truth") -> Stack:
     def body(*names: str) -> list[NestedKey]:
         return [(source, name) for name in names]
 
-    def reference(*names: str) -> list[NestedKey]:
-        return [("reference", name) for name in names]
+    def goal(*names: str) -> list[NestedKey]:
+        return [("goal", name) for name in names]
 
     feet = ("left_foot_position", "right_foot_position")
     reads = {
-        rewards.com_vel: body("pelvis_orientation", "pelvis_velocity") + reference("body_velocity"),
-        rewards.foot_pos: body("pelvis_orientation", "pelvis_position", *feet) + reference(*feet),
-        rewards.straight_diff: body("pelvis_position"),
-        rewards.foot_orient: body("left_foot_orientation", "right_foot_orientation"),
+        rewards.com_vel: (body("pelvis_orientation", "pelvis_velocity"), goal("body_velocity")),
+        rewards.foot_pos: (body("pelvis_orientation", "pelvis_position", *feet), goal(*feet)),
+        rewards.straight_diff: (body("pelvis_position"), ()),
+        rewards.foot_orient: (body("left_foot_orientation", "right_foot_orientation"), ()),
     }
     terms: Stack = {
-        function.__name__: partial(RewardTerm, function.__name__, function, keys)
+        function.__name__: partial(RewardTerm, function.__name__, function, *keys)
         for function, keys in reads.items()
     }
     terms["action_diff"] = lambda: RewardTerm(
@@ -155,11 +155,8 @@ def single_reference_stack(
         "pelvis": lambda: RewardTerm(
             "pelvis",
             single_reference.pelvis,
-            [
-                (source, "pelvis_position"),
-                ("reference", "body_position"),
-                ("reference", "distance"),
-            ],
+            [(source, "pelvis_position")],
+            root_keys=[("goal", "body_position"), ("goal", "distance")],
         ),
         "upright": lambda: RewardTerm(
             "upright", single_reference.upright, [(source, "pelvis_orientation")]
@@ -167,7 +164,8 @@ def single_reference_stack(
         "springs": lambda: RewardTerm(
             "springs",
             single_reference.springs,
-            [("truth", "qpos"), *(("reference", foot) for foot in feet)],
+            [("truth", "qpos")],
+            root_keys=[("goal", foot) for foot in feet],
         ),
     }
     stack: Stack = {}

@@ -22,7 +22,7 @@ class SpeedCommand(CassieTransform):
 
     To command from outside, write `td["command"]` between steps, or pass it to `env.reset`: a speed
     of the library's range, else `SpeedOutOfRangeError` is raised. It acts on the reference of the
-    next policy step; the phase goes on. In a reset of some robots only,
+    next policy step, and on the rewards of steps after that; the phase goes on. In a reset of some robots only,
     with a `_reset` mask, theirs are drawn anew. For another distribution override `draw`.
 
     Args:

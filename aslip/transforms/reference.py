@@ -6,7 +6,9 @@ from dataclasses import fields
 from typing import Literal, get_args
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.cassie import MOTOR_NAMES, PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
@@ -14,15 +16,24 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, Reference
 from aslip.transforms.base import CassieTransform, extend_spec, require_keys
 
+_MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))
+_BODY = tuple(field.name for field in fields(Reference) if field.name not in _MOTORS)
+_GOAL_DISTANCE = ("goal", "distance")
+
 InitialVelocity = Literal["reference", "rest"]
 
 
 class ReferenceInjection(CassieTransform):
-    """Write the library's motion at the present phase and command under `("reference", ...)`.
+    """Write the library's motion at the present command under `("reference", ...)`, `("goal", ...)`.
 
-    Body and feet are those of the present instant, which the robot's state is compared with. Motor
-    angles, rates and torques are those of the end of the coming policy step, where the PD loops are
-    to arrive; the paper does not say which instant it means, and its public code does the same.
+    Body and feet under "reference" are those of the present phase. Motor angles, rates and torques
+    are those of the end of the coming policy step, where the PD loops are to arrive; the paper does
+    not say which instant it means, and its public code does the same.
+
+    Body and feet under "goal" are those of the end of the coming policy step, too: a policy that
+    sees the reference is rewarded for reaching the goal, whatever is commanded in the meantime.
+    Reward terms therefore read the goal among their `root_keys`. While the command is constant the
+    goal is the next reference, bit for bit.
 
     Args:
         library: the gaits.
@@ -30,27 +41,29 @@ class ReferenceInjection(CassieTransform):
     """
 
     def __init__(self, library: GaitLibrary, motor_lead: float = 1.0) -> None:
-        super().__init__(in_keys=["command", "phase"], out_keys=["reference"])
+        super().__init__(in_keys=["command", "phase"], out_keys=["reference", "goal"])
         self.library = library
         self.motor_lead = motor_lead
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         command, phase = next_tensordict["command"], next_tensordict["phase"]
-        lead = self.motor_lead * POLICY_PERIOD / self.library.stride(command)
-        # one lookup for both instants costs half of two
-        phases = torch.stack([phase, phase + lead])
-        both = self.library.lookup(phases, command.expand_as(phases))
-        values = {field.name: getattr(both, field.name)[0] for field in fields(both)}
-        values |= {name: getattr(both, name)[1] for name in values if name.startswith("motor")}
-        return next_tensordict.set("reference", Reference(**values).to_tensordict())
+        stride = self.library.stride(command)
+        # one lookup for all instants costs half of two
+        leads = list(dict.fromkeys([0.0, 1.0, self.motor_lead]))
+        phases = torch.stack([phase + lead * POLICY_PERIOD / stride for lead in leads])
+        found = self.library.lookup(phases, command.expand_as(phases))
+        motors = leads.index(self.motor_lead)
+        reference = {name: getattr(found, name)[motors] for name in _MOTORS}
+        reference |= {name: getattr(found, name)[0] for name in _BODY}
+        goal = {name: getattr(found, name)[1] for name in _BODY}
+        next_tensordict.set("goal", TensorDict(goal, next_tensordict.batch_size))
+        return next_tensordict.set("reference", TensorDict(reference, next_tensordict.batch_size))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the fields of `aslip.library.Reference`."""
+        """Add the fields of `aslip.library.Reference`, and of the goal."""
         require_keys(self, observation_spec, ["command", "phase"])
-        sizes = {
-            ("reference", field.name): len(MOTOR_NAMES) if "motor" in field.name else 3
-            for field in fields(Reference)
-        }
+        sizes: dict[NestedKey, int] = {("reference", name): len(MOTOR_NAMES) for name in _MOTORS}
+        sizes |= {(group, name): 3 for group in ("reference", "goal") for name in _BODY}
         return extend_spec(observation_spec, sizes)
 
 
@@ -87,27 +100,31 @@ class ReferenceDistance(CassieTransform):
     """Write how far the reference has gone since the reset under `("reference", "distance")` [m].
 
     The reference's own x is the deviation from uniform motion; added to this it is a place in the
-    world. Must come after `ReferenceInjection`.
+    world. `("goal", "distance")` is the distance at the end of the coming policy step. Must come
+    after `ReferenceInjection`.
     """
 
     def __init__(self) -> None:
-        super().__init__(in_keys=["command"], out_keys=[("reference", "distance")])
+        super().__init__(in_keys=["command"], out_keys=[("reference", "distance"), _GOAL_DISTANCE])
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        start = torch.zeros_like(tensordict_reset["command"])
-        return tensordict_reset.set(self.out_keys[0], start)
+        return self._written(tensordict_reset, torch.zeros_like(tensordict_reset["command"]))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         before = tensordict[self.out_keys[0]]
-        return next_tensordict.set(self.out_keys[0], before + POLICY_PERIOD * tensordict["command"])
+        return self._written(next_tensordict, before + POLICY_PERIOD * tensordict["command"])
+
+    def _written(self, into: TensorDictBase, distance: Tensor) -> TensorDictBase:
+        into.set(_GOAL_DISTANCE, distance + POLICY_PERIOD * into["command"])
+        return into.set(self.out_keys[0], distance)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the distance."""
+        """Add the distances."""
         require_keys(self, observation_spec, ["command", ("reference", "body_position")])
-        return extend_spec(observation_spec, {self.out_keys[0]: 1})
+        return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
 
 
 class ReferenceStart(CassieTransform):

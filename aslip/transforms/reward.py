@@ -24,6 +24,7 @@ class RewardTerm(CassieTransform):
         function: tensors (*b, k) in the order of the keys -> (*b, 1) in [0, 1].
         next_keys: what it reads of the state after the step.
         root_keys: what it reads of the state before the step and of the action; these come last.
+            `("goal", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
 
     A step raises `ShapeError` if the function does not give one number a robot.
     """

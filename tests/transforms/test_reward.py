@@ -6,15 +6,18 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDict
 from torch import Tensor
 from torchrl.envs.transforms import StepCounter
 from torchrl.envs.utils import check_env_specs
 
+import aslip
 from aslip import rewards
+from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.stack import default_stack
-from aslip.transforms import LowReward, RewardTerm, WeightedReward
+from aslip.transforms import LowReward, RewardTerm, SpeedCommand, WeightedReward
 from tests.conftest import MakeEnv
 
 TERMS = list(rewards.PAPER_WEIGHTS)
@@ -230,3 +233,37 @@ def test_a_term_that_is_not_one_number_a_robot_is_named(make: MakeEnv, function:
     env = make(num_envs=3, replace={"com_vel": term})
     with pytest.raises(ShapeError, match=r"'com_vel' must have shape \(3, 1\).*keepdim"):
         env.rollout(2)
+
+
+# ------------------------------------------------------- a change of command
+
+
+@pytest.mark.parametrize("stack", ["aslip", "paper", "single_reference"])
+def test_a_command_from_outside_is_not_rewarded_before_the_policy_sees_it(stack: str) -> None:
+    """The step in which it is written is judged as if it had not been."""
+    found = []
+    for command in (None, 2.0):
+        env = aslip.make_env(num_envs=2, num_threads=1, stack=stack)
+        start = TensorDict(command=torch.zeros(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
+        td = env.step(env.reset(start).set("action", torch.zeros(2, 10)))["next"]
+        if command is not None:
+            td["command"] = torch.full((2, 1), command)
+        found.append(env.step(td.set("action", torch.zeros(2, 10)))["next"])
+    for name, term in found[0]["reward_terms"].items():
+        torch.testing.assert_close(found[1]["reward_terms", name], term, rtol=0, atol=0)
+    body = [td["reference", "body_velocity"][..., 0] for td in found]
+    assert (body[1] - body[0]).min() > 1.5  # the policy sees it next
+
+
+def test_a_drawn_command_is_rewarded_from_the_next_step_on(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    command = SpeedCommand(library, interval=POLICY_PERIOD)
+    env = make(num_envs=16, replace={"command": command}, drop=["fall", "low_reward"])
+    walk = env.rollout(4, break_when_any_done=False)
+    truth, due = walk["next", "truth"], library.lookup(walk["next", "phase"], walk["command"])
+    expected = rewards.com_vel(
+        truth["pelvis_orientation"], truth["pelvis_velocity"], due.body_velocity
+    )
+    assert (walk["command"] != walk["next", "command"]).float().mean() > 0.8
+    torch.testing.assert_close(walk["next", "reward_terms", "com_vel"], expected, rtol=0, atol=1e-6)
