@@ -46,6 +46,8 @@ from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 # normalised inputs further out than this are cut off: a fall must not shout down the rest
 _CLIP = 10.0
 _EPSILON = 1e-4
+# inputs that vary less than this did not vary in training, and have trained no weights
+_CONSTANT = 1e-8
 # of the actor's last layer, so that training starts near the reference motion
 _OUTPUT_SCALE = 0.01
 
@@ -71,6 +73,9 @@ class PolicyShape:
 
 class RunningNormalizer(nn.Module):
     """Shift and scale to zero mean and unit variance, by statistics of everything it was shown.
+
+    An input that was constant is shifted but not scaled: no weight behind it has been trained, so
+    a small deviation must stay small.
 
     Args:
         size: length of the input.
@@ -103,8 +108,18 @@ class RunningNormalizer(nn.Module):
         self.mean += delta * count / total
         self.variance.copy_(moment / total)
         self.count.copy_(total)
+        self._refresh()
+
+    def _refresh(self) -> None:
+        """Derive offset and scale from the statistics."""
         self._offset.copy_(self.mean)
-        self._scale.copy_((self.variance + _EPSILON**2).rsqrt().clamp(max=1 / _EPSILON))
+        scale = (self.variance + _EPSILON**2).rsqrt()
+        self._scale.copy_(torch.where(self.variance < _CONSTANT, 1.0, scale))
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        """Load the statistics; what follows from them may have been derived in another way."""
+        super()._load_from_state_dict(*args, **kwargs)
+        self._refresh()
 
     def forward(self, values: Tensor) -> Tensor:
         """Normalised (*b, size) values.

@@ -65,6 +65,35 @@ def test_a_constant_input_is_zero_and_harms_nothing() -> None:
     assert far.abs().max() <= 10
 
 
+def test_a_constant_input_that_moves_a_little_stays_little() -> None:
+    normalizer = RunningNormalizer(2)
+    values = torch.stack([torch.full((1000,), 0.95), torch.randn(1000)], dim=-1)
+    normalizer.update(values)
+    moved = normalizer(values + torch.tensor([1e-3, 0.0])) - normalizer(values)
+    assert moved.abs().max() < 1.1e-3
+    loaded = RunningNormalizer(2)
+    state = normalizer.state_dict()
+    loaded.load_state_dict({**state, "_scale": torch.full((2,), 1e4)})
+    torch.testing.assert_close(loaded(values), normalizer(values), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "constant"), [("aslip", [56, 62]), ("robust", [56, 62]), ("single_reference", [])]
+)
+def test_an_entry_that_was_constant_in_training_has_no_power(
+    name: str, constant: list[int]
+) -> None:
+    """A reference whose feet move sideways by 1 mm/s must not turn the actions of a policy."""
+    policy = aslip.load_policy(name)
+    normalizer = next(m for m in policy.modules() if isinstance(m, RunningNormalizer))
+    assert (normalizer.variance < 1e-8).nonzero()[:, 0].tolist() == constant
+    observation = normalizer.mean.float().repeat(1 + len(constant), 1)
+    for row, entry in enumerate(constant, 1):
+        observation[row, entry] += 1e-3
+    action = policy(TensorDict(observation=observation, batch_size=len(observation)))["action"]
+    assert ((action - action[0]).abs() < 1e-2).all()
+
+
 def test_before_any_update_inputs_pass_through() -> None:
     values = torch.randn(5, 64).clamp(-3, 3)
     torch.testing.assert_close(RunningNormalizer(64)(values), values, rtol=0, atol=0)
