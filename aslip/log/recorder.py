@@ -5,7 +5,9 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 import platform
+import weakref
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,13 +22,13 @@ import aslip
 from aslip.assets import asset_path
 from aslip.cassie import PHYSICS_TIMESTEP, SUBSTEPS
 from aslip.envs import CassieEnv
-from aslip.errors import ConfigurationError
+from aslip.errors import AslipError, ConfigurationError
 from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
 from aslip.log import messages
 from aslip.log.frozen_model import freeze_model, model_digest
 from aslip.log.session import Session, require_one_model
-from aslip.log.writer import LogWriter
+from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
 from aslip.provenance import commit, versions
 
@@ -36,7 +38,7 @@ CONFIG_FILE = "config.json"
 
 
 class Recorder(Transform):
-    """Writes everything about one robot to an MCAP file, and changes nothing.
+    """Write everything about one robot to an MCAP file; the simulation stays as it is.
 
     It must be the last of a stack's transforms, whichever backend they are on:
 
@@ -45,9 +47,10 @@ class Recorder(Transform):
         env.rollout(400, load_policy("aslip"))
         env.close()
 
-    The file is complete once `close` was called, which closing the environment does; until then it
-    is `<path>.part`. Log time is simulated time, zero at the first reset; a later reset takes the
-    time of one policy step. See `aslip.log.messages` for topics.
+    The file is complete once `close` was called, which closing the environment does, and so does
+    the end of the program; until then it is `<path>.part`. A disk that is full ends the log with a
+    warning, not the simulation. Log time is simulated time, zero at the first reset; a later reset
+    takes the time of one policy step. See `aslip.log.messages` for topics.
 
     Args:
         path: of the log.
@@ -56,13 +59,17 @@ class Recorder(Transform):
         policy: name or file of the policy that acts, to be attached.
         config: settings to be attached, a dataclass or of JSON types.
         library: the gaits, for planned footholds; the shipped ones by default.
+        overwrite: replace a finished log of that name once the new one is finished.
 
     Raises:
-        ConfigurationError: `joint_rate` is neither; there is an unfinished log of that name; the
-            environment has no such robot; the model cannot be logged; or robots have been given
-            dynamics that differ from it.
+        ConfigurationError: `joint_rate` is neither; there is a log of that name, or an unfinished
+            one; a transform comes after this one; the environment has no such robot; the model
+            cannot be logged; or robots have been given dynamics that differ from it.
         AssetError: there is no such policy.
     """
+
+    must_be_last = True
+    """Told to whoever checks the order of a stack's transforms."""
 
     def __init__(
         self,
@@ -73,11 +80,14 @@ class Recorder(Transform):
         policy: str | Path | None = None,
         config: Any = None,
         library: GaitLibrary | None = None,
+        overwrite: bool = False,
     ) -> None:
         super().__init__(in_keys=[], out_keys=[])
         if joint_rate not in ("policy", "physics"):
             raise ConfigurationError(f'joint_rate is "policy" or "physics", got {joint_rate!r}')
         self.path = Path(path)
+        refuse_existing(self.path, overwrite=overwrite)
+        self._overwrite = overwrite
         self._robot = robot
         self._fast = joint_rate == "physics"
         self._policy = None if policy is None else find_policy(policy).read_bytes()
@@ -85,6 +95,8 @@ class Recorder(Transform):
         self._config = dataclasses.asdict(settings) if dataclasses.is_dataclass(config) else config
         self._footholds = Footholds(GaitLibrary.load() if library is None else library)
         self._session: Session | None = None
+        self._closed = False
+        self._finish: weakref.finalize | None = None
 
     @property
     def base_env(self) -> CassieEnv:
@@ -100,28 +112,33 @@ class Recorder(Transform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         mask = tensordict.get("_reset", None)
-        if mask is None or bool(mask.reshape(-1)[self._robot]):
+        if not self._closed and (mask is None or bool(mask.reshape(-1)[self._robot])):
+            self._require_last()
             if self._session is None:
                 self._session = self._begin(tensordict_reset)
+                # an environment that nobody closes, and the end of the program, finish the file
+                self._finish = weakref.finalize(self, _finish, self._session, os.getpid())
             self._session.reset(tensordict_reset)
         return tensordict_reset
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        if self._closed:
+            return next_tensordict
         if self._session is None:
             raise ConfigurationError("reset the environment before its first step is recorded")
         self._session.step(tensordict, next_tensordict)
         return next_tensordict
 
     def note(self, text: str) -> None:
-        """Add a line to the log's `/log`, at the present time."""
+        """Add a line to `/log` at the present time, if the log is being written."""
         if self._session is not None:
             self._session.note(text)
 
     def close(self) -> None:
-        """Finish the file; nothing more is recorded until the next reset of a new recorder."""
-        if self._session is not None:
-            self._session.finish()
-            self._session = None
+        """Finish the file; this recorder records nothing more."""
+        self._closed, self._session = True, None
+        if self._finish is not None:
+            self._finish()
 
     def __enter__(self) -> Recorder:
         return self
@@ -133,6 +150,16 @@ class Recorder(Transform):
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _require_last(self) -> None:
+        """Raise ConfigurationError if what later transforms write would be missing in the log."""
+        env: Any = self.container
+        after = list(env.transform)[-1]
+        if after is not self:
+            raise ConfigurationError(
+                f"the Recorder must be the last transform, or what later ones write is not in the"
+                f" log; the last one is a {type(after).__name__}"
+            )
 
     def _begin(self, tensordict: TensorDictBase) -> Session:
         base = self.base_env
@@ -159,13 +186,23 @@ class Recorder(Transform):
             "settings": self._config,
         }
         files[CONFIG_FILE] = json.dumps(config, indent=1, default=str).encode()
-        writer = LogWriter(self.path)
+        writer = LogWriter(self.path, overwrite=self._overwrite)
         try:
             writer.attach(files, _metadata(base.model, config))
             return Session(writer, base, self._robot, self._fast, self._footholds, tensordict)
-        except BaseException:
+        except BaseException as error:
             writer.discard()
+            if isinstance(error, OSError) and not isinstance(error, AslipError):
+                raise ConfigurationError(
+                    f"cannot write the log {str(self.path)!r}: {error}"
+                ) from error
             raise
+
+
+def _finish(session: Session, process: int) -> None:
+    """Finish a log in the process that began it, not in one that was forked off."""
+    if os.getpid() == process:
+        session.finish()
 
 
 def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str]:

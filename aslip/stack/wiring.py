@@ -31,6 +31,11 @@ def check_wiring(env: CassieTransformedEnv) -> None:
                 f"the reward term {transform.out_keys[0][-1]!r} comes after the sum and would not"
                 ' count; insert_before(stack, "reward", ...) puts it in its place'
             )
+        if getattr(transform, "must_be_last", False) and transform is not env.transforms[-1]:
+            raise ConfigurationError(
+                f"{name!r} must be the last transform, or what later ones write is not in its log;"
+                f" the last one is {env.transform_names[-1]!r}"
+            )
         # a sum of nothing is right where there is no reward; an end of all episodes is not
         reads = isinstance(transform, LowReward) or (
             isinstance(transform, RewardSum) and ever_rewarded

@@ -1,0 +1,227 @@
+"""A log is begun, finished and named once; nothing that exists is overwritten."""
+
+from __future__ import annotations
+
+import gc
+import os
+import resource
+import signal
+import subprocess
+import sys
+import warnings
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import torch
+from mcap.reader import make_reader
+from torchrl.envs.transforms import StepCounter
+
+import aslip
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.log import Recorder, check, read, recover, replay
+from aslip.stack import default_stack, insert_before
+from tests.log.conftest import MakeRecorded, run
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "walk.mcap"
+
+
+def test_a_finished_log_is_not_overwritten(make_recorded: MakeRecorded, path: Path) -> None:
+    path.write_bytes(b"precious")
+    with pytest.raises(ConfigurationError, match=r"walk\.mcap' exists.*overwrite=True"):
+        make_recorded(path)
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_log_that_appears_before_the_first_reset_is_not_overwritten(
+    make_recorded: MakeRecorded, path: Path
+) -> None:
+    env = make_recorded(path)
+    path.write_bytes(b"precious")
+    with pytest.raises(ConfigurationError, match=r"walk\.mcap' exists"):
+        env.reset()
+    assert [p.name for p in path.parent.iterdir()] == ["walk.mcap"]
+    assert path.read_bytes() == b"precious"
+
+
+def test_a_log_is_overwritten_when_asked(make_recorded: MakeRecorded, path: Path) -> None:
+    path.write_bytes(b"old")
+    env = make_recorded(path, overwrite=True)
+    run(env, 2)
+    assert path.read_bytes() == b"old"
+    env.close()
+    assert len(read(path)["/step"]) == 2
+
+
+def test_a_reset_after_closing_leaves_the_log_alone(
+    make_recorded: MakeRecorded, path: Path
+) -> None:
+    env = make_recorded(path)
+    run(env, 5)
+    env.transforms[-1].close()
+    before = path.read_bytes()
+    run(env, 3)
+    env.close()
+    assert path.read_bytes() == before
+    assert [p.name for p in path.parent.iterdir()] == ["walk.mcap"]
+
+
+def test_a_recorder_that_is_not_last_is_refused(library: GaitLibrary, path: Path) -> None:
+    """It would log the reward 0."""
+    stack = insert_before(
+        default_stack(library), "reward", recorder=lambda: Recorder(path, library=library)
+    )
+    with pytest.raises(ConfigurationError, match="'recorder' must be the last transform"):
+        aslip.make_env(stack=stack, num_threads=1)
+
+
+def test_a_transform_after_the_recorder_is_refused(make_recorded: MakeRecorded, path: Path) -> None:
+    env = make_recorded(path)
+    env.append_transform(StepCounter(step_count_key="steps"))
+    with pytest.raises(ConfigurationError, match="last one is a StepCounter"):
+        env.reset()
+    assert not list(path.parent.iterdir())
+
+
+def test_an_environment_that_nobody_closes_finishes_its_log(
+    make_recorded: MakeRecorded, path: Path
+) -> None:
+    env = make_recorded(path)
+    run(env, 2)
+    del env
+    gc.collect()
+    assert check(path) == []
+
+
+_SCRIPT = """
+import sys
+import aslip
+from aslip.log import Recorder
+from aslip.stack import default_stack
+env = aslip.make_env(stack={**default_stack(), "recorder": lambda: Recorder(sys.argv[1])})
+env.rollout(3)
+if len(sys.argv) > 2:
+    raise RuntimeError(sys.argv[2])
+"""
+
+
+@pytest.mark.parametrize("error", [[], ["a mistake in the script"]])
+def test_the_end_of_a_program_finishes_its_log(path: Path, error: list[str]) -> None:
+    """Whether it ends well or not."""
+    command = [sys.executable, "-c", _SCRIPT, str(path), *error]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == len(error), ended.stderr
+    assert [p.name for p in path.parent.iterdir()] == ["walk.mcap"]
+    assert check(path) == []
+    assert len(read(path, ["/step"])["/step"]) == 3
+
+
+def test_a_forked_process_leaves_the_log_to_its_parent(
+    make_recorded: MakeRecorded, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = make_recorded(path)
+    run(env, 2)
+    with monkeypatch.context() as patched:
+        patched.setattr("os.getpid", lambda: -1)
+        env.transforms[-1].close()
+    assert [p.name for p in path.parent.iterdir()] == ["walk.mcap.part"]
+
+
+@contextmanager
+def _full_disk(path: Path, size: int) -> Iterator[None]:
+    """No file may grow beyond a size."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+def test_a_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, path: Path) -> None:
+    """There is one warning, and what was written is recovered."""
+    env = make_recorded(path)
+    seen = run(env, 40)
+    size = path.with_name("walk.mcap.part").stat().st_size
+    with _full_disk(path, size + 1000), pytest.warns(RuntimeWarning) as warned:
+        more = run(env, 80)
+        env.close()
+    assert len(warned) == 1
+    text = str(warned[0].message)
+    assert "walk.mcap' ends here" in text
+    assert f"recover {path}.part" in text
+    assert len(more) == 80
+    assert not path.exists()
+    saved = recover(path.with_name("walk.mcap.part"), path)
+    assert saved.until >= 0.99
+    assert replay(path).equal
+    rewards = [float(td["next", "reward"]) for td in seen]
+    assert read(path)["/step"]["reward"].tolist() == rewards[: len(read(path)["/step"])]
+
+
+def test_a_disk_that_is_full_at_the_start_is_an_error(
+    make_recorded: MakeRecorded, path: Path
+) -> None:
+    env = make_recorded(path)
+    with _full_disk(path, 1000), pytest.raises(ConfigurationError, match=r"cannot write.*walk"):
+        env.reset()
+    assert not list(path.parent.iterdir())
+
+
+def test_a_folder_that_cannot_be_is_an_error(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigurationError, match=r"cannot write the log.*walk\.mcap"):
+        make_recorded(tmp_path / "file" / "walk.mcap").reset()
+
+
+def test_a_log_is_on_the_disk_before_it_has_its_name(
+    make_recorded: MakeRecorded, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Otherwise a crash of the machine could leave an empty file under the name."""
+    env = make_recorded(path)
+    run(env, 2)
+    done: list[tuple[str, int]] = []
+    fsync, rename = os.fsync, os.replace
+    synced = path.with_name("walk.mcap.part")
+
+    def traced_fsync(file: int) -> None:
+        if synced.exists():  # the folder follows
+            done.append(("fsync", synced.stat().st_size))
+        fsync(file)
+
+    def traced_rename(source: str, target: Path) -> None:
+        done.append(("rename", synced.stat().st_size))
+        rename(source, target)
+
+    monkeypatch.setattr("os.fsync", traced_fsync)
+    monkeypatch.setattr("os.replace", traced_rename)
+    env.close()
+    size = path.stat().st_size
+    assert done == [("fsync", size), ("rename", size)]
+
+
+def test_messages_are_counted_by_topic(walk: tuple[Path, list]) -> None:
+    """A reader that looks for gaps within a topic finds none."""
+    numbers = defaultdict(list)
+    with walk[0].open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            numbers[channel.topic].append(message.sequence)
+    for topic, found in numbers.items():
+        assert found == list(range(1, len(found) + 1)), topic
+
+
+def test_recording_warns_of_nothing(make_recorded: MakeRecorded, path: Path) -> None:
+    env = make_recorded(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        td = env.reset()
+        env.step(td.set("action", torch.zeros(1, 10)))
+        env.close()
