@@ -16,6 +16,7 @@ from aslip.stack.environment import CassieTransformedEnv
 from aslip.stack.stacks import STACKS
 from aslip.transforms import (
     AssembleObservation,
+    EpisodeSum,
     EstimatedState,
     Fall,
     LowReward,
@@ -118,7 +119,7 @@ def _only(env: CassieTransformedEnv, kind: type[Kind]) -> Kind:
 
 # these change neither what a policy observes nor what becomes of its action
 _NO_INTERFACE = (
-    *(RewardTerm, WeightedReward, RewardSum, Fall, LowReward, StepCounter),
+    *(RewardTerm, WeightedReward, EpisodeSum, RewardSum, Fall, LowReward, StepCounter),
     *(ReferenceStart, SpeedCommand, RandomDynamics, ObservationNoise, EstimatedState, TrueState),
 )
 

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any, Final, Literal
 
 from tensordict.utils import NestedKey
-from torchrl.envs.transforms import RewardSum, StepCounter, Transform
+from torchrl.envs.transforms import StepCounter, Transform
 
 from aslip import rewards, single_reference
 from aslip.library import GaitLibrary, single_reference_library
@@ -21,6 +21,7 @@ from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
     ClockInput,
+    EpisodeSum,
     EstimatedState,
     Fall,
     Feedforward,
@@ -117,7 +118,7 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
         "fall": Fall,
         "low_reward": LowReward,
         "step_limit": lambda: StepCounter(MAX_EPISODE_STEPS),
-        "episode_sum": lambda: RewardSum(in_keys=["reward"], out_keys=["episode_reward"]),
+        "episode_sum": EpisodeSum,
     }
 
 

@@ -8,6 +8,7 @@ from aslip.errors import ConfigurationError
 from aslip.stack.environment import CassieTransformedEnv
 from aslip.transforms import (
     ActionDelta,
+    EpisodeSum,
     EstimatedState,
     LastAction,
     LowReward,
@@ -38,7 +39,7 @@ def check_wiring(env: CassieTransformedEnv) -> None:
             )
         # a sum of nothing is right where there is no reward; an end of all episodes is not
         reads = isinstance(transform, LowReward) or (
-            isinstance(transform, RewardSum) and ever_rewarded
+            isinstance(transform, EpisodeSum | RewardSum) and ever_rewarded
         )
         if reads and not rewarded:
             raise ConfigurationError(

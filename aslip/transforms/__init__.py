@@ -24,7 +24,7 @@ from aslip.transforms.reference import (
     ReferenceInjection,
     ReferenceStart,
 )
-from aslip.transforms.reward import RewardTerm, WeightedReward
+from aslip.transforms.reward import EpisodeSum, RewardTerm, WeightedReward
 
 __all__ = [
     "DYNAMICS_RANGES",
@@ -37,6 +37,7 @@ __all__ = [
     "AssembleObservation",
     "CassieTransform",
     "ClockInput",
+    "EpisodeSum",
     "EstimatedState",
     "Fall",
     "Feedforward",

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import Composite, Unbounded
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.transforms.base import CassieTransform
+from aslip.transforms.base import CassieTransform, extend_spec
 
 TermFunction = Callable[..., Tensor]
 
@@ -121,3 +121,29 @@ class WeightedReward(CassieTransform):
                 f" {sorted(self.weights)}"
             )
         return reward_spec
+
+
+class EpisodeSum(CassieTransform):
+    """Sum of the rewards since the reset, `reward` -> `episode_reward` (n, 1).
+
+    As TorchRL's `RewardSum`, which computes the specs of the whole stack again, twice, to find the
+    shape of a reward: half the time it takes to make an environment.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=["reward"], out_keys=["episode_reward"])
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        total = tensordict.get("episode_reward", 0.0) + next_tensordict["reward"]
+        return next_tensordict.set("episode_reward", total)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        zeros = torch.zeros(*tensordict_reset.batch_size, 1, dtype=torch.float32)
+        return tensordict_reset.set("episode_reward", zeros)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the sum."""
+        return extend_spec(observation_spec, {"episode_reward": 1})

@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.envs.transforms import StepCounter
+from torchrl.envs.transforms import RewardSum, StepCounter
 from torchrl.envs.utils import check_env_specs
 
 import aslip
@@ -223,6 +223,21 @@ def test_the_sum_of_an_episode_is_that_of_its_rewards(make: MakeEnv) -> None:
     data = env.rollout(5, lambda td: td.set("action", torch.zeros(3, 10)))
     expected = data["next", "reward"].cumsum(dim=1)
     torch.testing.assert_close(data["next", "episode_reward"], expected)
+
+
+def test_the_sum_is_that_of_torchrl_through_resets_of_some_robots(make: MakeEnv) -> None:
+    env = make(num_envs=3, replace={"low_reward": LowReward(0.7)})
+    env.append_transform(RewardSum(in_keys=["reward"], out_keys=["other_sum"]))
+    generator = torch.Generator().manual_seed(0)
+    data = env.rollout(
+        30,
+        lambda td: td.set("action", 0.3 * torch.randn(3, 10, generator=generator)),
+        break_when_any_done=False,
+    )
+    done = data["next", "done"][..., 0]
+    assert (done.any(0) & ~done.all(0)).any()  # some robots began again while others went on
+    for level in (data, data["next"]):
+        assert torch.equal(level["episode_reward"], level["other_sum"])
 
 
 @pytest.mark.parametrize(
