@@ -12,6 +12,7 @@ from torchrl.data import Unbounded
 from torchrl.envs.transforms import RewardScaling
 from torchrl.envs.utils import check_env_specs
 
+from aslip.envs import BatchCassieEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.library.pendulum import pendulum_library
@@ -30,6 +31,7 @@ from aslip.stack import (
 from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
+    CassieTransform,
     Fall,
     LowReward,
     ObservationNoise,
@@ -100,8 +102,31 @@ def test_steps_and_resets_build_no_specs(
     env.maybe_reset(td)
     assert len(built) == 0
     make(num_envs=2)
-    # TorchRL's `RewardSum` alone would have all of them built twice more
-    assert 30 < len(built) < 3000
+    # TorchRL's transforms copy all of them once a transform
+    assert 30 < len(built) < 500
+
+
+class Unregistered(CassieTransform):
+    """Writes a key that no spec has."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=[], out_keys=["novel"])
+
+
+def test_a_key_that_a_transform_writes_without_a_spec_is_named(library: GaitLibrary) -> None:
+    with pytest.raises(UnknownNameError, match="Unregistered writes 'novel'"):
+        make_env(stack={**default_stack(library), "novel": Unregistered})
+
+
+def test_specs_of_the_environment_below_stay_as_they_are(make: MakeEnv) -> None:
+    """Transforms write into a copy, also when another is added later."""
+    env = make(num_envs=2)
+    alone = BatchCassieEnv(2, num_threads=1)
+    for _ in range(2):
+        assert "observation" in env.observation_spec
+        assert env.base_env.output_spec == alone.output_spec
+        assert env.base_env.input_spec == alone.input_spec
+        env.append_transform(RewardScaling(0.0, 2.0))
 
 
 def test_a_transform_of_another_environment_is_refused(make: MakeEnv) -> None:

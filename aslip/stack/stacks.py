@@ -101,7 +101,7 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
         library: the gaits; the shipped ones by default.
         reward_on: what pelvis and feet are taken from.
     """
-    library = GaitLibrary.load() if library is None else library
+    library = _shipped() if library is None else library
     return {
         "start": lambda: ReferenceStart(library),
         "command": lambda: SpeedCommand(library),
@@ -183,6 +183,11 @@ def single_reference_stack(
     # the library has a row for each end of the range only
     stack["command"] = lambda: SpeedCommand(library, PAPER_SPEEDS)
     return stack
+
+
+@functools.cache
+def _shipped() -> GaitLibrary:
+    return GaitLibrary.load()
 
 
 @functools.cache

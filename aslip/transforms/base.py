@@ -35,6 +35,35 @@ class CassieTransform(Transform):
         del tensordict
         return self._call(tensordict_reset)
 
+    def transform_output_spec(self, output_spec: Composite) -> Composite:
+        """Write into the specs, which are the environment's copy already.
+
+        TorchRL's own copies the specs of all keys once more for each transform.
+
+        Raises:
+            UnknownNameError: `transform_observation_spec` and its like leave out a key of
+                `out_keys`.
+        """
+        specs = self._transform_specs(output_spec, ("observation", "reward", "done"))
+        for key in self.out_keys:
+            if all(spec.get(key, None) is None for spec in specs):
+                raise UnknownNameError(
+                    f"{type(self).__name__} writes {key!r}, which its specs leave out; add it in"
+                    " transform_observation_spec"
+                )
+        return output_spec
+
+    def transform_input_spec(self, input_spec: Composite) -> Composite:
+        """Write into the specs, which are the environment's copy already."""
+        self._transform_specs(input_spec, ("state", "action"))
+        return input_spec
+
+    def _transform_specs(self, spec: Composite, kinds: Sequence[str]) -> list[Composite]:
+        for kind in kinds:
+            key = f"full_{kind}_spec"
+            spec[key] = getattr(self, f"transform_{kind}_spec")(spec[key])
+        return [spec[f"full_{kind}_spec"] for kind in kinds]
+
     def _draw_into_reset(
         self, tensordict: TensorDictBase, key: NestedKey, draw: torch.Tensor
     ) -> TensorDictBase:
@@ -61,10 +90,6 @@ class CassieTransform(Transform):
 def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:
     """Add unbounded single-precision leaves of the given last dimensions to a spec."""
     for key, size in sizes.items():
-        parents = (key,) if isinstance(key, str) else key
-        for depth in range(1, len(parents)):
-            if parents[:depth] not in spec.keys(True):
-                spec[parents[:depth]] = Composite(shape=spec.shape)
         spec[key] = Unbounded(torch.Size((*spec.shape, size)), dtype=torch.float32)
     return spec
 
