@@ -27,11 +27,15 @@ al., "MIT Cheetah 3" (IROS 2018), which makes it linear. Prediction and update a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, fields
+from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
 
+from aslip.cassie.sensing import PACKET_PERIOD
+from aslip.errors import ConfigurationError
 from aslip.estimation.compiled import compiled
 
 P, V, B, LEFT, RIGHT = range(5)
@@ -40,24 +44,37 @@ P, V, B, LEFT, RIGHT = range(5)
 _Z = 2
 
 
+_POSITIVE = ("leg", "ground", "gate", "rock")
+
+
 @dataclass(frozen=True)
 class FilterNoise:
-    """What the filter assumes, as standard deviations; tuned on walks of the shipped policy."""
+    """Standard deviations and thresholds of the filter; tuned on walks of the shipped policy.
+
+    None depends on the time between packets. Errors of single readings are given for packets 3 ms
+    apart (`PACKET_PERIOD`), and stand for white noise of that density: at another period their
+    variance is multiplied by 3 ms over the period.
+
+    Raises:
+        ConfigurationError: a value is not a finite number, is negative, or is zero where the
+            filter divides by it; or `unload` is more than `load`.
+    """
 
     acceleration: float = 0.2
-    """Of the acceleration over one packet [m/s^2]."""
+    """Mean acceleration over 3 ms [m/s^2], white."""
     shock: float = 0.05
-    """Further error of the acceleration, as a share of it: impacts fall between samples."""
+    """Further error of that acceleration, as a share of it: impacts fall between samples."""
     acceleration_error: float = 0.02
-    """Walk of the acceleration error in a second [m/s^2 / sqrt(s)]: tilt and bias."""
+    """Random walk of the acceleration error [m/s^2 / sqrt(s)]: tilt and bias."""
     slip: float = 0.012
-    """Walk of a sole at rest in a second, along the ground [m / sqrt(s)]."""
+    """Random walk of a sole at rest, along the ground [m / sqrt(s)]."""
     sink: float = 0.004
-    """The same across it."""
+    """Random walk of a sole at rest, across the ground [m / sqrt(s)]."""
     leg: float = 1.2e-4
-    """Position of a sole from encoders [m]."""
+    """Position of a sole from encoders every 3 ms [m], white."""
     ground: float = 2e-3
-    """Height of the lowest point of a sole at rest [m]: its compliance, and the ground's height."""
+    """Height of the lowest point of a sole at rest, every 3 ms [m], white: its compliance, and the
+    ground's height."""
     gate: float = 16.0
     """Largest squared ratio, on any axis, of a resting foot's innovation to its deviation."""
     load: float = 60.0
@@ -67,18 +84,37 @@ class FilterNoise:
     rock: float = 0.05
     """Pitch of a sole from which it stands on one end alone [rad]."""
     initial_height: float = 0.02
-    """Of the height at the start, the lower foot standing on the ground [m]."""
+    """Height at the start, the lower foot standing on the ground [m]."""
     initial_velocity: float = 0.2
-    """Of the velocity at the start, the lower foot at rest [m/s]."""
+    """Velocity at the start, the lower foot at rest [m/s]."""
     initial_acceleration_error: float = 0.1
-    """Of the acceleration error at the start [m/s^2]."""
-    patience: int = 30
-    """Packets with load but no foot at rest, after which velocity and height are held to be
-    wrong."""
+    """Acceleration error at the start [m/s^2]."""
+    patience: float = 0.09
+    """Time with load but no foot at rest, after which velocity and height are doubted [s]."""
     surprise: float = 0.5
-    """What is added to the velocity's deviation then [m/s]."""
+    """Standard deviation added to the velocity then [m/s]."""
     surprise_height: float = 0.1
-    """What is added to the height's [m]."""
+    """Standard deviation added to the height then [m]."""
+
+    def __post_init__(self) -> None:
+        """Check the values."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            number = isinstance(value, Real) and not isinstance(value, bool)
+            if not number or not 0 <= float(value) < math.inf:
+                raise ConfigurationError(
+                    f"{field.name} of FilterNoise must be a finite number of 0 or more,"
+                    f" got {value!r}"
+                )
+            if value == 0 and field.name in _POSITIVE:
+                raise ConfigurationError(
+                    f"{field.name} of FilterNoise must be more than 0, got {value!r}"
+                )
+        if self.unload > self.load:
+            raise ConfigurationError(
+                f"unload of FilterNoise must be at most load, got {self.unload!r} N and"
+                f" {self.load!r} N"
+            )
 
 
 @dataclass
@@ -133,7 +169,7 @@ class _Settings(NamedTuple):
     gate: float
     load: float
     unload: float
-    patience: float
+    patience: int
     surprise: float
     surprise_height: float
 
@@ -153,8 +189,10 @@ class ContactFilter:
     ) -> None:
         self.noise = noise
         steps = np.array([noise.slip, noise.slip, noise.sink])
+        # one at the default period: white noise is given for readings so far apart
+        density = PACKET_PERIOD / timestep
         walk = np.zeros((3, 5))
-        walk[:, V] = (timestep * noise.acceleration) ** 2
+        walk[:, V] = (timestep * noise.acceleration) ** 2 * density
         walk[:, B] = timestep * noise.acceleration_error**2
         walk[:, LEFT:] = timestep * steps[:, None] ** 2
         self._settings = _Settings(
@@ -162,13 +200,13 @@ class ContactFilter:
             timestep=timestep,
             radius=sole_radius,
             rock_height=noise.rock * sole_half_length,
-            shock=noise.shock**2,
-            leg=noise.leg**2,
-            ground=noise.ground**2,
+            shock=noise.shock**2 * density,
+            leg=noise.leg**2 * density,
+            ground=noise.ground**2 * density,
             gate=noise.gate,
             load=noise.load,
             unload=noise.unload,
-            patience=float(noise.patience),
+            patience=round(noise.patience / timestep),
             surprise=noise.surprise**2,
             surprise_height=noise.surprise_height**2,
         )
