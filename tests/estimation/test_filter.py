@@ -179,6 +179,40 @@ def test_a_sole_that_rocks_over_its_heel_does_not_move_the_robot() -> None:
     assert abs(belief.mean[0, 2, P] - 0.9) < 2e-3
 
 
+def test_a_sole_that_rocks_over_its_toes_does_not_move_the_robot() -> None:
+    """Toe-off: the heel comes up by 0.3 rad in 0.2 s; the toes stay, and the foot keeps resting."""
+    filter_ = _filter()
+    still: Path = lambda t: np.array([0.0, 0.0, 0.9])  # noqa: E731
+    belief = filter_.start(_motion(0.0, STANDING, (LOADED, LOADED), still), np.zeros((1, 2, 3)))
+    for k in range(1, 140):
+        pitch = 0.3 * min(max(k - 60, 0) / 66, 1)
+        toward_toe = HALF * np.array([np.cos(pitch), 0, -np.sin(pitch)])
+        feet = STANDING + np.array([HALF, 0, 0]) - toward_toe
+        motion = _motion(k * PERIOD, feet, (LOADED, LOADED), still)
+        half = np.broadcast_to(toward_toe, (1, 2, 3)).copy()
+        filter_.step(belief, replace(motion, half_sole=half))
+        assert belief.resting.all()
+    assert np.abs(belief.mean[0, :, V]).max() < 0.01
+    assert np.abs(belief.mean[0, :, P] - [0, 0, 0.9]).max() < 2e-3
+
+
+def test_a_height_that_no_foot_can_have_is_doubted_after_a_while() -> None:
+    """The ground lies 15 cm lower than believed: no foot rests until the height is doubted."""
+    filter_ = _filter()
+    still: Path = lambda t: np.array([0.0, 0.0, 0.9])  # noqa: E731
+    belief = filter_.start(_motion(0.0, STANDING, (LOADED, LOADED), still), np.zeros((1, 2, 3)))
+    for k in range(1, 100):
+        filter_.step(belief, _motion(k * PERIOD, STANDING, (LOADED, LOADED), still))
+    belief.mean[0, 2, [P, LEFT, RIGHT]] += 0.15
+    rested = []
+    for k in range(100, 300):
+        filter_.step(belief, _motion(k * PERIOD, STANDING, (LOADED, LOADED), still))
+        rested.append(bool(belief.resting.any()))
+    assert not any(rested[: round(filter_.noise.patience / PERIOD)])
+    assert all(rested[-100:])
+    assert abs(belief.mean[0, 2, P] - 0.9) < 5e-3
+
+
 def test_a_confident_error_is_doubted_after_a_while() -> None:
     """Feet at rest look as if they moved; after 0.1 s of that the filter blames itself."""
     filter_ = _filter()
