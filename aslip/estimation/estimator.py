@@ -17,10 +17,12 @@ from aslip.cassie.sensing import PACKET_PERIOD
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation.filter import Belief, ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
-from aslip.estimation.packets import PACKET_SIZE, SLICES, join, screen
+from aslip.estimation.packets import PACKET_SIZE, SLICES, PacketMemory, Screen, Screened, join
 
-# deviation [m/s^2] of an acceleration that had to be made up
+# standard deviation [m/s^2] of the mean over 3 ms of an acceleration that had to be made up
 _DOUBT = 5.0
+# quaternions this close to unit length are unit ones in single precision
+_ROUNDING = 1e-6
 # [s] step to differentiate the legs' kinematics by
 _DIFFERENCE = 1e-5
 
@@ -30,19 +32,19 @@ class Tracking:
     """All that is remembered of n robots between packets."""
 
     belief: Belief
-    reading: np.ndarray
-    """(n, 42) last good readings."""
-    jumps: np.ndarray
-    """(n,) packets in a row whose IMU was not believed."""
+    packets: PacketMemory
+    angular_acceleration: np.ndarray
+    """(n, 3) between the last two readings of the gyro [rad/s^2, pelvis]."""
 
     def to_rows(self) -> np.ndarray:
         """(n, `TRACKING_SIZE`) all of it as numbers."""
-        belief = self.belief
+        belief, packets = self.belief, self.packets
         fields = (
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
-            belief.adrift, self.reading, self.jumps,
+            belief.adrift, packets.reading, packets.jumps, packets.repeats, packets.age,
+            self.angular_acceleration,
         )  # fmt: skip
-        num = len(self.reading)
+        num = len(packets.reading)
         return np.concatenate([field.reshape(num, -1) for field in fields], axis=1)
 
     @classmethod
@@ -55,9 +57,10 @@ class Tracking:
         if rows.ndim != 2 or rows.shape[1] != TRACKING_SIZE:
             raise ShapeError(f"rows must have the shape (n, {TRACKING_SIZE}), got {rows.shape}")
         num = len(rows)
-        mean, covariance, half_sole, loaded, resting, adrift, reading, jumps = np.split(
-            rows, _TRACKING_ENDS, axis=1
-        )
+        (
+            mean, covariance, half_sole, loaded, resting, adrift, reading, jumps, repeats, age,
+            angular_acceleration,
+        ) = np.split(rows.copy(), _TRACKING_ENDS, axis=1)  # fmt: skip
         belief = Belief(
             mean=mean.reshape(num, 3, 5).copy(),
             covariance=covariance.reshape(num, 3, 5, 5).copy(),
@@ -67,10 +70,11 @@ class Tracking:
             adrift=adrift[:, 0].copy(),
             innovation=np.full((num, 2, 3), np.nan),
         )
-        return cls(belief, reading.copy(), jumps[:, 0].copy())
+        packets = PacketMemory(reading, jumps[:, 0], repeats[:, 0], age)
+        return cls(belief, packets, angular_acceleration)
 
 
-_TRACKING_SIZES = (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, PACKET_SIZE, 1)
+_TRACKING_SIZES = (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, PACKET_SIZE, 1, 1, 4, 3)
 _TRACKING_ENDS = np.cumsum(_TRACKING_SIZES)[:-1]
 
 TRACKING_SIZE = sum(_TRACKING_SIZES)
@@ -84,7 +88,7 @@ class Estimate:
     height: np.ndarray
     """(n, 1) of the pelvis above the ground [m]."""
     orientation: np.ndarray
-    """(n, 4) pelvis to world, wxyz with w >= 0."""
+    """(n, 4) pelvis to world, unit, wxyz with w >= 0."""
     velocity: np.ndarray
     """(n, 3) of the pelvis [m/s, world]."""
     angular_velocity: np.ndarray
@@ -151,18 +155,19 @@ class StateEstimator:
     an array. Windows of packets of several robots, oldest first, have the leading shape (n, w).
     The accelerometer's value is the mean since the packet before.
 
-    A packet with NaN, with values out of range, with a spike of the IMU, or of an IMU that repeats
-    itself, is recognised (`Estimate.faults`), and what it lacks is bridged: by the last good
-    reading, more doubt about the acceleration, and no measurement with that leg. `None` is a packet
-    that got lost. Robots do not touch each other.
+    A packet with NaN, with values out of range, with a spike of the IMU, or of an IMU that is
+    frozen, is recognised (`Estimate.faults`), and the channels it lacks are bridged: by their last
+    good readings, more doubt about the acceleration, and no measurement with that leg. An IMU
+    slower than the packets, down to 200 Hz, is no fault. `None` is a packet that got lost. Robots
+    do not touch each other.
 
     Args:
         model: the robot; `assets/cassie.xml` by default.
-        period: time between packets [s].
+        period: time between packets [s]; the filter assumes the same robot at any.
         noise: what the filter assumes.
 
     Raises:
-        ConfigurationError: the period is none.
+        ConfigurationError: `period` is not between 0 and 1 s.
     """
 
     def __init__(
@@ -176,6 +181,8 @@ class StateEstimator:
             raise ConfigurationError(f"period must be the seconds between packets, got {period!r}")
         robot: Any = load_model(visual=False) if model is None else model
         self.period = period
+        self._screen = Screen(period)
+        self._doubt = _DOUBT * (PACKET_PERIOD / period) ** 0.5
         self._legs = LegKinematics(robot)
         self._filter = ContactFilter(
             period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
@@ -195,19 +202,21 @@ class StateEstimator:
             packets: the last packet of each window is taken.
 
         Raises:
-            ShapeError, UnknownNameError: the packets are none.
+            ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape.
         """
         rows = _windows(packets)[:, -1:]
-        first = np.broadcast_to(self._standing, (len(rows), PACKET_SIZE))
-        readings, faults, _, _ = screen(rows, first, np.full(len(rows), np.inf))
-        reading = readings[:, 0].copy()
-        tracking = Tracking(None, reading, np.zeros(len(rows)))  # pyright: ignore[reportArgumentType]
-        motions, geometry = self._interpret(reading, readings, *_all_good(len(rows)))
-        tracking.belief = self._filter.start(motions[0], self._sole_velocity(reading))
-        resting = np.zeros((len(rows), 1, 2), dtype=bool)
-        return tracking, self._describe(
-            tracking, geometry, faults, np.full((len(rows), 1, 2, 3), np.nan), resting
-        )
+        num = len(rows)
+        blind = PacketMemory.of(np.tile(self._standing, (num, 1)))
+        # what was before is not known: nothing is a jump, and nothing repeats itself
+        blind.jumps += np.inf
+        blind.repeats -= np.inf
+        screened = self._screen(rows, blind)
+        memory = PacketMemory.of(blind.reading)
+        motions, geometry = self._interpret(memory.reading, np.zeros((num, 3)), _good(screened))
+        belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
+        tracking = Tracking(belief, memory, geometry.angular_acceleration)
+        nothing, resting = np.full((num, 1, 2, 3), np.nan), np.zeros((num, 1, 2), dtype=bool)
+        return tracking, self._describe(tracking, geometry, screened.faults, nothing, resting)
 
     def update(
         self, tracking: Tracking, packets: Mapping[str, np.ndarray] | np.ndarray | None
@@ -219,42 +228,46 @@ class StateEstimator:
             packets: one packet of one robot, or (n, w) of them.
 
         Raises:
-            ShapeError, UnknownNameError: the packets are none, or of another number of robots.
+            ShapeError, UnknownNameError: the packets lack an entry, have the wrong shape, or are
+                of another number of robots.
         """
-        num = len(tracking.reading)
+        num = len(tracking.packets.reading)
         rows = np.full((num, 1, PACKET_SIZE), np.nan) if packets is None else _windows(packets)
         if len(rows) != num:
             raise ShapeError(f"packets must be those of {num} robots, got {len(rows)}")
-        readings, faults, legs, imu = screen(rows, tracking.reading, tracking.jumps)
-        motions, geometry = self._interpret(tracking.reading, readings, legs, imu)
+        before = tracking.packets.reading
+        screened = self._screen(rows, tracking.packets)
+        motions, geometry = self._interpret(before, tracking.angular_acceleration, screened)
+        tracking.angular_acceleration = geometry.angular_acceleration
         innovation = np.empty((num, len(motions), 2, 3))
         resting = np.empty((num, len(motions), 2), dtype=bool)
         for k, motion in enumerate(motions):
             self._filter.step(tracking.belief, motion)
             innovation[:, k] = tracking.belief.innovation
             resting[:, k] = tracking.belief.resting
-        # a copy: the packets may lie in a buffer that the caller fills again
-        tracking.reading = readings[:, -1].copy()
-        return self._describe(tracking, geometry, faults, innovation, resting)
+        return self._describe(tracking, geometry, screened.faults, innovation, resting)
 
     def _interpret(
-        self, before: np.ndarray, readings: np.ndarray, legs: np.ndarray, imu: np.ndarray
+        self, before: np.ndarray, angular_before: np.ndarray, screened: Screened
     ) -> tuple[list[Motion], _Geometry]:
         """What readings say about motion: packet by packet, and in detail for the last."""
+        readings, age = screened.readings, screened.age
         num, window, _ = readings.shape
         both = np.concatenate([before[:, None], readings], axis=1)
         orientation = both[..., SLICES["orientation"]].reshape(-1, 4)
         turn = Rotation.from_quat(orientation, scalar_first=True).as_matrix()
         turn = turn.reshape(num, window + 1, 3, 3)
         gyro = both[..., SLICES["gyro"]]
-        # the accelerometer gives means over the time since the packet before
+        angular = self._angular_acceleration(gyro, angular_before, age[..., :3])
+        # the accelerometer gives means over the time since the packet before, also after a gap
         middle = (gyro[:, 1:] + gyro[:, :-1]) / 2
-        angular = (gyro[:, 1:] - gyro[:, :-1]) / self.period
+        middle = np.where(age[..., :3] > 1, gyro[:, 1:] - angular * (self.period / 2), middle)
         # of the pelvis' origin: a - alpha x r - omega x (omega x r)
         proper = readings[..., SLICES["accelerometer"]] - angular @ self._arm
         proper -= (middle @ self._imu)[..., None] * middle
         proper += (middle**2).sum(-1, keepdims=True) * self._imu
         mean_turn = (turn[:, 1:] + turn[:, :-1]) / 2
+        mean_turn = np.where(age[..., 3:, None] > 1, turn[:, 1:], mean_turn)
         acceleration = (mean_turn @ proper[..., None])[..., 0]
         acceleration[..., 2] -= STANDARD_GRAVITY
 
@@ -264,14 +277,31 @@ class StateEstimator:
         vectors = vectors @ turn[:, 1:, None].swapaxes(-1, -2)
         sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
         half = vectors[..., TOE, :] - sole
-        doubt = np.where(imu, 0.0, _DOUBT)
+        doubt = np.where(screened.imu, 0.0, self._doubt)
         # packet by packet: contiguous arrays are what the filter is compiled for
-        columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], legs)
+        columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], screened.legs)
         packets = zip(*(np.ascontiguousarray(x.swapaxes(0, 1)) for x in columns), strict=True)
         motions = [Motion(*packet) for packet in packets]
         gravity = STANDARD_GRAVITY * turn[:, -1, 2]
         lateral = vectors[:, -1, :, LATERAL]
-        return motions, _Geometry(sole[:, -1], half[:, -1], lateral, proper[:, -1] - gravity)
+        own = proper[:, -1] - gravity
+        return motions, _Geometry(sole[:, -1], half[:, -1], lateral, own, angular[:, -1].copy())
+
+    def _angular_acceleration(
+        self, gyro: np.ndarray, before: np.ndarray, age: np.ndarray
+    ) -> np.ndarray:
+        """(n, w, 3) between the last two readings of the gyro at each packet [rad/s^2].
+
+        Args:
+            gyro: (n, w + 1, 3) readings, from the packet before the window on.
+            before: (n, 3) result at the packet before the window.
+            age: (n, w, 3) packets between a new reading and the one before; zero where none is new.
+        """
+        angular = (gyro[:, 1:] - gyro[:, :-1]) / (self.period * np.maximum(age, 1))
+        for k in np.flatnonzero((age == 0).any((0, 2))):
+            held = angular[:, k - 1] if k else before
+            angular[:, k] = np.where(age[:, k] == 0, held, angular[:, k])
+        return angular
 
     def _sole_velocity(self, reading: np.ndarray) -> np.ndarray:
         """(n, 2, 3) velocities of the soles relative to the pelvis [m/s, world]."""
@@ -301,11 +331,11 @@ class StateEstimator:
         innovation: np.ndarray,
         resting: np.ndarray,
     ) -> Estimate:
-        mean, reading = tracking.belief.mean, tracking.reading
+        mean, reading = tracking.belief.mean, tracking.packets.reading
         position = mean[..., P].copy()
         return Estimate(
             height=position[:, 2:],
-            orientation=reading[:, SLICES["orientation"]],
+            orientation=_unit(reading[:, SLICES["orientation"]]),
             velocity=mean[..., V].copy(),
             angular_velocity=reading[:, SLICES["gyro"]],
             acceleration=geometry.acceleration,
@@ -333,6 +363,7 @@ class _Geometry:
     half_sole: np.ndarray
     lateral: np.ndarray
     acceleration: np.ndarray
+    angular_acceleration: np.ndarray
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -340,8 +371,17 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
 
 
-def _all_good(num: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.ones((num, 1, 2), dtype=bool), np.ones((num, 1), dtype=bool)
+def _unit(quaternion: np.ndarray) -> np.ndarray:
+    """The same rotations (n, 4) of unit length with w >= 0; unit ones stay as they are."""
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    unit = np.where(np.abs(length - 1) > _ROUNDING, quaternion / length, quaternion)
+    return np.where(unit[:, :1] < 0, -unit, unit)
+
+
+def _good(screened: Screened) -> Screened:
+    """The same with all readings taken for good ones."""
+    legs, imu, age = (np.ones_like(field) for field in (screened.legs, screened.imu, screened.age))
+    return screened._replace(legs=legs, imu=imu, age=age)
 
 
 def _windows(packets: Mapping[str, np.ndarray] | np.ndarray) -> np.ndarray:

@@ -2,18 +2,23 @@
 
 A robot's readings arrive incomplete now and then: a packet is lost (all NaN), a device repeats
 itself, a bit flips. Each reading is checked against what the device can say at all, and those of
-the IMU against how fast they can change; what fails is replaced by the last good reading, and told.
+the IMU against how fast they can change; what fails is replaced by the last good reading of the
+same channel, and reported.
+
+An IMU may be slower than the packets: it then repeats itself in some of them, which is no fault as
+long as it says something new every 5 ms.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from aslip.cassie.sensing import PACKET_SIZES
+from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SIZES
 from aslip.errors import ShapeError, UnknownNameError
 
 PACKET_SIZE: Final = sum(PACKET_SIZES.values())
@@ -28,7 +33,8 @@ SLICES: Final = MappingProxyType(
 
 FAULTS: Final = ("missing", "implausible", "jump", "frozen")
 """What can be wrong with a packet: a reading that is no number; one the device cannot have made;
-an IMU that changed faster than a robot can; an IMU that repeats itself to the last bit."""
+an IMU that changed faster than a robot can; an IMU that has repeated itself to the last bit for
+longer than 5 ms."""
 
 MISSING, IMPLAUSIBLE, JUMP, FROZEN = range(len(FAULTS))
 
@@ -45,13 +51,16 @@ _LARGEST = {
 }
 # unit quaternions are that long, give or take
 _UNIT = 0.02
-# changes from packet to packet; walking stays below 0.7 rad/s and 20 m/s^2
+# changes within 3 ms or less; walking stays below 0.7 rad/s and 20 m/s^2
 _LARGEST_JUMP = np.array([3.0] * 3 + [60.0] * 3)
-# a jump that lasts is no spike: believe it after so many packets
-_PERSISTENT = 3
+# a jump that lasts is no spike: believe it after so long [s]
+_PERSISTENT = 0.009
+# inertial units give 200 values a second or more: one that repeats itself longer is frozen [s]
+_SLOWEST_IMU = 0.005
 
 _LIMIT = np.concatenate([np.full(size, _LARGEST[name]) for name, size in PACKET_SIZES.items()])
 _ORIENTATION, _IMU = SLICES["orientation"], slice(SLICES["gyro"].start, PACKET_SIZE)
+_GYRO = SLICES["gyro"]
 
 # channels of either leg: half of each entry before the IMU's
 _ENCODERS = np.split(np.arange(_ORIENTATION.start), _ENDS[1:4])
@@ -82,59 +91,105 @@ def join(packet: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.concatenate(entries, axis=-1)
 
 
-def screen(
-    packets: np.ndarray, last: np.ndarray, jumps: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Find bad readings in windows of packets, and put the last good ones in their place.
+@dataclass
+class PacketMemory:
+    """What is remembered of n robots' packets."""
+
+    reading: np.ndarray
+    """(n, 42) last good readings."""
+    jumps: np.ndarray
+    """(n,) packets in a row whose IMU was not believed."""
+    repeats: np.ndarray
+    """(n,) packets in a row in which the IMU repeated itself."""
+    age: np.ndarray
+    """(n, 4) packets since each axis of the gyro, and the attitude, said something new."""
+
+    @classmethod
+    def of(cls, reading: np.ndarray) -> PacketMemory:
+        """Memory of robots with (n, 42) new and good readings."""
+        num = len(reading)
+        return cls(reading, np.zeros(num), np.zeros(num), np.zeros((num, 4)))
+
+
+class Screened(NamedTuple):
+    """Windows of packets of n robots without their bad readings."""
+
+    readings: np.ndarray
+    """(n, w, 42), the packets themselves if nothing is wrong."""
+    faults: np.ndarray
+    """(n, w, 4) bool, the `FAULTS`."""
+    legs: np.ndarray
+    """(n, w, 2) bool, all readings of a leg are good."""
+    imu: np.ndarray
+    """(n, w) bool, all readings of the IMU are good."""
+    age: np.ndarray
+    """(n, w, 4) packets between a new reading and the one before it, of each axis of the gyro and
+    of the attitude; zero where there is no new one."""
+
+
+class Screen:
+    """Finds bad readings in windows of packets, and puts the last good ones in their place.
 
     Args:
-        packets: (n, w, 42), oldest first.
-        last: (n, 42) last good readings before.
-        jumps: (n,) jumps in a row before; advanced in place.
-
-    Returns:
-        (n, w, 42) readings, the packets themselves if nothing is wrong; (n, w, 4) bool, the
-        `FAULTS`; (n, w, 2) bool, all readings of a leg are good; (n, w) bool, all of the IMU are.
+        period: time between packets [s].
     """
-    num, window, _ = packets.shape
-    good = np.abs(packets) <= _LIMIT
-    length = (packets[..., _ORIENTATION] ** 2).sum(-1)
-    good[..., _ORIENTATION] &= (np.abs(length - 1) <= _UNIT)[..., None]
-    imu = np.concatenate([last[:, None, _IMU], packets[..., _IMU]], axis=1)
-    change = np.abs(imu[:, 1:] - imu[:, :-1])
-    smooth = (change <= _LARGEST_JUMP).all(-1)
-    # not equal, rather than more: a change of NaN is no standstill
-    moving = change.max(-1) != 0
-    faults = np.zeros((num, window, len(FAULTS)), dtype=bool)
-    if good.all() and smooth.all() and moving.all():
-        jumps[:] = 0
+
+    def __init__(self, period: float) -> None:
+        self._largest_jump = _LARGEST_JUMP * max(1.0, period / PACKET_PERIOD)
+        self._persistent = round(_PERSISTENT / period)
+        self._most_repeats = int(_SLOWEST_IMU / period)
+
+    def __call__(self, packets: np.ndarray, memory: PacketMemory) -> Screened:
+        """Screen (n, w, 42) packets, oldest first; `memory` changes in place."""
+        num, window, _ = packets.shape
+        good = np.abs(packets) <= _LIMIT
+        length = (packets[..., _ORIENTATION] ** 2).sum(-1)
+        good[..., _ORIENTATION] &= (np.abs(length - 1) <= _UNIT)[..., None]
+        imu = np.concatenate([memory.reading[:, None, _IMU], packets[..., _IMU]], axis=1)
+        change = np.abs(imu[:, 1:] - imu[:, :-1])
+        smooth = (change <= self._largest_jump).all(-1)
+        # not equal, rather than more: a change of NaN is no standstill
+        moving = change.max(-1) != 0
+        if not (good.all() and smooth.all() and moving.all()) or memory.age.any():
+            return self._mend(packets, memory, good, moving)
+        memory.jumps[:] = memory.repeats[:] = 0
+        # a copy: the packets may lie in a buffer that the caller fills again
+        memory.reading = packets[:, -1].copy()
+        faults = np.zeros((num, window, len(FAULTS)), dtype=bool)
         legs = np.ones((num, window, 2), dtype=bool)
-        return packets, faults, legs, np.ones((num, window), dtype=bool)
-    return _mend(packets, last, jumps, good, moving, faults)
+        return Screened(packets, faults, legs, legs[..., 0], np.ones((num, window, 4)))
 
+    def _mend(
+        self, packets: np.ndarray, memory: PacketMemory, good: np.ndarray, moving: np.ndarray
+    ) -> Screened:
+        number = np.isfinite(packets)
+        faults = np.zeros((*packets.shape[:2], len(FAULTS)), dtype=bool)
+        faults[..., MISSING] = ~number.all(-1)
+        faults[..., IMPLAUSIBLE] = (number & ~good).any(-1)
+        readings, age = packets.copy(), np.empty((*packets.shape[:2], 4))
+        for k in range(packets.shape[1]):
+            packet, valid = packets[:, k], good[:, k]
+            memory.repeats = np.where(moving[:, k], 0, memory.repeats + 1)
+            frozen = memory.repeats > self._most_repeats
+            valid[:, _IMU] &= ~frozen[:, None]
+            # the whole packet repeats: nothing new from the legs either
+            valid &= ~(frozen & (packet == memory.reading).all(-1))[:, None]
+            jump = self._jumps(packet, memory, valid)
+            valid[:, _IMU] &= ~jump[:, None]
+            faults[:, k, FROZEN], faults[:, k, JUMP] = frozen, jump
+            memory.reading = np.where(valid, packet, memory.reading)
+            readings[:, k] = memory.reading
+            attitude = valid[:, _ORIENTATION].all(-1, keepdims=True)
+            new = np.concatenate([valid[:, _GYRO], attitude], axis=1) & moving[:, k, None]
+            age[:, k] = np.where(new, memory.age + 1, 0)
+            memory.age = np.where(new, 0, memory.age + 1)
+        legs = np.stack([good[..., channels].min(-1) for channels in _LEG], axis=-1)
+        return Screened(readings, faults, legs, good[..., _ORIENTATION.start :].min(-1), age)
 
-def _mend(
-    packets: np.ndarray,
-    last: np.ndarray,
-    jumps: np.ndarray,
-    good: np.ndarray,
-    moving: np.ndarray,
-    faults: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    number = np.isfinite(packets)
-    faults[..., MISSING] = ~number.all(-1)
-    faults[..., IMPLAUSIBLE] = (number & ~good).any(-1)
-    faults[..., FROZEN] = ~moving
-    good = good & moving[..., None]
-    readings = packets.copy()
-    for k in range(packets.shape[1]):
-        change = np.abs(packets[:, k, _IMU] - last[:, _IMU])
-        fast = (change > _LARGEST_JUMP).any(-1) & good[:, k, _IMU].all(-1)
-        jump = fast & (jumps < _PERSISTENT)
-        jumps[:] = np.where(jump, jumps + 1, 0)
-        faults[:, k, JUMP] = jump
-        good[:, k, _IMU] &= ~jump[:, None]
-        last = np.where(good[:, k], packets[:, k], last)
-        readings[:, k] = last
-    legs = np.stack([good[..., channels].min(-1) for channels in _LEG], axis=-1)
-    return readings, faults, legs, good[..., SLICES["orientation"].start :].min(-1)
+    def _jumps(self, packet: np.ndarray, memory: PacketMemory, valid: np.ndarray) -> np.ndarray:
+        """(n,) bool, whose IMU jumped in (n, 42) packets; those in a row are counted."""
+        change = np.abs(packet[:, _IMU] - memory.reading[:, _IMU])
+        fast = (change > self._largest_jump).any(-1) & valid[:, _IMU].all(-1)
+        jump = fast & (memory.jumps < self._persistent)
+        memory.jumps[:] = np.where(jump, memory.jumps + 1, 0)
+        return jump

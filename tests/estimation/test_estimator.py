@@ -18,7 +18,7 @@ from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SIZES, SENSOR_WINDOW
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import FAULTS, PACKET_SIZE, TRACKING_SIZE, StateEstimator, Tracking
 from aslip.estimation.estimator import _DOUBT, _standing
-from aslip.estimation.filter import V
+from aslip.estimation.filter import FilterNoise, P, V
 from aslip.estimation.packets import SLICES, join
 from aslip.transforms import TrueState
 
@@ -169,13 +169,6 @@ def _freeze(step: int, windows: np.ndarray) -> np.ndarray:
     return windows
 
 
-def _apart(
-    ours: list[dict[str, np.ndarray]], theirs: list[dict[str, np.ndarray]], name: str
-) -> np.ndarray:
-    """What robot 1 is estimated otherwise, at each policy step."""
-    return np.array([a[name][1] - b[name][1] for a, b in zip(ours, theirs, strict=True)])
-
-
 GYRO, ACCELEROMETER = SLICES["gyro"], SLICES["accelerometer"]
 ONE_GYRO = slice(GYRO.start + 1, GYRO.start + 2)
 ONE_JOINT = slice(SLICES["joint_position"].start + 4, SLICES["joint_position"].start + 5)
@@ -291,6 +284,182 @@ def test_a_robot_that_starts_blind_sees_later(walk: Walk) -> None:
     for step in range(1, 40):
         estimate = estimator.update(tracking, walk.packets[:, step])
     np.testing.assert_allclose(estimate.velocity, walk.velocity[:, 39], atol=0.1)
+
+
+# ---------------------------------------------------------------- slow and frozen IMUs
+
+IMU = slice(GYRO.start, PACKET_SIZE)
+ENCODERS = slice(0, SLICES["orientation"].start)
+
+
+def _stream(walk: Walk) -> np.ndarray:
+    """(k, 42) packets of robot 1 from its reset on."""
+    return walk.packets[1].reshape(-1, PACKET_SIZE)[SENSOR_WINDOW - 1 :].copy()
+
+
+def test_a_frozen_imu_leaves_the_encoders_alone(walk: Walk) -> None:
+    packets = _stream(walk)
+    packets[100:, IMU] = packets[99, IMU]
+    estimator = StateEstimator()
+    tracking, _ = estimator.start(packets[0])
+    for packet in packets[1:160]:
+        estimate = estimator.update(tracking, packet)
+    assert estimate.faults[0].tolist() == [False, False, False, True]
+    encoders = np.concatenate([
+        estimate.motor_position, estimate.motor_velocity,
+        estimate.joint_position, estimate.joint_velocity,
+    ], axis=1)  # fmt: skip
+    np.testing.assert_array_equal(encoders[0], packets[159, ENCODERS])
+    np.testing.assert_array_equal(estimate.angular_velocity[0], packets[99, GYRO])
+
+
+def test_a_stream_that_is_stuck_gives_no_measurement_of_the_legs() -> None:
+    """Encoders that moved with the IMU and stop with it say nothing new."""
+    packet, estimator = _standing(load_model()), StateEstimator()
+    packet[SLICES["joint_position"]][[0, 3]] = -0.06
+    tracking, _ = estimator.start(packet)
+    for k in range(1, 20):
+        packet[GYRO] = 1e-6 * (k % 2)
+        assert estimator.update(tracking, packet).resting.all()
+    resting = [estimator.update(tracking, packet).resting.any() for _ in range(10)]
+    assert resting == [True] + [False] * 9
+
+
+def test_an_imu_slower_than_the_packets_is_no_fault(walk: Walk) -> None:
+    """A new value in every second packet, 167 Hz: feet rest as ever, and velocity is as good."""
+    packets = _stream(walk)
+    mean = (packets[1:-1:2, ACCELEROMETER] + packets[2::2, ACCELEROMETER]) / 2
+    packets[2::2, ACCELEROMETER] = mean
+    packets[1::2, SLICES["orientation"].start :] = packets[:-1:2, SLICES["orientation"].start :]
+    packets[1, IMU.stop - 1] += 1e-3  # the first one's means something else
+    estimator = StateEstimator()
+    tracking, _ = estimator.start(packets[0])
+    resting, errors = [], []
+    for k, packet in enumerate(packets[1:], 1):
+        estimate = estimator.update(tracking, packet)
+        assert not estimate.faults.any()
+        resting.append(estimate.resting.any())
+        if k % SENSOR_WINDOW == 0:
+            errors.append(estimate.velocity[0] - walk.velocity[1, k // SENSOR_WINDOW])
+    assert np.mean(resting) > 0.8
+    assert (np.sqrt(np.mean(np.square(errors[12:]), 0)) < [0.06, 0.06, 0.04]).all()
+
+
+@pytest.mark.parametrize("lost", [0, 1, 3, 9])
+def test_after_lost_packets_the_acceleration_is_right(lost: int) -> None:
+    """The pelvis' origin rests, turning faster and faster; its IMU feels that beside it."""
+    arm, alpha = load_model().site("imu").pos, np.array([0.0, 30.0, 0.0])
+
+    def packet(k: int) -> np.ndarray:
+        turn = Rotation.from_rotvec(alpha * (k * PACKET_PERIOD) ** 2 / 2)
+        spin = alpha * k * PACKET_PERIOD
+        middle = alpha * (k - 0.5) * PACKET_PERIOD
+        felt = np.cross(alpha, arm) + np.cross(middle, np.cross(middle, arm))
+        return _packet(turn, spin, felt + turn.inv().apply([0, 0, 9.81]))
+
+    estimator = StateEstimator()
+    tracking, _ = estimator.start(packet(0))
+    for k in range(1, 10):
+        estimator.update(tracking, packet(k))
+    for _ in range(lost):
+        estimate = estimator.update(tracking, None)
+        assert np.abs(estimate.acceleration).max() < 0.5
+    for k in range(10 + lost, 13 + lost):
+        estimate = estimator.update(tracking, packet(k))
+        np.testing.assert_allclose(estimate.acceleration[0], 0.0, atol=1e-9)
+
+
+def test_after_one_axis_of_the_gyro_was_lost_the_acceleration_is_right() -> None:
+    arm, alpha = load_model().site("imu").pos, np.array([20.0, 30.0, -10.0])
+
+    def packet(k: int) -> np.ndarray:
+        spin, middle = alpha * k * PACKET_PERIOD, alpha * (k - 0.5) * PACKET_PERIOD
+        felt = np.cross(alpha, arm) + np.cross(middle, np.cross(middle, arm))
+        return _packet(Rotation.identity(), spin, felt + np.array([0, 0, 9.81]))
+
+    estimator = StateEstimator()
+    tracking, _ = estimator.start(packet(0))
+    for k in range(1, 10):
+        blind = packet(k)
+        blind[GYRO.start] = np.nan if 4 < k < 9 else blind[GYRO.start]
+        estimate = estimator.update(tracking, blind)
+    np.testing.assert_allclose(estimate.acceleration[0], 0.0, atol=1e-9)
+
+
+# ------------------------------------------------------------------------- orientation
+
+
+def test_orientation_is_a_unit_quaternion_with_w_of_at_least_zero() -> None:
+    turn = Rotation.from_euler("xyz", [0.1, -0.2, 0.5])
+    expected = turn.as_quat(canonical=True, scalar_first=True)
+    for factor in (1.0, -1.0, 1.009, -0.991):
+        packet = _packet(turn, np.zeros(3), turn.inv().apply([0, 0, 9.81]))
+        packet[SLICES["orientation"]] *= factor
+        estimator = StateEstimator()
+        tracking, first = estimator.start(packet)
+        packet[GYRO] += 1e-3
+        later = estimator.update(tracking, packet)
+        assert not later.faults.any()
+        for estimate in (first, later):
+            np.testing.assert_allclose(estimate.orientation[0], expected, atol=1e-15)
+
+
+# ------------------------------------------------------------------------------ period
+
+
+@pytest.mark.parametrize("period", [5e-4, 1e-3, 6e-3])
+def test_noise_is_the_same_robots_at_any_period(period: float) -> None:
+    """Variances after 0.3 s on its feet, and after 0.3 s more in the air, as for 3 ms."""
+    deviations = []
+    for dt in (PACKET_PERIOD, period):
+        estimator = StateEstimator(period=dt)
+        packet = _standing(load_model())
+        packet[ACCELEROMETER] += 1.0
+        tracking, _ = estimator.start(packet)
+        row = []
+        for k in range(2 * round(0.3 / dt)):
+            packet[GYRO] = 1e-6 * (k % 2)  # it is not frozen
+            in_air = k >= round(0.3 / dt)
+            packet[SLICES["joint_position"]][[0, 3]] = 0.0 if in_air else -0.06
+            packet[ACCELEROMETER] = [0, 0, 9.81]
+            estimator.update(tracking, packet)
+            if k + 1 in (round(0.3 / dt), 2 * round(0.3 / dt)):
+                assert tracking.belief.resting.any() != in_air
+                row.append(np.diagonal(tracking.belief.covariance[0], axis1=1, axis2=2)[:, [P, V]])
+        deviations.append(np.sqrt(row))
+    np.testing.assert_allclose(deviations[1], deviations[0], rtol=0.06)
+
+
+def test_faults_are_timed_in_seconds() -> None:
+    """An IMU may repeat itself for 5 ms, and jumps are believed after 9 ms, at any period."""
+    for period in (5e-4, 1e-3, 3e-3):
+        packet, estimator = _standing(load_model()), StateEstimator(period=period)
+        tracking, _ = estimator.start(packet)
+        frozen = [bool(estimator.update(tracking, packet).faults[0, 3]) for _ in range(20)]
+        assert (frozen.index(True) + 1) * period == pytest.approx(0.0055, abs=period / 2 + 5e-4)
+        jump = []
+        for k in range(20):
+            packet[GYRO] = 10.0 + 1e-3 * k
+            jump.append(bool(estimator.update(tracking, packet).faults[0, 2]))
+        assert jump.index(False) * period == pytest.approx(0.009)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, value) for name in ("acceleration", "gate", "leg", "patience")
+          for value in (-1.0, float("nan"), float("inf"), "0.1", None, True)),
+        *((name, 0.0) for name in ("leg", "ground", "gate", "rock")),
+    ],
+)  # fmt: skip
+def test_noise_that_cannot_be_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(ConfigurationError, match=rf"^{name} of FilterNoise .*{value!r}"):
+        FilterNoise(**{name: value})
+
+
+def test_a_foot_that_is_unloaded_above_its_load_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="unload"):
+        FilterNoise(unload=70.0)
 
 
 # ------------------------------------------------------------------------------ errors
