@@ -10,6 +10,7 @@ robot at the same instants. Without a display: MUJOCO_GL=egl, or MUJOCO_GL=osmes
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,7 +89,8 @@ def main(config: Config) -> None:
         stride = kinematic_stride(library, speed, wanted)
     else:
         walker = Walker(config.policy, library=library, speed=speed)
-        stride = walked_stride(walker, wanted, config.settle)
+        with closing(walker.env):
+            stride = walked_stride(walker, wanted, config.settle)
     save_figure(draw(stride, config), config.out)
     print(config.out)
 

@@ -11,6 +11,7 @@ the humps over that of the lower hump, after two passes of a moving average of 3
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -99,17 +100,16 @@ def walked_force(
 ) -> np.ndarray | None:
     """(m, 2) vertical forces at 2 kHz after the walk has settled; None if it fell."""
     torch.set_num_threads(1)
-    env = environment(config, policy, 1, num_threads=1)
-    walker = Walker(policy, env, library=library, speed=speed)
-    env.base_env.watch(0)
     parts = []
-    while walker.time < _SETTLE + _WALK - POLICY_PERIOD / 2:
-        walker.step()
-        if walker.fallen:
-            return None
-        if walker.time > _SETTLE:
-            parts.append(env.base_env.watched[:, _VERTICAL].copy())
-    env.close()
+    with closing(environment(config, policy, 1, num_threads=1)) as env:
+        walker = Walker(policy, env, library=library, speed=speed)
+        env.base_env.watch(0)
+        while walker.time < _SETTLE + _WALK - POLICY_PERIOD / 2:
+            walker.step()
+            if walker.fallen:
+                return None
+            if walker.time > _SETTLE:
+                parts.append(env.base_env.watched[:, _VERTICAL].copy())
     assert len(parts[0]) == SUBSTEPS
     return np.concatenate(parts)
 

@@ -27,6 +27,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -193,10 +194,9 @@ def main(config: Config) -> None:
         steps = min(max(1, config.robot_steps // num_envs), _MOST_STEPS)
         cells: dict[str, list[str]] = {}
         for num_threads in config.num_threads:
-            candidates = Candidates(num_envs, num_threads, config)
-            candidates.step()  # warm up
-            rounds = [_round(candidates, steps) for _ in range(config.rounds)]
-            candidates.close()
+            with closing(Candidates(num_envs, num_threads, config)) as candidates:
+                candidates.step()  # warm up
+                rounds = [_round(candidates, steps) for _ in range(config.rounds)]
             for name in rounds[0]:
                 rate = statistics.median(num_envs * steps / r[name] for r in rounds)
                 share = statistics.median(r[_BOUND] / r[name] for r in rounds)
@@ -282,9 +282,9 @@ def memory_table(config: Config) -> str:
 
 def memory_of(num_envs: int) -> float:
     """Peak memory of this process after eight policy steps of so many robots [GiB]."""
-    env = aslip.make_env(num_envs=num_envs)
-    env.rollout(8, aslip.load_policy("aslip"), break_when_any_done=False)
-    return run.peak_memory()
+    with closing(aslip.make_env(num_envs=num_envs)) as env:
+        env.rollout(8, aslip.load_policy("aslip"), break_when_any_done=False)
+        return run.peak_memory()
 
 
 def _round(candidates: Candidates, steps: int) -> dict[str, float]:

@@ -21,9 +21,10 @@ class SpeedCommand(CassieTransform):
     """Forward speed to walk at: drawn at each reset, then held, or drawn anew now and then.
 
     To command from outside, write `td["command"]` between steps, or pass it to `env.reset`: a speed
-    of the library's range, else `SpeedOutOfRangeError` is raised. It acts on the reference of the
-    next policy step, and on the rewards of steps after that; the phase goes on. In a reset of some robots only,
-    with a `_reset` mask, theirs are drawn anew. For another distribution override `draw`.
+    of the library's range, else `SpeedOutOfRangeError` is raised. It acts on the reference that the
+    policy sees next, and on rewards from the step after; the phase goes on. In a reset of some
+    robots only, with a `_reset` mask, theirs are drawn anew. For another distribution override
+    `draw`.
 
     Args:
         library: bounds the speeds.

@@ -24,11 +24,12 @@ InitialVelocity = Literal["reference", "rest"]
 
 
 class ReferenceInjection(CassieTransform):
-    """Write the library's motion at the present command under `("reference", ...)`, `("goal", ...)`.
+    """Write the library's motion under `("reference", ...)` and `("goal", ...)`.
 
-    Body and feet under "reference" are those of the present phase. Motor angles, rates and torques
-    are those of the end of the coming policy step, where the PD loops are to arrive; the paper does
-    not say which instant it means, and its public code does the same.
+    Both are of the present command. Body and feet under "reference" are those of the present phase.
+    Motor angles, rates and torques are those of the end of the coming policy step, where the PD
+    loops are to arrive; the paper does not say which instant it means, and its public code does the
+    same.
 
     Body and feet under "goal" are those of the end of the coming policy step, too: a policy that
     sees the reference is rewarded for reaching the goal, whatever is commanded in the meantime.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack, closing
 from typing import Any, cast
 
 import numpy as np
@@ -16,7 +17,7 @@ from aslip.envs import BatchCassieEnv
 from aslip.estimation import StateEstimator
 from aslip.policy import policy_stack
 from aslip.sim import Sensors
-from aslip.stack import ON_TRUTH
+from aslip.stack import ON_TRUTH, CassieTransformedEnv
 from aslip.tables import markdown
 from benchmarks.estimator.arrays import packets
 from benchmarks.estimator.config import Config
@@ -55,12 +56,27 @@ def throughput(config: Config) -> dict[str, float]:
         "estimator": {"drop": ["noise"]},
         "estimator and noise": {},
     }
-    envs = {
-        name: aslip.make_env(
-            num_envs=config.num_envs, seed=config.seed, stack=policy_stack(config.policy), **edit
-        )
-        for name, edit in variants.items()
-    }
+    with ExitStack() as stack:
+        envs = {
+            name: stack.enter_context(closing(aslip.make_env(**_settings(config), **edit)))
+            for name, edit in variants.items()
+        }
+        seconds = _timed(config, envs)
+    whole = [config.num_envs / s for s in seconds["truth, no sensors"][2:]]
+    table = {"truth, no sensors": statistics.median(whole)}
+    for name in list(variants)[1:]:
+        pairs = zip(seconds["truth, no sensors"][2:], seconds[name][2:], strict=True)
+        table[name] = table["truth, no sensors"] * statistics.median(a / b for a, b in pairs)
+    return table
+
+
+def _settings(config: Config) -> dict[str, Any]:
+    stack = policy_stack(config.policy)
+    return {"num_envs": config.num_envs, "seed": config.seed, "stack": stack}
+
+
+def _timed(config: Config, envs: Mapping[str, CassieTransformedEnv]) -> dict[str, list[float]]:
+    """Seconds of each environment's policy steps."""
     base = envs["truth, no sensors"].base_env
     assert isinstance(base, BatchCassieEnv)
     for part in base.simulations.parts:
@@ -76,22 +92,18 @@ def throughput(config: Config) -> dict[str, float]:
             start = time.perf_counter()
             _, states[name] = env.step_and_maybe_reset(states[name])
             seconds[name].append(time.perf_counter() - start)
-    whole = [config.num_envs / s for s in seconds["truth, no sensors"][2:]]
-    table = {"truth, no sensors": statistics.median(whole)}
-    for name in list(variants)[1:]:
-        pairs = zip(seconds["truth, no sensors"][2:], seconds[name][2:], strict=True)
-        table[name] = table["truth, no sensors"] * statistics.median(a / b for a, b in pairs)
-    return table
+    return seconds
 
 
 def packet_time(config: Config) -> float:
     """Median seconds for one packet of one robot."""
     env = aslip.make_env(seed=config.seed, stack=policy_stack(config.policy))
-    policy, td = aslip.load_policy(config.policy), cast("TensorDictBase", env.reset())
-    sensed = []
-    for _ in range(60):
-        _, td = env.step_and_maybe_reset(policy(td))
-        sensed.extend(packets(td)[0])
+    policy, sensed = aslip.load_policy(config.policy), []
+    with closing(env):
+        td = cast("TensorDictBase", env.reset())
+        for _ in range(60):
+            _, td = env.step_and_maybe_reset(policy(td))
+            sensed.extend(packets(td)[0])
     estimator = StateEstimator()
     tracking, _ = estimator.start(sensed[0])
     seconds = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from typing import Any, cast
 
 import numpy as np
@@ -10,6 +11,7 @@ from tensordict import TensorDictBase
 
 import aslip
 from aslip.policy import policy_stack
+from aslip.stack import CassieTransformedEnv
 from aslip.tables import markdown
 from benchmarks.estimator.arrays import array
 from benchmarks.estimator.config import Config
@@ -20,7 +22,22 @@ _AGES = ((0, 1), (1, 4), (4, 10), (10, 20), (20, 60))
 
 def recovery(config: Config) -> list[dict[str, Any]]:
     """Make robots fall, and watch the estimate from their reset on."""
-    env = aslip.make_env(num_envs=config.falls, seed=config.seed, stack=policy_stack(config.policy))
+    stack = policy_stack(config.policy)
+    with closing(aslip.make_env(num_envs=config.falls, seed=config.seed, stack=stack)) as env:
+        ages, error = _watched(config, env)
+    rows = []
+    for low, high in _AGES:
+        chosen = error[(ages >= low) & (ages < high)]
+        rms = np.sqrt((chosen**2).mean(0))
+        rows.append(
+            {"from": low, "to": high, "velocity": rms[:3].tolist(), "height": float(rms[3]),
+             "samples": len(chosen)}
+        )  # fmt: skip
+    return rows
+
+
+def _watched(config: Config, env: CassieTransformedEnv) -> tuple[np.ndarray, np.ndarray]:
+    """Policy steps since the reset (k,), and errors (k, 4) of velocity and height then."""
     policy = aslip.load_policy(config.policy)
     generator = torch.Generator().manual_seed(config.seed)
     td = cast("TensorDictBase", env.reset())
@@ -43,17 +60,7 @@ def recovery(config: Config) -> list[dict[str, Any]]:
             ]
         )
         errors.append((age.numpy().copy(), error))
-    ages = np.concatenate([age for age, _ in errors])
-    error = np.concatenate([error for _, error in errors])
-    rows = []
-    for low, high in _AGES:
-        chosen = error[(ages >= low) & (ages < high)]
-        rms = np.sqrt((chosen**2).mean(0))
-        rows.append(
-            {"from": low, "to": high, "velocity": rms[:3].tolist(), "height": float(rms[3]),
-             "samples": len(chosen)}
-        )  # fmt: skip
-    return rows
+    return np.concatenate([age for age, _ in errors]), np.concatenate([e for _, e in errors])
 
 
 def recovery_table(rows: list[dict[str, Any]]) -> str:

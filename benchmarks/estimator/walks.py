@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -16,7 +17,7 @@ import aslip
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.policy import policy_stack
-from aslip.stack import EPISODE_ENDS
+from aslip.stack import EPISODE_ENDS, CassieTransformedEnv
 from aslip.tables import markdown
 from aslip.task import FALL_HEIGHT
 from benchmarks.estimator.arrays import array, packets
@@ -58,14 +59,19 @@ class EstimateErrors:
 
 def walk(config: Config) -> EstimateErrors:
     """Walk at each speed, and through changes of speed."""
-    names = [*SPEEDS, None]
-    num = len(names) * config.repeats
     env = aslip.make_env(
-        num_envs=num,
+        num_envs=(len(SPEEDS) + 1) * config.repeats,
         seed=config.seed,
         stack=policy_stack(config.policy),
         drop=["fall", *EPISODE_ENDS],
     )
+    with closing(env):
+        return _compare(_walk(config, env))
+
+
+def _walk(config: Config, env: CassieTransformedEnv) -> dict[str, np.ndarray]:
+    """Truth and estimate at each policy step (t, n, ...), by name."""
+    names, num = [*SPEEDS, None], env.num_envs
     policy = aslip.load_policy(config.policy)
     commands = torch.tensor([_CHANGES[0] if name is None else name for name in names])
     commands = commands.repeat_interleave(config.repeats)[:, None]
@@ -94,7 +100,7 @@ def walk(config: Config) -> EstimateErrors:
                 "contact": array(td, ("estimator", "contact")),
             }
         )
-    return _compare({key: np.stack([frame[key] for frame in frames]) for key in frames[0]})
+    return {key: np.stack([frame[key] for frame in frames]) for key in frames[0]}
 
 
 def _compare(seen: dict[str, np.ndarray]) -> EstimateErrors:

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from tqdm import tqdm
 
 import aslip
 from aslip.run import peak_memory
+from aslip.stack import CassieTransformedEnv
 
 _BAD = (np.nan, np.inf, -np.inf, 1e300)
 
@@ -89,9 +91,15 @@ def random_walk(count: int, seed: int, num_envs: int = 50) -> dict[str, float]:
     """
     torch.set_num_threads(1)
     generator = torch.Generator().manual_seed(seed)
-    env = aslip.make_env(num_envs=num_envs, seed=seed, num_threads=1)
-    td = env.reset()
-    rounds = -(-count // num_envs)
+    with closing(aslip.make_env(num_envs=num_envs, seed=seed, num_threads=1)) as env:
+        return _random_walk(env, -(-count // num_envs), generator)
+
+
+def _random_walk(
+    env: CassieTransformedEnv, rounds: int, generator: torch.Generator
+) -> dict[str, float]:
+    """The numbers of `random_walk` over so many steps of all robots."""
+    num_envs, td = env.num_envs, env.reset()
     finite, episodes, memory, start = 0, 0, 0.0, time.perf_counter()
     for k in tqdm(range(rounds), unit="step", unit_scale=num_envs, leave=False):
         scale = 10 ** (4 * torch.rand(num_envs, 1, generator=generator) - 2)
