@@ -124,8 +124,8 @@ class Config:
     reward_on: RewardSource = "truth"
     """Reward what the simulator knows of the robot, or what its estimator believes."""
     command_interval: float = 8.0
-    """Mean time between changes of the commanded speed in training [s]; 0 for none, as in the
-    paper."""
+    """Mean time between changes of the commanded speed in training [s], for commands without an
+    interval of their own; 0 for none, as in the paper."""
     randomise: bool = False
     """Train on robots that differ from episode to episode, in mass, friction, springs, motors,
     delay, slope and noise (`aslip.transforms.DYNAMICS_RANGES`); evaluated is the robot itself."""
@@ -360,11 +360,12 @@ def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def training_env(command_interval: float, **settings: Any) -> CassieTransformedEnv:
-    """An environment whose commands change within episodes."""
+    """An environment whose commands change within episodes; those that do so already stay."""
     env = aslip.make_env(**settings)
     for transform in env.transforms:
-        if isinstance(transform, SpeedCommand) and command_interval:
-            transform.interval = min(transform.interval, command_interval)
+        held = isinstance(transform, SpeedCommand) and math.isinf(transform.interval)
+        if held and command_interval:
+            transform.interval = command_interval
     return env
 
 

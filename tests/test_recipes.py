@@ -222,6 +222,16 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     assert steps == [TIMESTEPS[settings.get("coarse", False)], PHYSICS_TIMESTEP]
 
 
+@pytest.mark.parametrize(("own", "trained"), [(20.0, 20.0), (0.3, 0.3), (math.inf, 8.0)])
+def test_an_interval_of_a_command_that_was_given_is_kept(
+    library: GaitLibrary, own: float, trained: float
+) -> None:
+    command = SpeedCommand(library, interval=own)
+    env = ppo_aslip.training_env(8.0, replace={"command": command}, num_threads=1)
+    assert command.interval == trained
+    env.close()
+
+
 def test_a_transform_given_as_it_is_serves_training_and_evaluation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
