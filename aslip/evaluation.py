@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from numbers import Integral
 
 import torch
 from tensordict import TensorDict
@@ -74,11 +75,16 @@ def evaluate(
         policy: maps the environment's tensordict to `action`.
         env: as many robots as there are speeds.
         speeds: commanded speeds [m/s].
-        num_steps: policy steps.
+        num_steps: policy steps, 1 or more.
 
     Raises:
-        ConfigurationError: the environment has another number of robots.
+        ConfigurationError: the environment has another number of robots, or `num_steps` is no
+            whole number of 1 or more.
     """
+    if not isinstance(num_steps, Integral) or isinstance(num_steps, bool) or num_steps < 1:
+        raise ConfigurationError(
+            f"num_steps must be a whole number of 1 or more, got {num_steps!r}"
+        )
     if env.num_envs != len(speeds):
         raise ConfigurationError(
             f"{len(speeds)} speeds need an environment of as many robots, got {env.num_envs}"

@@ -136,12 +136,14 @@ def record_walks(
         command: (m, n) commanded speed of each policy step [m/s].
 
     Raises:
-        ShapeError: `command` is not for n robots.
+        ShapeError: `command` is not for n robots, or has no policy step.
         ConfigurationError: a command is not finite.
     """
     command = np.asarray(command, dtype=np.float32)
     if command.ndim != 2 or command.shape[1] != env.num_envs:
         raise ShapeError(f"command must be (m, {env.num_envs}), got {command.shape}")
+    if not len(command):
+        raise ShapeError(f"command must have a row for each policy step, got {command.shape}")
     if not np.isfinite(command).all():
         raise ConfigurationError("every commanded speed must be finite")
     n = env.num_envs

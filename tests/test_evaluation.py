@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -107,3 +108,9 @@ def test_who_leans_on_more_than_its_feet_does_not_walk() -> None:
     assert "lean" not in walk_table([walk])
     # in three policy steps momentum may carry it
     assert replace(walk, steps=3, weight_ratio=0.8).walked
+
+
+@pytest.mark.parametrize("steps", [0, -1, 2.5, True])
+def test_walks_of_no_steps_are_refused(make: MakeEnv, steps: Any) -> None:
+    with pytest.raises(ConfigurationError, match=f"num_steps must be .* 1 or more, got {steps}"):
+        evaluate(_still(), make(), [1.0], num_steps=steps)
