@@ -7,7 +7,7 @@ click) waits in a queue. Clicks come on the server's threads, and nothing is don
 from __future__ import annotations
 
 import queue
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +15,7 @@ import numpy as np
 import viser
 
 from aslip.cassie import POLICY_PERIOD
+from aslip.live.guard import guard, number_within, one_of, switch
 from aslip.live.rom import ROM_PLACES, RomPlace
 
 Click = Literal["pause", "step", "reset", "push"]
@@ -49,8 +50,10 @@ class Settings:
 class Controls:
     """Sliders, buttons and choices, the same for everyone who looks at the page.
 
+    Only valid values are taken from visitors; numbers out of range are clamped.
+
     Args:
-        gui: of the server.
+        server: of the page.
         speeds: lowest and highest command [m/s].
         command: the first command [m/s].
         policies: names to choose from; the first is chosen.
@@ -58,13 +61,14 @@ class Controls:
 
     def __init__(
         self,
-        gui: viser.GuiApi,
+        server: viser.ViserServer,
         *,
         speeds: tuple[float, float],
         command: float,
         policies: Sequence[str],
     ) -> None:
         self._clicks: queue.SimpleQueue[Click] = queue.SimpleQueue()
+        gui = server.gui
         self.command = gui.add_slider("command [m/s]", *speeds, _SPEED_STEP, command)
         self.policy = gui.add_dropdown("policy", tuple(policies))
         with gui.add_folder("Time"):
@@ -91,6 +95,16 @@ class Controls:
         }
         for click, button in buttons.items():
             button.on_click(lambda _, click=click: self._clicks.put(click))
+        self._guard(server, buttons.values())
+
+    def _guard(self, server: viser.ViserServer, buttons: Iterable[viser.GuiButtonHandle]) -> None:
+        """Have what visitors send checked."""
+        checks = {control._impl.uuid: switch for control in (*buttons, self.auto_reset)}
+        for slider in (self.command, self.push_direction, self.push_size):
+            checks[slider._impl.uuid] = number_within(slider.min, slider.max)
+        for choice in (self.policy, self.rom):
+            checks[choice._impl.uuid] = one_of(choice.options)
+        guard(server, checks)
 
     def settings(self) -> Settings:
         """What is set now."""

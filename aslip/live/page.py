@@ -98,7 +98,7 @@ class LivePage:
         gui.main_panel.set_width(_PANEL_WIDTH)
         speeds = float(walker.library.speeds[0]), float(walker.library.speeds[-1])
         self.controls = Controls(
-            gui, speeds=speeds, command=walker.command, policies=list(self._policies)
+            self._server, speeds=speeds, command=walker.command, policies=list(self._policies)
         )
         """What people have set."""
         # the command is the walker's already; the rest is yet to be done
