@@ -15,7 +15,7 @@ import numpy as np
 import viser
 
 from aslip.cassie import POLICY_PERIOD
-from aslip.live.guard import guard, number_within, one_of, switch
+from aslip.live.guard import Check, guard, number_within, one_of, switch
 from aslip.live.rom import ROM_PLACES, RomPlace
 
 Click = Literal["pause", "step", "reset", "push"]
@@ -99,7 +99,8 @@ class Controls:
 
     def _guard(self, server: viser.ViserServer, buttons: Iterable[viser.GuiButtonHandle]) -> None:
         """Have what visitors send checked."""
-        checks = {control._impl.uuid: switch for control in (*buttons, self.auto_reset)}
+        checks: dict[str, Check] = {}
+        checks |= {control._impl.uuid: switch for control in (*buttons, self.auto_reset)}
         for slider in (self.command, self.push_direction, self.push_size):
             checks[slider._impl.uuid] = number_within(slider.min, slider.max)
         for choice in (self.policy, self.rom):

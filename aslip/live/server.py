@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 import socket
 
 import viser
@@ -26,6 +27,7 @@ def start_server(host: str, port: int) -> viser.ViserServer:
         ConfigurationError: the host is not this machine's, or the port is taken or not allowed.
     """
     _check_free(host, port)
+    logging.getLogger("websockets.server").addFilter(_without_tracebacks)
     server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
         server.stop()
@@ -42,6 +44,14 @@ def page_url(server: viser.ViserServer) -> str:
     if host in ("0.0.0.0", "::"):
         host = "localhost"
     return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+
+
+def _without_tracebacks(record: logging.LogRecord) -> bool:
+    """Drop reports of requests that are not a browser's, such as HEAD; shorten others to a line."""
+    if record.exc_info and record.exc_info[1] is not None:
+        record.msg, record.args = f"{record.getMessage()}: {record.exc_info[1]!r}", ()
+        record.exc_info = record.exc_text = None
+    return not record.msg.startswith("opening handshake failed")
 
 
 def _check_free(host: str, port: int) -> None:

@@ -1,6 +1,7 @@
 """Addresses that cannot be had, and a library that is not there."""
 
 import ast
+import logging
 import socket
 import subprocess
 import sys
@@ -57,6 +58,40 @@ def test_the_page_is_at_its_url_and_its_port_is_free_afterwards():
     again = start_server("127.0.0.1", port)
     assert again.get_port() == port
     again.stop()
+
+
+@pytest.mark.parametrize("request_line", ["HEAD / HTTP/1.1", "POST / HTTP/1.1", "hello"])
+def test_requests_of_other_kinds_print_nothing_and_the_page_stays(request_line):
+    # in a process of its own: what viser does about its log, it does for a whole process
+    code = (
+        "import socket, urllib.request\n"
+        "from aslip.live.server import page_url, start_server\n"
+        "server = start_server('127.0.0.1', 0)\n"
+        "with socket.create_connection(('127.0.0.1', server.get_port())) as visitor:\n"
+        f"    visitor.sendall(b'{request_line}\\r\\nHost: x\\r\\n\\r\\n')\n"
+        "    while visitor.recv(1000):\n"
+        "        pass\n"
+        "print(urllib.request.urlopen(page_url(server)).status)\n"
+        "server.stop()\n"
+    )
+    root = Path(__file__).parents[2]
+    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
+    assert "\n200\n" in result.stdout, result
+    assert result.stderr == ""
+
+
+def test_a_handler_that_fails_is_reported_in_a_line(caplog):
+    server = start_server("127.0.0.1", 0)
+    log = logging.getLogger("websockets.server")
+    try:
+        raise ValueError("too large")
+    except ValueError:
+        log.error("connection handler failed", exc_info=True)
+    server.stop()
+    assert [r.getMessage() for r in caplog.records if r.name == log.name] == [
+        "connection handler failed: ValueError('too large')"
+    ]
+    assert "Traceback" not in caplog.text
 
 
 @pytest.mark.parametrize(
