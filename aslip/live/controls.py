@@ -20,8 +20,8 @@ from aslip.live.rom import ROM_PLACES, RomPlace
 
 Click = Literal["pause", "step", "reset", "push"]
 
-PUSH_DURATION = 0.1
-"""Of a push [s]; acts for as many policy steps as it takes."""
+PUSH_DURATION = 4 * POLICY_PERIOD
+"""Duration of a push [s], in whole policy steps."""
 
 _SPEED_STEP = 0.05
 _PUSH_LIMIT, _PUSH_STEP, _PUSH_START = 300, 10, 120
@@ -30,6 +30,8 @@ _TURN_STEP = 15
 _LEGEND = (
     "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Blue is the left leg, red the"
     " right, pale in swing. A disc is where the foot in swing should land.</div>"
+    # viser's boxes beside the sliders are too narrow for four digits
+    "<style>.mantine-NumberInput-root{width:4rem!important;flex:none}</style>"
 )
 
 
@@ -74,7 +76,9 @@ class Controls:
         with gui.add_folder("Time"):
             self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
             self.step = gui.add_button(
-                f"Step ({1000 * POLICY_PERIOD:.0f} ms)", icon=viser.Icon.PLAYER_TRACK_NEXT
+                f"Step ({1000 * POLICY_PERIOD:.0f} ms)",
+                icon=viser.Icon.PLAYER_TRACK_NEXT,
+                disabled=True,
             )
             self.reset = gui.add_button("Reset", icon=viser.Icon.REFRESH)
             self.auto_reset = gui.add_checkbox("reset after a fall", True)
@@ -130,6 +134,7 @@ class Controls:
         return self.push_size.value * np.array([np.cos(angle), np.sin(angle), 0.0])
 
     def show_paused(self, paused: bool) -> None:
-        """Say on the button what it does next."""
-        self.pause.label = "Go on" if paused else "Pause"
+        """Say on the button what it does next; single steps are for while time stands still."""
+        self.pause.label = "Resume" if paused else "Pause"
+        self.step.disabled = not paused
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE

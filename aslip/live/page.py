@@ -188,8 +188,8 @@ class LivePage:
             self.walker.push((heading @ self.controls.push_force()).tolist(), PUSH_DURATION)
         elif click == "reset":
             self._reset()
-        elif click == "step" and self.paused:
-            self._singles += 1
+        elif click == "step":
+            self._singles += self.paused
         else:
             self.paused = not self.paused
             self._singles = 0

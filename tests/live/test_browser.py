@@ -56,7 +56,7 @@ class Desk:
     def pause(self) -> int:
         """Stop time with a click; the number of steps by then."""
         self.click("Pause")
-        self.view.get_by_role("button", name="Go on").wait_for()
+        self.view.get_by_role("button", name="Resume").wait_for()
         return len(self.steps)
 
 
@@ -111,7 +111,7 @@ def test_pause_stops_time_and_a_click_goes_on(desk):
     assert desk.live.paused
     desk.view.wait_for_timeout(500)
     assert len(desk.steps) == count
-    desk.click("Go on")
+    desk.click("Resume")
     wait_for(lambda: len(desk.steps) > count + 5)
 
 
@@ -150,12 +150,12 @@ def test_another_policy_is_chosen_falls_and_starts_again(desk):
 def test_two_who_look_see_the_same_and_one_may_leave_and_come_back(desk):
     other = desk.open()
     desk.pause()
-    other.get_by_role("button", name="Go on").wait_for()
+    other.get_by_role("button", name="Resume").wait_for()
     desk.view.goto("about:blank")
     desk.live.controls.command.value = 0.65
     other.close()
     desk.come_back()
-    desk.view.get_by_role("button", name="Go on").wait_for()
+    desk.view.get_by_role("button", name="Resume").wait_for()
     assert desk.view.get_by_role("slider").first.get_attribute("aria-valuenow") == "0.65"
 
 

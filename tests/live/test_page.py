@@ -54,14 +54,34 @@ def test_pause_stops_time_and_a_click_steps_once(open_page):
     assert page.walker.steps == 4
     walk(page, 5)
     assert page.walker.steps == 5
+    assert page.controls.pause.label == "Resume"
+    assert not page.controls.step.disabled
     click(page.controls.pause)
     walk(page, 2)
     assert page.walker.steps == 7
-    # while time runs there is nothing to step: it stops
+    assert page.controls.pause.label == "Pause"
+
+
+def test_a_single_step_is_not_for_a_robot_that_walks(open_page):
+    page = open_page()
+    assert page.controls.step.disabled
+    # from a page that was drawn before
     click(page.controls.step)
     walk(page, 2)
-    assert page.walker.steps == 7
-    assert page.controls.pause.label != "Pause"
+    assert page.walker.steps == 2
+    assert not page.paused
+    click(page.controls.pause)
+    walk(page, 3)
+    assert page.walker.steps == 2
+
+
+def test_the_push_says_how_long_it_acts(open_page):
+    steps = []
+    page = open_page(on_step=steps.append)
+    click(page.controls.push)
+    walk(page, 6)
+    acted = sum("push" in td and bool(td["push"].any()) for td in steps) * POLICY_PERIOD
+    assert page.controls.push.label == f"Push for {acted:g} s" == "Push for 0.12 s"
 
 
 @pytest.mark.parametrize(("degrees", "ahead", "left"), [(0, 1, 0), (90, 0, 1), (-135, -1, -1)])

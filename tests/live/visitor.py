@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -31,6 +32,7 @@ class Visitor:
 
     def __init__(self, connection: Any) -> None:
         self._connection = connection
+        self._received: list[dict] = []
 
     def send(self, **message: Any) -> None:
         self._connection.send(msgspec.msgpack.encode(message))
@@ -38,22 +40,29 @@ class Visitor:
     def update(self, control: Any, **updates: Any) -> None:
         self.send(type="GuiUpdateMessage", uuid=control._impl.uuid, updates=updates)
 
-    def messages(self, kind: str, until: Any = None) -> list[dict]:
-        """What has come of a kind, up to the first that satisfies a condition, or one of them.
+    def messages(self, kind: str, until: Callable[[dict], bool]) -> list[dict]:
+        """All messages of a kind, up to the first that satisfies a condition.
 
         Raises:
-            TimeoutError: there is none for half a minute.
+            TimeoutError: none does for half a minute.
         """
-        found = []
-        while True:
-            raw = self._connection.recv(timeout=30)
-            size = int.from_bytes(raw[8:16], "little")
-            content = msgspec.msgpack.decode(zstandard.decompress(raw[16 : 16 + size]))
-            for message in content["messages"]:
-                if message["type"] == kind:
-                    found.append(message)
-                    if until is None or until(message):
-                        return found
+        found: list[dict] = []
+        for message in self._all():
+            if message["type"] == kind:
+                found.append(message)
+                if until(message):
+                    return found
+        raise AssertionError("the connection was closed")
+
+    def _all(self) -> Iterator[dict]:
+        """Everything from the first message, waiting for more."""
+        for i in itertools.count():
+            while i >= len(self._received):
+                raw = self._connection.recv(timeout=30)
+                size = int.from_bytes(raw[8:16], "little")
+                content = msgspec.msgpack.decode(zstandard.decompress(raw[16 : 16 + size]))
+                self._received += content["messages"]
+            yield self._received[i]
 
 
 @contextmanager
