@@ -10,7 +10,9 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.errors import AssetError, ConfigurationError
 from aslip.live import LivePage
 from aslip.walker import Walker
+from recipes.walk import Config
 from tests.live.conftest import limp, served, wait_for
+from tests.live.visitor import visit
 
 
 def walk(page: LivePage, turns: int) -> None:
@@ -82,6 +84,53 @@ def test_the_push_says_how_long_it_acts(open_page):
     walk(page, 6)
     acted = sum("push" in td and bool(td["push"].any()) for td in steps) * POLICY_PERIOD
     assert page.controls.push.label == f"Push for {acted:g} s" == "Push for 0.12 s"
+
+
+def test_a_reset_drops_single_steps_that_wait(open_page):
+    page = open_page()
+    click(page.controls.pause)
+    page.turn()
+    for button in (page.controls.step, page.controls.step, page.controls.step):
+        click(button)
+    page.turn()
+    assert page.walker.steps == 1
+    click(page.controls.reset)
+    walk(page, 4)
+    assert page.walker.steps == 0
+
+
+def test_a_complaint_goes_with_the_next_click(open_page):
+    page = open_page(speed=0.5)
+    page.controls.command.value = 7.0
+    page.turn()
+    assert "7" in page.message
+    click(page.controls.pause)
+    page.turn()
+    assert page.message == ""
+
+
+def test_the_page_is_for_this_machine_alone_unless_opened(open_page):
+    page = open_page()
+    assert page._server.get_host() == "127.0.0.1"
+    assert page.url.startswith("http://127.0.0.1:")
+    assert Config().host == "127.0.0.1"
+
+
+def test_visitors_are_sent_where_robot_and_model_are_now(open_page):
+    page = open_page(speed=1.0)
+    for _ in range(2):
+        walk(page, 7)
+        with visit(page) as visitor:
+            places = {
+                name: visitor.messages("SetPositionMessage", lambda m, name=name: m["name"] == name)
+                for name in ("/floor", "/robot/pelvis", "/rom/body")
+            }
+        height = float(page.walker.td["truth", "pelvis_position"][0, 2])
+        assert places["/robot/pelvis"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
+        x = float(page.walker.td["truth", "qpos"][0, 0])
+        assert places["/floor"][-1]["position"][0] == pytest.approx(-x % 1.0, abs=1e-4)
+        height = float(page.walker.td["reference", "body_position"][0, 2])
+        assert places["/rom/body"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
 
 
 @pytest.mark.parametrize(("degrees", "ahead", "left"), [(0, 1, 0), (90, 0, 1), (-135, -1, -1)])
