@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.transforms.base import CassieTransform, extend_spec
@@ -19,8 +19,11 @@ TermFunction = Callable[..., Tensor]
 class RewardTerm(CassieTransform):
     """One named term of the reward, computed by a pure function; see `aslip.rewards`.
 
+    TorchRL counts terms among the observations: what is in the specs of rewards are rewards to its
+    transforms, and many take one only.
+
     Args:
-        name: the term is written under `("reward_terms", name)`.
+        name: the term is written under `("reward_terms", name)` (*b, 1); zero after a reset.
         function: tensors (*b, k) in the order of the keys -> (*b, 1) in [0, 1].
         next_keys: what it reads of the state after the step.
         root_keys: what it reads of the state before the step and of the action; these come last.
@@ -60,16 +63,12 @@ class RewardTerm(CassieTransform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        return tensordict_reset
+        zeros = torch.zeros(*tensordict_reset.batch_size, 1, dtype=torch.float32)
+        return tensordict_reset.set(self.out_keys[0], zeros)
 
-    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the term."""
-        if "reward_terms" not in reward_spec:
-            reward_spec["reward_terms"] = Composite(shape=reward_spec.shape)
-        reward_spec[self.out_keys[0]] = Unbounded(
-            torch.Size((*reward_spec.shape, 1)), dtype=torch.float32
-        )
-        return reward_spec
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
 
 
 class WeightedReward(CassieTransform):
@@ -108,19 +107,19 @@ class WeightedReward(CassieTransform):
         del tensordict
         return tensordict_reset
 
-    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Check that every term has a weight."""
-        if "reward_terms" not in reward_spec:
+        if "reward_terms" not in observation_spec:
             raise UnknownNameError(
                 "WeightedReward finds no reward terms; the stack must have some, before it"
             )
-        missing = sorted(set(reward_spec["reward_terms"].keys()) - set(self.weights))
+        missing = sorted(set(observation_spec["reward_terms"].keys()) - set(self.weights))
         if missing:
             raise UnknownNameError(
                 f"no weight for the reward terms {missing}; weights are given for"
                 f" {sorted(self.weights)}"
             )
-        return reward_spec
+        return observation_spec
 
 
 class EpisodeSum(CassieTransform):
