@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import is_dataclass
+from functools import partial
+from types import FunctionType, MethodType
 from typing import Any, TypeVar
 
 import torch
@@ -12,6 +14,7 @@ from torchrl.envs.transforms import RewardSum, StepCounter, Transform
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.stack.code_hash import function_text
 from aslip.stack.environment import CassieTransformedEnv
 from aslip.stack.stacks import STACKS
 from aslip.transforms import (
@@ -66,7 +69,8 @@ def commanded(env: CassieTransformedEnv) -> list[float]:
 def described(env: CassieTransformedEnv) -> dict[str, str]:
     """What an environment is made of: name of a transform -> its class, and what it was told.
 
-    Functions and whatever else has no short text are named by their kind.
+    Functions are told by name and a hash of their code (`function_text`), and whatever else has no
+    short text by its class.
     """
     return {
         name: f"{type(t).__name__}({', '.join(_told(t))})"
@@ -101,6 +105,8 @@ def _text(value: Any) -> str:
         return f"({', '.join(map(_text, value))})"
     if isinstance(value, str | int | float | None) or is_dataclass(value):
         return str(value)
+    if isinstance(value, FunctionType | MethodType | partial):
+        return function_text(value, _text)
     return getattr(value, "__qualname__", type(value).__name__)
 
 
