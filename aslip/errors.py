@@ -69,8 +69,13 @@ class CollectorError(AslipError, RuntimeError):
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """End a program with one line instead of a traceback where the user can mend what is wrong."""
+    """End a program with one line instead of a traceback where the user can mend what is wrong.
+
+    Ctrl-C ends it with the usual exit status, 130.
+    """
     try:
         yield
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
     except (AslipError, OSError) as error:
         raise SystemExit(f"error: {error}") from None

@@ -30,7 +30,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 from torchrl import torchrl_logger
@@ -44,14 +44,16 @@ from aslip.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.files import replacing
 from aslip.policy import POLICY_FILE
+from aslip.settings import SETTINGS_FILE, read_settings, settings_text
 
 _PROGRESS_FILE = "progress.csv"
-_TRANSFORMS = "transforms"
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
 
 # settings that may differ between a run and its continuation
-_MAY_DIFFER = ("resume", "out", "total_steps", "checkpoint_minutes")
+_MAY_DIFFER = ("resume", "out", "total_steps", "schedule_steps", "checkpoint_minutes")
+# an error names so many that may not, and so much of their texts
+_SHOWN, _SHOWN_TEXT = 4, 60
 
 
 class TrainingStoppedError(AslipError, RuntimeError):
@@ -66,6 +68,7 @@ class TrainingRun:
         config: a frozen dataclass of settings.
         resume: continue the run in the folder instead of starting one there.
         transforms: what the environment is made of, name -> text; kept with the settings.
+        go_on: how to resume the run, such as a command line; for messages.
 
     Raises:
         ConfigurationError: the folder holds a checkpoint and `resume` is not set; or there is
@@ -81,17 +84,21 @@ class TrainingRun:
         *,
         resume: bool,
         transforms: Mapping[str, str] | None = None,
+        go_on: str = "resume=True",
     ) -> None:
         self.folder = Path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         self.transforms = dict(transforms or {})
+        self.go_on = go_on
+        self.changes: list[str] = []
+        """Settings that a resumed run has from now on, such as `total_steps 100 -> 200`."""
         self._csv = self.folder / _PROGRESS_FILE
         self._rows = ""  # not in the file yet
         self._tensorboard: SummaryWriter | None = None
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint
         try:
-            self._open(self.folder / "config.json", resume)
+            self._open(self.folder / SETTINGS_FILE, resume)
         except OSError as error:
             raise ConfigurationError(
                 f"{str(self.folder)!r} cannot be written to ({error}); give another folder with"
@@ -137,14 +144,16 @@ class TrainingRun:
 
         Yields a function `keep(step, metadata)`, to be called after each update: it copies the
         states of the components, and writes them if it is time. What ends the body in the middle of
-        an update, Ctrl-C, SIGTERM or an error, has the last copy written. Ctrl-C only ends the
-        body; SIGTERM ends the program as well.
+        an update, Ctrl-C, SIGTERM or an error, has the last copy written. Ctrl-C and SIGTERM say on
+        standard error what they stop, what is saved, and how to go on.
 
         Args:
             components: name -> what has `state_dict` and `load_state_dict`.
             minutes: between checkpoints.
 
         Raises:
+            KeyboardInterrupt: Ctrl-C, after the last checkpoint is written.
+            SystemExit: SIGTERM, likewise; with its exit status, 143.
             TrainingStoppedError: the body raised something; or the last checkpoint could not be
                 written.
         """
@@ -160,16 +169,21 @@ class TrainingRun:
 
         cause: Exception | None = None
         unsaved: OSError | None = None
+        stopping = False
         try:
             with _sigterm_exits():
                 yield keep
-        except KeyboardInterrupt:
-            pass
+        except (KeyboardInterrupt, SystemExit):
+            stopping = True
+            _say(f"stopping: saving the run in {str(self.folder)!r}")
+            raise
         except Exception as error:
             torchrl_logger.error("training stopped", exc_info=error)
             cause = error
         finally:
             unsaved = self._save()
+            if stopping:
+                _say(self._interrupted(unsaved))
         if cause or unsaved:
             raise TrainingStoppedError(self._stopped_by(cause, unsaved)) from cause or unsaved
 
@@ -220,10 +234,9 @@ class TrainingRun:
                 " another folder with --out"
             )
         if resume:
-            self._check_settings(settings_file)
+            self._check_settings()
         self._checkpoint_folder.mkdir(parents=True, exist_ok=True)
-        about = self.settings | ({_TRANSFORMS: self.transforms} if self.transforms else {})
-        write_text(settings_file, json.dumps(about, indent=1) + "\n")
+        write_text(settings_file, settings_text(self.settings, self.transforms))
         # what a killed process was writing
         for unfinished in self._checkpoint_folder.glob(".checkpoint-*"):
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
@@ -267,6 +280,16 @@ class TrainingRun:
             return error
         return None
 
+    def _interrupted(self, unsaved: OSError | None) -> str:
+        """A message that says where a run was stopped, what is saved, and how to go on."""
+        if unsaved is not None:
+            return self._stopped_by(None, unsaved)
+        told = f"interrupted before the first update of {str(self.folder)!r}: nothing to save"
+        if self._saved >= 0:
+            file = str(self._checkpoints()[-1])
+            told = f"interrupted after {self._saved} policy steps; saved in {file!r}"
+        return f"{told}\nto go on: {self.go_on}"
+
     def _stopped_by(self, cause: Exception | None, unsaved: OSError | None) -> str:
         """A message that says why, where it stopped, and what can be resumed."""
         step = 0 if self._state is None else self._state[0]
@@ -296,24 +319,24 @@ class TrainingRun:
                 raise
         self._rows = ""
 
-    def _check_settings(self, settings_file: Path) -> None:
-        if not settings_file.exists():
-            raise ConfigurationError(
-                f"{str(self.folder)!r} holds no run to resume; start one without --resume"
-            )
-        try:
-            old = dict(json.loads(settings_file.read_text()))
-            transforms = dict(old.pop(_TRANSFORMS, {}))
-        except (ValueError, TypeError) as error:
-            raise FileDamagedError(f"{str(settings_file)!r} is damaged ({error})") from error
+    def _check_settings(self) -> None:
+        old, transforms = read_settings(self.folder)
         differing = _differences(old, self.settings, _MAY_DIFFER)
         # runs of before have not told what they are made of
         if transforms and self.transforms:
             differing += _differences(transforms, self.transforms)
         if differing:
+            more = len(differing) - _SHOWN
+            told = [*differing[:_SHOWN], *([f"and {more} more"] if more > 0 else [])]
             raise ConfigurationError(
-                f"the run in {str(self.folder)!r} has other settings: {'; '.join(differing)}"
+                f"the run in {str(self.folder)!r} has other settings: {'; '.join(told)}; leave out"
+                " what differs to resume it, or start another run with --out"
             )
+        self.changes = [
+            f"{name} {old[name]} -> {self.settings[name]}"
+            for name in sorted(set(_MAY_DIFFER) & old.keys() & self.settings.keys())
+            if name not in ("resume", "out") and old[name] != self.settings[name]
+        ]
 
     def _forget_after(self, step: int) -> None:
         """Drop rows that the resumed run will write again, and what is damaged."""
@@ -330,15 +353,33 @@ class TrainingRun:
 def _differences(
     old: Mapping[str, Any], new: Mapping[str, Any], may_differ: Sequence[str] = ()
 ) -> list[str]:
-    return [
-        f"{name} was {old.get(name)!r} and is {new.get(name)!r}"
-        for name in sorted(old.keys() | new.keys())
-        if name not in may_differ and old.get(name) != new.get(name)
-    ]
+    """Sentences about each name whose values differ; long texts from where they do."""
+    told = []
+    for name in sorted(old.keys() | new.keys()):
+        if name not in may_differ and old.get(name) != new.get(name):
+            before, now = repr(old.get(name)), repr(new.get(name))
+            pairs = enumerate(zip(before, now, strict=False))
+            same = next((i for i, (a, b) in pairs if a != b), 0)
+            told.append(f"{name} was {_shown(before, same)} and is {_shown(now, same)}")
+    return told
+
+
+def _shown(text: str, same: int) -> str:
+    """Part of a long text that begins shortly before the first difference."""
+    if len(text) <= _SHOWN_TEXT:
+        return text
+    start = max(0, same - _SHOWN_TEXT // 2)
+    end = start + _SHOWN_TEXT
+    return f"{'...' if start else ''}{text[start:end]}{'...' if end < len(text) else ''}"
 
 
 def _unsaved(step: int, error: OSError) -> str:
     return f"the checkpoint of {step} policy steps could not be written ({error})"
+
+
+def _say(message: str) -> None:
+    """Print to standard error, below a progress bar that may be there."""
+    print(f"\n{message}", file=sys.stderr, flush=True)
 
 
 @contextmanager
@@ -352,27 +393,6 @@ def _sigterm_exits() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def check_types(config: Any) -> None:
-    """Check that each setting of a dataclass is of its type; whole numbers do for floats.
-
-    Raises:
-        ConfigurationError: one is not, or is a float that is not finite.
-    """
-    for name, kind in get_type_hints(type(config)).items():
-        value = getattr(config, name)
-        if get_origin(kind) is Literal:
-            fits, wanted = isinstance(value, str) and value in get_args(kind), f"{get_args(kind)}"
-        elif kind is float:
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            fits = number and abs(value) <= sys.float_info.max
-            wanted = "a finite number"
-        else:
-            fits = isinstance(value, kind) and isinstance(value, bool) == (kind is bool)
-            wanted = {int: "a whole number", bool: "True or False"}.get(kind, f"a {kind.__name__}")
-        if not fits:
-            raise ConfigurationError(f"{name} must be {wanted}, got {value!r}")
 
 
 def read_progress(folder: Path) -> dict[str, list[float]]:

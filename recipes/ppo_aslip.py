@@ -14,19 +14,31 @@ ablation is a call of `main` in which `make_env` gets something else to `drop` o
 
 from __future__ import annotations
 
-import argparse
+from aslip.errors import one_line_errors
+from aslip.ppo_settings import (
+    PRESETS,
+    Config,
+    resume_command,
+    training_settings,
+    whole_updates,
+    with_schedule,
+)
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = training_settings(PRESETS)
+
 import copy
 import math
 import time
 from collections import deque
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
 import torch
-import tyro
 from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.modules import ProbabilisticActor
@@ -35,10 +47,8 @@ from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
 import aslip
-from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.model import TIMESTEPS
-from aslip.collect import CollectorKind, check_shares, make_collector
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.collect import make_collector
 from aslip.evaluation import WalkResult, evaluate, walk_table
 from aslip.plots import learning_curve, save_figure
 from aslip.policy import (
@@ -50,12 +60,12 @@ from aslip.policy import (
     set_std,
 )
 from aslip.provenance import provenance
-from aslip.run import TrainingRun, check_types, peak_memory, write_text
+from aslip.run import TrainingRun, peak_memory, write_text
+from aslip.settings import read_settings
 from aslip.stack import (
     ON_TRUTH,
     STACKS,
     CassieTransformedEnv,
-    RewardSource,
     acts_on,
     commanded,
     described,
@@ -65,136 +75,18 @@ from aslip.stack import (
 from aslip.transforms import SpeedCommand
 
 
-@dataclass(frozen=True)
-class Config:
-    """Settings; "Table II" is the paper's table of PPO hyper-parameters, the preset "paper"."""
-
-    preset: Literal["default", "paper"] = "default"
-    """What all other settings are by default: the recipe's own, or what the paper says."""
-
-    out: Path = Path("runs/ppo_aslip")
-    """Folder of the run."""
-    resume: bool = False
-    """Continue the run in the folder."""
-    seed: int = 0
-    """Reaches every random number."""
-    total_steps: int = 1_500_000
-    """Policy steps to train for; the paper trains for 175 million. As many again as one update has
-    come first, to teach the normaliser what inputs look like."""
-    num_envs: int = 256
-    """Robots simulated side by side."""
-    stack: Literal["aslip", "paper", "single_reference"] = "aslip"
-    """What to learn on: with motor targets that make up for load and damping, or without, or the
-    paper's baseline, one reference motion."""
-    symmetric: bool = True
-    """Make actor and critic treat left and right alike; not in the paper."""
-    value_scale: float = 10.0
-    """What an output of one of the critic's net is worth; one in the paper."""
-    samples: int = 2048
-    """Policy steps an update; Table II says 5096."""
-    minibatch: int = 256
-    """Samples of a gradient step; Table II says 64."""
-    epochs: int = 5
-    """Passes over the samples of an update; Table II says 3."""
-    learning_rate: float = 3e-4
-    """Of Adam, at first; Table II says 1e-4."""
-    last_learning_rate: float = 2e-5
-    """The same at the end. Constant in the paper."""
-    std: float = 0.15
-    """Standard deviation of actions, at first [rad]; the paper gives none, its public code
-    exp(-2)."""
-    last_std: float = 0.05
-    """The same at the end. Constant in the paper."""
-    fall_after: float = 0.6
-    """Share of the training after which learning rate and standard deviation fall, exponentially;
-    until then they are what they are at first."""
-    adam_epsilon: float = 1e-5
-    """Of Adam (Table II)."""
-    gamma: float = 0.95
-    """Discount; Table II says 0.99. Steps count for 0.6 s in place of 3: less noise in advantages,
-    and what a step does shows within a stride."""
-    gae_lambda: float = 0.95
-    """Of the advantage estimate; the paper gives none."""
-    clip: float = 0.2
-    """Of PPO's probability ratio (Table II)."""
-    max_grad_norm: float = 0.5
-    """Gradient norm, of actor and critic each; the paper gives none."""
-    truth: bool = False
-    """Show the policy the simulator's truth instead of what an estimator makes of noisy sensors."""
-    reward_on: RewardSource = "truth"
-    """Reward what the simulator knows of the robot, or what its estimator believes."""
-    command_interval: float = 8.0
-    """Mean time between changes of the commanded speed in training [s], for commands without an
-    interval of their own; 0 for none, as in the paper."""
-    randomise: bool = False
-    """Train on robots that differ from episode to episode, in mass, friction, springs, motors,
-    delay, slope and noise (`aslip.transforms.DYNAMICS_RANGES`); evaluated is the robot itself."""
-    coarse: bool = False
-    """Train with physics steps of 1 ms in place of 0.5; evaluated is always with the latter."""
-    collector: CollectorKind = "single"
-    """Where robots are: in this process, in others on this machine, or in Ray's, on a cluster, too
-    (`aslip.collect`)."""
-    num_collectors: int = 2
-    """Processes or actors that robots are shared out to, unless there is but this process."""
-    eval_interval: int = 250_000
-    """Policy steps between evaluations over all speeds."""
-    checkpoint_minutes: float = 3.0
-    """Minutes between checkpoints; with none, there is one after every update."""
-
-    def __post_init__(self) -> None:
-        """Check what a typing slip would make a mystery of later."""
-        check_types(self)
-        for name in (
-            "total_steps", "num_envs", "samples", "minibatch", "epochs", "num_collectors",
-            "eval_interval",
-        ):  # fmt: skip
-            if getattr(self, name) < 1:
-                raise ConfigurationError(f"{name} must be 1 or more, got {getattr(self, name)}")
-        for name in (
-            "learning_rate", "last_learning_rate", "adam_epsilon", "clip", "max_grad_norm",
-            "value_scale", "std", "last_std",
-        ):  # fmt: skip
-            if getattr(self, name) <= 0:
-                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("gamma", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ConfigurationError(f"{name} must be in [0, 1], got {getattr(self, name)}")
-        if not 0 <= self.fall_after < 1:
-            raise ConfigurationError(f"fall_after must be in [0, 1), got {self.fall_after}")
-        if not 0 <= self.seed < 2**63:
-            raise ConfigurationError(f"seed must be from 0 to 2**63 - 1, got {self.seed}")
-        if self.checkpoint_minutes < 0:
-            raise ConfigurationError(
-                f"checkpoint_minutes must be 0 or more, got {self.checkpoint_minutes}"
-            )
-        if self.command_interval != 0 and self.command_interval < POLICY_PERIOD:
-            raise ConfigurationError(
-                f"command_interval must be 0, or a policy step, {POLICY_PERIOD} s, or more; got"
-                f" {self.command_interval}"
-            )
-        collectors = 1 if self.collector == "single" else self.num_collectors
-        check_shares(self.num_envs, self.samples, collectors)
-
-
-PRESETS = {
-    "default": Config(),
-    "paper": Config(
-        preset="paper", stack="paper", symmetric=False, value_scale=1.0, samples=5120,
-        minibatch=64, epochs=3, learning_rate=1e-4, last_learning_rate=1e-4, gamma=0.99,
-        command_interval=0.0, std=math.exp(-2), last_std=math.exp(-2),
-    ),
-}  # fmt: skip
-"""Settings that others are given on top of; 5120 is the multiple of 256 nearest to 5096."""
-
-
-def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkResult]:
+def main(
+    config: Config, edits: Mapping[str, Any] | None = None, go_on: str = "resume=True"
+) -> list[WalkResult]:
     """Train, then evaluate at all speeds; a table and pictures are in the folder.
 
     Args:
         config: the settings.
         edits: more settings of `aslip.make_env`, such as what to drop and to replace.
+        go_on: how to resume the training, for messages.
     """
     torch.manual_seed(config.seed)
+    config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
 
     # ------------------------------------------------------------ environment
     edits = dict(edits or {})
@@ -206,7 +98,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     probe = aslip.make_env(**copy.deepcopy(task))
     speeds, transforms = commanded(probe), described(probe)
     probe.close()
-    run = TrainingRun(config.out, config, resume=config.resume, transforms=transforms)
+    run = TrainingRun(config.out, config, resume=config.resume, transforms=transforms, go_on=go_on)
     # a transform that was given as it is belongs to one environment only
     eval_env = aslip.make_env(num_envs=len(speeds), **copy.deepcopy(task))
 
@@ -264,16 +156,20 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
         step, elapsed, divergences = kept["step"], kept["elapsed_s"], kept["divergences"]
         episodes.extend(map(tuple, kept["episodes"]))
         shape = replace(shape, std=std(config, step))
+    print(announcement(config, run, step), flush=True)
     start = time.perf_counter() - elapsed
     results: list[WalkResult] = []
-    bar = tqdm(total=config.total_steps, initial=step, unit="step", dynamic_ncols=True)
+    total_steps = whole_updates(config)
+    bar = tqdm(total=total_steps, initial=step, unit="step", dynamic_ncols=True)
+    bar.set_description("training" if normalizer.count else "first samples, for the normaliser")
     batches = collector if step < config.total_steps else ()
     with bar, collector, run.saving(components, config.checkpoint_minutes) as keep:
-        for data in batches:
+        for data in watched(batches, actor, bar, config.num_envs):
             divergences += int(data["next", "truth", "diverged"].sum())
             if normalizer.count == 0:
-                # the first samples only teach the normaliser what inputs look like
+                # these samples only teach the normaliser what inputs look like
                 normalizer.update(data["observation"])
+                bar.reset()
                 continue
             results = []
             check_rewards(data)
@@ -297,6 +193,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
                 for name, term in data["next", "reward_terms"].items()
             }
             if step % config.eval_interval < data.numel() or step >= config.total_steps:
+                bar.set_description("evaluating")
                 results = evaluated(actor, eval_env, speeds, config.seed)
             run.log(
                 step,
@@ -319,7 +216,7 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
                 },
             )
             bar.set_postfix_str(progress(length, total, terms), refresh=False)
-            bar.update(data.numel())
+            bar.update(step - bar.n)
             if step >= config.total_steps:
                 break
 
@@ -346,6 +243,41 @@ def main(config: Config, edits: Mapping[str, Any] | None = None) -> list[WalkRes
     print(f"\n{table}\n\n{footer}\n{config.out}/: {', '.join(sorted(written(config.out)))}")
     run.close()
     return results
+
+
+def announcement(config: Config, run: TrainingRun, step: int) -> str:
+    """Words at the start: where, what, and how to stop and to go on."""
+    asked, total = config.total_steps, whole_updates(config)
+    rounded = f" ({asked} asked for, in updates of {config.samples})" if total != asked else ""
+    what = f"training for {total} policy steps{rounded}"
+    if step >= asked:
+        what = f"nothing left to train after {step} of {asked} policy steps, evaluating"
+    elif config.resume:
+        what = f"going on after {step} of {total} policy steps{rounded}"
+    about = [f"preset {config.preset}", f"seed {config.seed}", f"{config.num_envs} robots"]
+    told = "; ".join([f"{config.out}: {what}", ", ".join(about), *run.changes])
+    return f"{told}\nCtrl-C saves and stops; to go on: {run.go_on}"
+
+
+def watched(
+    batches: Iterable[TensorDict], actor: ProbabilisticActor, bar: tqdm, robots: int
+) -> Iterator[TensorDict]:
+    """Batches, with a bar that moves at each policy step of robots in this process."""
+
+    def move(*_: Any) -> None:
+        bar.update(robots)
+
+    iterator = iter(batches)
+    while True:
+        hook = actor.register_forward_hook(move)
+        try:
+            data = next(iterator, None)
+        finally:
+            hook.remove()
+        if data is None:
+            return
+        yield data
+        bar.set_description("training", refresh=False)
 
 
 def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
@@ -414,7 +346,8 @@ def std(config: Config, step: int) -> float:
 
 
 def _falling(config: Config, step: int, first: float, last: float) -> float:
-    share = (step / config.total_steps - config.fall_after) / (1 - config.fall_after)
+    steps = config.schedule_steps or config.total_steps
+    share = (step / steps - config.fall_after) / (1 - config.fall_after)
     return first * (last / first) ** min(max(share, 0.0), 1.0)
 
 
@@ -447,14 +380,6 @@ def progress(length: float, total: float, terms: dict[str, float]) -> str:
     return f"length {length:.0f} return {total:.0f} | {short}"
 
 
-def command_line(presets: Mapping[str, Config] = PRESETS) -> Config:
-    """Settings from the command line, on top of those of the preset that it names."""
-    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
-    parser.add_argument("--preset", choices=list(presets), default="default")
-    preset = parser.parse_known_args()[0].preset
-    return tyro.cli(type(presets[preset]), default=presets[preset])
-
-
 if __name__ == "__main__":
     with one_line_errors():
-        main(command_line())
+        main(CONFIG, go_on=resume_command(CONFIG))

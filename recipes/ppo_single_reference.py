@@ -17,12 +17,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-import ppo_aslip
-
+from aslip import ppo_settings
 from aslip.errors import one_line_errors
 
 _PAPER = replace(
-    ppo_aslip.PRESETS["paper"],
+    ppo_settings.PRESETS["paper"],
     stack="single_reference",
     out=Path("runs/ppo_single_reference"),
 )
@@ -40,5 +39,10 @@ PRESETS = {
 }
 
 if __name__ == "__main__":
+    config = ppo_settings.training_settings(PRESETS)
+
+    # after the command line is parsed, as it takes seconds
+    import ppo_aslip
+
     with one_line_errors():
-        ppo_aslip.main(ppo_aslip.command_line(PRESETS))
+        ppo_aslip.main(config, go_on=ppo_settings.resume_command(config))

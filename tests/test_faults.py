@@ -14,7 +14,8 @@ import pytest
 import aslip
 from aslip.envs import BatchCassieEnv
 from aslip.errors import AslipError, ConfigurationError
-from aslip.run import check_types, read_progress
+from aslip.run import read_progress
+from aslip.settings import check_types
 from benchmarks.faults import checkpoints, processes, simulations, strangers, suite, trainings
 from benchmarks.faults import settings as bad_settings
 from benchmarks.faults.trainings import TINY
@@ -62,7 +63,7 @@ def _say_nothing(*args: object, **kwargs: object) -> None:
 @pytest.mark.parametrize(
     ("inject", "count", "target"),
     [
-        (bad_settings.settings, 100, "recipes.ppo_aslip.check_types"),
+        (bad_settings.settings, 100, "aslip.ppo_settings.check_types"),
         (checkpoints.cuts, 2, "aslip.run.torchrl_logger.warning"),
         (checkpoints.full_disks, 2, "aslip.run.torchrl_logger.warning"),
     ],

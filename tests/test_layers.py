@@ -13,11 +13,14 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
 # each layer may import those listed, itself, and the three that stand below everything
-_BELOW_ALL = {"errors", "assets", "files"}
+_BELOW_ALL = {"errors", "assets", "files", "settings"}
 _MAY_IMPORT = {
     "errors": set(),
     "assets": set(),
     "files": set(),
+    "settings": set(),
+    "cli": set(),
+    "ppo_settings": {"cassie", "cli"},
     "cassie": set(),
     "rom": set(),
     "ik": {"cassie"},
@@ -38,6 +41,9 @@ _FOREIGN = {
     "errors": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "assets": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "files": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
+    "settings": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
+    "cli": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
+    "ppo_settings": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"},
     "cassie": {"torch", "torchrl", "tensordict", "casadi", "pinocchio", "dm_control"},
     "rom": {"torch", "torchrl", "tensordict", "mujoco", "pinocchio", "dm_control"},
     "ik": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"},

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 import torch
@@ -26,6 +26,7 @@ from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
 from aslip.library import GaitLibrary
 from aslip.policy import policy_stack, read_manifest
+from aslip.ppo_settings import with_schedule
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.run import TrainingStoppedError
 from aslip.transforms import (
@@ -141,6 +142,90 @@ def test_a_run_resumes(run: tuple[Path, list[WalkResult]], tmp_path: Path) -> No
     counts = [key for key in weights if key.endswith("count")]
     assert counts
     assert all(resumed[key] == weights[key] + 64 for key in counts)
+
+
+def test_a_finished_run_goes_on_with_its_last_learning_rate_and_exploration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A longer training does not stretch the schedule; to say so does."""
+    seen: list[tuple[float, float]] = []
+    update = ppo_aslip.update
+
+    def spied(data: Any, loss: Any, optimizer: Any, *args: Any) -> Any:
+        seen.append((optimizer.param_groups[0]["lr"], float(data["scale"][0, 0, 0])))
+        return update(data, loss, optimizer, *args)
+
+    monkeypatch.setattr(ppo_aslip, "update", spied)
+    schedule: dict[str, Any] = {
+        "learning_rate": 1e-3,
+        "last_learning_rate": 1e-5,
+        "fall_after": 0.0,
+    }
+    config = replace(TINY, out=tmp_path, std=0.4, last_std=0.1, **schedule)
+    ppo_aslip.main(config)
+    assert seen == [pytest.approx((1e-3, 0.4)), pytest.approx((1e-4, 0.2))]
+    for total in (256, 320):  # the second knows of the first only by the folder
+        ppo_aslip.main(replace(config, resume=True, total_steps=total))
+    assert seen[2:] == [pytest.approx((1e-5, 0.1))] * 3
+    ppo_aslip.main(replace(config, resume=True, total_steps=384, schedule_steps=640))
+    assert seen[5] == pytest.approx((1e-3 * 0.01**0.5, 0.1))
+
+
+def test_a_run_of_before_schedules_had_steps_keeps_its_schedule() -> None:
+    kept = {"total_steps": 1000}
+    assert with_schedule(replace(TINY, total_steps=3000), kept).schedule_steps == 1000
+    kept |= {"schedule_steps": 2000}
+    assert with_schedule(replace(TINY, total_steps=3000), kept).schedule_steps == 2000
+
+
+def test_the_bar_moves_at_each_policy_step_and_changes_no_action() -> None:
+    actor = torch.nn.Linear(2, 2)
+    plain = [actor(torch.ones(2)) for _ in range(6)]
+    moves: list[int] = []
+
+    class Bar:
+        """A bar that says whether it was drawn, as tqdm does."""
+
+        def update(self, steps: int) -> bool:
+            moves.append(steps)
+            return len(moves) % 2 == 0
+
+        def set_description(self, *args: Any, **kwargs: Any) -> None:
+            pass
+
+    def batches() -> Iterator[Any]:
+        for _ in range(2):
+            yield torch.stack([actor(torch.ones(2)) for _ in range(3)])
+
+    found, counts = [], []
+    for batch in ppo_aslip.watched(batches(), cast("Any", actor), cast("Any", Bar()), robots=8):
+        counts.append(len(moves))
+        actor(torch.ones(2))  # an evaluation is no training
+        found.append(batch)
+    assert counts == [3, 6]
+    assert moves == [8] * 6
+    torch.testing.assert_close(torch.cat(found), torch.stack(plain), rtol=0, atol=0)
+
+
+def test_the_start_says_where_what_and_how_to_stop(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And how the number of steps is rounded; a resumed run says what changes."""
+    out = tmp_path / "run"
+    ppo_aslip.main(replace(TINY, out=out, total_steps=70), go_on="python here.py --resume")
+    first, second, *_ = capsys.readouterr().out.splitlines()
+    assert first == (
+        f"{out}: training for 128 policy steps (70 asked for, in updates of 64); preset default,"
+        " seed 0, 8 robots"
+    )
+    assert second == "Ctrl-C saves and stops; to go on: python here.py --resume"
+    assert [row["step"] for row in _rows(out)] == ["64", "128"]
+    ppo_aslip.main(replace(TINY, out=out, total_steps=192, resume=True))
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith(f"{out}: going on after 128 of 192 policy steps; preset default")
+    assert first.endswith("; total_steps 70 -> 192")
+    ppo_aslip.main(replace(TINY, out=out, total_steps=192, resume=True))
+    assert "nothing left to train after 192 of 192" in capsys.readouterr().out
 
 
 def test_another_run_in_the_same_folder_is_refused(run: tuple[Path, list[WalkResult]]) -> None:

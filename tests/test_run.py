@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
@@ -161,7 +160,24 @@ def test_a_longer_run_in_a_moved_folder_can_resume(settings: Settings) -> None:
     _open(settings)
     moved = replace(settings, out=settings.out.with_name("moved"), resume=True, total_steps=500)
     settings.out.rename(moved.out)
-    _open(moved, resume=True)
+    assert _open(moved, resume=True).changes == ["total_steps 100 -> 500"]
+    assert _open(moved, resume=True).changes == []
+
+
+def test_only_some_of_many_differences_are_told_and_what_to_do(settings: Settings) -> None:
+    """From where long texts differ."""
+    texts = {f"part {i}": f"{'same ' * 30}{i} here {'and so on ' * 30}" for i in range(9)}
+    TrainingRun(settings.out, settings, resume=False, transforms=texts)
+    others = {name: text.replace("here", "there") for name, text in texts.items()}
+    with pytest.raises(ConfigurationError) as info:
+        TrainingRun(settings.out, settings, resume=True, transforms=others)
+    message = str(info.value)
+    assert "part 0 was ..." in message
+    assert "same 0 here and so on" in message
+    assert "same 0 there and so on" in message
+    assert "part 4" not in message
+    assert "and 5 more; leave out what differs to resume it, or start another run" in message
+    assert len(message) < 1000
 
 
 # -------------------------------------------------------------- checkpoints
@@ -200,14 +216,14 @@ def test_checkpoints_are_minutes_apart(settings: Settings, monkeypatch: pytest.M
 def test_what_was_kept_last_is_saved_whatever_ends_the_training(settings: Settings) -> None:
     """As it was then, not as it is in the middle of an update."""
     endings = {
-        10: (KeyboardInterrupt, None),
+        10: (KeyboardInterrupt, KeyboardInterrupt),
         20: (ValueError, TrainingStoppedError),
         30: (SystemExit, SystemExit),
     }
     run = _open(settings)
     for step, (raised, seen) in endings.items():
         net = _net(step)
-        with quiet(), _raises(seen), run.saving({"net": net}, 1e9) as keep:
+        with quiet(), pytest.raises(seen), run.saving({"net": net}, 1e9) as keep:
             for before in (step - 2, step - 1, step):
                 keep(before, {})
             torch.nn.init.constant_(net.weight, -1.0)
@@ -218,8 +234,47 @@ def test_what_was_kept_last_is_saved_whatever_ends_the_training(settings: Settin
         assert (restored.weight == step).all()
 
 
-def _raises(error: type[BaseException] | None) -> Any:
-    return pytest.raises(error) if error else contextlib.nullcontext()
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
+def test_an_interrupted_training_says_what_is_saved_and_how_to_go_on(
+    settings: Settings, capsys: pytest.CaptureFixture[str], kind: type[BaseException]
+) -> None:
+    """And at once that it stops, before it writes for a while."""
+    run = TrainingRun(settings.out, settings, resume=False, go_on="python mine.py --resume")
+    with pytest.raises(kind), run.saving({"net": _net(1.0)}, 1e9) as keep:
+        keep(10, {})
+        keep(20, {})
+        raise kind
+    said = capsys.readouterr().err.split("\n")
+    assert said[1] == f"stopping: saving the run in '{settings.out}'"
+    assert said[3].startswith("interrupted after 20 policy steps; saved in ")
+    assert said[3].endswith("checkpoint-000000000020.torchrl'")
+    assert said[4] == "to go on: python mine.py --resume"
+    assert _steps(settings) == [10, 20]
+
+
+def test_an_interrupted_training_says_that_there_is_nothing_to_save(
+    settings: Settings, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = _open(settings)
+    with pytest.raises(KeyboardInterrupt), run.saving({"net": _net(1.0)}, 0.0):
+        raise KeyboardInterrupt
+    said = capsys.readouterr().err
+    assert "before the first update" in said
+    assert "to go on: resume=True" in said
+
+
+def test_an_interrupted_training_says_what_could_not_be_saved(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = _open(settings)
+    _save(run, 10)
+    monkeypatch.setattr(run_module, "save_checkpoint", _fail)
+    with pytest.raises(KeyboardInterrupt), run.saving({"net": _net(5.0)}, 1e9) as keep:
+        keep(20, {})
+        raise KeyboardInterrupt
+    said = capsys.readouterr().err
+    assert "the checkpoint of 20 policy steps could not be written" in said
+    assert "goes on from the checkpoint of 10 steps" in said
 
 
 def test_an_error_says_why_and_where_to_go_on(settings: Settings) -> None:

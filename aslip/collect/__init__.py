@@ -46,9 +46,10 @@ Traps:
 from aslip.collect.base import SampleCollector
 from aslip.collect.distributed import DistributedCollectors
 from aslip.collect.local import LocalCollector
-from aslip.collect.make import CollectorKind, check_shares, make_collector
+from aslip.collect.make import make_collector
 from aslip.collect.ray import RayCollectors
 from aslip.collect.remote import SENT, RemoteCollectors
+from aslip.settings import CollectorKind, check_shares
 
 __all__ = [
     "SENT",

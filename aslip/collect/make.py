@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
-from typing import Literal, get_args
+from typing import get_args
 
 from torch import nn
 
@@ -13,9 +13,8 @@ from aslip.collect.distributed import DistributedCollectors
 from aslip.collect.local import LocalCollector
 from aslip.collect.ray import RayCollectors
 from aslip.errors import ConfigurationError
+from aslip.settings import CollectorKind, check_shares
 from aslip.stack import CassieTransformedEnv
-
-CollectorKind = Literal["single", "distributed", "ray"]
 
 
 def make_collector(
@@ -55,21 +54,3 @@ def make_collector(
         raise ConfigurationError("the collector 'ray' needs Ray: pip install 'aslip[ray]'")
     remote = DistributedCollectors if kind == "distributed" else RayCollectors
     return remote(make_env, actor, num_envs, samples, num_collectors, seed)
-
-
-def check_shares(num_envs: int, samples: int, num_collectors: int) -> None:
-    """Check that each collector gets as many robots, and each robot as many samples.
-
-    Raises:
-        ConfigurationError: it does not.
-    """
-    if num_collectors < 1:
-        raise ConfigurationError(f"num_collectors must be 1 or more, got {num_collectors}")
-    if num_envs % num_collectors:
-        raise ConfigurationError(
-            f"num_envs must be a multiple of num_collectors = {num_collectors}, got {num_envs}"
-        )
-    if samples % num_envs:
-        raise ConfigurationError(
-            f"samples must be a multiple of num_envs = {num_envs}, got {samples}"
-        )

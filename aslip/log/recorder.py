@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any
 
 import mujoco
 from tensordict import TensorDictBase
@@ -31,8 +31,7 @@ from aslip.log.session import Session, require_one_model
 from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
 from aslip.provenance import commit, versions
-
-JointRate = Literal["policy", "physics"]
+from aslip.settings import JointRate
 
 CONFIG_FILE = "config.json"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Literal, get_args
+from typing import get_args
 
 from torchrl.envs.transforms import Transform
 
@@ -12,12 +12,11 @@ from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
 from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
+from aslip.settings import Backend, RewardSource
 from aslip.stack.edit import edited
 from aslip.stack.environment import CassieTransformedEnv, check_seed
-from aslip.stack.stacks import STACKS, RewardSource, Stack
+from aslip.stack.stacks import STACKS, Stack
 from aslip.stack.wiring import check_wiring
-
-Backend = Literal["batch", "dm_control"]
 
 
 def make_env(

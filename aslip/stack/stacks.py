@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from tensordict.utils import NestedKey
 from torchrl.envs.transforms import StepCounter, Transform
@@ -15,6 +15,7 @@ from aslip import rewards, single_reference
 from aslip.library import GaitLibrary, single_reference_library
 from aslip.library.build import PAPER_SPEEDS
 from aslip.rewards import PAPER_WEIGHTS
+from aslip.settings import RewardSource
 from aslip.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
@@ -37,8 +38,6 @@ from aslip.transforms import (
     TrueState,
     WeightedReward,
 )
-
-RewardSource = Literal["truth", "estimate"]
 
 Stack = dict[str, Callable[[], Transform]]
 """Name -> what makes a transform, first to last."""

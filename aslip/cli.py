@@ -1,0 +1,85 @@
+"""Command lines of programs: a dataclass of settings becomes flags, a mistake becomes one line.
+
+Programs parse before they import PyTorch, so that `--help` and a typing slip cost no seconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import io
+import shlex
+import sys
+from collections.abc import Sequence
+from dataclasses import fields
+from typing import Any, NoReturn, TypeVar
+
+from aslip.errors import AslipError
+
+Settings = TypeVar("Settings")
+
+
+def command_line(
+    kind: type[Settings], default: Settings | None = None, arguments: Sequence[str] | None = None
+) -> Settings:
+    """Settings from flags, which are named as the fields of a dataclass.
+
+    Args:
+        kind: the dataclass.
+        default: settings that are not given; the dataclass's own by default.
+        arguments: words of the command line; those of this program by default.
+
+    Raises:
+        SystemExit: the help was asked for, or the command line is wrong, which is told in one line
+            (exit status 2).
+    """
+    import tyro
+
+    given: dict[str, Any] = {} if default is None else {"default": default}
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            settings, unknown = tyro.cli(kind, args=arguments, return_unknown_args=True, **given)
+    except AslipError as error:
+        usage_error(str(error))
+    except SystemExit as stop:
+        if not stop.code:
+            raise
+        usage_error(_reason(stop, said.getvalue()))
+    if unknown:
+        usage_error(_unknown(unknown[0], kind))
+    return settings
+
+
+def usage_error(message: str) -> NoReturn:
+    """End the program for a wrong command line: say what is wrong and where help is."""
+    print(f"error: {message}\nfor all options: {program()} --help", file=sys.stderr)
+    raise SystemExit(2)
+
+
+def program() -> str:
+    """Command that started this program, without its arguments."""
+    spec = getattr(sys.modules["__main__"], "__spec__", None)
+    if spec is not None:
+        return f"python -m {spec.name.removesuffix('.__main__')}"
+    return shlex.join(["python", sys.argv[0]])
+
+
+def _reason(stop: SystemExit, said: str) -> str:
+    """Message of this package's error that ended a parser, or the first paragraph of its own."""
+    cause: BaseException | None = stop
+    while cause is not None:
+        if isinstance(cause, AslipError):
+            return str(cause)
+        cause = cause.__context__
+    lines = [line.strip("│ ") for line in said.splitlines() if line.startswith("│")]
+    paragraph = "\n".join(lines).partition("\n──")[0]
+    return " ".join((paragraph or said).split())
+
+
+def _unknown(word: str, kind: Any) -> str:
+    """Message about a word that is no flag, with the nearest one."""
+    flags = ["--" + field.name.replace("_", "-") for field in fields(kind)]
+    near = difflib.get_close_matches(word.partition("=")[0].replace("_", "-"), flags, n=1)
+    hint = f", did you mean {near[0]}?" if near else ""
+    return f"no option {word!r}{hint}"

@@ -1,0 +1,205 @@
+"""Command lines: parsed before anything heavy is imported, and mistakes told in one style."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+
+from aslip.cli import command_line, program
+from aslip.errors import ConfigurationError, one_line_errors
+from aslip.ppo_settings import (
+    PRESETS,
+    Config,
+    kept_settings,
+    resume_command,
+    training_settings,
+    with_schedule,
+)
+from aslip.run import TrainingRun
+from aslip.settings import SETTINGS_FILE
+
+ROOT = Path(__file__).parent.parent
+
+
+@dataclass(frozen=True)
+class Flags:
+    """What to do."""
+
+    clip: float = 0.2
+    total_steps: int = 10
+
+    def __post_init__(self) -> None:
+        if self.clip < 0:
+            raise ConfigurationError(f"clip must be positive, got {self.clip}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--clip", "-1"], "clip must be positive, got -1.0"),
+        (["--total-stps", "5"], "no option '--total-stps', did you mean --total-steps?"),
+        (["walk"], "no option 'walk'"),
+        (["--clip", "much"], "--clip"),
+        (["--clip"], "--clip"),
+    ],
+)
+def test_a_slip_is_told_in_one_line_with_the_way_to_help(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as info:
+        command_line(Flags, arguments=arguments)
+    assert info.value.code == 2
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("error: ")
+    assert message in first
+    assert second == f"for all options: {program()} --help"
+
+
+def test_flags_are_read_on_top_of_defaults() -> None:
+    assert command_line(Flags, arguments=["--total-steps", "3"]) == Flags(total_steps=3)
+    assert command_line(Flags, Flags(clip=0.5), ["--total-steps", "3"]) == Flags(0.5, 3)
+
+
+def test_ctrl_c_has_its_usual_exit_status() -> None:
+    with pytest.raises(SystemExit) as info, one_line_errors():
+        raise KeyboardInterrupt
+    assert info.value.code == 128 + signal.SIGINT
+
+
+# ---------------------------------------------------------------------- training
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Config:
+    """Settings of a run of the paper's preset in a folder."""
+    config = replace(PRESETS["paper"], out=tmp_path / "my run", seed=3, total_steps=1000)
+    TrainingRun(config.out, with_schedule(config), resume=False)
+    return config
+
+
+def test_a_preset_gives_the_settings_that_are_not_given() -> None:
+    assert training_settings(arguments=[]) == PRESETS["default"]
+    assert training_settings(arguments=["--preset", "paper"]) == PRESETS["paper"]
+    given = training_settings(arguments=["--preset", "paper", "--seed", "3"])
+    assert given == replace(PRESETS["paper"], seed=3)
+
+
+def test_a_resumed_run_keeps_its_settings(run: Config) -> None:
+    """Only what is given differs, and the schedule does not follow the number of steps."""
+    resumed = training_settings(arguments=["--resume", "--out", str(run.out)])
+    assert resumed == replace(run, resume=True, schedule_steps=1000)
+    longer = ["--resume", "--out", str(run.out), "--total-steps", "3000"]
+    assert training_settings(arguments=longer) == replace(resumed, total_steps=3000)
+    TrainingRun(run.out, replace(resumed, total_steps=3000), resume=True)
+    assert training_settings(arguments=longer[:3]).total_steps == 3000
+    assert training_settings(arguments=longer[:3]).schedule_steps == 1000
+
+
+def test_a_run_of_another_version_is_refused(
+    run: Config, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = run.out / SETTINGS_FILE
+    file.write_text(file.read_text().replace('"clip"', '"old_clip"'))
+    with pytest.raises(ConfigurationError, match=r"another version.*\['old_clip'\]"):
+        kept_settings(run.out)
+    with pytest.raises(SystemExit):
+        training_settings(arguments=["--resume", "--out", str(run.out)])
+    assert "error: the run in" in capsys.readouterr().err
+
+
+def test_what_is_no_run_cannot_be_resumed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        training_settings(arguments=["--resume", "--out", str(tmp_path)])
+    assert "holds no run to resume" in capsys.readouterr().err
+
+
+def test_the_command_to_go_on_names_the_folder(run: Config) -> None:
+    assert resume_command(run) == f"{program()} --resume --out '{run.out}'"
+
+
+_TINY = (
+    "--num-envs 8 --samples 64 --minibatch 32 --checkpoint-minutes 0 --total-steps 100000000"
+    " --eval-interval 1000000000"
+)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_training_that_is_told_to_stop_saves_and_says_so(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    out, recipe = tmp_path / "run", "recipes/ppo_aslip.py"
+    command = [sys.executable, recipe, "--out", str(out), *_TINY.split()]
+    process = subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        until = time.monotonic() + 240
+        while not list(out.glob("checkpoints/*.torchrl")) and time.monotonic() < until:
+            assert process.poll() is None, process.communicate()[1]
+            time.sleep(0.1)
+        process.send_signal(number)
+        told, said = process.communicate(timeout=120)
+    finally:
+        process.kill()
+    assert process.returncode == 128 + number
+    go_on = f"python {recipe} --resume --out {out}"
+    assert f"to go on: {go_on}" in told
+    assert f"to go on: {go_on}" in said
+    assert "saved in" in said
+    assert not (out / "policy.zip").exists()
+    assert max(out.glob("checkpoints/*.torchrl")).name in said
+
+
+# ----------------------------------------------------------------------- imports
+
+_HEAVY = ("torch", "torchrl", "tensordict", "mujoco", "dm_control", "pinocchio", "casadi", "scipy")
+
+_LOADED = """
+import contextlib, io, runpy, sys
+with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+    for name in sys.argv[2:]:
+        script = name.endswith(".py")
+        for word in ("--help", "--no-such-option"):
+            sys.argv = [name, word]
+            try:
+                (runpy.run_path if script else runpy.run_module)(name, run_name="__main__")
+            except SystemExit as stop:
+                assert stop.code == (2 if word != "--help" else 0), (name, word, stop.code)
+            else:
+                raise AssertionError(f"{name} {word} did something")
+            found = sorted({module.split(".")[0] for module in sys.modules} & HEAVY)
+            assert not found, (name, word, found)
+""".replace("HEAVY", repr(set(_HEAVY)))
+
+
+def _programs() -> list[str]:
+    """Scripts by path, modules by name."""
+    scripts = [path for path in (ROOT / "recipes").glob("*.py")]
+    modules = [path for path in (ROOT / "benchmarks").rglob("*.py")]
+    names = [str(path.relative_to(ROOT)) for path in scripts if _runs(path)]
+    for path in filter(_runs, modules):
+        names.append(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    return sorted([*names, "aslip.log"])
+
+
+def _runs(path: Path) -> bool:
+    return "if __name__ ==" in path.read_text()
+
+
+@pytest.mark.parametrize("name", _programs())
+def test_help_and_slips_cost_no_heavy_imports(name: str) -> None:
+    command = [sys.executable, "-c", _LOADED, "-", name.removesuffix(".__main__")]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'recipes'}"}
+    result = subprocess.run(
+        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0, result.stderr
