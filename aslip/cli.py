@@ -65,6 +65,11 @@ def program() -> str:
     return shlex.join(["python", sys.argv[0]])
 
 
+def this_command() -> str:
+    """Command that started this program, with its arguments."""
+    return f"{program()} {shlex.join(sys.argv[1:])}".rstrip()
+
+
 def _reason(stop: SystemExit, said: str) -> str:
     """Message of this package's error that ended a parser, or the first paragraph of its own."""
     cause: BaseException | None = stop

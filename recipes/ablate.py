@@ -12,19 +12,66 @@ paper's reward, whatever they were rewarded for.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.cli import command_line, this_command
+from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError, one_line_errors
+
+NAMES = (
+    "default", "no_com_vel", "no_foot_pos", "no_straight_diff", "no_foot_orient", "no_action_diff",
+    "no_delta", "no_feedforward", "no_symmetry", "no_model_inputs", "pendulum", "truth",
+    "reward_on_estimate", "no_delay", "no_reflected_inertia",
+)  # fmt: skip
+"""Names of the variants."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to train."""
+
+    variants: tuple[str, ...] = NAMES
+    """Which, by name."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Of each variant."""
+    total_steps: int = 500_000
+    """Policy steps of each training."""
+    num_envs: int = 256
+    """Robots simulated side by side."""
+    out: Path = Path("runs/ablation")
+    """Folder of all trainings, the table and the numbers."""
+    list: bool = False
+    """Only say which variants there are."""
+
+    def __post_init__(self) -> None:
+        """Check the names.
+
+        Raises:
+            UnknownNameError: there is no such variant.
+            ConfigurationError: there is nothing to train.
+        """
+        for name in self.variants:
+            if name not in NAMES:
+                raise UnknownNameError.among("variant", name, NAMES)
+        if not self.variants or not self.seeds:
+            raise ConfigurationError("name at least one variant and one seed")
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, field, replace
 from datetime import timedelta
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import ppo_aslip
 import torch
-import tyro
 from scipy import stats
 from tensordict import TensorDictBase
 from torchrl.data import Composite
@@ -32,12 +79,12 @@ from torchrl.data import Composite
 import aslip
 from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices, load_model
-from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError, one_line_errors
 from aslip.evaluation import WalkResult
 from aslip.library import pendulum_library
 from aslip.rewards import PAPER_WEIGHTS
-from aslip.run import TrainingStoppedError, steps_done, write_text
-from aslip.stack import MAX_EPISODE_STEPS, Stack, default_stack, insert_before
+from aslip.run import write_text
+from aslip.settings import SETTINGS_FILE, read_settings
+from aslip.stack import MAX_EPISODE_STEPS, Stack, commanded, default_stack, insert_before
 from aslip.tables import markdown
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
@@ -54,6 +101,8 @@ _CONFIDENCE = 0.95
 _RESULTS = "results.json"
 # evaluations on the way cost a tenth of so short a training [policy steps]
 _NEVER = 10**12
+# a duration is estimated from so many policy steps, and updates take this much more than them
+_TIMED_STEPS, _UPDATES_TOO = 4, 1.2
 
 
 class StandingBaseline(CassieTransform):
@@ -141,45 +190,20 @@ VARIANTS: Mapping[str, Variant] = {
 """Name -> what differs from the default."""
 
 
-@dataclass(frozen=True)
-class Config:
-    """What to train."""
+def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, list[WalkResult]]]:
+    """Train what is missing, and print and write the table; returns the walks.
 
-    variants: tuple[str, ...] = tuple(VARIANTS)
-    """Which, by name."""
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """Of each variant."""
-    total_steps: int = 500_000
-    """Policy steps of each training."""
-    num_envs: int = 256
-    """Robots simulated side by side."""
-    out: Path = Path("runs/ablation")
-    """Folder of all trainings, the table and the numbers."""
-    list: bool = False
-    """Only say which variants there are."""
-
-    def __post_init__(self) -> None:
-        """Check the names.
-
-        Raises:
-            UnknownNameError: there is no such variant.
-            ConfigurationError: there is nothing to train.
-        """
-        for name in self.variants:
-            if name not in VARIANTS:
-                raise UnknownNameError(f"no variant {name!r}; there are {list(VARIANTS)}")
-        if not self.variants or not self.seeds:
-            raise ConfigurationError("name at least one variant and one seed")
-
-
-def main(config: Config) -> dict[str, dict[int, list[WalkResult]]]:
-    """Train what is missing, and print and write the table; returns the walks."""
+    Args:
+        config: what to train.
+        go_on: how to continue after an interruption, for messages.
+    """
     if config.list:
         print("\n".join(f"{name:24s}{variant.question}" for name, variant in VARIANTS.items()))
         return {}
     jobs = [(seed, name) for seed in config.seeds for name in config.variants]
     found: dict[str, dict[int, list[WalkResult]]] = {}
     durations: list[float] = []
+    print(announcement(config, len(jobs)), flush=True)
     for i, (seed, name) in enumerate(jobs):
         folder = config.out / f"{name}-{seed}"
         results = read_results(folder, config)
@@ -190,7 +214,7 @@ def main(config: Config) -> dict[str, dict[int, list[WalkResult]]]:
                 left = f", about {timedelta(seconds=seconds)} left"
             print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
             start = time.perf_counter()
-            results = train(config, folder, VARIANTS[name], seed)
+            results = train(config, folder, VARIANTS[name], seed, go_on)
             durations.append(time.perf_counter() - start)
         found.setdefault(name, {})[seed] = results
         write_text(config.out / "ablation.md", table(found, config.total_steps) + "\n")
@@ -198,12 +222,46 @@ def main(config: Config) -> dict[str, dict[int, list[WalkResult]]]:
     return found
 
 
-def train(config: Config, folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
+def announcement(config: Config, count: int) -> str:
+    """Words at the start: how many trainings there are, and how long all take."""
+    done = sum(path.exists() for path in _result_files(config))
+    if done == count:
+        return f"all of {count} trainings are done"
+    seconds = (count - done) * estimated_seconds(config)
+    about = timedelta(seconds=60 * max(1, round(seconds / 60)))
+    return (
+        f"{count - done} of {count} trainings to go, {config.total_steps} policy steps each: about"
+        f" {about} (hours:minutes:seconds) on this machine; Ctrl-C saves, and what is done is kept"
+    )
+
+
+def _result_files(config: Config) -> list[Path]:
+    return [config.out / f"{n}-{s}" / _RESULTS for s in config.seeds for n in config.variants]
+
+
+def estimated_seconds(config: Config) -> float:
+    """Duration of a training and its evaluation, from some policy steps of as many robots."""
+    env = aslip.make_env(num_envs=config.num_envs)
+    env.rollout(1)
+    start = time.perf_counter()
+    env.rollout(_TIMED_STEPS, break_when_any_done=False)
+    seconds = (time.perf_counter() - start) / (_TIMED_STEPS * config.num_envs)
+    speeds = len(commanded(env))
+    env.close()
+    return seconds * (_UPDATES_TOO * config.total_steps + speeds * MAX_EPISODE_STEPS)
+
+
+def train(
+    config: Config, folder: Path, variant: Variant, seed: int, go_on: str
+) -> list[WalkResult]:
     """One training, resumed if it was interrupted.
 
     Raises:
-        TrainingStoppedError: it was interrupted again, and is no result.
+        ConfigurationError: it was begun with another budget.
     """
+    resume = (folder / SETTINGS_FILE).exists()
+    if resume:
+        check_budget(folder, read_settings(folder)[0], config)
     settings = replace(
         ppo_aslip.PRESETS["default"],
         out=folder,
@@ -211,16 +269,10 @@ def train(config: Config, folder: Path, variant: Variant, seed: int) -> list[Wal
         total_steps=config.total_steps,
         num_envs=config.num_envs,
         eval_interval=_NEVER,
-        resume=(folder / "config.json").exists(),
+        resume=resume,
         **variant.settings,
     )
-    results = ppo_aslip.main(settings, variant.edits())
-    done = steps_done(folder)
-    if done < config.total_steps:
-        raise TrainingStoppedError(
-            f"stopped after {done} of {config.total_steps} policy steps of {folder.name}; the same"
-            " command goes on"
-        )
+    results = ppo_aslip.main(settings, variant.edits(), go_on)
     kept = {**budget(config), "walks": [asdict(result) for result in results]}
     write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
     return results
@@ -244,18 +296,23 @@ def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
         return None
     try:
         kept = json.loads(path.read_text())
-        other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
         walks = [WalkResult(**walk) for walk in kept["walks"]]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise FileDamagedError(
             f"{str(path)!r} is damaged ({error}); without it the training is evaluated again"
         ) from error
+    check_budget(folder, kept, config)
+    return walks
+
+
+def check_budget(folder: Path, kept: Mapping[str, Any], config: Config) -> None:
+    """Raise ConfigurationError if a training, finished or begun, had another budget."""
+    other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
     if other:
         raise ConfigurationError(
             f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"
             " --out"
         )
-    return walks
 
 
 def measures(results: Sequence[WalkResult]) -> dict[str, float]:
@@ -281,8 +338,18 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
         rows.append([name, str(len(judged)), *cells])
     header = ["variant", "seeds", *measures(next(iter(next(iter(found.values())).values())))]
     text = markdown(header, rows, ["---", *["---:"] * (len(header) - 1)])
-    best = f"The largest return is {MAX_EPISODE_STEPS}."
-    return f"{text}\n\n{total_steps} policy steps each; mean and 95 % interval over seeds. {best}"
+    return f"{text}\n\n{total_steps} policy steps each; {_cells(found)}."
+
+
+def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
+    """Words about what a table's cells are."""
+    seeds = [len(by_seed) for by_seed in found.values()]
+    told = "mean and 95 % interval over seeds"
+    if max(seeds) == 1:
+        told = "values of one seed, which decide nothing that is small: seeds differ"
+    elif min(seeds) == 1:
+        told += ", where a variant has several"
+    return f"{told}; the largest return is {MAX_EPISODE_STEPS}"
 
 
 def interval(values: Sequence[float]) -> str:
@@ -297,4 +364,4 @@ def interval(values: Sequence[float]) -> str:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG, go_on=this_command())

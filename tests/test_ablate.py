@@ -15,7 +15,6 @@ import aslip
 from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
 from aslip.evaluation import evaluate
 from aslip.rewards import PAPER_WEIGHTS
-from aslip.run import TrainingStoppedError
 
 
 @pytest.fixture(autouse=True)
@@ -72,10 +71,17 @@ def test_without_the_models_inputs_the_policy_sees_clock_and_speed() -> None:
 def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first = ablate.main(tiny(tmp_path, "default"))
     assert "1 of 1: default, seed 0" in capsys.readouterr().out
+    # one seed has no interval
+    shown = (tmp_path / "ablation.md").read_text()
+    assert "values of one seed" in shown
+    assert "interval" not in shown
+    assert "±" not in shown
     both = ablate.main(tiny(tmp_path, "default", "no_symmetry", seeds=(0, 1)))
     printed = capsys.readouterr().out
-    assert "default, seed 0" not in printed
+    assert "of 4: default, seed 0" not in printed
     assert "left" in printed
+    shown = (tmp_path / "ablation.md").read_text()
+    assert "mean and 95 % interval over seeds; the largest" in shown
     assert both["default"][0] == first["default"][0]
     rows = (tmp_path / "ablation.md").read_text().splitlines()
     assert [row.split("|")[1].strip() for row in rows[2:4]] == ["default", "no_symmetry"]
@@ -83,9 +89,9 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_an_interrupted_training_is_no_result(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The same command goes on where it stopped."""
+    """The same command goes on where it stopped, with the same budget."""
     config = ablate.replace(tiny(tmp_path, "default", "no_symmetry"), total_steps=32)
     update, calls = ablate.ppo_aslip.update, []
 
@@ -96,8 +102,15 @@ def test_an_interrupted_training_is_no_result(
         return update(*args)
 
     monkeypatch.setattr(ablate.ppo_aslip, "update", interrupted)
-    with pytest.raises(TrainingStoppedError, match=r"16 of 32 policy steps of default-0"):
-        ablate.main(config)
+    with pytest.raises(KeyboardInterrupt):
+        ablate.main(config, go_on="python ablate.py --seeds 0")
+    said = capsys.readouterr().err
+    assert "interrupted after 16 policy steps" in said
+    assert "default-0" in said
+    assert "to go on: python ablate.py --seeds 0\n" in said
+    other = ablate.replace(config, total_steps=64)
+    with pytest.raises(ConfigurationError, match=r"default-0.*total_steps.*--out"):
+        ablate.main(other)
     assert not list(tmp_path.glob("*/results.json"))
     assert not (tmp_path / "no_symmetry-0").exists()
     found = ablate.main(config)
@@ -120,6 +133,37 @@ def test_another_budget_is_refused(tmp_path: Path) -> None:
     for change in ({"total_steps": 32}, {"num_envs": 8}):
         with pytest.raises(ConfigurationError, match=rf"default-0.*{next(iter(change))}.*--out"):
             ablate.main(ablate.replace(tiny(tmp_path, "default"), **change))
+
+
+def test_the_start_says_how_long_what_is_left_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tiny(tmp_path, "default", "no_delta", seeds=(0, 1))
+    monkeypatch.setattr(ablate, "estimated_seconds", lambda _: 3000.0)
+    assert "4 of 4 trainings to go, 16 policy steps each: about 3:20:00 " in ablate.announcement(
+        config, 4
+    )
+    (tmp_path / "no_delta-1").mkdir()
+    (tmp_path / "no_delta-1" / "results.json").write_text("{}")
+    assert "3 of 4 trainings to go, 16 policy steps each: about 2:30:00 " in ablate.announcement(
+        config, 4
+    )
+
+
+def test_a_longer_training_is_estimated_to_take_longer(tmp_path: Path) -> None:
+    """In proportion, and its evaluation is never forgotten."""
+    config = tiny(tmp_path, "default")
+    assert 0 < ablate.estimated_seconds(config) < 1e3
+    longer = ablate.estimated_seconds(ablate.replace(config, total_steps=10**9))
+    assert longer > 100 * ablate.estimated_seconds(config)
+
+
+def test_the_names_on_the_command_line_are_those_of_the_variants() -> None:
+    assert tuple(VARIANTS) == ablate.NAMES
+
+
+def test_a_mixed_table_says_where_it_has_intervals() -> None:
+    assert "several" in ablate._cells({"default": {0: [], 1: []}, "truth": {0: []}})
 
 
 def test_unknown_variants_are_refused() -> None:
