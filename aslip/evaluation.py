@@ -7,17 +7,21 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from numbers import Integral
+from typing import Final
 
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from aslip.cassie import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
+from aslip.cassie import POLICY_PERIOD, STANDARD_GRAVITY
 from aslip.errors import ConfigurationError
 from aslip.stack import MAX_EPISODE_STEPS, CassieTransformedEnv
 from aslip.tables import markdown
 from aslip.transforms import SpeedCommand
+
+TRACKING_TOLERANCE: Final = 0.2
+"""Difference of mean and commanded speed up to which a walk tracks its command [m/s]."""
 
 # share of the weight that feet carry on the long run, and what the pelvis may bob up and down [m/s]
 _ON_FEET, _BOB = 0.95, 0.5
@@ -25,7 +29,11 @@ _ON_FEET, _BOB = 0.95, 0.5
 
 @dataclass(frozen=True)
 class WalkResult:
-    """One episode at one commanded speed."""
+    """One episode at one commanded speed.
+
+    Whether the robot `survived`, stayed `on_feet` and `tracked` its command are three results; a
+    walk that succeeds has all of them.
+    """
 
     speed: float
     """Commanded speed [m/s]."""
@@ -40,14 +48,20 @@ class WalkResult:
     lateral_drift: float
     """Distance of the pelvis from the line y = 0 at the end [m]."""
     weight_ratio: float
-    """Mean vertical ground force over the robot's weight; one when nothing else carries it."""
+    """Mean vertical ground force over the weight of the robot as it is, with its mass and payload;
+    one when nothing but the feet carries it."""
     terms: dict[str, float]
     """Mean of each reward term."""
 
     @property
-    def walked(self) -> bool:
-        """Whether it survived on its feet; robots also learn to shuffle along on their heels."""
-        return self.survived and on_feet(self.weight_ratio, self.steps * POLICY_PERIOD)
+    def on_feet(self) -> bool:
+        """Whether feet carried the robot; robots also learn to shuffle along on their heels."""
+        return on_feet(self.weight_ratio, self.steps * POLICY_PERIOD)
+
+    @property
+    def tracked(self) -> bool:
+        """Whether the mean speed is that of the command, to `TRACKING_TOLERANCE`."""
+        return tracks(self.speed, self.mean_speed)
 
 
 def on_feet(weight_ratio: float, duration: float) -> bool:
@@ -58,6 +72,16 @@ def on_feet(weight_ratio: float, duration: float) -> bool:
         duration: time that the mean is over [s].
     """
     return weight_ratio > _ON_FEET - _BOB / (STANDARD_GRAVITY * duration)
+
+
+def tracks(speed: float, mean_speed: float) -> bool:
+    """Whether a mean speed is that of the command, to `TRACKING_TOLERANCE`; NaN is not.
+
+    Args:
+        speed: commanded [m/s].
+        mean_speed: measured [m/s].
+    """
+    return abs(mean_speed - speed) <= TRACKING_TOLERANCE
 
 
 @torch.no_grad()
@@ -111,7 +135,7 @@ def evaluate(
             if not alive.any():
                 break
             td = step_mdp(td)
-    weight = TOTAL_MASS * STANDARD_GRAVITY
+    weight = env.base_env.weight
     return [
         WalkResult(
             speed=float(speeds[i]),
@@ -120,7 +144,7 @@ def evaluate(
             total=float(total[i]),
             mean_speed=float((position[i, 0] - start_x[i]) / (steps[i] * POLICY_PERIOD)),
             lateral_drift=float(position[i, 1].abs()),
-            weight_ratio=float(force[i] / steps[i] / weight),
+            weight_ratio=float(force[i] / steps[i] / weight[i]),
             terms={name: float(term[i] / steps[i]) for name, term in terms.items()},
         )
         for i in range(len(speeds))
@@ -158,9 +182,11 @@ def walk_table(results: Sequence[WalkResult]) -> str:
         for r in results
     ]
     mean = sum(r.total for r in results) / len(results)
-    walked = sum(r.walked for r in results)
-    summary = f"{walked} of {len(results)} speeds walked; mean return {mean:.1f}"
-    leaning = sum(r.survived and not r.walked for r in results)
-    if leaning:
-        summary += f"; at {leaning} more it leans on something else than its feet"
+    survived, on_feet, tracked = (
+        sum(getattr(r, name) for r in results) for name in ("survived", "on_feet", "tracked")
+    )
+    summary = (
+        f"of {len(results)} speeds {survived} survived, {on_feet} on the feet,"
+        f" {tracked} tracked within {TRACKING_TOLERANCE:g} m/s; mean return {mean:.1f}"
+    )
     return f"{markdown(header, rows)}\n\n{summary}"

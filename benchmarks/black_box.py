@@ -130,7 +130,7 @@ def overhead(config: Config, library: GaitLibrary, folder: Path) -> dict[str, fl
 
 
 def portions(walkers: dict[str, Walker]) -> dict[str, np.ndarray]:
-    """Seconds of each portion of an episode, walked by all in turn."""
+    """Seconds of each portion of an episode, of all walkers in turn."""
     spent: dict[str, list[float]] = {name: [] for name in walkers}
     order = list(walkers)
     for _ in range(_EPISODE // _PORTION):

@@ -23,6 +23,7 @@ import tyro
 
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import one_line_errors
+from aslip.evaluation import TRACKING_TOLERANCE
 from aslip.metrics import Placement, leg_length_correlation
 from aslip.run import read_progress, write_text
 from aslip.tables import markdown
@@ -98,7 +99,8 @@ CLAIMS: tuple[Claim, ...] = (
     Claim("training time", "V: just under five hours on 50 cores", "5", "h", at_most=5),
     Claim(
         "all speeds",
-        "V: able to track all of the walk cycles in the library; walked on its feet",
+        "V: able to track all of the walk cycles in the library; survived on its feet,"
+        f" mean speed within {TRACKING_TOLERANCE:g} m/s",
         "all",
         "of 21",
         at_least=21,
@@ -327,17 +329,22 @@ def cost(policies: Sequence[str]) -> Values:
 def tracking(numbers: dict[str, Any]) -> Values:
     """Claims on speed."""
     rows = numbers["map"]
-    off = [[abs(walked - row["command"]) for walked in row["each"]] for row in rows]
+    off = [[abs(mean - row["command"]) for mean in row["each"]] for row in rows]
     slow = [off[i] for i, row in enumerate(rows) if row["command"] <= _SLOW + 1e-6]
     steps, spikes = [row["each"] for row in numbers["steps"]], numbers["spike"]["each"]
     return {
-        "all speeds": np.sum([row["walked"] for row in rows], axis=0).tolist(),
+        "all speeds": np.sum([_all_held(row) for row in rows], axis=0).tolist(),
         "velocity tracking": worst(off),
         "slow walking": worst(slow),
         "smooth transitions": np.isfinite([s["steady_error"] for s in steps]).sum(axis=0).tolist(),
         "settling": worst([s["settling"] for s in steps]),
         "touchdown spikes": [s["robot"] / s["model"] for s in spikes],
     }
+
+
+def _all_held(row: dict[str, Any]) -> np.ndarray:
+    """(seeds,) whether a walk survived on its feet and tracked its command."""
+    return np.all([row[key] for key in ("survived", "on_feet", "tracked")], axis=0)
 
 
 def feet(placements: dict[float, list[Placement]]) -> Values:

@@ -90,7 +90,7 @@ def main(config: Config) -> None:
     else:
         walker = Walker(config.policy, library=library, speed=speed)
         with closing(walker.env):
-            stride = walked_stride(walker, wanted, config.settle)
+            stride = simulated_stride(walker, wanted, config.settle)
     save_figure(draw(stride, config), config.out)
     print(config.out)
 
@@ -112,7 +112,7 @@ def kinematic_stride(library: aslip.GaitLibrary, speed: float, phase: np.ndarray
     return Stride(phase, qpos.numpy(), [Ghost.of(instants, i) for i in range(len(phase))])
 
 
-def walked_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Stride:
+def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Stride:
     """The first whole stride after a while of walking, at the policy steps nearest to the phases.
 
     Args:

@@ -83,7 +83,7 @@ def main(config: Config) -> dict[float, list[Placement]]:
             speed: [placed(walk, i, speed, library) for walk in walks]
             for i, speed in enumerate(config.speeds)
         }
-    figure = picture({speed: walked(placements) for speed, placements in measured.items()})
+    figure = picture({speed: unfallen(placements) for speed, placements in measured.items()})
     write_report(config, "foot_placement", numbers(measured), table(measured), figure)
     return measured
 
@@ -108,7 +108,7 @@ def numbers(measured: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
     """Everything, for machines."""
     rows = []
     for speed, every in measured.items():
-        placements = walked(every)
+        placements = unfallen(every)
         interval = Interval.of([p.error for p in placements])
         sides = {
             f"{side}_{axis}": _mean([p.offset[p.side == i, k].mean() for p in placements])
@@ -122,7 +122,7 @@ def numbers(measured: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
                 "std": _mean([p.error.std() for p in placements]),
                 "outward": _mean([p.outward.mean() for p in placements]),
                 "footsteps": sum(len(p.error) for p in placements),
-                "walked": len(placements),
+                "survived": len(placements),
                 "policies": len(every),
                 "published": published(speed),
                 **sides,
@@ -135,11 +135,11 @@ def table(measured: dict[float, list[Placement]]) -> str:
     """A row a speed."""
     header = [
         "command m/s", "error cm", "std cm", "forward cm", "outward cm", "width cm",
-        "walked", "published cm",
+        "survived", "published cm",
     ]  # fmt: skip
     rows = []
     for speed, every in measured.items():
-        placements = walked(every)
+        placements = unfallen(every)
         error = Interval.of([p.error for p in placements])
         forward = Interval.of([p.offset[:, 0] for p in placements])
         outward = Interval.of([p.outward for p in placements])
@@ -160,7 +160,7 @@ def table(measured: dict[float, list[Placement]]) -> str:
     return markdown(header, rows)
 
 
-def walked(placements: Sequence[Placement]) -> list[Placement]:
+def unfallen(placements: Sequence[Placement]) -> list[Placement]:
     """Those of robots that did not fall."""
     return [p for p in placements if np.isfinite(p.error).all()]
 

@@ -36,7 +36,7 @@ from benchmarks.common import Common, environment, nearest_gait, write_report
 # before strides count, and while they do [s]
 _SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
-# a foot that stood less often has not walked
+# a foot that stood less often has not stepped
 _LEAST_STANCES = 3
 _VERTICAL = [-4, -1]  # of both feet, in what is watched
 
@@ -69,7 +69,7 @@ def main(config: Config) -> list[dict[str, Any]]:
     methods = {"ASLIP": config.policy, "single reference": config.baseline}
     runs = [(m, p, v) for m, ps in methods.items() for p in ps for v in config.speeds]
     for method, policy, speed in tqdm(runs, unit="walk", leave=False):
-        force = walked_force(config, library, policy, speed)
+        force = vertical_forces(config, library, policy, speed)
         row: dict[str, Any] = {"method": method, "policy": policy, "speed": speed}
         rows.append(row)
         if force is None:
@@ -95,7 +95,7 @@ def main(config: Config) -> list[dict[str, Any]]:
     return rows
 
 
-def walked_force(
+def vertical_forces(
     config: Config, library: GaitLibrary, policy: str, speed: float
 ) -> np.ndarray | None:
     """(m, 2) vertical forces at 2 kHz after the walk has settled; None if it fell."""
@@ -152,14 +152,14 @@ def table(rows: list[dict[str, Any]]) -> str:
     for method in dict.fromkeys(row["method"] for row in rows):
         for speed in dict.fromkeys(row["speed"] for row in rows):
             found = [r for r in rows if (r["method"], r["speed"]) == (method, speed)]
-            walked = [row for row in found if "failed" not in row]
+            stepped = [row for row in found if "failed" not in row]
             if not found:
                 continue
-            if not walked:
+            if not stepped:
                 cells.append([method, str(round(speed, 3)), found[0]["failed"], *[""] * 5])
                 continue
-            mean = {k: np.mean([r[k] for r in walked]) for k in walked[0] if k in _NUMBERS}
-            ratios = [row["dip_ratio"] for row in walked]
+            mean = {k: np.mean([r[k] for r in stepped]) for k in stepped[0] if k in _NUMBERS}
+            ratios = [row["dip_ratio"] for row in stepped]
             cells.append(
                 [
                     method,
@@ -169,12 +169,12 @@ def table(rows: list[dict[str, Any]]) -> str:
                     f"{mean['duration']:.3f}",
                     f"{mean['impulse']:.0f}",
                     f"{mean['peak']:.0f}",
-                    f"{len(walked)} of {len(found)}",
+                    f"{len(stepped)} of {len(found)}",
                 ]
             )
     header = [
         "method", "command m/s", "humps", "dip ratio [range]", "stance s", "impulse N s", "peak N",
-        "walked",
+        "stepped",
     ]  # fmt: skip
     return markdown(header, cells)
 

@@ -79,7 +79,7 @@ from torchrl.data import Composite
 import aslip
 from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices, load_model
-from aslip.evaluation import WalkResult
+from aslip.evaluation import TRACKING_TOLERANCE, WalkResult
 from aslip.library import pendulum_library
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.run import write_text
@@ -322,7 +322,9 @@ def measures(results: Sequence[WalkResult]) -> dict[str, float]:
         for r in results
     ]
     return {
-        "speeds walked": float(sum(r.walked for r in results)),
+        "survived": float(sum(r.survived for r in results)),
+        "on the feet": float(sum(r.on_feet for r in results)),
+        "tracked": float(sum(r.tracked for r in results)),
         "paper's return": float(np.mean(returns)),
         "speed error m/s": float(np.mean([abs(r.mean_speed - r.speed) for r in results])),
         **{name: float(np.mean([r.terms[name] for r in results])) for name in PAPER_WEIGHTS},
@@ -336,9 +338,14 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
         judged = [measures(results) for results in by_seed.values()]
         cells = [interval([m[key] for m in judged]) for key in judged[0]]
         rows.append([name, str(len(judged)), *cells])
-    header = ["variant", "seeds", *measures(next(iter(next(iter(found.values())).values())))]
+    first = next(iter(next(iter(found.values())).values()))
+    header = ["variant", "seeds", *measures(first)]
     text = markdown(header, rows, ["---", *["---:"] * (len(header) - 1)])
-    return f"{text}\n\n{total_steps} policy steps each; {_cells(found)}."
+    counted = (
+        f"Of {len(first)} speeds those are counted that were survived, on the feet, and tracked"
+        f" within {TRACKING_TOLERANCE:g} m/s."
+    )
+    return f"{text}\n\n{total_steps} policy steps each; {_cells(found)}. {counted}"
 
 
 def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:

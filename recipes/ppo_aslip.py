@@ -295,9 +295,8 @@ def training_env(command_interval: float, **settings: Any) -> CassieTransformedE
     """An environment whose commands change within episodes; those that do so already stay."""
     env = aslip.make_env(**settings)
     for transform in env.transforms:
-        held = isinstance(transform, SpeedCommand) and math.isinf(transform.interval)
-        if held and command_interval:
-            transform.interval = command_interval
+        if isinstance(transform, SpeedCommand) and math.isinf(transform.interval):
+            transform.interval = command_interval or math.inf
     return env
 
 

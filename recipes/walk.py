@@ -233,7 +233,7 @@ def frame(td: TensorDictBase) -> Frame:
 
 
 def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
-    """Commanded and walked speed of each part of the schedule, over its second half."""
+    """Commanded and mean speed of each part of the schedule, over its second half."""
     lines = []
     times = np.array([row["time"] for row in rows])
     ends = [*schedule.times[1:], math.inf]
@@ -241,9 +241,9 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
         middle = (start + min(end, times[-1])) / 2
         part = [row for row in rows if middle < row["time"] <= end]
         if part:
-            walked = np.mean([row["speed"] for row in part])
+            mean = np.mean([row["speed"] for row in part])
             reward = np.mean([row["reward"] for row in part])
-            lines.append([f"{start:g}", f"{speed:.2f}", f"{walked:.3f}", f"{reward:.3f}"])
+            lines.append([f"{start:g}", f"{speed:.2f}", f"{mean:.3f}", f"{reward:.3f}"])
     return markdown(["from s", "command m/s", "speed m/s", "mean reward"], lines)
 
 

@@ -73,6 +73,7 @@ def test_velocity_tracking(tmp_path: Path) -> None:
     commands = [row["command"] for row in numbers["schedule"]]
     assert commands == pytest.approx(velocity_tracking.SCHEDULE)
     assert abs(numbers["map"][0]["mean"] - 0.5) < 0.2
+    assert [numbers["map"][0][key] for key in ("survived", "on_feet", "tracked")] == [[True]] * 3
     assert len(numbers["steps"]) == len(velocity_tracking.STEPS)
     assert numbers["spike"]["model"] > 0
     written(tmp_path, "velocity_tracking")
@@ -101,7 +102,7 @@ def test_ground_reaction(tmp_path: Path) -> None:
 def test_a_robot_that_does_not_walk_has_no_humps(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: np.ndarray | None, failed: str
 ) -> None:
-    monkeypatch.setattr(ground_reaction, "walked_force", lambda *_: force)
+    monkeypatch.setattr(ground_reaction, "vertical_forces", lambda *_: force)
     rows = ground_reaction.main(ground_reaction.Config(**settings(tmp_path, 0.5)))
     assert rows[0]["failed"] == failed
     written(tmp_path, "ground_reaction")
@@ -144,7 +145,13 @@ def test_claims_on_feet() -> None:
 def test_claims_on_speed() -> None:
     offs = ((0.0, 0.02, 0.01), (0.3, -0.04, 0.045), (2.0, -0.3, 0.1))
     mapped = [
-        {"command": c, "each": [c + first, c + second], "walked": [True, True]}
+        {
+            "command": c,
+            "each": [c + first, c + second],
+            "survived": [True, True],
+            "on_feet": [True, True],
+            "tracked": [abs(first) < 0.2, abs(second) < 0.2],
+        }
         for c, first, second in offs
     ]
     steps = [
@@ -154,7 +161,7 @@ def test_claims_on_speed() -> None:
     spike = {"each": [{"robot": 0.1, "model": 0.4}, {"robot": 0.2, "model": 0.4}]}
     numbers = {"map": mapped, "steps": steps, "spike": spike}
     expected = {
-        "all speeds": [3, 3],
+        "all speeds": [2, 3],
         "velocity tracking": [0.3, 0.1],
         "slow walking": [0.04, 0.045],
         "smooth transitions": [2, 1],
@@ -165,8 +172,8 @@ def test_claims_on_speed() -> None:
     assert list(found) == list(expected)
     for name, values in expected.items():
         assert found[name] == pytest.approx(values), name
-    mapped[0]["walked"] = [False, True]  # on its heels, it keeps its speed
-    mapped[2] |= {"each": [2.0, math.nan], "walked": [True, False]}
+    mapped[0]["on_feet"] = [False, True]  # on its heels, it keeps its speed
+    mapped[2] |= {"each": [2.0, math.nan], "survived": [True, False], "tracked": [True, False]}
     found = claims.tracking(numbers)
     assert found["all speeds"] == [2, 2]
     assert np.isnan(found["velocity tracking"]).tolist() == [False, True]
@@ -252,10 +259,10 @@ def test_the_table_of_foot_placement_tells_of_falls() -> None:
     fell = Placement(sides[:1], np.full((1, 2), np.nan), np.full(1, np.nan))
     header, _, row = foot_placement.table({1.0: [*good, fell]}).splitlines()
     cells = dict(zip(header.split(" | "), row.split(" | "), strict=True))
-    assert cells["walked"] == "2 of 3"
+    assert cells["survived"] == "2 of 3"
     assert cells["std cm"] == "0.0"
     (numbers,) = foot_placement.numbers({1.0: [*good, fell]})["rows"]
-    assert (numbers["footsteps"], numbers["walked"], numbers["policies"]) == (4, 2, 3)
+    assert (numbers["footsteps"], numbers["survived"], numbers["policies"]) == (4, 2, 3)
     assert numbers["left_x"] == pytest.approx(0.02)
     (none,) = foot_placement.numbers({1.0: [fell]})["rows"]
     assert none["footsteps"] == 0

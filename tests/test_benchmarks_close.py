@@ -56,7 +56,7 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("made", "falling")
 def test_ground_reaction_of_a_robot_that_falls(library: GaitLibrary) -> None:
     config = ground_reaction.Config()
-    assert ground_reaction.walked_force(config, library, "aslip", 1.0) is None
+    assert ground_reaction.vertical_forces(config, library, "aslip", 1.0) is None
 
 
 @pytest.mark.usefixtures("made", "falling")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
@@ -12,8 +13,9 @@ from tensordict.nn import TensorDictModule
 import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
-from aslip.evaluation import WalkResult, evaluate, walk_table
+from aslip.evaluation import WalkResult, evaluate, tracks, walk_table
 from aslip.library import GaitLibrary
+from aslip.stack import EPISODE_ENDS
 from aslip.transforms import SpeedCommand
 from tests.conftest import MakeEnv
 
@@ -69,7 +71,7 @@ def test_a_stack_without_terms_can_be_evaluated(make: MakeEnv) -> None:
     env = make(num_envs=3, drop=[*terms, "reward", "low_reward"])
     results = evaluate(_still(), env, SPEEDS, num_steps=3)
     assert [result.terms for result in results] == [{}, {}, {}]
-    assert "3 of 3 speeds walked" in walk_table(results)
+    assert "of 3 speeds 3 survived" in walk_table(results)
 
 
 def test_the_table_marks_who_fell(make: MakeEnv) -> None:
@@ -97,17 +99,36 @@ def test_the_table_does_not_round_speeds_to_others() -> None:
     assert "| 1.0 |" in walk_table([replace(result, speed=1.0)])
 
 
-def test_who_leans_on_more_than_its_feet_does_not_walk() -> None:
-    walk = WalkResult(0.25, 400, True, 300.0, 0.2, 0.0, 0.99, {})
-    results = [walk, replace(walk, weight_ratio=0.8), replace(walk, survived=False)]
-    assert [result.walked for result in results] == [True, False, False]
-    assert walk_table(results).endswith(
-        "\n\n1 of 3 speeds walked; mean return 300.0; at 1 more it leans on something else than"
-        " its feet"
+def test_survived_on_feet_and_tracked_are_three_results() -> None:
+    walk = WalkResult(1.0, 400, True, 300.0, 1.1, 0.0, 0.99, {})
+    still = WalkResult(2.0, 400, True, 200.0, 0.0, 0.0, 1.0, {})
+    leaning, fallen = replace(walk, weight_ratio=0.8), replace(walk, survived=False)
+    walks = [walk, still, leaning, fallen]
+    assert [w.survived for w in walks] == [True, True, True, False]
+    assert [w.on_feet for w in walks] == [True, True, False, True]
+    assert [w.tracked for w in walks] == [True, False, True, True]
+    assert walk_table(walks).endswith(
+        "\n\nof 4 speeds 3 survived, 3 on the feet, 3 tracked within 0.2 m/s; mean return 275.0"
     )
-    assert "lean" not in walk_table([walk])
     # in three policy steps momentum may carry it
-    assert replace(walk, steps=3, weight_ratio=0.8).walked
+    assert replace(walk, steps=3, weight_ratio=0.8).on_feet
+
+
+@pytest.mark.parametrize("mean", [0.79, 1.21, float("nan")])
+def test_a_speed_off_by_more_than_the_tolerance_is_not_tracked(mean: float) -> None:
+    assert not tracks(1.0, mean)
+    assert tracks(1.0, 0.81)
+    assert tracks(1.0, 1.19)
+
+
+@pytest.mark.parametrize("changes", [{"mass": 0.85}, {"payload": 6.0}, {"slope": 0.1}])
+def test_weight_is_that_of_the_robot_as_it_is(make: MakeEnv, changes: dict[str, float]) -> None:
+    """Who is lighter and walks well is on its feet."""
+    env = make(num_envs=2, drop=EPISODE_ENDS)
+    env.base_env.set_dynamics(changes, np.array([1]))
+    results = evaluate(aslip.load_policy("aslip"), env, [0.5, 0.5], num_steps=150)
+    assert [result.weight_ratio for result in results] == pytest.approx([1.0, 1.0], abs=0.03)
+    assert all(result.on_feet and result.survived for result in results)
 
 
 @pytest.mark.parametrize("steps", [0, -1, 2.5, True])

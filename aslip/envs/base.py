@@ -19,7 +19,7 @@ draws; a robot keeps those that are not given. A NaN target makes that one simul
 does not touch the others. TorchRL carries keys that no one writes from step to step, so whoever
 sets `push` takes it out again.
 
-Beside the keys there are `dynamics` and `set_dynamics`, and for logs and replay `states`,
+Beside the keys there are `dynamics`, `weight` and `set_dynamics`, and for logs and replay `states`,
 `set_states` and `watch`.
 """
 
@@ -138,6 +138,12 @@ class CassieEnv(EnvBase):
     def dynamics(self) -> dict[str, np.ndarray]:
         """(n,) copies of each parameter's values, by the names of `aslip.sim.DYNAMICS`."""
         return {name: values.copy() for name, values in self._dynamics.values.items()}
+
+    @property
+    def weight(self) -> np.ndarray:
+        """(n,) force that carries each robot as it is, its mass, payload and slope counted [N]."""
+        fields = self._dynamics.fields(np.arange(self.num_envs), ("mass", "payload", "slope"))
+        return -fields["body_mass"].sum(axis=1) * fields["opt.gravity"][:, 2]
 
     def set_dynamics(self, values: Mapping[str, ArrayLike], ids: np.ndarray | None = None) -> None:
         """Give robots other dynamics, from the next physics step on and through resets.

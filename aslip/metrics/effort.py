@@ -24,7 +24,7 @@ def cost_of_transport(
     Args:
         torque: (m, 10) at the joints [N m].
         velocity: (m, 10) of the joints [rad/s].
-        distance: walked [m].
+        distance: covered [m].
         period: between samples [s].
         mass: [kg].
     """

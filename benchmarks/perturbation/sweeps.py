@@ -43,7 +43,7 @@ def trials(config: Config) -> list[Trial]:
 
 
 def survived_sweeps(config: Config, policy: str, bar: tqdm) -> np.ndarray:
-    """(n,) whether one policy has walked through each of the `trials` without a fall."""
+    """(n,) whether one policy survived each of the `trials`."""
     all_trials = trials(config)
     if not all_trials:
         return np.zeros(0, dtype=bool)
