@@ -9,7 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 from tensordict import TensorDict, TensorDictBase
-from torchrl.envs import TransformedEnv
+from torchrl.data import TensorSpec
+from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.transforms import Compose, Transform
 
 from aslip.envs import CassieEnv
@@ -27,6 +28,10 @@ class CassieTransformedEnv(TransformedEnv):
 
     base_env: CassieEnv
 
+    # of this environment's own specs; TransformedEnv's, in an environment around this one, is
+    # mistaken for one that an environment of its own kind has overwritten, and refused
+    rand_action = EnvBase.rand_action
+
     def __init__(self, env: CassieEnv, transforms: Mapping[str, Transform]) -> None:
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
@@ -38,6 +43,15 @@ class CassieTransformedEnv(TransformedEnv):
     def transforms(self) -> list[Transform]:
         """The transforms, first to last."""
         return list(cast("Compose", self.transform))
+
+    @EnvBase.action_spec.setter
+    def action_spec(self, value: TensorSpec) -> None:
+        """Refused: specs follow from the transforms, and the next one added would undo it."""
+        raise ConfigurationError(
+            f"the action spec follows from the transforms, so {type(value).__name__} cannot be set;"
+            ' make_env(replace={"action": ActionDelta(limit=...)}) bounds it, with the baseline_key'
+            " of the stack's own"
+        )
 
     def append_transform(
         self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]

@@ -35,6 +35,9 @@ def make_env(
 ) -> CassieTransformedEnv:
     """A TorchRL environment of n Cassies with the full stack of transforms.
 
+    Losses that need the action's range take `env.action_spec_unbatched`, that of one robot. Given
+    `env.action_spec`, which is of all n, `SACLoss` aims at n times the entropy.
+
     Args:
         backend: "batch" for training, "dm_control" for the reference task; same keys, same states.
         num_envs: number of robots n; all tensors have it as their first dimension.

@@ -125,7 +125,8 @@ def paper_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "t
     """The paper's own stack: actions are added to the reference's angles as they are."""
     stack = default_stack(library, reward_on)
     del stack["feedforward"]
-    stack["action"] = ActionDelta
+    # the delta also makes up for how far PD loops lag behind: 1.8 rad with the shipped baseline
+    stack["action"] = lambda: ActionDelta(limit=2.0)
     return stack
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
-from torchrl.data import Composite
+from torchrl.data import Bounded, Composite
 
 from aslip.cassie import MOTOR_NAMES
-from aslip.errors import ShapeError
+from aslip.errors import ConfigurationError, ShapeError
 from aslip.transforms.base import CassieTransform, extend_spec
 
 
@@ -19,13 +23,27 @@ class ActionDelta(CassieTransform):
     another baseline, such as what `Feedforward` writes, name its key. A robot whose action is not
     finite counts as diverged: no motor could take it.
 
+    The action spec is bounded all the same, for algorithms that scale their actions to it and for
+    random actions. The bound describes and never clips: what a policy sends is what is added. The
+    shipped policies walk with deltas of up to 0.95 rad (aslip) and 1.21 rad (robust).
+
     Args:
         baseline_key: (*b, 10) angles to add the delta to [rad].
+        limit: bound of the action spec, to either side, for all motors or for each of them [rad].
+
+    Raises:
+        ConfigurationError: the limit is not one or ten finite numbers above 0.
     """
 
-    def __init__(self, baseline_key: NestedKey = ("reference", "motor_position")) -> None:
+    def __init__(
+        self,
+        baseline_key: NestedKey = ("reference", "motor_position"),
+        *,
+        limit: float | Sequence[float] = math.pi / 2,
+    ) -> None:
         super().__init__(in_keys=[baseline_key], out_keys=[])
         self.baseline_key = baseline_key
+        self.limit = _checked(limit)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = tensordict["action"]
@@ -40,9 +58,31 @@ class ActionDelta(CassieTransform):
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
         """Offer `action` in place of `motor_target`."""
-        action_spec["action"] = action_spec["motor_target"].clone()
+        shape = action_spec["motor_target"].shape
+        high = torch.tensor(self.limit, dtype=torch.float32).expand(shape)
+        action_spec["action"] = Bounded(-high, high, shape=shape, dtype=torch.float32)
         del action_spec["motor_target"]
         return action_spec
+
+
+def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:
+    """One number above 0, or one a motor.
+
+    Raises:
+        ConfigurationError: it is anything else.
+    """
+    try:
+        values = np.atleast_1d(np.asarray(limit, dtype=np.float64))
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    right_size = values.shape in {(1,), (len(MOTOR_NAMES),)}
+    if not right_size or not (np.isfinite(values) & (values > 0)).all():
+        raise ConfigurationError(
+            f"limit must be a finite number above 0 [rad], or {len(MOTOR_NAMES)} of them, got"
+            f" {limit!r}"
+        )
+    numbers = tuple(values.tolist())
+    return numbers[0] if len(numbers) == 1 else numbers
 
 
 class LastAction(CassieTransform):

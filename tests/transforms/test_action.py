@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torchrl.data import Bounded
 from torchrl.envs.utils import check_env_specs, step_mdp
 
-from aslip.errors import ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import ActionDelta
 from tests.conftest import MakeEnv
@@ -51,7 +53,24 @@ def test_the_delta_has_no_bound(make: MakeEnv) -> None:
     reference = td["reference", "motor_target"].clone()
     env.step(td.set("action", torch.full((1, 10), 7.5)))
     np.testing.assert_allclose(targets[0], (reference + 7.5).numpy(), rtol=1e-6)
-    assert env.action_spec.is_in(torch.full((1, 10), 1e6))
+
+
+def test_the_spec_states_a_bound_that_can_be_chosen(make: MakeEnv) -> None:
+    env = make(num_envs=2)
+    assert isinstance(env.action_spec, Bounded)
+    assert env.action_spec.shape == (2, 10)
+    torch.testing.assert_close(env.action_spec.high, torch.full((2, 10), math.pi / 2))
+    torch.testing.assert_close(env.action_spec.low, torch.full((2, 10), -math.pi / 2))
+    each = [0.1 * (k + 1) for k in range(10)]
+    env = make(num_envs=2, replace={"action": ActionDelta(limit=each)})
+    torch.testing.assert_close(env.action_spec.high, torch.tensor([each, each]))
+    assert env.action_spec.is_in(env.rand_action()["action"])
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf, "x", None, [1.0] * 9, []])
+def test_a_bound_that_is_none_is_refused(limit: Any) -> None:
+    with pytest.raises(ConfigurationError, match="limit must be a finite number above 0"):
+        ActionDelta(limit=limit)
 
 
 def test_another_baseline_can_be_named(make: MakeEnv) -> None:
