@@ -19,16 +19,17 @@ from tensordict import TensorDictBase
 from aslip.cassie import SIDES, Side
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.palette import LEFT, MODEL, RIGHT, rgba
 from aslip.rom import Gait, Mode
 
 # a foot of the reference that moves slower over ground is in stance [m/s]
 _STANCE_SPEED = 0.05
 
-BODY_COLOR = (0.20, 0.24, 0.32, 1.0)
+BODY_COLOR = rgba(MODEL)
 """Of its body wherever it is drawn, red, green, blue and opacity."""
 LEG_COLORS: dict[Side, tuple[float, float, float, float]] = {
-    "left": (0.12, 0.47, 0.71, 1.0),
-    "right": (0.84, 0.19, 0.18, 1.0),
+    "left": rgba(LEFT),
+    "right": rgba(RIGHT),
 }
 """Of its legs in stance."""
 SWING_FADE = 0.55

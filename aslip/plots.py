@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from aslip.palette import LEFT, RIGHT
 from aslip.rom import Gait, Mode
 
-MODE_COLORS = {Mode.LEFT: "tab:blue", Mode.RIGHT: "tab:red", Mode.DOUBLE: "tab:purple"}
+MODE_COLORS = {Mode.LEFT: LEFT, Mode.RIGHT: RIGHT, Mode.DOUBLE: "tab:purple"}
 _PATHS: dict[str, dict[str, Any]] = {
     "body": {"lw": 2.5},
     "left_foot": {"lw": 1.5, "ls": "--"},

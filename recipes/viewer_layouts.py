@@ -24,15 +24,13 @@ from aslip.cassie import MOTOR_NAMES, SIDES
 from aslip.cassie.model import load_model
 from aslip.errors import one_line_errors
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
+from aslip.palette import COMMAND, ESTIMATE, LEFT, MODEL, OTHERS, RIGHT, ROBOT, rgb
 from aslip.rewards import PAPER_WEIGHTS
 
 APPLICATION = "aslip"
 """Rerun applies a blueprint to recordings of the same application only."""
 
 _JOINTS = "/joint_states"
-# blue and red are left and right in all pictures of this project
-_BLUE, _RED, _GREEN, _ORANGE, _PURPLE = "#1f77b4", "#d62728", "#2ca02c", "#ff7f0e", "#9467bd"
-_COLORS = (_BLUE, _ORANGE, _GREEN, _RED, _PURPLE)
 _FOLLOWED = "pelvis"
 
 
@@ -71,24 +69,24 @@ class Plot:
 VELOCITY = Plot(
     "Forward velocity [m/s]",
     (
-        Curve("/step", "command", "command", "#7f7f7f"),
-        Curve("/reference", "body_velocity_x", "reduced-order model", _BLUE),
-        Curve("/truth", "pelvis_velocity_x", "robot", _RED),
-        Curve("/estimate", "velocity_x", "estimate", _GREEN),
+        Curve("/step", "command", "command", COMMAND),
+        Curve("/reference", "body_velocity_x", "reduced-order model", MODEL),
+        Curve("/truth", "pelvis_velocity_x", "robot", ROBOT),
+        Curve("/estimate", "velocity_x", "estimate", ESTIMATE),
     ),
 )
 REWARD = Plot(
     "Reward terms",
     tuple(
         Curve("/step", f"term_{name}", name, color)
-        for name, color in zip(PAPER_WEIGHTS, _COLORS, strict=True)
+        for name, color in zip(PAPER_WEIGHTS, OTHERS, strict=True)
     ),
 )
 FORCE = Plot(
     "Vertical ground force [N]",
     tuple(
         Curve("/step", f"ground_force_{side}_z", side, color)
-        for side, color in zip(SIDES, (_BLUE, _RED), strict=True)
+        for side, color in zip(SIDES, (LEFT, RIGHT), strict=True)
     ),
 )
 
@@ -104,7 +102,7 @@ def motors(side: str, field: str, unit: str) -> Plot:
     names = [name for name in MOTOR_NAMES if name.startswith(side)]
     curves = (
         Curve(_JOINTS, field, name, color, joint=name)
-        for name, color in zip(names, _COLORS, strict=True)
+        for name, color in zip(names, OTHERS, strict=True)
     )
     return Plot(f"{side.title()} motors: {field} [{unit}]", tuple(curves))
 
@@ -271,7 +269,7 @@ def _rerun_plot(plot: Plot) -> rrb.TimeSeriesView:
     topics = list(dict.fromkeys(curve.topic for curve in plot.curves))
     overrides: dict[Any, Any] = {
         topic: [
-            rr.SeriesLines(names=curve.label, colors=_rgb(curve.color)).visualizer(
+            rr.SeriesLines(names=curve.label, colors=rgb(curve.color)).visualizer(
                 mappings=[
                     VisualizerComponentMapping(
                         "Scalars:scalars",
@@ -287,10 +285,6 @@ def _rerun_plot(plot: Plot) -> rrb.TimeSeriesView:
         for topic in topics
     }
     return rrb.TimeSeriesView(name=plot.title, origin="/", contents=topics, overrides=overrides)
-
-
-def _rgb(color: str) -> list[int]:
-    return list(bytes.fromhex(color.removeprefix("#")))
 
 
 # ----------------------------------------------------------------- PlotJuggler

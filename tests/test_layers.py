@@ -28,6 +28,7 @@ _MAY_IMPORT = {
     "sim": {"cassie"},
     "task": {"cassie", "sim"},
     "envs": {"cassie", "sim", "task"},
+    "palette": set(),
     "rewards": set(),
     "single_reference": {"cassie"},
     "metrics": {"cassie"},

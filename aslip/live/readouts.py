@@ -14,6 +14,7 @@ import viser.uplot as uplot
 from tensordict import TensorDictBase
 
 from aslip.cassie import POLICY_PERIOD
+from aslip.palette import COMMAND, MODEL, ROBOT
 from aslip.rewards import PAPER_WEIGHTS
 
 PLOT_SPAN = 8.0
@@ -24,13 +25,13 @@ _PLOT_HEIGHT, _PLOT_PADDING = 320, (12, 16, 0, 0)
 # of the plot's upright axis, beyond the commands there are [m/s]
 _MARGIN = 0.5
 _CURVES: tuple[uplot.Series, ...] = (
-    {"label": "spring-mass model", "stroke": "#e08a1e", "width": 1.5},
-    {"label": "Cassie", "stroke": "#1f78b5", "width": 2.0},
-    {"label": "command", "stroke": "#333d52", "width": 1.5, "dash": (6.0, 4.0)},
+    {"label": "spring-mass model", "stroke": MODEL, "width": 1.5},
+    {"label": "Cassie", "stroke": ROBOT, "width": 2.0},
+    {"label": "command", "stroke": COMMAND, "width": 1.5, "dash": (6.0, 4.0)},
 )
 # the paper's terms in its order; others follow
 _ORDER = {name: i for i, name in enumerate(PAPER_WEIGHTS)}
-_TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#1f78b5", "#333d52", "#c92a2a"
+_TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#9aa5b8", "#333d52", "#c92a2a"
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,31 @@
+"""Colours of robot, model and legs, the same in scenes, plots and the layouts of viewers.
+
+Blue and red are the left and the right leg, and nothing else.
+"""
+
+from __future__ import annotations
+
+LEFT, RIGHT = "#1f78b5", "#d6302e"
+"""Legs and their forces."""
+MODEL = "#333d52"
+"""Body and curves of the reduced-order model."""
+ROBOT = "#e08a1e"
+"""Curves of the simulated robot."""
+COMMAND = "#7f7f7f"
+"""Commanded speed."""
+ESTIMATE = "#2ca02c"
+"""Curves of what the state estimator says."""
+OTHERS = ("#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
+"""Curves that belong to none of these, such as reward terms or the motors of one leg."""
+
+
+def rgb(color: str) -> tuple[int, int, int]:
+    """Red, green and blue from 0 to 255, of "#rrggbb"."""
+    red, green, blue = bytes.fromhex(color.removeprefix("#"))
+    return red, green, blue
+
+
+def rgba(color: str) -> tuple[float, float, float, float]:
+    """Red, green, blue and an opacity of 1, from 0 to 1, of "#rrggbb"."""
+    red, green, blue = (part / 255 for part in rgb(color))
+    return red, green, blue, 1.0
