@@ -21,6 +21,7 @@ from aslip.ghost import (
     WIRE_RADIUS,
     Footholds,
     Ghost,
+    yaw_rotation,
 )
 from aslip.library import GaitLibrary
 from aslip.live.robot import Color, to_color
@@ -31,7 +32,7 @@ RomPlace = Literal["beside", "through", "hidden"]
 ROM_PLACES: tuple[RomPlace, ...] = get_args(RomPlace)
 """Where the reduced-order model may be seen: beside the robot, in its place, or nowhere."""
 
-_BESIDE = (0.0, -0.7, 0.0)
+_BESIDE = np.array([0.0, -0.7, 0.0])
 """Where it is beside the robot, from where it belongs [m]: to the robot's right."""
 
 # a disc on the floor, half as thick as it stands out [m]
@@ -50,6 +51,7 @@ class RomView:
     def __init__(self, scene: viser.SceneApi, library: GaitLibrary) -> None:
         self._footholds = Footholds(library)
         self._root = scene.add_frame("/rom", show_axes=False)
+        self._offset, self._turn = np.zeros(3), np.eye(3)
         self._body = scene.add_mesh_simple(
             "/rom/body", *sphere(BODY_RADIUS), color=to_color(BODY_COLOR)
         )
@@ -67,7 +69,8 @@ class RomView:
 
     def place(self, place: RomPlace) -> None:
         """Show it at a place."""
-        self._root.position = _BESIDE if place == "beside" else (0.0, 0.0, 0.0)
+        self._offset = _BESIDE if place == "beside" else np.zeros(3)
+        self._root.position = self._turn @ self._offset
         self._root.visible = self._plans.visible = place != "hidden"
 
     def update(self, td: TensorDictBase) -> None:
@@ -82,6 +85,9 @@ class RomView:
         body = ghost.body - origin
         self._body.position = body
         orientation = truth["pelvis_orientation"][0].double().numpy()
+        # beside a robot that has turned, not in its way
+        self._turn = yaw_rotation(orientation)
+        self._root.position = self._turn @ self._offset
         legs: tuple[tuple[Side, Side, np.ndarray, bool], ...] = (
             ("left", "right", ghost.left, ghost.left_stance),
             ("right", "left", ghost.right, ghost.right_stance),

@@ -143,6 +143,24 @@ def test_the_model_stands_beside_the_robot_or_in_it_or_is_hidden(server, library
     np.testing.assert_array_equal(root.position, 0.0)
 
 
+@pytest.mark.parametrize("degrees", [0.0, 90.0, -150.0])
+def test_beside_is_to_the_right_of_a_robot_that_has_turned(server, library, walker, degrees):
+    view = RomView(server.scene, library)
+    view.place("beside")
+    td, half = walker.td.clone(), np.radians(degrees) / 2
+    td["truth", "pelvis_orientation"][0] = torch.tensor([np.cos(half), 0, 0, np.sin(half)])
+    view.update(td)
+    place = server.scene.get_handle_by_name("/rom").position
+    right = [np.sin(2 * half), -np.cos(2 * half), 0.0]
+    np.testing.assert_allclose(place, 0.7 * np.array(right), atol=1e-6)
+    # shown again without a step in between
+    view.place("through")
+    np.testing.assert_array_equal(server.scene.get_handle_by_name("/rom").position, 0.0)
+    view.place("beside")
+    place = server.scene.get_handle_by_name("/rom").position
+    np.testing.assert_allclose(place, 0.7 * np.array(right), atol=1e-6)
+
+
 def test_the_floor_moves_under_the_robot(server, model, library, walker):
     view = SceneView(server, model, library)
     floor = server.scene.get_handle_by_name("/floor")
