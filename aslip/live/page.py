@@ -105,7 +105,7 @@ class LivePage:
         self._asked = replace(self.controls.settings(), policy="", rom="through")
         panel = gui.add_panel()
         with panel.add_tab("Readouts"):
-            self._readouts = Readouts(gui, speeds)
+            self._readouts = Readouts(gui)
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH)
         self._scene = SceneView(self._server, load_model(), walker.library)
@@ -247,7 +247,8 @@ class LivePage:
             time=self.walker.time,
             speed=float(truth["pelvis_velocity"][0, 0]),
             height=float(truth["pelvis_position"][0, 2]),
-            distance=float(truth["pelvis_position"][0, 0]),
+            ahead=float(truth["pelvis_position"][0, 0]),
+            left=float(truth["pelvis_position"][0, 1]),
             falls=self.falls,
             factor=None if self.paused else self.factor,
             message=self.message,

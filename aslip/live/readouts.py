@@ -22,13 +22,21 @@ PLOT_SPAN = 8.0
 
 # [pixels]; above and to the right there must be room for half a number
 _PLOT_HEIGHT, _PLOT_PADDING = 320, (12, 16, 0, 0)
-# of the plot's upright axis, beyond the commands there are [m/s]
-_MARGIN = 0.5
+# the upright axis goes beyond the curves by a margin, to the next multiple of a step [m/s]
+_MARGIN, _SPEED_STEP = 0.02, 0.2
 _CURVES: tuple[uplot.Series, ...] = (
     {"label": "spring-mass model", "stroke": MODEL, "width": 1.5},
     {"label": "Cassie", "stroke": ROBOT, "width": 2.0},
     {"label": "command", "stroke": COMMAND, "width": 1.5, "dash": (6.0, 4.0)},
 )
+_LEGEND = "".join(
+    f"<span style='margin-right:1em;white-space:nowrap'><span style='display:inline-block;"
+    f"width:1.6em;margin-right:0.4em;vertical-align:middle;"
+    f"border-top:2px {'dashed' if 'dash' in curve else 'solid'} {curve['stroke']}'></span>"
+    f"{curve['label']}</span>"
+    for curve in _CURVES
+)
+_LEGEND = f"<div style='padding:0 0.8em 0.4em;font-size:0.8em;text-align:center'>{_LEGEND}</div>"
 # the paper's terms in its order; others follow
 _ORDER = {name: i for i, name in enumerate(PAPER_WEIGHTS)}
 _TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#9aa5b8", "#333d52", "#c92a2a"
@@ -44,8 +52,10 @@ class Status:
     """Of the pelvis, forward [m/s]."""
     height: float
     """Of the pelvis [m]."""
-    distance: float
-    """Walked along x since the last reset [m]."""
+    ahead: float
+    """Moved along x since the last reset [m]."""
+    left: float
+    """Moved along y since the last reset [m]."""
     falls: int
     """Since the page was opened."""
     factor: float | None
@@ -59,27 +69,23 @@ class Readouts:
 
     Args:
         gui: of the server, within the panel where they are to be.
-        speeds: lowest and highest command [m/s], for the plot's axis.
     """
 
-    def __init__(self, gui: viser.GuiApi, speeds: tuple[float, float]) -> None:
-        points = round(PLOT_SPAN / POLICY_PERIOD)
-        self._time = POLICY_PERIOD * np.arange(1 - points, 1)
-        self._history: deque[tuple[float, float, float]] = deque(maxlen=points)
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._time = POLICY_PERIOD * np.arange(-round(PLOT_SPAN / POLICY_PERIOD), 1)
+        self._history: deque[tuple[float, float, float]] = deque(maxlen=len(self._time))
         self._reward: dict[str, float] = {}
         self._lines = gui.add_html("")
         self._plot = gui.add_uplot(
             self._curves(),
             ({"label": "time"}, *_CURVES),
-            scales={
-                "x": {"time": False, "range": (-PLOT_SPAN, 0.0)},
-                "y": {"range": (speeds[0] - _MARGIN, speeds[1] + _MARGIN)},
-            },
+            scales=self._scales(),
             axes=({"label": "time [s]"}, {"label": "forward speed [m/s]"}),
-            legend={"live": False},
+            legend={"show": False},
             height=_PLOT_HEIGHT,
             padding=_PLOT_PADDING,
         )
+        gui.add_html(_LEGEND)
         self._bars = gui.add_html("")
 
     def add(self, td: TensorDictBase) -> None:
@@ -95,22 +101,46 @@ class Readouts:
 
     def show(self, status: Status) -> None:
         """Bring what is shown up to date; meant for a few times a second."""
-        self._lines.content = _lines(status)
+        self._lines.content = _lines(status, self._mean_speed())
+        if (scales := self._scales()) != self._plot.scales:
+            self._plot.scales = scales
         self._plot.data = self._curves()
         self._bars.content = _bars(self._reward)
 
     def _curves(self) -> tuple[np.ndarray, ...]:
-        """Time before the present [s] and the speeds [m/s] then, each (n,)."""
-        count = len(self._history)
-        columns = np.array(self._history, dtype=np.float64).reshape(count, len(_CURVES)).T
-        return (self._time[len(self._time) - count :], *columns)
+        """Time before the present [s] and the speeds [m/s] then, each (n,), NaN before the start.
+
+        The length never changes: uPlot draws no time axis for a range that its data do not fill.
+        """
+        columns = np.full((len(self._time), len(_CURVES)), np.nan)
+        if self._history:
+            columns[-len(self._history) :] = self._history
+        return (self._time, *columns.T)
+
+    def _scales(self) -> dict[str, uplot.Scale]:
+        """Axes that hold the curves, in steps so that they rarely move.
+
+        uPlot finds no range of its own for data with NaN.
+        """
+        speeds = np.array(self._history or [(0.0, 0.0, 0.0)])
+        low = _SPEED_STEP * np.floor((speeds.min() - _MARGIN) / _SPEED_STEP)
+        high = _SPEED_STEP * np.ceil((speeds.max() + _MARGIN) / _SPEED_STEP)
+        return {
+            "x": {"time": False, "range": (float(self._time[0]), 0.0)},
+            "y": {"range": (round(float(low), 6), round(float(high), 6))},
+        }
+
+    def _mean_speed(self) -> float:
+        """Mean speed of the robot over what the plot shows [m/s]; 0 before the first step."""
+        return float(np.mean([speed for _, speed, _ in self._history])) if self._history else 0.0
 
 
-def _lines(status: Status) -> str:
+def _lines(status: Status, mean_speed: float) -> str:
     factor = "paused" if status.factor is None else f"real-time factor {status.factor:.2f}"
     entries = (
         ("time", f"{status.time:.2f} s", factor),
-        ("forward speed", f"{status.speed:.2f} m/s", f"{status.distance:.2f} m along x"),
+        ("forward speed", f"{status.speed:z.2f} m/s", f"mean {mean_speed:z.2f} m/s"),
+        ("moved", f"{status.ahead:z.2f} m ahead", f"{status.left:z.2f} m left"),
         ("pelvis height", f"{status.height:.3f} m", f"{status.falls} falls"),
     )
     rows = "".join(

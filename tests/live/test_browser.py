@@ -163,7 +163,7 @@ def test_the_page_shows_numbers_bars_and_the_robot(desk):
     wait_for(lambda: desk.live.walker.steps > 20)
     desk.pause()
     text = desk.view.locator("body").inner_text()
-    for part in ("pelvis height", "m along x", "com_vel", "action_diff", "spring-mass model"):
+    for part in ("pelvis height", "m ahead", "com_vel", "action_diff", "spring-mass model"):
         assert part in text, part
     colors = desk.view.evaluate(
         """() => {
