@@ -6,8 +6,9 @@
 
 Variants are trained one after the other with the same budget. What is done is kept: started again,
 the command goes on where it stopped, in the middle of a training, too, and adds what is new to the
-table. All are judged alike, by walks at 21 speeds on the own sensors and inputs of each and by the
-paper's reward, whatever they were rewarded for.
+table. All are judged alike (`aslip.stack.judged`), whatever they were trained on: walks of one
+robot at 21 speeds, by the paper's reward on the truth and the actuated spring-mass model's motion.
+Each policy sees what it has learned to see.
 """
 
 from __future__ import annotations
@@ -64,6 +65,7 @@ if __name__ == "__main__":
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import asdict, field, replace
 from datetime import timedelta
 from functools import partial
@@ -98,7 +100,7 @@ from aslip.transforms import (
 from aslip.transforms.base import extend_spec
 
 _CONFIDENCE = 0.95
-_RESULTS = "results.json"
+_RESULTS = "judged.json"
 # evaluations on the way cost a tenth of so short a training [policy steps]
 _NEVER = 10**12
 # a duration is estimated from so many policy steps, and updates take this much more than them
@@ -240,7 +242,7 @@ def _result_files(config: Config) -> list[Path]:
 
 
 def estimated_seconds(config: Config) -> float:
-    """Duration of a training and its evaluation, from some policy steps of as many robots."""
+    """Duration of a training and two evaluations, from some policy steps of as many robots."""
     env = aslip.make_env(num_envs=config.num_envs)
     env.rollout(1)
     start = time.perf_counter()
@@ -248,7 +250,27 @@ def estimated_seconds(config: Config) -> float:
     seconds = (time.perf_counter() - start) / (_TIMED_STEPS * config.num_envs)
     speeds = len(commanded(env))
     env.close()
-    return seconds * (_UPDATES_TOO * config.total_steps + speeds * MAX_EPISODE_STEPS)
+    return seconds * (_UPDATES_TOO * config.total_steps + 2 * speeds * MAX_EPISODE_STEPS)
+
+
+def trained_on(variant: Variant) -> Stack:
+    """The stack that a variant's policies are trained on."""
+    settings = {"stack": variant.settings.get("stack", "aslip"), **variant.edits()}
+    stack, library = settings["stack"], settings.get("library")
+    truth = aslip.stack.ON_TRUTH if variant.settings.get("truth") else {}
+    return aslip.stack.edited(
+        aslip.stack.STACKS[stack](library) if isinstance(stack, str) else stack,
+        truth.get("drop", ()),
+        {**settings.get("replace", {}), **truth.get("replace", {})},
+    )
+
+
+def judge(folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
+    """Walks of a training's policy at all speeds, by the judge of all."""
+    speeds = aslip.GaitLibrary.load().speeds.tolist()
+    stack = aslip.stack.judged(trained_on(variant))
+    with closing(aslip.make_env(num_envs=len(speeds), seed=seed, stack=stack)) as env:
+        return ppo_aslip.evaluate(aslip.load_policy(folder), env, speeds)
 
 
 def train(
@@ -272,7 +294,8 @@ def train(
         resume=resume,
         **variant.settings,
     )
-    results = ppo_aslip.main(settings, variant.edits(), go_on)
+    ppo_aslip.main(settings, variant.edits(), go_on)
+    results = judge(folder, variant, seed)
     kept = {**budget(config), "walks": [asdict(result) for result in results]}
     write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
     return results
@@ -335,9 +358,9 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
     """A row a variant: means and 95 % intervals over seeds."""
     rows = []
     for name, by_seed in found.items():
-        judged = [measures(results) for results in by_seed.values()]
-        cells = [interval([m[key] for m in judged]) for key in judged[0]]
-        rows.append([name, str(len(judged)), *cells])
+        means = [measures(results) for results in by_seed.values()]
+        cells = [interval([m[key] for m in means]) for key in means[0]]
+        rows.append([name, str(len(means)), *cells])
     first = next(iter(next(iter(found.values())).values()))
     header = ["variant", "seeds", *measures(first)]
     text = markdown(header, rows, ["---", *["---:"] * (len(header) - 1)])

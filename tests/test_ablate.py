@@ -10,11 +10,13 @@ import ablate
 import pytest
 import torch
 from ablate import VARIANTS
+from tensordict import TensorDict
 
 import aslip
 from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
 from aslip.evaluation import evaluate
 from aslip.rewards import PAPER_WEIGHTS
+from aslip.transforms import ActionDelta, AssembleObservation
 
 
 @pytest.fixture(autouse=True)
@@ -111,7 +113,7 @@ def test_an_interrupted_training_is_no_result(
     other = ablate.replace(config, total_steps=64)
     with pytest.raises(ConfigurationError, match=r"default-0.*total_steps.*--out"):
         ablate.main(other)
-    assert not list(tmp_path.glob("*/results.json"))
+    assert not list(tmp_path.glob("*/judged.json"))
     assert not (tmp_path / "no_symmetry-0").exists()
     found = ablate.main(config)
     assert len(calls) == 2 + 1 + 2
@@ -120,7 +122,7 @@ def test_an_interrupted_training_is_no_result(
 
 def test_damaged_results_are_named(tmp_path: Path) -> None:
     ablate.main(tiny(tmp_path, "default"))
-    file = tmp_path / "default-0" / "results.json"
+    file = tmp_path / "default-0" / "judged.json"
     for text in (file.read_text()[:-20], "[]", "{}"):
         file.write_text(text)
         with pytest.raises(FileDamagedError, match="default-0"):
@@ -144,7 +146,7 @@ def test_the_start_says_how_long_what_is_left_takes(
         config, 4
     )
     (tmp_path / "no_delta-1").mkdir()
-    (tmp_path / "no_delta-1" / "results.json").write_text("{}")
+    (tmp_path / "no_delta-1" / "judged.json").write_text("{}")
     assert "3 of 4 trainings to go, 16 policy steps each: about 2:30:00 " in ablate.announcement(
         config, 4
     )
@@ -175,3 +177,67 @@ def test_the_list_says_what_each_asks(capsys: pytest.CaptureFixture[str]) -> Non
     assert ablate.main(ablate.Config(list=True)) == {}
     printed = capsys.readouterr().out
     assert all(name in printed and v.question in printed for name, v in VARIANTS.items())
+
+
+# ----------------------------------------------------------------- one judge
+
+
+def judge_of(name: str) -> Any:
+    stack = aslip.stack.judged(ablate.trained_on(VARIANTS[name]))
+    return aslip.make_env(num_envs=2, num_threads=1, stack=stack)
+
+
+@pytest.mark.parametrize("name", sorted(VARIANTS))
+def test_each_policy_is_judged_on_what_it_has_learned_to_see(name: str) -> None:
+    """The observation, and what the action is added to, at the same state of the robot."""
+    trained, judging = env_of(name), judge_of(name)
+    start = TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
+    own, seen = trained.reset(start.clone()), judging.reset(start.clone())
+    for group in ("reference", "baseline"):
+        for key, value in own.get(group, TensorDict()).items():
+            torch.testing.assert_close(seen[group, key], value, rtol=0, atol=0)
+    assert own["observation"].shape == seen["observation"].shape
+    for kind, name in ((AssembleObservation, "in_keys"), (ActionDelta, "baseline_key")):
+        has = [
+            [getattr(t, name) for t in env.transforms if isinstance(t, kind)]
+            for env in (trained, judging)
+        ]
+        assert has[0] == has[1]
+
+
+@pytest.mark.parametrize("name", sorted(VARIANTS))
+def test_all_are_judged_alike(name: str) -> None:
+    """The same robot at the same states under the same motor targets: the same rewards."""
+    found, target = [], torch.zeros(2, 10)
+    for variant in ("default", name):
+        env = judge_of(variant)
+        start = TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
+        td = env.reset(start)
+        (delta,) = [t for t in env.transforms if isinstance(t, ActionDelta)]
+        target = target if found else td[delta.baseline_key].clone()
+        td["action"] = target - td[delta.baseline_key]
+        found.append(env.step(td)["next"])
+    names = set(PAPER_WEIGHTS) - {"action_diff"}  # of actions, which are added to other baselines
+    for key in [("truth", "qpos"), *(("reward_terms", term) for term in sorted(names))]:
+        torch.testing.assert_close(found[1][key], found[0][key], rtol=0, atol=1e-5)
+    total = sum(w * found[1]["reward_terms", term] for term, w in PAPER_WEIGHTS.items())
+    torch.testing.assert_close(found[1]["reward"], total)
+    assert {key: float(v[0]) for key, v in env.base_env.dynamics.items()} == dict(
+        env.base_env._dynamics.nominal
+    )
+
+
+def test_results_are_the_judges(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is kept of a training was walked on the judge's stack, by the saved policy."""
+    envs, found = [], []
+    measure = ablate.ppo_aslip.evaluate
+
+    def spied(policy: Any, env: Any, speeds: Any) -> Any:
+        envs.append(env)
+        found.append(measure(policy, env, speeds))
+        return found[-1]
+
+    monkeypatch.setattr(ablate.ppo_aslip, "evaluate", spied)
+    kept = ablate.main(tiny(tmp_path, "reward_on_estimate"))["reward_on_estimate"][0]
+    assert kept == found[-1]
+    assert ["judge" in env.transform_names for env in envs] == [False, True]

@@ -17,7 +17,7 @@ A stack is an ordered dict of names and transforms. It is never edited in place 
 an environment, where TorchRL would keep stale specs; build another.
 """
 
-from aslip.stack.edit import insert_before, randomised
+from aslip.stack.edit import edited, insert_before, judged, randomised
 from aslip.stack.environment import CassieTransformedEnv, check_seed
 from aslip.stack.interface import acts_on, commanded, described, observed
 from aslip.stack.make import Backend, make_env
@@ -48,7 +48,9 @@ __all__ = [
     "commanded",
     "default_stack",
     "described",
+    "edited",
     "insert_before",
+    "judged",
     "make_env",
     "observed",
     "paper_stack",

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
 from torchrl.envs.transforms import Transform
 
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.stack.stacks import Stack
-from aslip.transforms import RandomDynamics, RandomNoise
+from aslip.library import GaitLibrary
+from aslip.rewards import PAPER_WEIGHTS
+from aslip.stack.stacks import Stack, default_stack
+from aslip.transforms import RandomDynamics, RandomNoise, ReferenceInjection
+
+_JUDGES = (*PAPER_WEIGHTS, "reward", "fall", "low_reward", "step_limit", "episode_sum")
+"""Transforms of the default stack that judge what a robot does."""
 
 
 def randomised(stack: Stack) -> Stack:
@@ -23,6 +29,25 @@ def randomised(stack: Stack) -> Stack:
     """
     stack = insert_before(stack, "start", dynamics=RandomDynamics)
     return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
+
+
+def judged(stack: Stack) -> Stack:
+    """A copy of a stack on which policies of different experiments are judged alike.
+
+    What a policy observes and what its action is added to stay the stack's own. The robot, where it
+    starts, rewards and ends of episodes are those of `default_stack()`; its gaits are the goal of
+    the rewards, also where the policy sees another model's motion.
+
+    Raises:
+        ConfigurationError: the stack is only the name of one.
+        UnknownNameError: it has no transform `start`.
+    """
+    _require_names(stack, ["start"])
+    common = default_stack()
+    judges = {name: common[name] for name in ("start", *_JUDGES)}
+    seen = {name: make for name, make in stack.items() if name not in {"dynamics", *judges}}
+    goal = partial(ReferenceInjection, GaitLibrary.load(), reference_key="judge")
+    return {"start": judges.pop("start"), **seen, "judge": goal, **judges}
 
 
 def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:

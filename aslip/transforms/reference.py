@@ -39,10 +39,19 @@ class ReferenceInjection(CassieTransform):
     Args:
         library: the gaits.
         motor_lead: how far ahead the motors are read, in policy steps.
+        reference_key: another key in place of "reference".
+        goal_key: another key in place of "goal".
     """
 
-    def __init__(self, library: GaitLibrary, motor_lead: float = 1.0) -> None:
-        super().__init__(in_keys=["command", "phase"], out_keys=["reference", "goal"])
+    def __init__(
+        self,
+        library: GaitLibrary,
+        motor_lead: float = 1.0,
+        *,
+        reference_key: str = "reference",
+        goal_key: str = "goal",
+    ) -> None:
+        super().__init__(in_keys=["command", "phase"], out_keys=[reference_key, goal_key])
         self.library = library
         self.motor_lead = motor_lead
 
@@ -57,14 +66,17 @@ class ReferenceInjection(CassieTransform):
         reference = {name: getattr(found, name)[motors] for name in _MOTORS}
         reference |= {name: getattr(found, name)[0] for name in _BODY}
         goal = {name: getattr(found, name)[1] for name in _BODY}
-        next_tensordict.set("goal", TensorDict(goal, next_tensordict.batch_size))
-        return next_tensordict.set("reference", TensorDict(reference, next_tensordict.batch_size))
+        for key, entries in zip(self.out_keys, (reference, goal), strict=True):
+            next_tensordict.set(key, TensorDict(entries, next_tensordict.batch_size))
+        return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of `aslip.library.Reference`, and of the goal."""
         require_keys(self, observation_spec, ["command", "phase"])
-        sizes: dict[NestedKey, int] = {("reference", name): len(MOTOR_NAMES) for name in _MOTORS}
-        sizes |= {(group, name): 3 for group in ("reference", "goal") for name in _BODY}
+        sizes: dict[NestedKey, int] = {
+            (group, name): 3 for group in self.out_keys for name in _BODY
+        }
+        sizes |= {(self.out_keys[0], name): len(MOTOR_NAMES) for name in _MOTORS}
         return extend_spec(observation_spec, sizes)
 
 
