@@ -8,10 +8,11 @@ equal those of a single `Simulations`, bit for bit.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 
 import mujoco
 import numpy as np
@@ -56,7 +57,8 @@ class SimulationPool:
             Simulations(min(size, num - int(start)), model=self.model, num_threads=1)
             for start in self._starts
         ]
-        self._executor = ThreadPoolExecutor(min(threads, len(self.parts)))
+        self._threads = min(threads, len(self.parts))
+        self._executor = ThreadPoolExecutor(self._threads)
         self._watched_part = 0
 
     @property
@@ -117,6 +119,9 @@ class SimulationPool:
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
         """Run one policy period; see `Simulations.advance`.
 
+        Also when a part fails, or at Ctrl-C, nothing is raised before all threads have come to
+        rest, so that whoever catches it reads states that no longer change.
+
         Args:
             motor_target: (n, 10) joint angles the PD loops track [rad].
             push: (n, 3) forces on the pelvis' origin throughout the period [N, world]; none by
@@ -135,8 +140,28 @@ class SimulationPool:
             raise ShapeError(f"push must have shape {(self.num, 3)}, got {push.shape}")
         shares = np.split(motor_target, self._starts[1:])
         pushes = [None] * len(shares) if push is None else np.split(push, self._starts[1:])
-        diverged = self._executor.map(Simulations.advance, self.parts, shares, pushes)
-        return np.concatenate(list(diverged))
+        try:
+            jobs = [
+                self._executor.submit(part.advance, share, force)
+                for part, share, force in zip(self.parts, shares, pushes, strict=True)
+            ]
+            wait(jobs)
+        except BaseException:
+            self._come_to_rest()
+            raise
+        return np.concatenate([job.result() for job in jobs])
+
+    def _come_to_rest(self) -> None:
+        """Let the threads finish what they were given, and replace them by new ones.
+
+        To wait for the jobs would not do: an interrupt may come before the last is in the list.
+        """
+        resting = False
+        while not resting:
+            with contextlib.suppress(KeyboardInterrupt):
+                self._executor.shutdown(wait=True)
+                resting = True
+        self._executor = ThreadPoolExecutor(self._threads)
 
     def snapshot(self) -> Snapshot:
         """Copies of everything the true state is made of."""

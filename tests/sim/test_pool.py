@@ -1,8 +1,15 @@
 """Simulations in parts equal simulations in one, bit for bit."""
 
+from __future__ import annotations
+
+import signal
+import threading
+import time
+
 import numpy as np
 import pytest
 
+from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.model import load_model
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import SimulationPool, Simulations
@@ -93,3 +100,37 @@ def test_each_part_gets_its_own_pushes() -> None:
     for simulations in (pool, whole):
         simulations.advance(target, push)
     np.testing.assert_array_equal(pool.states(), whole.states())
+
+
+def _interrupt() -> None:
+    """Ctrl-C, as the main thread receives it."""
+    signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)  # pyright: ignore
+
+
+def _fail() -> None:
+    raise RuntimeError("a part failed")
+
+
+@pytest.mark.parametrize(
+    ("event", "error"), [(_interrupt, KeyboardInterrupt), (_fail, RuntimeError)]
+)
+def test_nothing_steps_on_after_an_error_or_an_interrupt(
+    monkeypatch: pytest.MonkeyPatch, event, error: type[BaseException]
+) -> None:
+    pool = SimulationPool(4, num_threads=2)
+    target = pool.snapshot().qpos[:, pool.indices.motor_qpos]
+    both_began, advance, events = threading.Barrier(2), Simulations.advance, [lambda: None, event]
+
+    def slow(part: Simulations, *args) -> np.ndarray:
+        both_began.wait()
+        if part is pool.parts[0]:
+            events.pop(0)()
+        else:
+            time.sleep(0.1)
+        return advance(part, *args)
+
+    monkeypatch.setattr(Simulations, "advance", slow)
+    pool.advance(target)  # starts both threads
+    with pytest.raises(error):
+        pool.advance(target)
+    assert pool.parts[1].batch.bind("time").tolist() == pytest.approx([2 * POLICY_PERIOD] * 2)
