@@ -42,6 +42,7 @@ from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import Dynamics, Snapshot, true_state
+from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
 
 # the exact state, for logs and replay; all else is for networks
@@ -117,7 +118,11 @@ class CassieEnv(EnvBase):
 
     @abstractmethod
     def set_states(self, states: np.ndarray) -> None:
-        """Write what `states` returned, of this or another environment of the same model."""
+        """Write what `states` returned, of this or another environment of the same model.
+
+        Raises:
+            ShapeError: the states are of another number or model; nothing has been written then.
+        """
 
     @abstractmethod
     def watch(self, index: int | None) -> None:
@@ -161,7 +166,8 @@ class CassieEnv(EnvBase):
             ConfigurationError: there is no such robot; or a value is outside the limits, and
                 nothing has been changed then.
         """
-        robots = self._checked_ids(ids)
+        everyone = np.arange(self.num_envs)
+        robots = everyone if ids is None else check_ids(ids, self.num_envs)
         fields = self._dynamics.update(robots, values)
         if not fields:
             return
@@ -170,22 +176,10 @@ class CassieEnv(EnvBase):
         if delay > longest_delay(self.model):
             model, states = self.model, self.states()
             self._lengthen_memory(delay)
-            everyone = np.arange(self.num_envs)
             self._write_fields(everyone, self._dynamics.fields(everyone))
             self.set_states(with_memory_of(states, model, self.model))
         else:
             self._write_fields(robots, fields)
-
-    def _checked_ids(self, ids: np.ndarray | None) -> np.ndarray:
-        everyone = np.arange(self.num_envs)
-        if ids is None:
-            return everyone
-        robots = np.asarray(ids)
-        if not np.array_equal(robots, np.intersect1d(robots, everyone)):
-            raise ConfigurationError(
-                f"ids must be sorted, unique and of robots 0 to {self.num_envs - 1}, got {ids}"
-            )
-        return robots
 
     # ---------------------------------------------------------------- EnvBase
 
@@ -308,15 +302,3 @@ class CassieEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         """The robots themselves draw nothing; transforms have their own generators."""
-
-
-def check_num_envs(num_envs: Any) -> int:
-    """The number of environments, if it is one.
-
-    Raises:
-        ConfigurationError: it is not a whole number of 1 or more.
-    """
-    whole = isinstance(num_envs, int | np.integer) and not isinstance(num_envs, bool)
-    if not whole or num_envs < 1:
-        raise ConfigurationError(f"num_envs must be a whole number of 1 or more, got {num_envs!r}")
-    return int(num_envs)

@@ -9,8 +9,9 @@ import numpy as np
 
 from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, load_model
-from aslip.envs.base import CassieEnv, check_num_envs
+from aslip.envs.base import CassieEnv
 from aslip.sim import SimulationPool, Snapshot
+from aslip.sim.checks import check_count
 from aslip.sim.dynamics import with_longer_memory
 
 
@@ -32,7 +33,8 @@ class BatchCassieEnv(CassieEnv):
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
         timestep: float = PHYSICS_TIMESTEP,
     ) -> None:
-        num_envs = check_num_envs(num_envs)
+        num_envs = check_count("num_envs", num_envs)
+        num_threads = check_count("num_threads", num_threads, least=0)
         model = load_model(floor_friction, visual=False, timestep=timestep)
         self.simulations = SimulationPool(num_envs, model=model, num_threads=num_threads)
         self._num_threads = num_threads

@@ -20,9 +20,10 @@ with warnings.catch_warnings():
     from dm_control.rl.control import PhysicsError
 
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
-from aslip.envs.base import CassieEnv, check_num_envs
+from aslip.envs.base import CassieEnv
 from aslip.errors import ConfigurationError
 from aslip.sim import Snapshot
+from aslip.sim.checks import check_count, check_states
 from aslip.sim.dynamics import with_longer_memory, write_fields
 from aslip.task import CassiePhysics, walk_environment
 
@@ -38,7 +39,7 @@ class DmControlCassieEnv(CassieEnv):
     def __init__(
         self, num_envs: int = 1, *, floor_friction: float = DEFAULT_FLOOR_FRICTION
     ) -> None:
-        num_envs = check_num_envs(num_envs)
+        num_envs = check_count("num_envs", num_envs)
         # time limit and falls are the transforms' and the base class's business
         self.environments = [
             walk_environment(
@@ -67,6 +68,7 @@ class DmControlCassieEnv(CassieEnv):
 
     def set_states(self, states: np.ndarray) -> None:
         """See `CassieEnv.set_states`."""
+        states = check_states(states, self.states().shape)
         for physics, state in zip(self.physics, states, strict=True):
             physics.set_full_state(state)
 

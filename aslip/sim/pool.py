@@ -19,6 +19,7 @@ import numpy as np
 
 from aslip.cassie.model import CassieIndices, load_model
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim.checks import check_count, check_ids, check_states
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot
 
@@ -41,11 +42,8 @@ class SimulationPool:
     def __init__(
         self, num: int, *, model: mujoco.MjModel | None = None, num_threads: int = 0
     ) -> None:
-        if not isinstance(num, int) or num < 1:
-            raise ConfigurationError(f"the number of simulations must be 1 or more, got {num!r}")
-        if not isinstance(num_threads, int) or num_threads < 0:
-            raise ConfigurationError(f"num_threads must be 0 (all) or more, got {num_threads!r}")
-        self.num = num
+        self.num = num = check_count("the number of simulations", num)
+        num_threads = check_count("num_threads", num_threads, least=0)
         self.model = load_model(visual=False) if model is None else model
         self.indices = CassieIndices.from_model(self.model)
         threads = num_threads or processors()
@@ -77,8 +75,10 @@ class SimulationPool:
             qvel: (k, 32) initial velocities, rest by default.
 
         Raises:
+            ConfigurationError: there is no such simulation; nothing has been reset then.
             ShapeError: an array does not fit; nothing has been reset then.
         """
+        ids = check_ids(ids, self.num)
         for name, value, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
             if value is not None and value.shape != (len(ids), size):
                 raise ShapeError(f"{name} must have shape {(len(ids), size)}, got {value.shape}")
@@ -88,6 +88,7 @@ class SimulationPool:
 
     def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
         """Change fields of some simulations' models; see `Simulations.write_fields`."""
+        ids = check_ids(ids, self.num)
         for part, rows, own_ids in self._owners(ids):
             part.write_fields(own_ids, {name: values[rows] for name, values in fields.items()})
 
@@ -177,7 +178,12 @@ class SimulationPool:
         return np.concatenate([part.states() for part in self.parts])
 
     def set_states(self, states: np.ndarray) -> None:
-        """Write what `states` returned, into these or other simulations of the same model."""
+        """Write what `states` returned, into these or other simulations of the same model.
+
+        Raises:
+            ShapeError: the states are of another number or model; nothing has been written then.
+        """
+        states = check_states(states, (self.num, self.parts[0].state_size))
         for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):
             part.set_states(rows)
 

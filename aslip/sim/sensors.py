@@ -206,6 +206,11 @@ class Sensors:
         )
         return np.concatenate([part.reshape(num, -1) for part in parts], axis=1)
 
+    @property
+    def memory_size(self) -> int:
+        """Numbers of one robot in `memory`."""
+        return (_MEMORY_ROWS + 2) * self._motors + self._joint_memory[:, 0].size
+
     def set_memory(self, rows: np.ndarray) -> None:
         """Write what `memory` returned."""
         num, motors = self.motor_position.shape

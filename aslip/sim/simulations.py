@@ -24,6 +24,7 @@ from mujoco.batch import Batch, SimulationError
 from aslip.cassie import PHYSICS_TIMESTEP, SUBSTEPS
 from aslip.cassie.model import CassieIndices, check_timestep, load_model
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim.checks import check_count, check_ids, check_states
 from aslip.sim.drive import Drive
 from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.sensors import Sensors
@@ -52,10 +53,10 @@ class Simulations:
     def __init__(
         self, num: int, *, model: mujoco.MjModel | None = None, num_threads: int = 0
     ) -> None:
-        if not isinstance(num, int) or num < 1:
-            raise ConfigurationError(f"the number of simulations must be 1 or more, got {num!r}")
-        if not isinstance(num_threads, int) or num_threads < 0:
-            raise ConfigurationError(f"num_threads must be 0 (all) or more, got {num_threads!r}")
+        num, num_threads = (
+            check_count("the number of simulations", num),
+            check_count("num_threads", num_threads, least=0),
+        )
         self.model = load_model(visual=False) if model is None else model
         check_timestep(self.model.opt.timestep)
         self.indices = CassieIndices.from_model(self.model)
@@ -107,8 +108,10 @@ class Simulations:
             qvel: (k, 32) initial velocities, rest by default.
 
         Raises:
+            ConfigurationError: there is no such simulation.
             ShapeError: an array does not fit.
         """
+        ids = check_ids(ids, self.num)
         if len(ids) == 0:
             return
         for name, value, state in (("qpos", qpos, self.qpos), ("qvel", qvel, self.qvel)):
@@ -135,7 +138,11 @@ class Simulations:
         Args:
             ids: (k,) simulations, sorted and unique.
             fields: (k, ...) of each, by the names of `mujoco.batch`.
+
+        Raises:
+            ConfigurationError: there is no such simulation.
         """
+        ids = check_ids(ids, self.num)
         for name, rows in fields.items():
             self.batch.expand(name)[ids] = rows
         if DERIVING_FIELDS & fields.keys():
@@ -216,11 +223,20 @@ class Simulations:
         """
         return np.concatenate([self.batch.state, self.sensors.memory()], axis=1)
 
+    @property
+    def state_size(self) -> int:
+        """Numbers of one simulation in `states`."""
+        return self.batch.state.shape[1] + self.sensors.memory_size
+
     def set_states(self, states: np.ndarray) -> None:
         """Write what `states` returned, into these or other simulations of the same model.
 
         What follows from the states, such as `snapshot`, is right again after the next `advance`.
+
+        Raises:
+            ShapeError: the states are of another number or model; nothing has been written then.
         """
+        states = check_states(states, (self.num, self.state_size))
         physics = self.batch.state.shape[1]
         self.batch.state[:] = states[:, :physics]
         self.sensors.set_memory(states[:, physics:])

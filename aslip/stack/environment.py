@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Mapping
-from numbers import Integral
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +14,7 @@ from torchrl.envs.transforms import Compose, Transform
 
 from aslip.envs import CassieEnv
 from aslip.errors import ConfigurationError
+from aslip.sim.checks import check_count
 from aslip.transforms import CassieTransform
 
 
@@ -114,6 +114,4 @@ def check_seed(seed: object) -> int:
     Raises:
         ConfigurationError: it is no whole number of 0 or more.
     """
-    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
-        raise ConfigurationError(f"seed must be a whole number of 0 or more, got {seed!r}")
-    return int(seed)
+    return check_count("seed", seed, least=0)

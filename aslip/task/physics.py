@@ -19,6 +19,7 @@ from aslip.cassie import MOTOR_NAMES, SIDES, SUBSTEPS, Side
 from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, CassieIndices, set_floor_friction
 from aslip.errors import ShapeError
 from aslip.sim import Drive, Sensors, Snapshot
+from aslip.sim.checks import check_states
 from aslip.sim.simulations import watched_size
 from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, true_state
 
@@ -149,8 +150,13 @@ class CassiePhysics(mujoco.Physics):
         return np.concatenate([physics, self.sensors.memory()[0]])
 
     def set_full_state(self, state: np.ndarray) -> None:
-        """Write what `full_state` returned, of this or another physics of the same model."""
+        """Write what `full_state` returned, of this or another physics of the same model.
+
+        Raises:
+            ShapeError: the state is of another model; nothing has been written then.
+        """
         size = mj.mj_stateSize(self.model.ptr, _INTEGRATION)
+        state = check_states(state, (size + self.sensors.memory_size,))
         mj.mj_setState(self.model.ptr, self.data.ptr, state[:size], _INTEGRATION)
         # dm_control's step begins with what the one before has computed of positions, velocities
         mj.mj_step1(self.model.ptr, self.data.ptr)

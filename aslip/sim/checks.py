@@ -1,0 +1,53 @@
+"""Checks of counts, robots and states that simulations and environments share."""
+
+from __future__ import annotations
+
+from numbers import Integral
+from typing import Any
+
+import numpy as np
+
+from aslip.errors import ConfigurationError, ShapeError
+
+
+def check_count(name: str, value: Any, least: int = 1) -> int:
+    """Check a count, NumPy's whole numbers included, and return it as a Python number.
+
+    Raises:
+        ConfigurationError: `value` is not a whole number of `least` or more.
+    """
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise ConfigurationError(f"{name} must be a whole number of {least} or more, got {value!r}")
+    return int(value)
+
+
+def check_ids(ids: Any, num: int) -> np.ndarray:
+    """Check which of `num` robots are meant, and return their indices (k,).
+
+    Raises:
+        ConfigurationError: `ids` are not whole numbers, ascending, unique and from 0 to `num` - 1.
+    """
+    robots = np.asarray(ids)
+    if robots.size == 0:
+        return np.zeros(0, dtype=int)
+    whole = robots.ndim == 1 and np.issubdtype(robots.dtype, np.integer)
+    if not whole or robots[0] < 0 or robots[-1] >= num or (np.diff(robots) <= 0).any():
+        raise ConfigurationError(
+            f"ids must be sorted, unique and of robots 0 to {num - 1}, got {robots.tolist()}"
+        )
+    return robots
+
+
+def check_states(states: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """Check that states to be written fit, and return them as doubles.
+
+    Raises:
+        ShapeError: `states` are not of `shape`.
+    """
+    array = np.asarray(states, dtype=np.float64)
+    if array.shape != shape:
+        raise ShapeError(
+            f"states must have shape {shape}, got {array.shape}; write what states() of the same"
+            " number of robots and the same model returned"
+        )
+    return array

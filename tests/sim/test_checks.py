@@ -1,0 +1,84 @@
+"""Counts, robots and states are checked in one way, and before anything is written."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim import SimulationPool, Simulations
+
+NUM = 4
+
+Maker = Callable[[int], Any]
+POOLS: list[Maker] = [lambda n: SimulationPool(n, num_threads=2), lambda n: Simulations(n)]
+ENVIRONMENTS: list[Maker] = [
+    lambda n: BatchCassieEnv(n, num_threads=2),
+    lambda n: DmControlCassieEnv(n),
+]
+
+
+@pytest.mark.parametrize("make", [*POOLS, *ENVIRONMENTS])
+def test_numpy_counts_are_counts(make: Maker) -> None:
+    made = make(np.int64(2))  # pyright: ignore[reportArgumentType]
+    assert len(made.states()) == 2
+
+
+@pytest.mark.parametrize("make", [*POOLS, *ENVIRONMENTS])
+@pytest.mark.parametrize("num", [True, np.True_, 2.0, "2", 0])
+def test_what_is_no_count_is_refused(make: Maker, num: Any) -> None:
+    with pytest.raises(ConfigurationError, match="must be a whole number of 1 or more, got"):
+        make(num)
+
+
+@pytest.mark.parametrize("make", [SimulationPool, Simulations, BatchCassieEnv])
+@pytest.mark.parametrize("threads", [True, -1, 0.5, "2"])
+def test_what_is_no_number_of_threads_is_refused(make: Any, threads: Any) -> None:
+    with pytest.raises(ConfigurationError, match="num_threads must be a whole number of 0 or more"):
+        make(1, num_threads=threads)
+    assert len(make(1, num_threads=np.int32(1)).states()) == 1
+
+
+@pytest.mark.parametrize("make", POOLS)
+@pytest.mark.parametrize("ids", [[-1], [NUM], [1, 0], [1, 1], [0.0], [True], [[0]]])
+def test_robots_that_are_not_there_are_named(make: Maker, ids: Any) -> None:
+    """By the numbers that the caller gave."""
+    simulations = make(NUM)
+    before = simulations.states()
+    expected = r"robots 0 to 3, got \[" + str(ids[0]).replace("[", r"\[").replace("]", r"\]")
+    with pytest.raises(ConfigurationError, match=expected):
+        simulations.reset(np.array(ids))
+    mass = np.repeat(simulations.model.body_mass[None], len(ids), axis=0)
+    with pytest.raises(ConfigurationError, match=expected):
+        simulations.write_fields(np.array(ids), {"body_mass": mass})
+    np.testing.assert_array_equal(simulations.states(), before)
+
+
+@pytest.mark.parametrize("make", ENVIRONMENTS)
+@pytest.mark.parametrize("ids", [[-1], [NUM], [True], [0.0]])
+def test_dynamics_of_robots_that_are_not_there_are_refused(make: Maker, ids: Any) -> None:
+    env: CassieEnv = make(NUM)
+    with pytest.raises(ConfigurationError, match="robots 0 to 3"):
+        env.set_dynamics({"mass": 1.1}, np.array(ids))
+    assert not env.altered
+
+
+@pytest.mark.parametrize("make", [*POOLS, *ENVIRONMENTS])
+@pytest.mark.parametrize("change", ["narrow", "wide", "few", "many", "flat"])
+def test_states_that_do_not_fit_change_nothing(make: Maker, change: str) -> None:
+    simulations = make(NUM)
+    before = simulations.states()
+    wrong = {
+        "narrow": before[:, :-1] + 1,
+        "wide": np.pad(before, [(0, 0), (0, 1)]) + 1,
+        "few": before[:-1] + 1,
+        "many": np.concatenate([before, before[:1]]) + 1,
+        "flat": before[0] + 1,
+    }[change]
+    with pytest.raises(ShapeError, match=r"states must have shape \(4, "):
+        simulations.set_states(wrong)
+    np.testing.assert_array_equal(simulations.states(), before)
