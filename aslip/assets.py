@@ -6,10 +6,11 @@ from pathlib import Path
 
 from aslip.errors import AssetError
 
-# a wheel carries the assets inside the package, a checkout beside it
+# a wheel carries the assets inside the package, a checkout beside it; a stray pyproject.toml beside
+# an installed package says nothing
 _PACKAGE = Path(__file__).parent
-_CHECKOUT = _PACKAGE.parent
-_ROOT = _CHECKOUT / "assets" if (_CHECKOUT / "pyproject.toml").exists() else _PACKAGE / "_assets"
+_INSTALLED = _PACKAGE / "_assets"
+_ROOT = _INSTALLED if _INSTALLED.is_dir() else _PACKAGE.parent / "assets"
 
 
 def asset_path(name: str) -> Path:
