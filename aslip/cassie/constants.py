@@ -53,9 +53,6 @@ MOTOR_NO_LOAD_SPEED: Final = _both_legs(2900.0, 2900.0, 1300.0, 1300.0, 5500.0) 
 """Motor speed at which no torque is left [rad/s], from rpm (simulator)."""
 MOTOR_NO_LOAD_SPEED.setflags(write=False)
 
-SAFETY_TORQUE: Final = _both_legs(140.63, 140.63, 216.16, 216.16, 45.14)
-"""Clamp on the PD torque at the joint [N m], before the motor's own limit (measured, simulator)."""
-
 MOTOR_ENCODER_BITS: Final = _both_legs(13, 13, 13, 13, 18)
 """A motor's encoder counts so many bits in a turn of the motor, not of the joint (simulator)."""
 

@@ -2,11 +2,12 @@ r"""Joint PD control and the motor's limits, as the robot runs them at 2 kHz (Se
 
 .. math:: \tau = P\,(q^* - q) + D\,(0 - \dot q)
 
-clamped to the safety torque at the joint (which is above what the motors can give, and so acts only
-when their limits are raised), divided by the gear, and limited to what the motor gives at its
-speed: full torque up to half the no-load speed, then falling linearly to none. The limit
-holds for braking too, as in the public simulator. The 3 ms torque delay is not here: it is part of
-the physics state (`<motor delay=...>` in the model), so that a saved state resumes exactly.
+divided by the gear, and limited to what the motor gives at its speed: full torque up to half the
+no-load speed, then falling linearly to none. The limit holds for braking too, as in the public
+simulator. The simulator's safety clamp on the joint torque (140.63, 140.63, 216.16, 216.16 and
+45.14 N m) is left out: the motors give at most 112.5, 112.5, 195.2, 195.2 and 45 N m there, so that
+it never acts. The 3 ms torque delay is not here: it is part of the physics state
+(`<motor delay=...>` in the model), so that a saved state resumes exactly.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from aslip.cassie import (
     MOTOR_TORQUE_LIMIT,
     PD_DAMPING,
     PD_STIFFNESS,
-    SAFETY_TORQUE,
 )
 
 # the joint speed [rad/s] at which a motor gives no torque
@@ -72,15 +72,11 @@ def _limited(
         for j in range(out.shape[1]):
             torque = (target[i, j] - position[i, j]) * PD_STIFFNESS[j]
             torque -= velocity[i, j] * PD_DAMPING[j]
-            # written such that what is not a number stays so, and is noticed
-            if torque > SAFETY_TORQUE[j]:
-                torque = SAFETY_TORQUE[j]
-            elif torque < -SAFETY_TORQUE[j]:
-                torque = -SAFETY_TORQUE[j]
             torque /= GEAR[j]
             # limit = tau_max clip(2 (1 - |w| / w_max), 0, 1)
             limit = abs(velocity[i, j]) * _SLOPE[j] + _TORQUE_SLOPE
             limit = min(max(limit, 0.0), 1.0) * MOTOR_TORQUE_LIMIT[j]
+            # written such that what is not a number stays so, and is noticed
             if torque > limit:
                 torque = limit
             elif torque < -limit:

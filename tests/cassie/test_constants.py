@@ -13,7 +13,6 @@ PER_MOTOR = (
     "MOTOR_TORQUE_LIMIT",
     "PD_DAMPING",
     "PD_STIFFNESS",
-    "SAFETY_TORQUE",
 )
 
 

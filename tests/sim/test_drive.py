@@ -11,7 +11,6 @@ from aslip.cassie import (
     MOTOR_TORQUE_LIMIT,
     PD_DAMPING,
     PD_STIFFNESS,
-    SAFETY_TORQUE,
 )
 from aslip.sim import Drive, motor_torque
 
@@ -42,11 +41,6 @@ def test_position_and_velocity_add_up() -> None:
 def test_large_errors_are_cut_off_at_the_motor_limit(sign: int) -> None:
     torque = motor_torque(np.full(10, sign * 50.0), ZERO, ZERO)
     np.testing.assert_array_equal(torque, sign * MOTOR_TORQUE_LIMIT)
-
-
-def test_the_safety_clamp_lies_above_the_motors_limit() -> None:
-    """So it never shows in the torque; it is there because the robot has it."""
-    assert (SAFETY_TORQUE > MOTOR_TORQUE_LIMIT * GEAR).all()
 
 
 @pytest.mark.parametrize(
