@@ -82,7 +82,7 @@ class Simulations:
         `watch` chose. Torques and forces are those that acted in the substep."""
         # live arrays, looked up once: binding anew costs more than a PD law in the 2 kHz loop
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
-        self._ctrl, self._warm_start = self.batch.bind("ctrl"), self.batch.bind("qacc_warmstart")
+        self._ctrl = self.batch.bind("ctrl")
         self._site_xpos = self.batch.bind("site_xpos")
         self._site_xmat = self.batch.bind("site_xmat")
         self._qacc = self.batch.bind("qacc")
@@ -124,8 +124,6 @@ class Simulations:
         if qvel is not None:
             self.qvel[ids] = qvel
         self.batch.forward(ids)
-        # a cold solver start makes the first step independent of how often forward() has run
-        self._warm_start[ids] = 0.0
         self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
 

@@ -57,12 +57,10 @@ class CassiePhysics(mujoco.Physics):
     def copy(self, share_model: bool = False) -> CassiePhysics:
         """A physics in the same state, with the same motor target; see dm_control."""
         other = super().copy(share_model)
-        # a new physics behaves as after a reset: hand over what that cleared
-        np.copyto(other.data.qacc_warmstart, self.data.qacc_warmstart)
+        # MuJoCo's data are copied; a new physics has set the rest as after a reset
         other._motor_target = self._motor_target.copy()
         other._ground_force = self._ground_force.copy()
         other.sensors, other._substep = deepcopy(self.sensors), self._substep
-        np.copyto(other.data.xfrc_applied, self.data.xfrc_applied)
         return other
 
     # ------------------------------------------------------------------ time
@@ -118,10 +116,8 @@ class CassiePhysics(mujoco.Physics):
         mj.mj_resetDataKeyframe(self.model.ptr, self.data.ptr, self.model.ptr.key("standing").id)
 
     def after_reset(self) -> None:
-        """Recompute what follows from the state; the first step starts from a cold solver."""
-        self.data.qacc_warmstart[:] = 0.0
+        """Recompute what follows from the state."""
         super().after_reset()
-        self.data.qacc_warmstart[:] = 0.0
         self._motor_target = self.motor_position()
         self._ground_force = self.data.sensordata[self.indices.ground_force]
         state = (self.data.qpos, self.data.qvel, self.data.qacc)

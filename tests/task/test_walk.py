@@ -261,6 +261,33 @@ def test_a_copy_tracks_the_same_target(physics: CassiePhysics) -> None:
     np.testing.assert_allclose(twin.data.qpos, physics.data.qpos, atol=1e-6)
 
 
+@pytest.mark.parametrize("share_model", [False, True])
+def test_a_copy_has_all_that_the_future_depends_on(
+    physics: CassiePhysics, share_model: bool
+) -> None:
+    """Bit for bit: the push, the solver's warm start, delayed torques, the sensors' memory."""
+    push = np.array([0.0, 60.0, 5.0])
+    physics.push(push)
+    physics.set_control(physics.motor_position() + 0.1)
+    physics.step(60)
+    assert physics.data.qacc_warmstart.any()
+    twin = physics.copy(share_model=share_model)
+    np.testing.assert_array_equal(twin.full_state(), physics.full_state())
+    np.testing.assert_array_equal(twin.data.xfrc_applied[twin.indices.pelvis_body, :3], push)
+    physics.step(60)
+    twin.step(60)
+    np.testing.assert_allclose(twin.data.qpos, physics.data.qpos, atol=1e-9)
+
+
+def test_a_reset_ends_pushes_and_starts_the_solver_cold(physics: CassiePhysics) -> None:
+    physics.push(np.array([0.0, 60.0, 5.0]))
+    physics.step(60)
+    with physics.reset_context():
+        physics.stand()
+    assert not physics.data.qacc_warmstart.any()
+    np.testing.assert_array_equal(physics.full_state(), CassiePhysics.load().full_state())
+
+
 @pytest.mark.parametrize("shape", [(9,), (11,), (1, 10), ()])
 def test_targets_of_another_shape_are_refused(
     physics: CassiePhysics, shape: tuple[int, ...]
