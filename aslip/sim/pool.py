@@ -57,6 +57,8 @@ class SimulationPool:
         ]
         self._threads = min(threads, len(self.parts))
         self._executor = ThreadPoolExecutor(self._threads)
+        # threads come with the first period, and do not follow into a forked process
+        self._process: int | None = None
         self._watched_part = 0
 
     @property
@@ -75,9 +77,11 @@ class SimulationPool:
             qvel: (k, 32) initial velocities, rest by default.
 
         Raises:
-            ConfigurationError: there is no such simulation; nothing has been reset then.
+            ConfigurationError: there is no such simulation, or this is a forked process; nothing
+                has been reset then.
             ShapeError: an array does not fit; nothing has been reset then.
         """
+        self._check_process()
         ids = check_ids(ids, self.num)
         for name, value, size in (("qpos", qpos, self.model.nq), ("qvel", qvel, self.model.nv)):
             if value is not None and value.shape != (len(ids), size):
@@ -132,8 +136,10 @@ class SimulationPool:
             (n,) bool, the simulations that diverged and stand at the keyframe now.
 
         Raises:
+            ConfigurationError: this process was forked after the simulations had been stepped.
             ShapeError: the targets do not fit.
         """
+        self._check_process()
         if motor_target.shape != (self.num, self.model.nu):
             expected = (self.num, self.model.nu)
             raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
@@ -141,6 +147,7 @@ class SimulationPool:
             raise ShapeError(f"push must have shape {(self.num, 3)}, got {push.shape}")
         shares = np.split(motor_target, self._starts[1:])
         pushes = [None] * len(shares) if push is None else np.split(push, self._starts[1:])
+        self._process = os.getpid()
         try:
             jobs = [
                 self._executor.submit(part.advance, share, force)
@@ -151,6 +158,19 @@ class SimulationPool:
             self._come_to_rest()
             raise
         return np.concatenate([job.result() for job in jobs])
+
+    def _check_process(self) -> None:
+        """Refuse a forked process, in which jobs would wait for threads that are not there.
+
+        Raises:
+            ConfigurationError: the simulations have been stepped in another process.
+        """
+        if self._process not in (None, os.getpid()):
+            raise ConfigurationError(
+                f"these simulations were stepped in process {self._process}, from which this one"
+                f" ({os.getpid()}) was forked without their threads; make the environment in the"
+                ' process that steps it, or start processes with the method "spawn"'
+            )
 
     def _come_to_rest(self) -> None:
         """Let the threads finish what they were given, and replace them by new ones.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import signal
 import threading
 import time
+from multiprocessing.connection import Connection
 
 import numpy as np
 import pytest
@@ -134,3 +136,35 @@ def test_nothing_steps_on_after_an_error_or_an_interrupt(
     with pytest.raises(error):
         pool.advance(target)
     assert pool.parts[1].batch.bind("time").tolist() == pytest.approx([2 * POLICY_PERIOD] * 2)
+
+
+def _step_in_child(pool: SimulationPool, target: np.ndarray, answer: Connection) -> None:
+    for use in (lambda: pool.advance(target), lambda: pool.reset(np.arange(pool.num))):
+        try:
+            use()
+            answer.send("stepped")
+        except ConfigurationError as error:
+            answer.send(str(error))
+
+
+@pytest.mark.parametrize("used", [False, True])
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_forked_process_is_told_at_once(used: bool) -> None:
+    """Without its threads a pool that has been stepped would wait forever."""
+    pool = SimulationPool(2, num_threads=2)
+    target = pool.snapshot().qpos[:, pool.indices.motor_qpos]
+    if used:
+        pool.advance(target)
+    ours, theirs = multiprocessing.Pipe()
+    context = multiprocessing.get_context("fork")
+    child = context.Process(target=_step_in_child, args=(pool, target, theirs), daemon=True)
+    child.start()
+    try:
+        for _ in range(2):
+            assert ours.poll(60), "the child hangs"
+            answer = ours.recv()
+            assert ("forked" in answer) if used else (answer == "stepped")
+    finally:
+        child.kill()
+        child.join()
+    pool.advance(target)
