@@ -12,12 +12,14 @@ Keys, for n robots (shapes omit the leading n):
 | `reward` | 1 | zero: rewards are transforms |
 | `terminated`, `done` | 1 | the simulation diverged; all else is transforms |
 
-A reset of the bare environment may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32),
-which in a stack `ReferenceStart` writes; without them the robot stands. It may also carry
-`("dynamics", name)` (1) with parameters of `aslip.sim.DYNAMICS`, which in a stack `RandomDynamics`
-draws; a robot keeps those that are not given. A NaN target makes that one simulation diverge; it
-does not touch the others. TorchRL carries keys that no one writes from step to step, so whoever
-sets `push` takes it out again.
+A reset may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32); without them the robot
+stands, or starts where a stack's `ReferenceStart` puts it. It may also carry `("dynamics", name)`
+(1) with parameters of `aslip.sim.DYNAMICS`; a robot keeps those that neither the caller gives nor a
+stack's `RandomDynamics` draws. They are no part of `state_spec`, whose entries TorchRL expects in
+every step, too, so that TorchRL's own wrappers, such as `SerialEnv`, do not hand them on.
+
+A NaN target makes that one simulation diverge; it does not touch the others. TorchRL carries keys
+that no one writes from step to step, so whoever sets `push` takes it out again.
 
 Beside the keys there are `dynamics`, `weight` and `set_dynamics`, and for logs and replay `states`,
 `set_states` and `watch`.
@@ -40,7 +42,7 @@ from torchrl.envs import EnvBase
 
 from aslip.cassie import MOTOR_NAMES
 from aslip.cassie.model import CassieIndices
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.sim import Dynamics, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
@@ -232,10 +234,12 @@ class CassieEnv(EnvBase):
         rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask.numpy())
         initial: list[np.ndarray | None] = [None, None]
         if tensordict is not None:
+            start = requested(tensordict, "initial")
+            for name in start.keys() - set(_DOUBLE):
+                raise UnknownNameError.among("initial state", name, _DOUBLE)
             for i, name in enumerate(_DOUBLE):
-                value = tensordict.get(("initial", name), None)
-                if value is not None:
-                    initial[i] = self._checked_initial(name, value)[rows]
+                if name in start:
+                    initial[i] = self._checked_initial(name, start[name])[rows]
             self.set_dynamics(self._requested_dynamics(tensordict, rows), rows)
         self._restart(rows, *initial)
         return TensorDict(
@@ -277,12 +281,9 @@ class CassieEnv(EnvBase):
         Raises:
             ShapeError: wrong shape.
         """
-        requested = tensordict.get("dynamics", None)
-        if requested is None:
-            return {}
         expected = (*self.batch_size, 1)
         values = {}
-        for name, value in cast("TensorDictBase", requested).items():
+        for name, value in requested(tensordict, "dynamics").items():
             if tuple(value.shape) != expected:
                 raise ShapeError(f"{name} must have shape {expected}, got {tuple(value.shape)}")
             values[name] = value.detach().numpy()[rows, 0]
@@ -302,3 +303,17 @@ class CassieEnv(EnvBase):
 
     def _set_seed(self, seed: int | None) -> None:
         """The robots themselves draw nothing; transforms have their own generators."""
+
+
+def requested(tensordict: TensorDictBase, group: str) -> dict[str, Tensor]:
+    """Entries of a reset's request under one key, "initial" or "dynamics", by their names.
+
+    Raises:
+        ShapeError: what stands there is not a tensordict.
+    """
+    entries = tensordict.get(group, None)
+    if entries is None:
+        return {}
+    if not isinstance(entries, TensorDictBase):
+        raise ShapeError(f"{group} must be a TensorDict of named entries, got {type(entries)}")
+    return {str(name): cast("Tensor", value) for name, value in entries.items()}

@@ -13,6 +13,7 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.transforms import Compose, Transform
 
 from aslip.envs import CassieEnv
+from aslip.envs.base import requested
 from aslip.errors import ConfigurationError
 from aslip.sim.checks import check_count
 from aslip.transforms import CassieTransform
@@ -89,7 +90,15 @@ class CassieTransformedEnv(TransformedEnv):
         # transforms that draw need the number of robots, and asking TorchRL for it is slow
         if tensordict is None:
             tensordict = TensorDict(batch_size=self.batch_size)
-        return super()._reset(tensordict)
+        # as TorchRL's, which would hand on nothing but the mask and what state_spec declares
+        state_keys = self.state_spec.keys(True, True)
+        request = tensordict.select(
+            *self.reset_keys, *state_keys, *_chosen(tensordict), strict=False
+        )
+        request = cast("TensorDictBase", self.transform._reset_env_preprocess(request))
+        started = self.base_env._reset(request)
+        self.base_env._complete_done(self.base_env.full_done_spec, started)
+        return self.transform._reset(request, started)
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the environment, and every transform by its name.
@@ -106,6 +115,18 @@ class CassieTransformedEnv(TransformedEnv):
                     entropy = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
                     transform.set_seed(int(entropy.generate_state(1)[0]))
         return super().set_seed(seed, static_seed=static_seed)
+
+
+def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
+    """Keys with which the caller of a reset chooses starts and dynamics.
+
+    A request that names robots to reset is a tensordict of the episode that ends, and what it holds
+    is old, not chosen.
+    """
+    if "_reset" in tensordict:
+        return []
+    groups = ("initial", "dynamics")
+    return [(group, name) for group in groups for name in requested(tensordict, group)]
 
 
 def check_seed(seed: object) -> int:

@@ -54,8 +54,8 @@ class RandomDynamics(CassieTransform):
     parameter does not depend on the ranges of others. Parameters without a range stay what the
     environment has.
 
-    To choose instead, pass `("dynamics", name)` to `env.reset`, or call `env.base_env.set_dynamics`
-    for parameters that are not drawn. In a reset of some robots only, with a `_reset` mask, theirs
+    To choose instead, pass `("dynamics", name)` to `env.reset`, also for parameters that are not
+    drawn. In a reset of some robots only, with a `_reset` mask, theirs
     are drawn anew.
 
     Part of no stack by default; `aslip.stack.randomised` puts it and `RandomNoise` into one.

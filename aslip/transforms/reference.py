@@ -143,6 +143,10 @@ class ReferenceDistance(CassieTransform):
 class ReferenceStart(CassieTransform):
     """Start each episode on the reference, at the drawn phase and command.
 
+    To start elsewhere, pass `("initial", "qpos")`, `("initial", "qvel")` or both to `env.reset`;
+    what is not given is the reference's. In a reset of some robots only, with a `_reset` mask, all
+    is the reference's.
+
     Must come before `SpeedCommand` and `PhaseClock` in the stack: TorchRL prepares resets from the
     last transform to the first.
 
@@ -177,8 +181,8 @@ class ReferenceStart(CassieTransform):
         qpos, qvel = self.library.initial_state(tensordict["phase"], tensordict["command"])
         if self.velocity == "rest":
             qvel = torch.zeros_like(qvel)
-        tensordict.set(("initial", "qpos"), qpos)
-        return tensordict.set(("initial", "qvel"), qvel)
+        tensordict = self._draw_into_reset(tensordict, ("initial", "qpos"), qpos)
+        return self._draw_into_reset(tensordict, ("initial", "qvel"), qvel)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

@@ -1,0 +1,120 @@
+"""What the caller of a stack's reset chooses wins over what transforms draw."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+from aslip.cassie.model import load_model
+from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownNameError
+from aslip.library import GaitLibrary
+from aslip.stack import default_stack, insert_before
+from aslip.transforms import RandomDynamics
+from tests.conftest import MakeEnv
+
+BACKENDS = ("batch", "dm_control")
+STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore
+
+
+def _start(height: float = 1.347) -> TensorDict:
+    """Two robots in the air, moving up."""
+    qpos, qvel = STANDING.repeat(2, 1), torch.zeros(2, 32, dtype=torch.float64)
+    qpos[:, 2], qvel[:, 2] = height, 0.5
+    return TensorDict(qpos=qpos, qvel=qvel, batch_size=2)
+
+
+def _values(name: str, *values: float) -> TensorDict:
+    return TensorDict({name: torch.tensor(values)[:, None]}, batch_size=2)
+
+
+def _request(**groups: TensorDict) -> TensorDict:
+    return TensorDict(groups, batch_size=2)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("drop", [[], ["start"]])
+def test_a_chosen_start_is_where_robots_start(make: MakeEnv, backend: str, drop: list[str]) -> None:
+    start = _start()
+    request = _request(initial=start.clone())
+    td = make(backend, num_envs=2, drop=drop).reset(request)
+    for name in ("qpos", "qvel"):
+        torch.testing.assert_close(td["truth", name], start[name], rtol=0, atol=0)
+        torch.testing.assert_close(request["initial", name], start[name], rtol=0, atol=0)
+
+
+def test_half_a_chosen_start_leaves_the_other_half_to_the_reference(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    start = _start().select("qvel")
+    given = {"command": torch.ones(2, 1), "phase": torch.full((2, 1), 0.25)}
+    request = _request(initial=start).update(given)
+    td = make(num_envs=2).reset(request)
+    qpos, _ = library.initial_state(given["phase"], given["command"])
+    torch.testing.assert_close(td["truth", "qpos"], qpos, rtol=0, atol=1e-12)
+    torch.testing.assert_close(td["truth", "qvel"], start["qvel"], rtol=0, atol=0)
+    assert list(request["initial"].keys()) == ["qvel"]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_chosen_dynamics_are_the_robots(make: MakeEnv, backend: str) -> None:
+    env = make(backend, num_envs=2)
+    env.reset(_request(dynamics=_values("mass", 1.5, 0.8)))
+    assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
+    env.reset()
+    assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
+
+
+def test_chosen_dynamics_win_over_drawn_ones_and_the_others_are_drawn(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    ranges = {"mass": (0.9, 1.1), "floor_friction": (0.4, 0.6)}
+    stack = insert_before(default_stack(library), "start", dynamics=lambda: RandomDynamics(ranges))
+    env = make(num_envs=2, stack=stack)
+    dynamics = _values("mass", 1.5, 0.8).update(_values("payload", 3.0, 0.0))
+    env.reset(_request(dynamics=dynamics))
+    found = env.base_env.dynamics
+    assert found["mass"].tolist() == pytest.approx([1.5, 0.8])
+    assert found["payload"].tolist() == [3.0, 0.0]
+    assert ((found["floor_friction"] >= 0.4) & (found["floor_friction"] <= 0.6)).all()
+
+
+@pytest.mark.parametrize("drop", [[], ["start"]])
+def test_what_an_ending_episode_carries_is_not_chosen(make: MakeEnv, drop: list[str]) -> None:
+    """TorchRL's idiom hands the whole old tensordict back with a mask."""
+    env = make(num_envs=2, drop=drop)
+    td = env.reset(_request(initial=_start(), dynamics=_values("mass", 1.5, 0.8)))
+    assert "initial" in td
+    env.base_env.set_dynamics({"mass": 1.0})
+    td["_reset"] = torch.tensor([[True], [False]])
+    td = env.reset(td)
+    assert td["truth", "qpos"][0, 2] < 1.1
+    assert td["truth", "qpos"][1, 2] == 1.347
+    assert env.base_env.dynamics["mass"].tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("request_", "error", "message"),
+    [
+        ({"initial": TensorDict(qpo=STANDING.repeat(2, 1), batch_size=2)}, UnknownNameError, "qpo"),
+        ({"dynamics": _values("mas", 1.0, 1.0)}, UnknownNameError, "did you mean 'mass'"),
+        ({"dynamics": _values("mass", 1.0, 50.0)}, ConfigurationError, "mass of robot 1"),
+        ({"initial": torch.zeros(2, 35)}, ShapeError, "initial must be a TensorDict"),
+        ({"dynamics": torch.ones(2, 1)}, ShapeError, "dynamics must be a TensorDict"),
+        (
+            {"initial": TensorDict(qpos=torch.zeros(2, 34), batch_size=2)},
+            ShapeError,
+            r"initial qpos must have shape \(2, 35\)",
+        ),
+    ],
+)
+def test_requests_that_make_no_sense_are_refused(
+    make: MakeEnv, request_: dict[str, Any], error: type[AslipError], message: str
+) -> None:
+    env = make(num_envs=2)
+    before = env.base_env.states()
+    with pytest.raises(error, match=message):
+        env.reset(TensorDict(request_, batch_size=2))
+    assert (env.base_env.states() == before).all()
