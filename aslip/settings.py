@@ -24,6 +24,12 @@ JointRate = Literal["policy", "physics"]
 RewardSource = Literal["truth", "estimate"]
 """What rewards read."""
 
+PAPER_SPEEDS = tuple(round(0.1 * i, 1) for i in range(21))
+"""0 to 2 m/s in steps of 0.1 m/s (Sec. III-A)."""
+
+PHASE_SAMPLES = 128
+"""Samples of a stride: one every 6 ms, five a policy step."""
+
 SETTINGS_FILE = "config.json"
 """File of a run's settings, in its folder."""
 

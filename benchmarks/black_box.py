@@ -10,39 +10,11 @@ touches both alike. Logs are then killed while being written, cut anywhere, and 
 
 from __future__ import annotations
 
-import json
-import os
-import signal
-import statistics
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
-import numpy as np
-import torch
-import tyro
-from tqdm import trange
-
-import aslip
-from aslip.cassie import POLICY_PERIOD
+from aslip.cli import command_line
 from aslip.errors import FileDamagedError, one_line_errors
-from aslip.library import GaitLibrary
-from aslip.log import JointRate, Recorder, check, read, recover, replay
-from aslip.policy import policy_stack
-from aslip.run import write_text
-from aslip.stack import EPISODE_ENDS, STACKS
-from aslip.walker import Walker
-
-# an episode of the paper [policy steps]
-_EPISODE = 400
-# steps that are timed together, so that a pause of the machine hits one portion only
-_PORTION = 20
 
 
 @dataclass(frozen=True)
@@ -63,6 +35,41 @@ class Config:
     """Of everything random."""
     report: Path = Path("runs/black_box.json")
     """Where to write the numbers."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+
+import numpy as np
+import torch
+from tqdm import trange
+
+import aslip
+from aslip.cassie import POLICY_PERIOD
+from aslip.library import GaitLibrary
+from aslip.log import JointRate, Recorder, check, read, recover, replay
+from aslip.policy import policy_stack
+from aslip.run import write_text
+from aslip.stack import EPISODE_ENDS, STACKS
+from aslip.walker import Walker
+
+# an episode of the paper [policy steps]
+_EPISODE = 400
+# steps that are timed together, so that a pause of the machine hits one portion only
+_PORTION = 20
 
 
 def main(config: Config) -> None:
@@ -278,4 +285,4 @@ def closed(walker: Walker) -> Iterator[Walker]:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -14,22 +14,11 @@ On one machine this is what processes cost or save; several machines have more p
 
 from __future__ import annotations
 
-import statistics
-import time
-from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 
-import torch
-import tyro
-from tensordict import TensorDict
-
-import aslip
-from aslip.collect import CollectorKind, make_collector
+from aslip.cli import command_line
 from aslip.errors import one_line_errors
-from aslip.policy import policy_stack
-from aslip.tables import markdown
+from aslip.settings import CollectorKind
 
 
 @dataclass(frozen=True)
@@ -48,6 +37,25 @@ class Config:
     """Rounds to take the median over, after a batch to warm up."""
     policy: str = "aslip"
     """Who walks, as `aslip.load_policy` names it, with exploration noise."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from functools import partial
+
+import torch
+from tensordict import TensorDict
+
+import aslip
+from aslip.collect import make_collector
+from aslip.policy import policy_stack
+from aslip.tables import markdown
 
 
 def main(config: Config) -> None:
@@ -93,4 +101,4 @@ def _seconds(batches: Iterator[TensorDict]) -> float:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

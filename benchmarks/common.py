@@ -16,7 +16,6 @@ from scipy import stats
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.plots import save_figure
 from aslip.policy import policy_stack
@@ -24,6 +23,7 @@ from aslip.rom import Gait
 from aslip.run import write_text
 from aslip.stack import EPISODE_ENDS, ON_TRUTH, CassieTransformedEnv
 from aslip.walks import Walks, record_walks
+from benchmarks.flags import Common
 
 WALKING_LENGTH = 350
 """Mean length of training episodes that counts as having learned to walk, of 400 [policy steps]."""
@@ -34,25 +34,6 @@ CONFIDENCE = 0.95
 _RESAMPLES = 2000
 # a bootstrap of fewer is too narrow
 _LEAST_VALUES = 10
-
-
-@dataclass(frozen=True)
-class Common:
-    """Flags of every benchmark of a policy."""
-
-    policy: tuple[str, ...] = ("aslip",)
-    """Policies to measure, as `aslip.load_policy` takes them; several count as seeds of one."""
-    truth: bool = False
-    """Show them the simulator's truth instead of what an estimator makes of noisy sensors."""
-    seed: int = 0
-    """Of sensor noise."""
-    out: Path = Path("runs/benchmarks")
-    """Folder of table, numbers and picture."""
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        if not self.policy:
-            raise ConfigurationError("name at least one policy")
 
 
 @dataclass(frozen=True)

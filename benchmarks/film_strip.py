@@ -10,29 +10,11 @@ robot at the same instants. Without a display: MUJOCO_GL=egl, or MUJOCO_GL=osmes
 
 from __future__ import annotations
 
-from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-import matplotlib as mpl
-
-mpl.use("Agg")
-
-import matplotlib.pyplot as plt
-import numpy as np
-import torch
-import tyro
-from matplotlib.figure import Figure
-from tensordict import TensorDict
-
-import aslip
-from aslip.cassie import POLICY_PERIOD
+from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.ghost import Ghost
-from aslip.plots import save_figure
-from aslip.render import render_robot, strip
-from aslip.walker import Walker
 
 
 @dataclass(frozen=True)
@@ -66,6 +48,31 @@ class Config:
             raise ConfigurationError(f"frames must be 1 or more, got {self.frames}")
         if not 0 <= self.settle <= 10:
             raise ConfigurationError(f"settle must be 0 to 10 s, got {self.settle}")
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+from contextlib import closing
+from typing import Any
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tensordict import TensorDict
+
+import aslip
+from aslip.cassie import POLICY_PERIOD
+from aslip.ghost import Ghost
+from aslip.plots import save_figure
+from aslip.render import render_robot, strip
+from aslip.walker import Walker
 
 
 @dataclass(frozen=True)
@@ -177,4 +184,4 @@ def draw(stride: Stride, config: Config) -> Figure:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -11,32 +11,14 @@ of its sole in the middle of its stance.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-import numpy as np
-import tyro
-from matplotlib.figure import Figure
-
-from aslip.cassie import POLICY_PERIOD, SIDES
+from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.ghost import Footholds
-from aslip.library import GaitLibrary
-from aslip.log import read
-from aslip.metrics import Placement, footsteps, placement
-from aslip.tables import markdown
-from aslip.walks import Walks
-from benchmarks.common import (
-    Common,
-    Interval,
-    constant_walks,
-    shortest_swing,
-    write_report,
-)
+from benchmarks.flags import Common
 
 PUBLISHED: Final = MappingProxyType(
     {
@@ -50,10 +32,6 @@ PUBLISHED: Final = MappingProxyType(
 )  # fmt: skip
 """Speed [m/s] -> mean error and standard deviation [m], from the data of the paper's figure."""
 
-_FOOTSTEPS = 15
-# walking before the first footstep counts, and time for so many and a few more [s]
-_SETTLE, _WALK = 4.0, 12.0
-
 
 @dataclass(frozen=True)
 class Config(Common):
@@ -63,6 +41,30 @@ class Config(Common):
     """Commanded [m/s]."""
     log: Path | None = None
     """Measure the walk in a log, at the speed it has been commanded at."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from aslip.cassie import POLICY_PERIOD, SIDES
+from aslip.ghost import Footholds
+from aslip.library import GaitLibrary
+from aslip.log import read
+from aslip.metrics import Placement, footsteps, placement
+from aslip.tables import markdown
+from aslip.walks import Walks
+from benchmarks.common import Interval, constant_walks, shortest_swing, write_report
+
+_FOOTSTEPS = 15
+# walking before the first footstep counts, and time for so many and a few more [s]
+_SETTLE, _WALK = 4.0, 12.0
 
 
 def main(config: Config) -> dict[float, list[Placement]]:
@@ -202,4 +204,4 @@ def picture(measured: dict[float, list[Placement]]) -> Figure:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

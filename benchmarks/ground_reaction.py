@@ -10,35 +10,11 @@ the humps over that of the lower hump, after two passes of a moving average of 3
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
-import numpy as np
-import torch
-import tyro
-from matplotlib.figure import Figure
-from tqdm import tqdm
-
-from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
+from aslip.cli import command_line
 from aslip.errors import one_line_errors
-from aslip.ghost import touchdown_phases
-from aslip.library import GaitLibrary
-from aslip.metrics import force_profile, mean_over_strides
-from aslip.metrics.contact import stances
-from aslip.metrics.force import ForceProfile, dip_ratio, humps
-from aslip.rom import Gait
-from aslip.tables import markdown
-from aslip.walker import Walker
-from benchmarks.common import Common, environment, nearest_gait, write_report
-
-# before strides count, and while they do [s]
-_SETTLE, _WALK = 4.0, 8.0
-_SAMPLES = 200
-# a foot that stood less often has not stepped
-_LEAST_STANCES = 3
-_VERTICAL = [-4, -1]  # of both feet, in what is watched
+from benchmarks.flags import Common
 
 
 @dataclass(frozen=True)
@@ -49,6 +25,39 @@ class Config(Common):
     """Commanded [m/s]."""
     baseline: tuple[str, ...] = ()
     """Policies of `recipes/ppo_single_reference.py`."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+from collections.abc import Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
+from aslip.ghost import touchdown_phases
+from aslip.library import GaitLibrary
+from aslip.metrics import force_profile, mean_over_strides
+from aslip.metrics.contact import stances
+from aslip.metrics.force import ForceProfile, dip_ratio, humps
+from aslip.rom import Gait
+from aslip.tables import markdown
+from aslip.walker import Walker
+from benchmarks.common import environment, nearest_gait, write_report
+
+# before strides count, and while they do [s]
+_SETTLE, _WALK = 4.0, 8.0
+_SAMPLES = 200
+# a foot that stood less often has not stepped
+_LEAST_STANCES = 3
+_VERTICAL = [-4, -1]  # of both feet, in what is watched
 
 
 @dataclass(frozen=True)
@@ -211,4 +220,4 @@ def picture(
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -17,6 +17,45 @@ again, and what else is done is added to it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from aslip.cli import command_line
+from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
+
+
+@dataclass(frozen=True)
+class Config:
+    """Which runs."""
+
+    out: Path = Path("runs/learning_curves")
+    """Folder of the runs, one each, by variant and seed."""
+    variants: tuple[Literal["truth", "default", "paper"], ...] = ("truth", "default")
+    """What to compare."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    """Seeds of each variant."""
+    total_steps: int = 1_500_000
+    """Policy steps of each run."""
+    jobs: int = 1
+    """Runs at once; more than one are bound to a processor each."""
+    train: bool = True
+    """Train what is missing; otherwise report what there is."""
+    record: Path | None = None
+    """Curves of runs that are done, here or elsewhere; begun if there is none."""
+    picture: Path = Path("runs/learning_curves/learning_curves.png")
+    """Where to draw."""
+
+    def __post_init__(self) -> None:
+        """Check the settings."""
+        if self.jobs < 1:
+            raise ConfigurationError(f"jobs must be 1 or more, got {self.jobs}")
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
 import csv
 import io
 import math
@@ -25,17 +64,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from types import MappingProxyType
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.plots import save_figure
 from aslip.policy import POLICY_FILE, read_manifest
 from aslip.run import read_progress, steps_done, write_text
@@ -104,33 +140,6 @@ Runs = dict[tuple[str, int], Run]
 """(Variant, seed) -> a training."""
 
 _LENGTHS = (WALKING_LENGTH, ROBUST_LENGTH)
-
-
-@dataclass(frozen=True)
-class Config:
-    """Which runs."""
-
-    out: Path = Path("runs/learning_curves")
-    """Folder of the runs, one each, by variant and seed."""
-    variants: tuple[Literal["truth", "default", "paper"], ...] = ("truth", "default")
-    """What to compare."""
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """Seeds of each variant."""
-    total_steps: int = 1_500_000
-    """Policy steps of each run."""
-    jobs: int = 1
-    """Runs at once; more than one are bound to a processor each."""
-    train: bool = True
-    """Train what is missing; otherwise report what there is."""
-    record: Path | None = None
-    """Curves of runs that are done, here or elsewhere; begun if there is none."""
-    picture: Path = Path("runs/learning_curves/learning_curves.png")
-    """Where to draw."""
-
-    def __post_init__(self) -> None:
-        """Check the settings."""
-        if self.jobs < 1:
-            raise ConfigurationError(f"jobs must be 1 or more, got {self.jobs}")
 
 
 def main(config: Config) -> None:
@@ -385,4 +394,4 @@ def _at(run: Run, column: str, steps: np.ndarray) -> np.ndarray:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

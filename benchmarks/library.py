@@ -9,16 +9,30 @@ solves all poses of the library, positions and velocities, and is timed inside i
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from aslip.cli import command_line
+from aslip.errors import one_line_errors
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to measure."""
+
+    rounds: int = 5
+    """Processes to take the median over."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
 import os
 import statistics
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 
-import tyro
-
-from aslip.errors import one_line_errors
 from aslip.tables import markdown
 
 _GAITS = """
@@ -49,14 +63,6 @@ solution = solve(kinematics, *targets)
 seconds = time.perf_counter() - start
 print(len(solution.qpos), seconds, solution.residual.loop, solution.residual.foot_position)
 """
-
-
-@dataclass(frozen=True)
-class Config:
-    """What to measure."""
-
-    rounds: int = 5
-    """Processes to take the median over."""
 
 
 def main(config: Config) -> None:
@@ -96,4 +102,4 @@ def _bind_to_one_core() -> None:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

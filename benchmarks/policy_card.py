@@ -10,16 +10,45 @@ the policy's file or is measured now, by the other benchmarks; it takes some min
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.cli import command_line
+from aslip.errors import ConfigurationError, one_line_errors
+
+
+@dataclass(frozen=True)
+class Config:
+    """What to ship."""
+
+    run: Path
+    """Folder of the training."""
+    name: str
+    """By which `aslip.load_policy` finds it."""
+    assets: Path = Path("assets/policies")
+    """Where policies are shipped from."""
+    out: Path = Path("runs/policy_card")
+    """Folder of what the benchmarks write."""
+    measure: bool = True
+    """Run the benchmarks; without, the card has no tables of theirs."""
+
+    def __post_init__(self) -> None:
+        """Check the name."""
+        if not self.name.isidentifier():
+            raise ConfigurationError(f"a policy's name must be an identifier, got {self.name!r}")
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
 import json
 import os
 import re
 import shutil
 import zipfile
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import tyro
 from tensordict.utils import unravel_key
 
 from aslip.cassie import (
@@ -33,7 +62,6 @@ from aslip.cassie import (
     SUBSTEPS,
     TORQUE_DELAY,
 )
-from aslip.errors import ConfigurationError, one_line_errors
 from aslip.policy import find_policy, load_policy, policy_stack, read_manifest
 from aslip.run import write_text
 from aslip.stack import make_env
@@ -74,27 +102,6 @@ _BASELINES = {
     " loops exert what the model's legs do and make up for their damping",
     "reference/motor_position": "the reference's angles one policy step ahead",
 }
-
-
-@dataclass(frozen=True)
-class Config:
-    """What to ship."""
-
-    run: Path
-    """Folder of the training."""
-    name: str
-    """By which `aslip.load_policy` finds it."""
-    assets: Path = Path("assets/policies")
-    """Where policies are shipped from."""
-    out: Path = Path("runs/policy_card")
-    """Folder of what the benchmarks write."""
-    measure: bool = True
-    """Run the benchmarks; without, the card has no tables of theirs."""
-
-    def __post_init__(self) -> None:
-        """Check the name."""
-        if not self.name.isidentifier():
-            raise ConfigurationError(f"a policy's name must be an identifier, got {self.name!r}")
 
 
 def main(config: Config) -> Path:
@@ -263,4 +270,4 @@ def _copy(source: Path, target: Path) -> None:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -6,29 +6,10 @@ python -m benchmarks.step_frequency --policy runs/seed0 runs/seed1 runs/seed2
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
-import tyro
-from matplotlib.figure import Figure
-
-from aslip.cassie import POLICY_PERIOD
+from aslip.cli import command_line
 from aslip.errors import one_line_errors
-from aslip.library import GaitLibrary
-from aslip.metrics import duty_factor, step_frequency
-from aslip.tables import markdown
-from aslip.walks import Walks
-from benchmarks.common import (
-    Common,
-    Interval,
-    constant_walks,
-    shortest_swing,
-    strides,
-    write_report,
-)
-
-# walking before footsteps count, and while they do [s]
-_SETTLE, _WALK = 4.0, 16.0
+from benchmarks.flags import Common
 
 
 @dataclass(frozen=True)
@@ -37,6 +18,26 @@ class Config(Common):
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded [m/s]."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.library import GaitLibrary
+from aslip.metrics import duty_factor, step_frequency
+from aslip.tables import markdown
+from aslip.walks import Walks
+from benchmarks.common import Interval, constant_walks, shortest_swing, strides, write_report
+
+# walking before footsteps count, and while they do [s]
+_SETTLE, _WALK = 4.0, 16.0
 
 
 def main(config: Config) -> list[dict[str, Any]]:
@@ -99,4 +100,4 @@ def picture(rows: list[dict[str, Any]]) -> Figure:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -19,47 +19,10 @@ environment, policy and samples take.
 
 from __future__ import annotations
 
-import itertools
-import statistics
-import subprocess
-import sys
-import tempfile
-import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
-from dataclasses import dataclass, replace
-from functools import partial
-from pathlib import Path
-from typing import Any
-from unittest import mock
+from dataclasses import dataclass
 
-import mujoco
-import numpy as np
-import torch
-import tyro
-from tensordict import TensorDictBase
-from torchrl.envs import EnvBase, ParallelEnv
-
-import aslip
-from aslip import run
-from aslip.cassie import SUBSTEPS
-from aslip.cassie.model import TIMESTEPS
+from aslip.cli import command_line
 from aslip.errors import one_line_errors
-from aslip.evaluation import evaluate
-from aslip.policy import policy_stack
-from aslip.sim import SimulationPool, Simulations
-from aslip.stack import ON_TRUTH
-from aslip.tables import markdown
-from aslip.transforms import ActionDelta
-from benchmarks.faults.trainings import quiet
-from recipes import ppo_aslip
-
-_BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
-_PAUSE = 0.01  # [s]
-# calls of a round: enough for its mean, and a single robot's round would last minutes
-_MOST_STEPS = 64
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 @dataclass(frozen=True)
@@ -82,6 +45,51 @@ class Config:
     """Who walks, as `aslip.load_policy` names it; its own time is not counted."""
     action_std: float = 0.135
     """Exploration noise on its actions [rad]."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import itertools
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import mujoco
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from torchrl.envs import EnvBase, ParallelEnv
+
+import aslip
+from aslip import run
+from aslip.cassie import SUBSTEPS
+from aslip.cassie.model import TIMESTEPS
+from aslip.evaluation import evaluate
+from aslip.policy import policy_stack
+from aslip.sim import SimulationPool, Simulations
+from aslip.stack import ON_TRUTH
+from aslip.tables import markdown
+from aslip.transforms import ActionDelta
+from benchmarks.faults.trainings import quiet
+from recipes import ppo_aslip
+
+_BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
+_PAUSE = 0.01  # [s]
+# calls of a round: enough for its mean, and a single robot's round would last minutes
+_MOST_STEPS = 64
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 class Bound:
@@ -306,4 +314,4 @@ def _timed(call: Callable[[], object]) -> float:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -10,19 +10,37 @@ mean against commanded speed at all speeds, also below 0.3 m/s, and the answers 
 
 from __future__ import annotations
 
-import itertools
-import math
 from dataclasses import dataclass
 from pathlib import Path
+
+from aslip.cli import command_line
+from aslip.errors import one_line_errors
+from benchmarks.flags import Common
+
+
+@dataclass(frozen=True)
+class Config(Common):
+    """What to measure."""
+
+    speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
+    """Commanded speeds of the map [m/s]."""
+    log: Path | None = None
+    """Draw and measure the schedule of a log instead, and nothing else."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import itertools
+import math
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-import tyro
 from matplotlib.figure import Figure
 
 from aslip.cassie import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
-from aslip.errors import one_line_errors
 from aslip.evaluation import TRACKING_TOLERANCE, on_feet, tracks
 from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
@@ -37,13 +55,7 @@ from aslip.metrics import (
 )
 from aslip.tables import markdown
 from aslip.walks import Walks
-from benchmarks.common import (
-    Common,
-    Interval,
-    constant_walks,
-    walks_of,
-    write_report,
-)
+from benchmarks.common import Interval, constant_walks, walks_of, write_report
 
 SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
 """Commanded speeds [m/s], of `_HOLD` seconds each."""
@@ -66,16 +78,6 @@ _SETTLE, _WALK = 4.0, 8.0
 _WEIGHT = TOTAL_MASS * STANDARD_GRAVITY
 # around a touchdown, where the model's speed spikes [policy steps]
 _SPIKE = 2
-
-
-@dataclass(frozen=True)
-class Config(Common):
-    """What to measure."""
-
-    speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
-    """Commanded speeds of the map [m/s]."""
-    log: Path | None = None
-    """Draw and measure the schedule of a log instead, and nothing else."""
 
 
 def main(config: Config) -> dict[str, Any]:
@@ -295,4 +297,4 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

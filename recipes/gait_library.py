@@ -6,23 +6,12 @@ python recipes/gait_library.py --out runs/my_gaits.npz --speeds 0.5 0.75 1.0
 
 from __future__ import annotations
 
-import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import tyro
-from tqdm import tqdm
-
-import aslip
+from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.library import build_library
-from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
-from aslip.library.file import write_library
-from aslip.plots import gait_figure, gait_sheet, save_figure
-from aslip.provenance import versions
-from aslip.rom import Gait, Mode
+from aslip.settings import PAPER_SPEEDS, PHASE_SAMPLES
 
 
 @dataclass(frozen=True)
@@ -48,6 +37,24 @@ class Config:
                 f"{str(self.out)!r} is the library that ships, of other speeds and samples; give"
                 " another file with --out"
             )
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import sys
+import time
+
+import numpy as np
+from tqdm import tqdm
+
+import aslip
+from aslip.library import build_library
+from aslip.library.file import write_library
+from aslip.plots import gait_figure, gait_sheet, save_figure
+from aslip.provenance import versions
+from aslip.rom import Gait, Mode
 
 
 def main(config: Config) -> None:
@@ -109,4 +116,4 @@ def made_by() -> dict[str, str]:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -8,21 +8,36 @@ default stack: where an experiment leaves a reward term out, its curve stays emp
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.cli import command_line
+from aslip.errors import one_line_errors
+
+
+@dataclass(frozen=True)
+class Config:
+    """Where to."""
+
+    out: Path = Path("assets/viewers")
+    """Folder of the layouts."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
 import json
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
-import tyro
 from rerun.blueprint.encodings import VisualizerComponentMapping
 
 from aslip.cassie import MOTOR_NAMES, SIDES
 from aslip.cassie.model import load_model
-from aslip.errors import one_line_errors
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
 from aslip.palette import COMMAND, ESTIMATE, LEFT, MODEL, OTHERS, RIGHT, ROBOT, rgb
 from aslip.rewards import PAPER_WEIGHTS
@@ -105,14 +120,6 @@ def motors(side: str, field: str, unit: str) -> Plot:
         for name, color in zip(names, OTHERS, strict=True)
     )
     return Plot(f"{side.title()} motors: {field} [{unit}]", tuple(curves))
-
-
-@dataclass(frozen=True)
-class Config:
-    """Where to."""
-
-    out: Path = Path("assets/viewers")
-    """Folder of the layouts."""
 
 
 def main(config: Config) -> None:
@@ -332,4 +339,4 @@ def _plotjuggler_plot(parent: ET.Element, plot: Plot) -> None:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

@@ -12,35 +12,13 @@ PlotJuggler. Without a display, films need MUJOCO_GL=egl, or MUJOCO_GL=osmesa in
 
 from __future__ import annotations
 
-import contextlib
 import math
-import os
-import sys
-import time
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any, cast
 
-import numpy as np
-import tyro
-from tensordict import TensorDictBase
-from torch import Tensor
-from tqdm import tqdm
-
-import aslip
-from aslip.cassie import POLICY_PERIOD
-from aslip.cassie.model import load_model
+from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.ghost import Ghost
-from aslip.log import JointRate, Recorder
-from aslip.policy import policy_stack
-from aslip.stack import EPISODE_ENDS, ON_TRUTH, STACKS, Backend
-from aslip.tables import markdown
-from aslip.walker import Push, Schedule, Walker, policy_steps
-
-# how long the last speed of a schedule is held [s]
-_LAST_SPEED = 4.0
+from aslip.settings import Backend, JointRate
 
 
 @dataclass(frozen=True)
@@ -96,12 +74,36 @@ class Config:
             path = getattr(self, name)
             if path is not None and path.is_dir():
                 raise ConfigurationError(f"--{name} must be a file, {str(path)!r} is a folder")
-        for policy in self.policies:
-            if policy_stack(policy) != policy_stack(self.policy):
-                raise ConfigurationError(
-                    f"policies to choose from must act on one stack: {self.policy!r} is of"
-                    f" {policy_stack(self.policy)!r}, {policy!r} of {policy_stack(policy)!r}"
-                )
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import contextlib
+import os
+import sys
+import time
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+from tensordict import TensorDictBase
+from torch import Tensor
+from tqdm import tqdm
+
+import aslip
+from aslip.cassie import POLICY_PERIOD
+from aslip.cassie.model import load_model
+from aslip.ghost import Ghost
+from aslip.log import Recorder
+from aslip.policy import policy_stack
+from aslip.stack import EPISODE_ENDS, ON_TRUTH, STACKS
+from aslip.tables import markdown
+from aslip.walker import Push, Schedule, Walker, policy_steps
+
+# how long the last speed of a schedule is held [s]
+_LAST_SPEED = 4.0
 
 
 @dataclass(frozen=True)
@@ -116,6 +118,7 @@ class Frame:
 
 def main(config: Config) -> None:
     """Walk."""
+    check_policies(config)
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
     check_pushes(pushes, duration(config, schedule))
@@ -136,6 +139,16 @@ def main(config: Config) -> None:
     print(table(schedule, steps))
     if config.log is not None:
         print(config.log)
+
+
+def check_policies(config: Config) -> None:
+    """Raise ConfigurationError if policies to choose from do not act on one stack."""
+    for policy in config.policies:
+        if policy_stack(policy) != policy_stack(config.policy):
+            raise ConfigurationError(
+                f"policies to choose from must act on one stack: {config.policy!r} is of"
+                f" {policy_stack(config.policy)!r}, {policy!r} of {policy_stack(policy)!r}"
+            )
 
 
 def make_walker(config: Config, schedule: Schedule) -> Walker:
@@ -328,6 +341,6 @@ def viewer(config: Config) -> Any:
 if __name__ == "__main__":
     try:
         with one_line_errors():
-            main(tyro.cli(Config))
+            main(CONFIG)
     except KeyboardInterrupt:
         raise SystemExit(130) from None

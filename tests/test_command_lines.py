@@ -161,17 +161,19 @@ def test_a_training_that_is_told_to_stop_saves_and_says_so(
 
 # ----------------------------------------------------------------------- imports
 
-_HEAVY = ("torch", "torchrl", "tensordict", "mujoco", "dm_control", "pinocchio", "casadi", "scipy")
+_HEAVY = ("torch", "torchrl", "tensordict", "dm_control", "pinocchio", "casadi", "matplotlib")
 
 _LOADED = """
 import contextlib, io, runpy, sys
 with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
     for name in sys.argv[2:]:
-        script = name.endswith(".py")
         for word in ("--help", "--no-such-option"):
             sys.argv = [name, word]
             try:
-                (runpy.run_path if script else runpy.run_module)(name, run_name="__main__")
+                if name.endswith(".py"):
+                    runpy.run_path(name, run_name="__main__")
+                else:
+                    runpy.run_module(name, run_name="__main__", alter_sys=True)
             except SystemExit as stop:
                 assert stop.code == (2 if word != "--help" else 0), (name, word, stop.code)
             else:

@@ -11,12 +11,7 @@ from aslip.errors import ConfigurationError
 from aslip.ik import BodyTarget, CassieKinematics, IkSolution, solve, static_torque
 from aslip.library.file import GaitTable
 from aslip.rom import Gait, GaitSample, optimize_gaits
-
-PAPER_SPEEDS = tuple(round(0.1 * i, 1) for i in range(21))
-"""0 to 2 m/s in steps of 0.1 m/s (Sec. III-A)."""
-
-PHASE_SAMPLES = 128
-"""Samples of a stride: one every 6 ms, five a policy step."""
+from aslip.settings import PAPER_SPEEDS, PHASE_SAMPLES
 
 
 def build_library(

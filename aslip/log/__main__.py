@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
+from typing import NoReturn
 
+from aslip.cli import usage_error
 from aslip.errors import AslipError
 from aslip.log.check import check
 from aslip.log.reader import read
@@ -23,8 +25,16 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
 
 
+class _Parser(argparse.ArgumentParser):
+    """A parser that tells mistakes as all programs of this package do."""
+
+    def error(self, message: str) -> NoReturn:
+        """End the program for a wrong command line."""
+        usage_error(message)
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m aslip.log", description=__doc__)
+    parser = _Parser(prog="python -m aslip.log", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
 
     def command(name: str, run: object, text: str) -> argparse.ArgumentParser:

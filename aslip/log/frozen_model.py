@@ -8,11 +8,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
+import aslip
 from aslip.assets import asset_path
 from aslip.errors import ConfigurationError, FileDamagedError
 
@@ -91,3 +93,12 @@ def _changes(original: mujoco.MjModel, model: mujoco.MjModel) -> Iterator[list[A
 
 def _owner(model: mujoco.MjModel, path: str) -> tuple[Any, str]:
     return (model.opt, path.removeprefix("opt.")) if path.startswith("opt.") else (model, path)
+
+
+def low_level_digest() -> str:
+    """SHA-256 of the code between motor targets and physics: `aslip.cassie` and `aslip.sim`."""
+    package = Path(aslip.__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted(p for name in ("cassie", "sim") for p in (package / name).glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

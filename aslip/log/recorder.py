@@ -26,7 +26,7 @@ from aslip.errors import AslipError, ConfigurationError
 from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
 from aslip.log import messages
-from aslip.log.frozen_model import freeze_model, model_digest
+from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
 from aslip.log.session import Session, require_one_model
 from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
@@ -221,12 +221,3 @@ def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str
         "substeps": str(SUBSTEPS),
         "platform": f"{platform.system()} {platform.machine()}",
     }
-
-
-def low_level_digest() -> str:
-    """SHA-256 of the code between motor targets and physics: `aslip.cassie` and `aslip.sim`."""
-    package = Path(aslip.__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(p for name in ("cassie", "sim") for p in (package / name).glob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()

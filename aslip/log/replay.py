@@ -11,10 +11,8 @@ import numpy as np
 
 from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.log.frozen_model import model_digest, thaw_model
+from aslip.log.frozen_model import low_level_digest, model_digest, thaw_model
 from aslip.log.reader import Recording, Series, read
-from aslip.log.recorder import low_level_digest
-from aslip.sim import Simulations
 
 
 @dataclass(frozen=True)
@@ -74,6 +72,8 @@ def replay(log: str | Path | Recording, start: float = 0.0) -> Replay:
     rows = np.concatenate([states["integration"], states["sensors"]], axis=1)
     first = int(before[-1])
     known = {int(state_ticks[i]): i for i in range(first, len(states))}
+    from aslip.sim import Simulations  # takes a second, which `info` and `check` need not
+
     simulations = Simulations(1, model=model, num_threads=1)
     simulations.set_states(rows[first : first + 1])
     path, compared = [], 0

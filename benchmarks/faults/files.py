@@ -10,6 +10,28 @@ process and must not take more than `MEMORY` on top of what the process had.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from aslip.cli import command_line
+from aslip.errors import AslipError, one_line_errors
+
+
+@dataclass(frozen=True)
+class Config:
+    """Which files, and how many."""
+
+    kinds: tuple[str, ...] = ()
+    """Kinds of files; all by default."""
+    count: int = 1000
+    """Damaged files of each kind."""
+    seed: int = 0
+    """Seed of everything random."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
 import io
 import multiprocessing
 import tempfile
@@ -18,17 +40,14 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-import tyro
 from tqdm import tqdm
 
-from aslip.errors import AslipError
 from aslip.run import peak_memory
 from aslip.tables import markdown
 from benchmarks.faults.kinds import KINDS, Kind
@@ -268,23 +287,11 @@ def table(kind: str, count: int, seed: int, folder: Path) -> Counter[tuple[str, 
 # ------------------------------------------------------------------------- command
 
 
-@dataclass(frozen=True)
-class Config:
-    """Which files, and how many."""
-
-    kinds: tuple[str, ...] = tuple(KINDS)
-    """Kinds of files."""
-    count: int = 1000
-    """Damaged files of each kind."""
-    seed: int = 0
-    """Seed of everything random."""
-
-
 def main(config: Config) -> None:
     """Print how many files were survived, by kind and damage."""
     rows: list[list[str]] = []
     with tempfile.TemporaryDirectory() as folder:
-        for kind in config.kinds:
+        for kind in config.kinds or KINDS:
             counts = table(kind, config.count, config.seed, Path(folder))
             for damage in damages(KINDS[kind]):
                 found = {o: n for (d, o), n in counts.items() if d == damage}
@@ -294,4 +301,5 @@ def main(config: Config) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Config))
+    with one_line_errors():
+        main(CONFIG)

@@ -6,7 +6,6 @@ import json
 import logging
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,49 +17,13 @@ from tqdm import tqdm
 from aslip.run import write_text
 from aslip.tables import markdown
 from benchmarks.faults.checkpoints import checkpoint_cost, cuts, flips, full_disks, losses
+from benchmarks.faults.config import Config
 from benchmarks.faults.files import damaged
 from benchmarks.faults.kinds import KINDS
 from benchmarks.faults.processes import kills, raises, workers
 from benchmarks.faults.settings import settings
 from benchmarks.faults.simulations import bad_numbers, steps
 from benchmarks.faults.strangers import strangers
-
-
-@dataclass(frozen=True)
-class Config:
-    """How many of each fault; none skips it."""
-
-    numbers: int = 600
-    """NaN, infinities and huge values in one simulation's state."""
-    raises: int = 10
-    """Simulations that raise in the middle of a training."""
-    kills: int = 20
-    """Trainings killed at a random moment."""
-    workers: int = 2
-    """Processes of collectors killed."""
-    cuts: int = 100
-    """Newest checkpoints truncated at a random offset."""
-    flips: int = 100
-    """Newest checkpoints with a flipped bit."""
-    losses: int = 10
-    """Runs all of whose checkpoints are truncated."""
-    full_disks: int = 50
-    """Disks that are full after a random number of bytes of a checkpoint."""
-    strangers: int = 20
-    """Policies and checkpoints with a program inside, hidden in four ways."""
-    files: int = 1000
-    """Damaged files of each kind."""
-    settings: int = 1000
-    """Settings of a wrong type or out of range."""
-    steps: int = 1_000_000
-    """Policy steps of random actions."""
-    robots: int = 256
-    """Robots of a training whose checkpoints are timed."""
-    seed: int = 0
-    """Of everything random."""
-    report: Path = Path("runs/faults.json")
-    """Where to write the numbers."""
-
 
 Inject = Callable[[int, np.random.Generator, Path], int]
 """Injects so many faults, with a folder for files; returns how many were survived."""

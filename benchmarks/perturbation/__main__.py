@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import tyro
-
+from aslip.cli import command_line
 from aslip.errors import one_line_errors
 from benchmarks.perturbation.config import Config
-from benchmarks.perturbation.suite import main
 
 if __name__ == "__main__":
+    # before the import below, which takes seconds
+    CONFIG = command_line(Config)
+
+    from benchmarks.perturbation.suite import main
+
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)

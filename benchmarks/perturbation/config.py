@@ -8,7 +8,7 @@ from types import MappingProxyType
 from typing import Final
 
 from aslip.errors import ConfigurationError
-from benchmarks.common import Common
+from benchmarks.flags import Common
 
 SIDES: Final = MappingProxyType({0.0: "forward", 90.0: "left", 180.0: "back", 270.0: "right"})
 """Names of directions of pushes [deg]."""
