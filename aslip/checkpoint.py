@@ -18,21 +18,19 @@ are its attributes or in dicts there. Anything else is not saved.
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.checkpoint import Checkpoint, CheckpointAdapter
 from torchrl.collectors import Collector
 
+from aslip.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.envs import CassieEnv
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.errors import ConfigurationError
 from aslip.sim.dynamics import DYNAMICS, longest_delay
 from aslip.stack import CassieTransformedEnv
 
@@ -153,8 +151,16 @@ def snapshot(components: Mapping[str, Any]) -> dict[str, Any]:
     return {name: deepcopy(component.state_dict()) for name, component in components.items()}
 
 
+FORMAT = ArchiveFormat(
+    "checkpoint",
+    2,
+    advice="a training is resumed by the version of aslip that began it",
+)
+"""Entries: `metadata.json`, and for each state its tree in JSON and its arrays."""
+
+
 def save_checkpoint(path: Path, states: Mapping[str, Any], metadata: Mapping[str, Any]) -> None:
-    """Write states to a ZIP archive, as a whole or not at all.
+    """Write states to an archive, as a whole or not at all.
 
     Args:
         path: the file.
@@ -163,13 +169,14 @@ def save_checkpoint(path: Path, states: Mapping[str, Any], metadata: Mapping[str
 
     Raises:
         OSError: it could not be written; a file that was there before is as it was.
+        TypeError: a state holds something else.
     """
-    checkpoint = Checkpoint(format="archive")
+    entries = {_METADATA: as_json(dict(metadata))}
     for name, state in states.items():
-        checkpoint.register(name, state, adapter=_Arrays())
-    checkpoint.save(path, metadata=metadata)
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
+        arrays: list[bytes] = []
+        entries[_tree(name)] = as_json(_packed(state, arrays))
+        entries |= {_array(name, i): array for i, array in enumerate(arrays)}
+    FORMAT.write(path, entries)
 
 
 def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]:
@@ -179,60 +186,39 @@ def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]
         FileDamagedError: the file is truncated, altered, or holds other things. Components are as
             they were, unless a state in it does not fit its component.
     """
-    checkpoint = Checkpoint()
-    for name, component in components.items():
-        checkpoint.register(name, component, adapter=_Arrays())
+    entries = FORMAT.read(path)
     try:
-        return checkpoint.load(path).manifest["metadata"]
-    except Exception as error:  # one cause, a bad file, has many exceptions
-        raise FileDamagedError(
-            f"{str(path)!r} is no intact checkpoint of this training"
-            f" ({type(error).__name__}: {error})"
-        ) from error
+        metadata = json.loads(entries[_METADATA])
+        states = {name: _state(name, entries) for name in components}
+        for name, component in components.items():
+            component.load_state_dict(states[name])
+    except Exception as error:  # whatever a state makes of a component that it is not of
+        raise FORMAT.damaged(path, error) from error
+    return metadata
 
 
-class _Arrays(CheckpointAdapter):
-    """Writes a state as JSON and NumPy arrays.
-
-    TorchRL's own way is a memory map a tensor. Written to a full disk it ends the process, and
-    reading one unpickles what a stranger may have put beside it.
-    """
-
-    adapter_id = "aslip.arrays"
-
-    def save(
-        self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Mapping[str, Any]
-    ) -> None:
-        """Write a state."""
-        del args, kwargs
-        arrays: list[np.ndarray] = []
-        tree = _packed(component, arrays)
-        path.mkdir(parents=True)
-        (path / "tree.json").write_text(json.dumps(tree), encoding="utf-8")
-        np.savez(path / "arrays.npz", *arrays)
-
-    def load(
-        self,
-        component: Any,
-        path: Path,
-        *,
-        map_location: Any,
-        tensor_load_kwargs: Mapping[str, Any],
-        args: tuple[Any, ...],
-        kwargs: Mapping[str, Any],
-    ) -> None:
-        """Load a state into a component."""
-        del map_location, tensor_load_kwargs, args, kwargs
-        tree = json.loads((path / "tree.json").read_text(encoding="utf-8"))
-        with np.load(path / "arrays.npz", allow_pickle=False) as arrays:
-            state = _unpacked(tree, arrays)
-        component.load_state_dict(state)
+_METADATA = "metadata.json"
 
 
-def _packed(value: Any, arrays: list[np.ndarray]) -> Any:
+def _tree(name: str) -> str:
+    return f"{name}/tree.json"
+
+
+def _array(name: str, index: int) -> str:
+    return f"{name}/{index}.npy"
+
+
+def _state(name: str, entries: Mapping[str, bytes]) -> Any:
+    """The state of a name."""
+    if _tree(name) not in entries:
+        raise ValueError(f"it is missing the state of {name!r}")
+    return _unpacked(json.loads(entries[_tree(name)]), name, entries)
+
+
+def _packed(value: Any, arrays: list[bytes]) -> Any:
     """A state as JSON, its tensors appended to `arrays`."""
     if isinstance(value, Tensor):
-        arrays.append(value.detach().cpu().numpy())
+        arrays.append(npy(value.detach().cpu().numpy()))
         return {"tensor": len(arrays) - 1}
     if isinstance(value, Mapping):
         # keys may be numbers, which those of JSON objects cannot
@@ -245,13 +231,13 @@ def _packed(value: Any, arrays: list[np.ndarray]) -> Any:
     raise TypeError(f"a state may not hold a {type(value).__name__}")
 
 
-def _unpacked(tree: Any, arrays: Mapping[str, np.ndarray]) -> Any:
-    """The state that `_packed` made JSON of."""
+def _unpacked(tree: Any, name: str, entries: Mapping[str, bytes]) -> Any:
+    """The state that `_packed` made JSON of, its arrays among entries."""
     if not isinstance(tree, dict):
         return tree
     ((kind, content),) = tree.items()
     if kind == "tensor":
-        return torch.from_numpy(arrays[f"arr_{content}"])
+        return torch.from_numpy(from_npy(entries[_array(name, content)]))
     if kind == "dict":
-        return {key: _unpacked(item, arrays) for key, item in content}
-    return {"list": list, "tuple": tuple}[kind](_unpacked(item, arrays) for item in content)
+        return {key: _unpacked(item, name, entries) for key, item in content}
+    return {"list": list, "tuple": tuple}[kind](_unpacked(item, name, entries) for item in content)

@@ -12,8 +12,8 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
-# each layer may import those listed, itself, and the three that stand below everything
-_BELOW_ALL = {"errors", "assets", "files", "settings"}
+# each layer may import those listed, itself, and those that stand below everything
+_BELOW_ALL = {"errors", "assets", "files", "archive", "settings"}
 _MAY_IMPORT = {
     "errors": set(),
     "assets": set(),
@@ -21,6 +21,7 @@ _MAY_IMPORT = {
     "settings": set(),
     "cli": set(),
     "ppo_settings": {"cassie", "cli"},
+    "archive": set(),
     "cassie": set(),
     "rom": set(),
     "ik": {"cassie"},
@@ -45,6 +46,7 @@ _FOREIGN = {
     "settings": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "cli": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "ppo_settings": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"},
+    "archive": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "cassie": {"torch", "torchrl", "tensordict", "casadi", "pinocchio", "dm_control"},
     "rom": {"torch", "torchrl", "tensordict", "mujoco", "pinocchio", "dm_control"},
     "ik": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"},

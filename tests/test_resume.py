@@ -21,7 +21,7 @@ from torchrl.collectors import Collector
 import aslip
 from aslip.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.envs import CassieEnv
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.run import TrainingRun
 from aslip.stack import default_stack, randomised
@@ -181,11 +181,6 @@ def test_what_is_no_plain_state_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(TypeError, match="may not hold a Linear"):
         save_checkpoint(tmp_path / "file", {"state": {"net": torch.nn.Linear(1, 1)}}, {})
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_that_is_not_there_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(FileDamagedError, match="gone"):
-        load_checkpoint(tmp_path / "gone", {})
 
 
 # --------------------------------------------------------------------- trainings

@@ -397,7 +397,7 @@ def test_what_a_killed_process_was_writing_is_removed(settings: Settings) -> Non
     _save(_open(settings), 10)
     folder = settings.out / "checkpoints"
     (folder / ".checkpoint-000000000020.torchrl.stage-1" / "components").mkdir(parents=True)
-    (folder / ".checkpoint-000000000020.torchrl.archive-1").write_bytes(b"half")
+    (folder / ".checkpoint-000000000020.torchrl.part").write_bytes(b"half")
     _open(settings, resume=True)
     assert _steps(settings) == [10]
 
@@ -440,16 +440,16 @@ def test_a_last_checkpoint_that_cannot_be_written_is_an_error(
 def test_an_unwritten_half_of_a_checkpoint_is_removed(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """TorchRL's archive, filled to its half."""
+    """The disk is full after some of the archive's entries."""
     run = _open(settings)
     _save(run, 10)
-    write, left = zipfile.ZipFile.write, [2]
+    write, left = zipfile.ZipFile.writestr, [2]
 
     def fill(self: zipfile.ZipFile, *args: Any, **kwargs: Any) -> None:
         left[0] -= 1
         _fail() if left[0] < 0 else write(self, *args, **kwargs)
 
-    monkeypatch.setattr(zipfile.ZipFile, "write", fill)
+    monkeypatch.setattr(zipfile.ZipFile, "writestr", fill)
     with quiet(), pytest.raises(TrainingStoppedError):
         _save(run, 20)
     assert [path.name for path in _checkpoints(settings)] == ["checkpoint-000000000010.torchrl"]
