@@ -41,6 +41,7 @@ from typing import Any, cast
 import torch
 from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
+from torchrl.envs.transforms import StepCounter
 from torchrl.modules import ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -72,7 +73,7 @@ from aslip.stack import (
     observed,
     randomised,
 )
-from aslip.transforms import SpeedCommand
+from aslip.transforms import SpeedCommand, StaggeredEnds
 
 
 def main(
@@ -183,7 +184,8 @@ def main(
             shape = replace(shape, std=std(config, step))
             set_std(actor, shape.std)  # of the next samples
 
-            done = data["next", "done"][..., 0]
+            # episodes that were cut short to stagger robots say nothing of their length
+            done = (data["next", "done"] & (data.get("stagger", 0) != 1))[..., 0]
             lengths = data["next", "step_count"][..., 0][done].tolist()
             totals = data["next", "episode_reward"][..., 0][done].tolist()
             episodes.extend(zip(lengths, totals, strict=True))
@@ -292,8 +294,12 @@ def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def training_env(command_interval: float, **settings: Any) -> CassieTransformedEnv:
-    """An environment whose commands change within episodes; those that do so already stay."""
+    """An environment of staggered robots whose commands change; those that do so already stay."""
     env = aslip.make_env(**settings)
+    limits = [t.max_steps for t in env.transforms if isinstance(t, StepCounter)]
+    if limits and limits[0] is not None:
+        env.append_transform(StaggeredEnds(limits[0]))
+        env.set_seed(env.seed)
     for transform in env.transforms:
         if isinstance(transform, SpeedCommand) and math.isinf(transform.interval):
             transform.interval = command_interval or math.inf

@@ -26,6 +26,7 @@ SENT: Final[tuple[NestedKey, ...]] = (
     "observation",
     "action",
     "action_log_prob",
+    "stagger",
     ("next", "observation"),
     ("next", "reward"),
     ("next", "reward_terms"),

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from numbers import Integral
+
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
+from torchrl.data import Composite, Unbounded
 
+from aslip.errors import ConfigurationError
 from aslip.task import FALL_HEIGHT
 from aslip.transforms.base import CassieTransform
 
@@ -70,3 +74,51 @@ class Fall(_Termination):
 
     def _over(self, value: Tensor) -> Tensor:
         return value[..., 2:] < self.height
+
+
+class StaggeredEnds(CassieTransform):
+    """End the first episodes of robots at different times, or those that never fall stay in step.
+
+    When all robots are reset at once, each draws from 1 to `max_steps` policy steps after which its
+    episode is truncated. Episodes after that are as long as the rest of the stack lets them be.
+    TorchRL's `RandomTruncationTransform` does so, too, but neither follows `env.set_seed` nor
+    travels in the tensordict, as resuming bit for bit needs.
+
+    `stagger` (n, 1) counts the steps that are left, and is 0 where no end is set: in a step with 1
+    the episode is cut short. Must come after the `StepCounter`.
+
+    Args:
+        max_steps: longest first episode [policy steps].
+
+    Raises:
+        ConfigurationError: `max_steps` is no whole number of 1 or more.
+    """
+
+    def __init__(self, max_steps: int) -> None:
+        super().__init__(in_keys=["truncated", "done"], out_keys=["truncated", "done", "stagger"])
+        if not isinstance(max_steps, Integral) or isinstance(max_steps, bool) or max_steps < 1:
+            raise ConfigurationError(
+                f"max_steps must be a whole number of 1 or more, got {max_steps!r}"
+            )
+        self.max_steps = int(max_steps)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        shape = (*tensordict_reset.batch_size, 1)
+        left = torch.zeros(shape, dtype=torch.int64)
+        if tensordict.get("_reset", None) is None:
+            left = torch.randint(1, self.max_steps + 1, shape, generator=self.generator)
+        return tensordict_reset.set("stagger", left)
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        left = torch.as_tensor(tensordict["stagger"])
+        for key in self.in_keys:
+            next_tensordict.set(key, torch.as_tensor(next_tensordict[key]) | (left == 1))
+        return next_tensordict.set("stagger", (left - 1).clamp(min=0))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the steps left."""
+        shape = torch.Size((*observation_spec.shape, 1))
+        observation_spec["stagger"] = Unbounded(shape, dtype=torch.int64)
+        return observation_spec

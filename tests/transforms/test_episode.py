@@ -1,0 +1,82 @@
+"""First episodes of a training end at different times; all others are whole."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from ppo_aslip import training_env
+from tensordict import TensorDictBase
+from torchrl.envs.transforms import StepCounter
+
+from aslip.errors import ConfigurationError
+from aslip.stack import CassieTransformedEnv
+from aslip.transforms import StaggeredEnds
+from tests.conftest import MakeEnv
+
+LIMIT = 12
+
+
+def _env(num_envs: int = 24, seed: int = 0) -> CassieTransformedEnv:
+    """Robots that never fall, in a training."""
+    return training_env(
+        8.0,
+        num_envs=num_envs,
+        seed=seed,
+        num_threads=1,
+        drop=["fall", "low_reward"],
+        replace={"step_limit": StepCounter(LIMIT)},
+    )
+
+
+def _walk(env: CassieTransformedEnv, steps: int) -> list[TensorDictBase]:
+    """Outcomes of steps, in which robots are reset where their episodes end."""
+    outcomes, td = [], env.reset()
+    for _ in range(steps):
+        td["action"] = torch.zeros(*td.batch_size, 10)
+        full, td = env.step_and_maybe_reset(td)
+        outcomes.append(full["next"])
+    return outcomes
+
+
+def test_robots_that_never_fall_do_not_stay_in_step() -> None:
+    """At the end of one limit they are all over the episode."""
+    ages = _walk(_env(), LIMIT + 3)[-1]["step_count"]
+    assert len(ages.unique()) > LIMIT / 2
+    assert ages.unique(return_counts=True)[1].max() < 12
+
+
+def test_only_the_first_episode_is_cut_short() -> None:
+    lengths: list[list[int]] = [[] for _ in range(24)]
+    for outcome in _walk(_env(), 3 * LIMIT):
+        assert torch.equal(outcome["done"], outcome["truncated"])
+        for i in outcome["done"][:, 0].nonzero()[:, 0].tolist():
+            lengths[i].append(int(outcome["step_count"][i]))
+    first = [each[0] for each in lengths]
+    assert min(first) <= 3
+    assert max(first) >= LIMIT - 2
+    assert {length for each in lengths for length in each[1:]} == {LIMIT}
+
+
+def test_ends_follow_the_seed() -> None:
+    found = [_env(seed=seed).reset()["stagger"] for seed in (3, 3, 4)]
+    assert torch.equal(found[0], found[1])
+    assert not torch.equal(found[0], found[2])
+    assert found[0].min() >= 1
+    assert found[0].max() <= LIMIT
+
+
+def test_other_draws_are_what_they_are_without(make: MakeEnv) -> None:
+    """Commands, phases and noise of an environment do not depend on it."""
+    plain = make(num_envs=24, drop=["fall", "low_reward"]).reset()
+    staggered = _env().reset()
+    for key in ("command", "phase", "observation"):
+        assert torch.equal(plain[key], staggered[key]), key
+    assert "stagger" not in set(plain.keys())
+
+
+@pytest.mark.parametrize("steps", [0, -3, 2.5, float("nan"), True, "9"])
+def test_a_limit_that_is_none_is_refused(steps: Any) -> None:
+    with pytest.raises(ConfigurationError, match="max_steps must be a whole number of 1 or more"):
+        StaggeredEnds(steps)
