@@ -44,9 +44,9 @@ class WalkResult:
     total: float
     """Sum of rewards."""
     mean_speed: float
-    """Distance along x over time [m/s]."""
+    """Distance along the heading over time [m/s]."""
     lateral_drift: float
-    """Distance of the pelvis from the line y = 0 at the end [m]."""
+    """Distance of the pelvis from the line along the heading at the end [m]."""
     weight_ratio: float
     """Mean vertical ground force over the weight of the robot as it is, with its mass and payload;
     one when nothing but the feet carries it."""
@@ -116,7 +116,7 @@ def evaluate(
     command = torch.tensor(speeds, dtype=torch.float32)[:, None]
     start = TensorDict(command=command, phase=torch.zeros_like(command), batch_size=len(command))
     td = env.reset(start)
-    position = td["truth", "pelvis_position"].clone()
+    position = td["true_odometry", "pelvis_position"].clone()
     start_x = position[:, 0].clone()
     alive = torch.ones(len(speeds), dtype=torch.bool)
     steps = torch.zeros(len(speeds))
@@ -130,7 +130,7 @@ def evaluate(
             force += after["truth", "ground_force"][..., 2].sum(-1) * alive
             for name, term in after.get("reward_terms", TensorDict()).items():
                 terms[name] = terms.get(name, 0.0) + term[:, 0] * alive
-            position[alive] = after["truth", "pelvis_position"][alive]
+            position[alive] = after["true_odometry", "pelvis_position"][alive]
             alive &= ~after["terminated"][:, 0]
             if not alive.any():
                 break

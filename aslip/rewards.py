@@ -134,10 +134,22 @@ def yaw_quaternion(quaternion: Tensor) -> Tensor:
     Returns:
         (*b, 4) wxyz.
     """
-    w, x, y, z = quaternion.unbind(-1)
-    half = 0.5 * torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    half = 0.5 * yaw_angle(quaternion)
     zero = torch.zeros_like(half)
-    return torch.stack([half.cos(), zero, zero, half.sin()], dim=-1)
+    return torch.cat([half.cos(), zero, zero, half.sin()], dim=-1)
+
+
+def yaw_angle(quaternion: Tensor) -> Tensor:
+    """The heading's angle about z.
+
+    Args:
+        quaternion: (*b, 4) wxyz, unit; its x axis must not be vertical.
+
+    Returns:
+        (*b, 1) [rad].
+    """
+    w, x, y, z = quaternion.split(1, dim=-1)
+    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def _norm(vector: Tensor) -> Tensor:

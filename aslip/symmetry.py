@@ -28,6 +28,7 @@ _TURNING = ("hip_roll", "hip_yaw")
 
 _SIGNS = {
     "height": (1.0,),
+    "heading": (-1.0,),
     "orientation": _QUATERNION,
     "angular_velocity": _AXIAL,
     "velocity": _VECTOR,

@@ -14,8 +14,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD, SIDES
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.log import Recording
+from aslip.log import Recording, Series
 from aslip.stack import CassieTransformedEnv
+from aslip.transforms import ODOMETRY_SIZES
+from aslip.transforms.heading import in_heading_frame, start_of, true_heading
 
 _FEET = tuple(f"{side}_foot_position" for side in SIDES)
 
@@ -24,7 +26,8 @@ _FEET = tuple(f"{side}_foot_position" for side in SIDES)
 class Walks:
     """n walks of m policy steps. Rows are the instants at which the steps end.
 
-    What comes after a fall is NaN but for `alive` and `command`.
+    What comes after a fall is NaN but for `alive` and `command`. Places, orientations and
+    velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`.
     """
 
     command: np.ndarray
@@ -38,13 +41,13 @@ class Walks:
     action: np.ndarray
     """(m, n, 10) [rad]."""
     pelvis_position: np.ndarray
-    """(m, n, 3) [m, world]."""
+    """(m, n, 3) [m]."""
     pelvis_orientation: np.ndarray
     """(m, n, 4) wxyz."""
     pelvis_velocity: np.ndarray
-    """(m, n, 3) [m/s, world]."""
+    """(m, n, 3) [m/s]."""
     foot_position: np.ndarray
-    """(m, n, 2, 3) sole centres, left and right [m, world]."""
+    """(m, n, 2, 3) sole centres, left and right [m]."""
     ground_force: np.ndarray
     """(m, n, 2, 3) means over the steps [N, world]."""
     body_position: np.ndarray
@@ -79,7 +82,7 @@ class Walks:
 
     @classmethod
     def from_log(cls, recording: Recording) -> Walks:
-        """The first episode of a log, n = 1.
+        """The first episode of a log, n = 1; ahead is where the pelvis pointed at its start.
 
         Raises:
             UnknownNameError: the log has no reference or no truth.
@@ -99,16 +102,17 @@ class Walks:
         def vectors(series: Any, names: Sequence[str], axes: str = "xyz") -> np.ndarray:
             return np.stack([series.vector(name, axes)[rows] for name in names], axis=1)
 
+        body = _logged_odometry(truth)
         alive = ~np.logical_or.accumulate(step["terminated"][:count] > 0)
         forces = [[f"ground_force_{side}_{axis}" for axis in "xyz"] for side in SIDES]
         arrays = {
             "phase": reference["phase"][rows],
             "reward": step["reward"][:count],
             "action": columns(step, [f"action_{name}" for name in MOTOR_NAMES], slice(count)),
-            "pelvis_position": truth.vector("pelvis_position")[rows],
-            "pelvis_orientation": truth.vector("pelvis_orientation", "wxyz")[rows],
-            "pelvis_velocity": truth.vector("pelvis_velocity")[rows],
-            "foot_position": vectors(truth, _FEET),
+            "pelvis_position": body["pelvis_position"][rows],
+            "pelvis_orientation": body["pelvis_orientation"][rows],
+            "pelvis_velocity": body["pelvis_velocity"][rows],
+            "foot_position": np.stack([body[name][rows] for name in _FEET], axis=1),
             "ground_force": np.stack(
                 [columns(step, names, slice(count)) for names in forces], axis=1
             ),
@@ -122,6 +126,18 @@ class Walks:
             array[~alive] = np.nan
         arrays |= {"command": step["command"][:count], "alive": alive}
         return cls(**{name: array[:, None] for name, array in arrays.items()})
+
+
+def _logged_odometry(truth: Series) -> dict[str, np.ndarray]:
+    """Entries of `ODOMETRY_SIZES` at each instant of a log, as if it began with a reset."""
+    rows = {
+        name: torch.from_numpy(truth.vector(name, "wxyz" if size == 4 else "xyz"))
+        for name, size in ODOMETRY_SIZES.items()
+    }
+    rows["slope"] = torch.zeros_like(rows["pelvis_position"][:, :1])
+    first = {name: value[:1] for name, value in rows.items()}
+    turned = in_heading_frame(rows, true_heading(first), start_of(first))
+    return {name: value.numpy() for name, value in turned.items()}
 
 
 @torch.no_grad()
@@ -163,15 +179,17 @@ def record_walks(
 
 
 def _row(td: TensorDictBase, after: TensorDictBase, alive: torch.Tensor) -> dict[str, np.ndarray]:
-    truth, reference = (cast("TensorDictBase", after[name]) for name in ("truth", "reference"))
+    truth, body, reference = (
+        cast("TensorDictBase", after[name]) for name in ("truth", "true_odometry", "reference")
+    )
     values = {
         "phase": after["phase"][:, 0],
         "reward": after["reward"][:, 0],
         "action": td["action"],
-        "pelvis_position": truth["pelvis_position"],
-        "pelvis_orientation": truth["pelvis_orientation"],
-        "pelvis_velocity": truth["pelvis_velocity"],
-        "foot_position": torch.stack([truth[name] for name in _FEET], dim=1),
+        "pelvis_position": body["pelvis_position"],
+        "pelvis_orientation": body["pelvis_orientation"],
+        "pelvis_velocity": body["pelvis_velocity"],
+        "foot_position": torch.stack([body[name] for name in _FEET], dim=1),
         "ground_force": truth["ground_force"],
         "body_position": reference["body_position"],
         "body_velocity": reference["body_velocity"],

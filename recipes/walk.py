@@ -234,7 +234,7 @@ def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
     """Numbers of a policy step."""
     return {
         "time": walker.time,
-        "speed": float(td["next", "truth", "pelvis_velocity"][0, 0]),
+        "speed": float(td["next", "true_odometry", "pelvis_velocity"][0, 0]),
         "reward": float(td["next", "reward"]),
     }
 

@@ -34,7 +34,7 @@ _MAY_IMPORT = {
     "single_reference": {"cassie"},
     "metrics": {"cassie"},
     "estimation": {"cassie"},
-    "transforms": {"cassie", "sim", "task", "library", "estimation"},
+    "transforms": {"cassie", "sim", "task", "library", "estimation", "rewards"},
 }
 _TOP = {"stack", "policy", "evaluation", "run", "tables", "plots", "render", "symmetry"}
 _TOP |= {"checkpoint", "provenance", "collect", "ghost", "walker", "walks", "video", "log", "live"}

@@ -9,6 +9,7 @@ Keys, for n robots (shapes omit the leading n):
 | `("sensors", ...)` | W, k | packets of the policy period, oldest first; see `aslip.sim.Sensors` |
 | `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
 | `("truth", "diverged")` | 1 | the simulation diverged in this policy step and stands now |
+| `("truth", "slope")` | 1 | rise of the floor along the world's x [rad], of `aslip.sim.DYNAMICS` |
 | `reward` | 1 | zero: rewards are transforms |
 | `terminated`, `done` | 1 | the simulation diverged; all else is transforms |
 
@@ -296,6 +297,7 @@ class CassieEnv(EnvBase):
             for key, value in true_state(self._snapshot(), self.indices).items()
         }
         truth["diverged"] = torch.tensor(diverged[:, None])
+        truth["slope"] = torch.tensor(self._dynamics.values["slope"][:, None], dtype=torch.float32)
         sensors = {
             key: torch.tensor(value, dtype=torch.float32) for key, value in self._packets().items()
         }

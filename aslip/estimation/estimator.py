@@ -9,6 +9,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from aslip.cassie import STANDARD_GRAVITY
@@ -35,6 +36,8 @@ class Tracking:
     packets: PacketMemory
     angular_acceleration: np.ndarray
     """(n, 3) between the last two readings of the gyro [rad/s^2, pelvis]."""
+    heading: np.ndarray
+    """(n,) yaw, in the frame of the IMU's attitude, that is straight ahead for the robot [rad]."""
 
     def to_rows(self) -> np.ndarray:
         """(n, `TRACKING_SIZE`) all of it as numbers."""
@@ -42,7 +45,7 @@ class Tracking:
         fields = (
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
             belief.adrift, packets.reading, packets.jumps, packets.repeats, packets.age,
-            self.angular_acceleration,
+            self.angular_acceleration, self.heading,
         )  # fmt: skip
         num = len(packets.reading)
         return np.concatenate([field.reshape(num, -1) for field in fields], axis=1)
@@ -59,7 +62,7 @@ class Tracking:
         num = len(rows)
         (
             mean, covariance, half_sole, loaded, resting, adrift, reading, jumps, repeats, age,
-            angular_acceleration,
+            angular_acceleration, heading,
         ) = np.split(rows.copy(), _TRACKING_ENDS, axis=1)  # fmt: skip
         belief = Belief(
             mean=mean.reshape(num, 3, 5).copy(),
@@ -71,10 +74,10 @@ class Tracking:
             innovation=np.full((num, 2, 3), np.nan),
         )
         packets = PacketMemory(reading, jumps[:, 0], repeats[:, 0], age)
-        return cls(belief, packets, angular_acceleration)
+        return cls(belief, packets, angular_acceleration, heading[:, 0])
 
 
-_TRACKING_SIZES = (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, PACKET_SIZE, 1, 1, 4, 3)
+_TRACKING_SIZES = (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, PACKET_SIZE, 1, 1, 4, 3, 1)
 _TRACKING_ENDS = np.cumsum(_TRACKING_SIZES)[:-1]
 
 TRACKING_SIZE = sum(_TRACKING_SIZES)
@@ -83,14 +86,18 @@ TRACKING_SIZE = sum(_TRACKING_SIZES)
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is known of n robots after their last packet."""
+    """What is known of n robots after their last packet.
+
+    The heading frame has z up against gravity, x along the robot's heading, and its origin on the
+    ground where the pelvis was at the start.
+    """
 
     height: np.ndarray
     """(n, 1) of the pelvis above the ground [m]."""
     orientation: np.ndarray
-    """(n, 4) pelvis to world, unit, wxyz with w >= 0."""
+    """(n, 4) pelvis to heading frame, unit, wxyz with w >= 0."""
     velocity: np.ndarray
-    """(n, 3) of the pelvis [m/s, world]."""
+    """(n, 3) of the pelvis [m/s, heading frame]."""
     angular_velocity: np.ndarray
     """(n, 3) [rad/s, pelvis]."""
     acceleration: np.ndarray
@@ -104,13 +111,14 @@ class Estimate:
     joint_velocity: np.ndarray
     """(n, 6) [rad/s]."""
     position: np.ndarray
-    """(n, 3) of the pelvis, from where it was at the start and from the ground [m, world]."""
+    """(n, 3) of the pelvis, its height above the ground below it [m, heading frame]."""
     sole: np.ndarray
-    """(n, 2, 3) centres of the axes of the soles' contact capsules from the pelvis [m, world]."""
+    """(n, 2, 3) centres of the axes of the soles' contact capsules from the pelvis [m, heading
+    frame]."""
     forward: np.ndarray
-    """(n, 2, 3) unit vectors to the toes [world]."""
+    """(n, 2, 3) unit vectors to the toes [heading frame]."""
     left: np.ndarray
-    """(n, 2, 3) unit vectors to the left, across the feet [world]."""
+    """(n, 2, 3) unit vectors to the left, across the feet [heading frame]."""
     sole_radius: float
     """Of the capsules [m]."""
     contact: np.ndarray
@@ -125,17 +133,17 @@ class Estimate:
     # not every packet's feet are looked at, and a robot has little time
     @cached_property
     def up(self) -> np.ndarray:
-        """(n, 2, 3) unit vectors out of the feet, opposite to the soles [world]."""
+        """(n, 2, 3) unit vectors out of the feet, opposite to the soles [heading frame]."""
         return _cross(self.forward, self.left)
 
     @cached_property
     def foot_position(self) -> np.ndarray:
-        """(n, 2, 3) sole centres [m, world]."""
+        """(n, 2, 3) sole centres [m, heading frame]."""
         return self.position[:, None] + self.sole - self.sole_radius * self.up
 
     @cached_property
     def foot_orientation(self) -> np.ndarray:
-        """(n, 2, 4) soles to world, wxyz with w >= 0, identity when level with the toes along x."""
+        """(n, 2, 4) soles to heading frame, wxyz, w >= 0; identity when level with toes along x."""
         frame = np.stack([self.forward, self.left, self.up], axis=-1)
         turn = Rotation.from_matrix(frame.reshape(-1, 3, 3))
         return turn.as_quat(canonical=True, scalar_first=True).reshape(-1, 2, 4)
@@ -192,7 +200,11 @@ class StateEstimator:
         self._arm = np.cross(np.eye(3), self._imu)
         self._standing = _standing(robot)
 
-    def start(self, packets: Mapping[str, np.ndarray] | np.ndarray) -> tuple[Tracking, Estimate]:
+    def start(
+        self,
+        packets: Mapping[str, np.ndarray] | np.ndarray,
+        heading: ArrayLike | None = None,
+    ) -> tuple[Tracking, Estimate]:
         """Begin with robots whose lower foot rests on the ground.
 
         The velocity is that which keeps the foot at rest, the height that which puts it there.
@@ -200,9 +212,14 @@ class StateEstimator:
 
         Args:
             packets: the last packet of each window is taken.
+            heading: yaw that is straight ahead, in the frame of the IMU's attitude [rad]: one, or
+                (n,) or (n, 1). By default that of the first packet, zero if its orientation is
+                missing.
 
         Raises:
-            ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape.
+            ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape, or
+                there are not as many headings as robots.
+            ConfigurationError: a heading is not finite.
         """
         rows = _windows(packets)[:, -1:]
         num = len(rows)
@@ -214,7 +231,8 @@ class StateEstimator:
         memory = PacketMemory.of(blind.reading)
         motions, geometry = self._interpret(memory.reading, np.zeros((num, 3)), _good(screened))
         belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
-        tracking = Tracking(belief, memory, geometry.angular_acceleration)
+        ahead = _yaw(memory.reading) if heading is None else _headings(heading, num)
+        tracking = Tracking(belief, memory, geometry.angular_acceleration, ahead)
         nothing, resting = np.full((num, 1, 2, 3), np.nan), np.zeros((num, 1, 2), dtype=bool)
         return tracking, self._describe(tracking, geometry, screened.faults, nothing, resting)
 
@@ -331,12 +349,12 @@ class StateEstimator:
         innovation: np.ndarray,
         resting: np.ndarray,
     ) -> Estimate:
-        mean, reading = tracking.belief.mean, tracking.packets.reading
-        position = mean[..., P].copy()
+        mean, reading, heading = tracking.belief.mean, tracking.packets.reading, tracking.heading
+        position = _seen_along(heading, mean[..., P])
         return Estimate(
             height=position[:, 2:],
-            orientation=_unit(reading[:, SLICES["orientation"]]),
-            velocity=mean[..., V].copy(),
+            orientation=_unit(_turned_back(heading, reading[:, SLICES["orientation"]])),
+            velocity=_seen_along(heading, mean[..., V]),
             angular_velocity=reading[:, SLICES["gyro"]],
             acceleration=geometry.acceleration,
             motor_position=reading[:, SLICES["motor_position"]],
@@ -344,9 +362,9 @@ class StateEstimator:
             joint_position=reading[:, SLICES["joint_position"]],
             joint_velocity=reading[:, SLICES["joint_velocity"]],
             position=position,
-            sole=geometry.sole,
-            forward=geometry.half_sole / self._legs.half_length,
-            left=geometry.lateral,
+            sole=_seen_along(heading, geometry.sole),
+            forward=_seen_along(heading, geometry.half_sole) / self._legs.half_length,
+            left=_seen_along(heading, geometry.lateral),
             sole_radius=self._legs.sole_radius,
             contact=tracking.belief.loaded.copy(),
             innovation=innovation,
@@ -369,6 +387,38 @@ class _Geometry:
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Vector product along the last axis; NumPy's own takes ten times as long for one robot."""
     return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
+
+
+def _headings(heading: ArrayLike, num: int) -> np.ndarray:
+    """(num,) headings from one, (num,) or (num, 1)."""
+    values = np.asarray(heading, dtype=np.float64)
+    if values.shape not in ((), (num,), (num, 1)):
+        raise ShapeError(f"heading must be one number or ({num}, 1), got the shape {values.shape}")
+    if not np.isfinite(values).all():
+        raise ConfigurationError(f"heading must be finite, got {values.tolist()}")
+    return np.broadcast_to(values.reshape(-1), (num,)).copy()
+
+
+def _yaw(reading: np.ndarray) -> np.ndarray:
+    """(n,) yaw of the orientations in readings (n, 42) [rad]."""
+    w, x, y, z = reading[:, SLICES["orientation"]].T
+    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def _seen_along(heading: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """World vectors (n, ..., 3) in frames with x along headings (n,); copies."""
+    shape = (-1, *[1] * (vectors.ndim - 2))
+    cosine, sine = np.cos(heading).reshape(shape), np.sin(heading).reshape(shape)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=-1)
+
+
+def _turned_back(heading: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """Orientations (n, 4) in frames with x along headings (n,)."""
+    cosine, sine = np.cos(heading / 2), np.sin(heading / 2)
+    w, x, y, z = quaternion.T
+    turned = (cosine * w + sine * z, cosine * x + sine * y, cosine * y - sine * x)
+    return np.stack([*turned, cosine * z - sine * w], axis=-1)
 
 
 def _unit(quaternion: np.ndarray) -> np.ndarray:

@@ -242,13 +242,13 @@ class LivePage:
         self._turns += 1
 
     def _status(self) -> Status:
-        truth = cast("Mapping[str, torch.Tensor]", self.walker.td["truth"])
+        body = cast("Mapping[str, torch.Tensor]", self.walker.td["true_odometry"])
         return Status(
             time=self.walker.time,
-            speed=float(truth["pelvis_velocity"][0, 0]),
-            height=float(truth["pelvis_position"][0, 2]),
-            ahead=float(truth["pelvis_position"][0, 0]),
-            left=float(truth["pelvis_position"][0, 1]),
+            speed=float(body["pelvis_velocity"][0, 0]),
+            height=float(body["pelvis_position"][0, 2]),
+            ahead=float(body["pelvis_position"][0, 0]),
+            left=float(body["pelvis_position"][0, 1]),
             falls=self.falls,
             factor=None if self.paused else self.factor,
             message=self.message,

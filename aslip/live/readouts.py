@@ -91,7 +91,7 @@ class Readouts:
     def add(self, td: TensorDictBase) -> None:
         """Take note of a policy step, as `Walker.step` returns it."""
         after = cast("TensorDictBase", td["next"])
-        speed = after["truth", "pelvis_velocity"][0, 0]
+        speed = after["true_odometry", "pelvis_velocity"][0, 0]
         reference = after["reference", "body_velocity"][0, 0]
         self._history.append((float(reference), float(speed), float(td["command"])))
         terms = cast("TensorDictBase", after["reward_terms"])

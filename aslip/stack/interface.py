@@ -22,6 +22,7 @@ from aslip.transforms import (
     EpisodeSum,
     EstimatedState,
     Fall,
+    HeadingFrame,
     LowReward,
     ObservationNoise,
     RandomDynamics,
@@ -126,7 +127,8 @@ def _only(env: CassieTransformedEnv, kind: type[Kind]) -> Kind:
 # these change neither what a policy observes nor what becomes of its action
 _NO_INTERFACE = (
     *(RewardTerm, WeightedReward, EpisodeSum, RewardSum, Fall, LowReward, StepCounter),
-    *(ReferenceStart, SpeedCommand, RandomDynamics, ObservationNoise, EstimatedState, TrueState),
+    *(ReferenceStart, HeadingFrame, SpeedCommand, RandomDynamics),
+    *(ObservationNoise, EstimatedState, TrueState),
 )
 
 

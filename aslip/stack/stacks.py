@@ -26,6 +26,7 @@ from aslip.transforms import (
     EstimatedState,
     Fall,
     Feedforward,
+    HeadingFrame,
     LastAction,
     LowReward,
     ObservationNoise,
@@ -37,6 +38,11 @@ from aslip.transforms import (
     SpeedCommand,
     TrueState,
     WeightedReward,
+)
+
+# entries of one name in one frame, the robot's heading frame
+_REWARD_SOURCES: Final[Mapping[RewardSource, str]] = MappingProxyType(
+    {"truth": "true_odometry", "estimate": "odometry"}
 )
 
 Stack = dict[str, Callable[[], Transform]]
@@ -61,7 +67,7 @@ def reward_terms(reward_on: RewardSource = "truth") -> Stack:
         reward_on: where pelvis and feet are taken from, the simulator's truth or the odometry of
             the state estimator.
     """
-    source = "truth" if reward_on == "truth" else "odometry"
+    source = _REWARD_SOURCES[reward_on]
 
     def body(*names: str) -> list[NestedKey]:
         return [(source, name) for name in names]
@@ -107,6 +113,7 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
         "clock": lambda: PhaseClock(library),
         "reference": lambda: ReferenceInjection(library),
         "feedforward": Feedforward,
+        "heading": HeadingFrame,
         "noise": ObservationNoise,
         "estimator": EstimatedState,
         "observation": AssembleObservation,
@@ -143,7 +150,7 @@ def single_reference_stack(
         reward_on: as for the default stack; joints and springs are always the truth's.
     """
     library = _pendulum() if library is None else library
-    source = "truth" if reward_on == "truth" else "odometry"
+    source = _REWARD_SOURCES[reward_on]
     feet = ("left_foot_velocity", "right_foot_velocity")
     terms: Stack = {
         "joints": lambda: RewardTerm(

@@ -11,6 +11,7 @@ from aslip.transforms.base import CassieTransform
 from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand
 from aslip.transforms.episode import Fall, LowReward, StaggeredEnds
 from aslip.transforms.estimate import ESTIMATE_SIZES, ODOMETRY_SIZES, EstimatedState, TrueState
+from aslip.transforms.heading import HeadingFrame
 from aslip.transforms.noise import ObservationNoise
 from aslip.transforms.observation import (
     OBSERVATION_TABLE,
@@ -41,6 +42,7 @@ __all__ = [
     "EstimatedState",
     "Fall",
     "Feedforward",
+    "HeadingFrame",
     "LastAction",
     "LowReward",
     "NoiseLevel",

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.cassie import SIDES
@@ -36,9 +37,11 @@ ESTIMATE_SIZES: Final = MappingProxyType(
     }
 )
 """Entries of `("estimate", ...)`, 46 numbers in all: height of the pelvis above ground [m],
-orientation (wxyz, w >= 0), velocity in the world [m/s], angular velocity in the pelvis frame
-[rad/s], acceleration in the pelvis frame without gravity [m/s^2], motors and joints [rad, rad/s].
-Frames are those of the robot's own estimator, measured in its public simulator."""
+orientation (wxyz, w >= 0) and velocity [m/s] in the heading frame, angular velocity in the pelvis
+frame [rad/s], acceleration in the pelvis frame without gravity [m/s^2], motors and joints [rad,
+rad/s]. The heading frame has z up against gravity, also on a slope, and x along the robot's
+heading, see `HeadingFrame`; otherwise frames are those of the robot's own estimator, measured in
+its public simulator."""
 
 ODOMETRY_SIZES: Final = MappingProxyType(
     {
@@ -51,15 +54,19 @@ ODOMETRY_SIZES: Final = MappingProxyType(
         "right_foot_orientation": 4,
     }
 )
-"""Entries of `("odometry", ...)`: where pelvis and soles are believed to be, by the names and in
-the frames of `("truth", ...)`. The way along the ground is counted from the start, and drifts; it
-is no part of the policy's input, but rewards can be given on it."""
+"""Entries of `("odometry", ...)`: where pelvis and soles are believed to be, by the names of
+`("truth", ...)`, in the heading frame: z up against gravity, also on a slope, x along the robot's
+heading. Heights are above the ground below the robot. The way along the ground is counted from the
+start, and drifts; it is no part of the policy's input, but rewards can be given on it. The same of
+the truth is `("true_odometry", ...)`, see `HeadingFrame`."""
 
-_TRUTH_OF = {
-    "orientation": "pelvis_orientation",
-    "velocity": "pelvis_velocity",
-    "angular_velocity": "pelvis_angular_velocity",
-    "acceleration": "pelvis_acceleration",
+# where the entries of a perfect estimate are
+_TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
+    "height": ("true_odometry", "pelvis_position"),
+    "orientation": ("true_odometry", "pelvis_orientation"),
+    "velocity": ("true_odometry", "pelvis_velocity"),
+    "angular_velocity": ("truth", "pelvis_angular_velocity"),
+    "acceleration": ("truth", "pelvis_acceleration"),
 }
 
 
@@ -75,21 +82,20 @@ class _Estimator(CassieTransform):
 
 
 class TrueState(_Estimator):
-    """The truth in place of an estimate: a perfect estimator, to compare others with."""
+    """The truth in place of an estimate: a perfect estimator, to compare others with.
+
+    Must come after `HeadingFrame`, whose frame it is in.
+    """
 
     def __init__(self) -> None:
-        names = {"pelvis_position", *ODOMETRY_SIZES}
-        names |= {_TRUTH_OF.get(name, name) for name in ESTIMATE_SIZES if name != "height"}
-        keys: list[NestedKey] = [("truth", name) for name in sorted(names)]
-        super().__init__(in_keys=keys, out_keys=["estimate", "odometry"])
+        keys: set[NestedKey] = {("true_odometry", name) for name in ODOMETRY_SIZES}
+        keys.update(_TRUTH_OF.values())
+        super().__init__(in_keys=sorted(keys), out_keys=["estimate", "odometry"])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        truth = cast("TensorDict", next_tensordict["truth"])
-        estimate = {"height": truth["pelvis_position"][..., 2:]}
-        for name in ESTIMATE_SIZES:
-            if name != "height":
-                estimate[name] = truth[_TRUTH_OF.get(name, name)]
-        odometry = {name: truth[name] for name in ODOMETRY_SIZES}
+        estimate = {name: cast("Tensor", next_tensordict[key]) for name, key in _TRUTH_OF.items()}
+        estimate["height"] = estimate["height"][..., 2:]
+        odometry = {name: next_tensordict["true_odometry", name] for name in ODOMETRY_SIZES}
         return next_tensordict.update({"estimate": estimate, "odometry": odometry})
 
 
@@ -100,6 +106,9 @@ class EstimatedState(_Estimator):
     was wrong with a step's packets is `("estimator", "faults")` (n, 4) bool, in the order of
     `aslip.estimation.FAULTS`; `("estimator", "contact")` (n, 2) tells which feet are loaded. A
     robot that is reset is estimated afresh from its first packets.
+
+    The robot is told its heading, which `HeadingFrame` writes; without, it is the yaw of the first
+    packet's orientation.
 
     Args:
         estimator: another one, or with other settings.
@@ -115,6 +124,9 @@ class EstimatedState(_Estimator):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict["estimator", "memory"])
         tracking = Tracking.from_rows(memory.numpy())
+        heading = next_tensordict.get("heading", None)
+        if heading is not None:
+            tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
         return next_tensordict.update(_entries(tracking, estimate))
 
@@ -123,13 +135,17 @@ class EstimatedState(_Estimator):
     ) -> TensorDictBase:
         # TorchRL takes only the rows that are reset; to start the others would be for nothing
         mask = tensordict.get("_reset", None)
-        packets = self._packets(tensordict_reset)
-        if mask is None or mask.all():
-            return tensordict_reset.update(_entries(*self.estimator.start(packets)))
-        rows = mask.reshape(-1)
-        started = TensorDict(
-            _entries(*self.estimator.start(packets[rows.numpy()])), batch_size=[int(rows.sum())]
-        )
+        rows = torch.ones(tensordict_reset.batch_size, dtype=torch.bool)
+        if mask is not None:
+            rows = mask.reshape(-1)
+        packets = self._packets(tensordict_reset)[rows.numpy()]
+        heading = tensordict_reset.get("heading", None)
+        if heading is not None:
+            heading = heading[rows].double().numpy()
+        entries = _entries(*self.estimator.start(packets, heading))
+        if rows.all():
+            return tensordict_reset.update(entries)
+        started = TensorDict(entries, batch_size=[int(rows.sum())])
         for key, value in started.items(True, True):
             full = torch.zeros(len(rows), *value.shape[1:], dtype=value.dtype)
             full[rows] = value

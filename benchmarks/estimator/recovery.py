@@ -55,8 +55,9 @@ def _watched(config: Config, env: CassieTransformedEnv) -> tuple[np.ndarray, np.
         error = np.column_stack(
             [
                 array(td, ("odometry", "pelvis_velocity"))
-                - array(td, ("truth", "pelvis_velocity")),
-                array(td, ("estimate", "height")) - array(td, ("truth", "pelvis_position"))[:, 2:],
+                - array(td, ("true_odometry", "pelvis_velocity")),
+                array(td, ("estimate", "height"))
+                - array(td, ("true_odometry", "pelvis_position"))[:, 2:],
             ]
         )
         errors.append((age.numpy().copy(), error))

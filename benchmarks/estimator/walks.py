@@ -94,7 +94,7 @@ def _walk(config: Config, env: CassieTransformedEnv) -> dict[str, np.ndarray]:
                 "velocity_variance": variance[..., V],
                 "height_variance": variance[:, 2, P],
                 "command": array(td, "command"),
-                **{f"truth_{k}": array(td, ("truth", f"pelvis_{k}")) for k in _POSE},
+                **{f"truth_{k}": array(td, ("true_odometry", f"pelvis_{k}")) for k in _POSE},
                 **{f"estimate_{k}": array(td, ("odometry", f"pelvis_{k}")) for k in _POSE},
                 "force": array(td, ("truth", "ground_force"))[..., 2],
                 "contact": array(td, ("estimator", "contact")),

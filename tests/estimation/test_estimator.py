@@ -396,7 +396,7 @@ def test_orientation_is_a_unit_quaternion_with_w_of_at_least_zero() -> None:
         packet = _packet(turn, np.zeros(3), turn.inv().apply([0, 0, 9.81]))
         packet[SLICES["orientation"]] *= factor
         estimator = StateEstimator()
-        tracking, first = estimator.start(packet)
+        tracking, first = estimator.start(packet, heading=0.0)
         packet[GYRO] += 1e-3
         later = estimator.update(tracking, packet)
         assert not later.faults.any()
@@ -537,7 +537,7 @@ def test_the_acceleration_is_the_pelvis_origins_in_its_frame() -> None:
 
 def test_a_turning_robot_starts_with_the_velocity_of_its_resting_foot() -> None:
     turn, gyro = Rotation.from_euler("xyz", [0.1, -0.2, 0.5]), np.array([1.0, -2.0, 0.5])
-    _, first = StateEstimator().start(_packet(turn, gyro, turn.inv().apply([0, 0, 9.81])))
+    _, first = StateEstimator().start(_packet(turn, gyro, turn.inv().apply([0, 0, 9.81])), 0.0)
     lower = int(first.sole[0, :, 2].argmin())
     expected = -np.cross(turn.apply(gyro), first.sole[0, lower])
     np.testing.assert_allclose(first.velocity[0], expected, atol=1e-6)

@@ -1,0 +1,393 @@
+"""Robots that start anywhere, turned by any angle, walk as straight as others."""
+
+from __future__ import annotations
+
+import math
+from typing import cast
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.envs.utils import step_mdp
+
+import aslip
+from aslip import evaluation
+from aslip.cassie.sensing import PACKET_SIZES
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.estimation import StateEstimator
+from aslip.library import single_reference_library
+from aslip.stack import EPISODE_ENDS, CassieTransformedEnv
+from aslip.symmetry import observation_mirror
+from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, TrueState
+from aslip.transforms.heading import in_heading_frame, start_of, true_heading
+from aslip.walks import record_walks
+
+DEGREES = (0.0, 57.0, 90.0, 172.0, -135.0)
+ANGLES = torch.deg2rad(torch.tensor(DEGREES, dtype=torch.float64))[:, None]
+NUM = len(DEGREES)
+SPEED = 0.5
+# the code that knew one heading fell within these from 57 degrees on
+STEPS = 100
+
+
+def _about_z(angle: Tensor) -> Rotation:
+    """Turns by (n, 1) angles."""
+    return Rotation.from_rotvec(angle.numpy() * [0.0, 0.0, 1.0])
+
+
+class TurnedStart(ReferenceStart):
+    """The usual start, turned about the world's origin and moved."""
+
+    def __init__(
+        self,
+        library: aslip.GaitLibrary,
+        angle: Tensor = ANGLES,
+        place: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        super().__init__(library)
+        self._angle, self._place = angle, torch.tensor(place)
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        tensordict = super()._reset_env_preprocess(tensordict)
+        turn = _about_z(self._angle)
+        qpos, qvel = (tensordict["initial", name].clone() for name in ("qpos", "qvel"))
+        qpos[:, :3] = torch.from_numpy(turn.apply(qpos[:, :3].numpy()))
+        qpos[:, :2] += self._place
+        qpos[:, 3:7] = torch.from_numpy(
+            (turn * Rotation.from_quat(qpos[:, 3:7].numpy(), scalar_first=True)).as_quat(
+                scalar_first=True
+            )
+        )
+        qvel[:, :3] = torch.from_numpy(turn.apply(qvel[:, :3].numpy()))
+        tensordict.set(("initial", "qpos"), qpos)
+        return tensordict.set(("initial", "qvel"), qvel)
+
+
+@pytest.fixture(scope="module")
+def library() -> aslip.GaitLibrary:
+    return aslip.GaitLibrary.load()
+
+
+def _start(num: int = NUM, heading: Tensor | None = None) -> TensorDict:
+    start = {"command": torch.full((num, 1), SPEED), "phase": torch.zeros(num, 1)}
+    if heading is not None:
+        start["heading"] = heading
+    return TensorDict(start, batch_size=[num])
+
+
+def _turned(library: aslip.GaitLibrary, **settings: object) -> CassieTransformedEnv:
+    settings = {"num_envs": NUM, "drop": EPISODE_ENDS} | settings
+    replace = {"start": TurnedStart(library)} | cast("dict", settings.pop("replace", {}))
+    return aslip.make_env(seed=3, num_threads=1, replace=replace, **settings)  # pyright: ignore[reportArgumentType]
+
+
+# -------------------------------------------------------------------------- walking
+
+
+@pytest.mark.parametrize("noise", [True, False])
+def test_robots_that_start_turned_walk_as_straight_as_others(
+    library: aslip.GaitLibrary, noise: bool
+) -> None:
+    drop = EPISODE_ENDS if noise else (*EPISODE_ENDS, "noise")
+    env = _turned(library, drop=drop)
+    results = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, STEPS)
+    for degrees, result in zip(DEGREES, results, strict=True):
+        assert result.survived, degrees
+        assert result.mean_speed == pytest.approx(SPEED, abs=0.08), degrees
+        assert result.lateral_drift < 0.1, degrees
+        assert result.total / STEPS > 0.9, degrees
+        assert result.terms["straight_diff"] > 0.94, degrees
+        assert result.terms["foot_orient"] > 0.85, degrees
+
+
+def test_turned_robots_are_rewarded_and_see_what_others_do(library: aslip.GaitLibrary) -> None:
+    """Alike but for rounding, as long as that has not grown."""
+    env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
+    policy, td = aslip.load_policy("aslip"), env.reset(_start())
+    entries = [("odometry", name) for name in ODOMETRY_SIZES]
+    for _ in range(6):
+        for entry in entries:
+            values = cast("Tensor", td[entry])
+            torch.testing.assert_close(values, values[:1].expand_as(values), atol=2e-2, rtol=0)
+        td = env.step(policy(td))
+        reward = cast("Tensor", td["next", "reward"])
+        torch.testing.assert_close(reward, reward[:1].expand_as(reward), atol=3e-3, rtol=0)
+        td = step_mdp(td)
+
+
+def test_the_reference_backend_knows_headings_too(library: aslip.GaitLibrary) -> None:
+    env = _turned(
+        library,
+        backend="dm_control",
+        num_envs=1,
+        replace={"start": TurnedStart(library, ANGLES[2:3])},
+    )
+    (result,) = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED], 70)
+    assert result.survived
+    assert result.lateral_drift < 0.1
+
+
+@pytest.mark.parametrize("policy", ["robust", "single_reference"])
+def test_other_policies_walk_turned_too(library: aslip.GaitLibrary, policy: str) -> None:
+    stack = "aslip" if policy == "robust" else policy
+    gaits = library if policy == "robust" else single_reference_library()
+    env = _turned(library, stack=stack, replace={"start": TurnedStart(gaits)})
+    results = evaluation.evaluate(aslip.load_policy(policy), env, [SPEED] * NUM, 60)
+    straight = results[0]
+    for result in results:
+        assert result.survived
+        for name, term in result.terms.items():
+            assert term == pytest.approx(straight.terms[name], abs=0.05), name
+
+
+def test_rewards_on_the_estimate_know_headings_too(library: aslip.GaitLibrary) -> None:
+    env = _turned(library, reward_on="estimate", drop=(*EPISODE_ENDS, "noise"))
+    results = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
+    for result in results:
+        assert result.terms["foot_orient"] > 0.85
+        assert result.terms["straight_diff"] > 0.94
+
+
+def test_metrics_are_along_the_heading(library: aslip.GaitLibrary) -> None:
+    env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
+    walks = record_walks(aslip.load_policy("aslip"), env, np.full((40, NUM), SPEED))
+    assert np.abs(walks.pelvis_velocity[10:, :, 0].mean(0) - SPEED).max() < 0.1
+    assert np.abs(walks.pelvis_position[..., 1]).max() < 0.1
+    assert (walks.foot_position[:, :, 0, 1] > walks.foot_position[:, :, 1, 1]).all()
+
+
+def test_an_estimator_that_gets_packets_alone_knows_its_heading(library: aslip.GaitLibrary) -> None:
+    """By default that of its first packet."""
+    env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
+    policy, td, estimator = aslip.load_policy("aslip"), env.reset(_start()), StateEstimator()
+
+    def packets(td: TensorDictBase) -> np.ndarray:
+        entries = [cast("Tensor", td["sensors", name]) for name in PACKET_SIZES]
+        return torch.cat(entries, -1).double().numpy()
+
+    tracking, estimate = estimator.start(packets(td))
+    np.testing.assert_allclose(tracking.heading, ANGLES[:, 0], atol=1e-6)
+    for _ in range(40):
+        td = step_mdp(env.step(policy(td)))
+        estimate = estimator.update(tracking, packets(td))
+        truth = cast("TensorDictBase", td["true_odometry"])
+        np.testing.assert_allclose(estimate.velocity, truth["pelvis_velocity"], atol=0.12)
+        np.testing.assert_allclose(estimate.orientation, truth["pelvis_orientation"], atol=5e-3)
+    np.testing.assert_allclose(estimate.position, truth["pelvis_position"], atol=0.05)
+    for i, side in enumerate(("left", "right")):
+        np.testing.assert_allclose(
+            estimate.foot_position[:, i], truth[f"{side}_foot_position"], atol=0.05
+        )
+
+
+# ------------------------------------------------------------------- who tells the heading
+
+
+def test_the_heading_is_carried_and_can_be_told(library: aslip.GaitLibrary) -> None:
+    env = _turned(library)
+    policy = aslip.load_policy("aslip")
+    td = env.reset(_start())
+    torch.testing.assert_close(td["heading"], ANGLES.float(), atol=1e-6, rtol=0)
+    assert float(td["heading"][0]) == 0.0
+    told = ANGLES.float() + 0.3
+    td = env.reset(_start(heading=told))
+    for _ in range(3):
+        assert torch.equal(cast("Tensor", td["heading"]), told)
+        yaw = _yaw(cast("Tensor", td["estimate", "orientation"]))
+        torch.testing.assert_close(yaw, torch.full((NUM, 1), -0.3), atol=0.05, rtol=0)
+        td = step_mdp(env.step(policy(td)))
+    # who turns is told so between steps
+    td["heading"] = told - 0.3
+    td = step_mdp(env.step(policy(td)))
+    turned = _yaw(cast("Tensor", td["estimate", "orientation"]))
+    torch.testing.assert_close(turned, yaw + 0.3, atol=0.1, rtol=0)
+
+
+def _yaw(quaternion: Tensor) -> Tensor:
+    """(n, 1) yaw of (n, 4) orientations."""
+    angles = Rotation.from_quat(quaternion.numpy(), scalar_first=True).as_euler("ZYX")
+    return torch.from_numpy(angles[:, :1]).float()
+
+
+def test_a_reset_of_some_robots_finds_out_their_heading(library: aslip.GaitLibrary) -> None:
+    env = _turned(library)
+    td = env.reset(_start(heading=torch.full((NUM, 1), 0.1)))
+    td["_reset"] = torch.tensor([[False], [True], [False], [True], [False]])
+    td = env.reset(td)
+    expected = torch.full((NUM, 1), 0.1)
+    expected[[1, 3]] = ANGLES.float()[[1, 3]]
+    torch.testing.assert_close(td["heading"], expected, atol=1e-6, rtol=0)
+
+
+def test_headings_that_are_wrong_are_refused(library: aslip.GaitLibrary) -> None:
+    env = _turned(library)
+    with pytest.raises(ConfigurationError, match="heading must be finite"):
+        env.reset(_start(heading=torch.full((NUM, 1), math.nan)))
+    with pytest.raises(ShapeError, match="heading must have shape"):
+        env.reset(_start(heading=torch.zeros(NUM)))
+    packet = np.zeros(42)
+    with pytest.raises(ShapeError, match="heading must be"):
+        StateEstimator().start(packet, heading=[0.0, 1.0])
+    with pytest.raises(ConfigurationError, match="heading must be finite"):
+        StateEstimator().start(packet, heading=math.inf)
+
+
+# ------------------------------------------------------------------------- the frame
+
+
+def _truth(generator: torch.Generator, num: int = 6) -> dict[str, Tensor]:
+    values = {
+        name: torch.randn(num, size, generator=generator, dtype=torch.float64)
+        for name, size in ODOMETRY_SIZES.items()
+    }
+    for name, value in values.items():
+        if "orientation" in name:
+            value = torch.nn.functional.normalize(value, dim=-1)
+            values[name] = torch.where(value[:, :1] < 0, -value, value)
+    return values | {"slope": torch.zeros(num, 1, dtype=torch.float64)}
+
+
+def test_without_heading_slope_and_way_truth_stays_as_it_is_to_the_bit() -> None:
+    truth = {name: value.float() for name, value in _truth(torch.Generator()).items()}
+    zero = torch.zeros(6, 1)
+    entries = in_heading_frame(truth, zero, zero.expand(6, 3))
+    for name in ODOMETRY_SIZES:
+        assert torch.equal(entries[name], truth[name]), name
+
+
+def test_a_world_that_is_turned_and_moved_looks_the_same() -> None:
+    truth = _truth(torch.Generator().manual_seed(1))
+    headings, places = torch.linspace(-3, 3, 6, dtype=torch.float64)[:, None], torch.randn(6, 3)
+    places[:, 2] = 0
+    turns = _about_z(headings)
+    moved = dict(truth)
+    for name in ODOMETRY_SIZES:
+        value = truth[name].numpy()
+        if "orientation" in name:
+            turned = turns * Rotation.from_quat(value, scalar_first=True)
+            moved[name] = torch.from_numpy(turned.as_quat(canonical=True, scalar_first=True))
+        else:
+            moved[name] = torch.from_numpy(turns.apply(value))
+            if "position" in name:
+                moved[name] = moved[name] + places.double()
+    entries = in_heading_frame(moved, headings, places.double())
+    for name in ODOMETRY_SIZES:
+        torch.testing.assert_close(entries[name], truth[name], atol=1e-7, rtol=0)
+
+
+def test_a_robot_that_starts_elsewhere_walks_along_its_own_line(
+    library: aslip.GaitLibrary,
+) -> None:
+    env = _turned(library, replace={"start": TurnedStart(library, place=(5.0, -3.0))})
+    results = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
+    for result in results:
+        assert result.terms["straight_diff"] > 0.94
+        assert result.lateral_drift < 0.1
+
+
+# --------------------------------------------------------------------------- slopes
+
+SLOPE = 0.1
+
+
+@pytest.mark.parametrize("degrees", [0.0, 90.0, 180.0])
+def test_on_a_slope_truth_and_odometry_are_in_one_frame(
+    library: aslip.GaitLibrary, degrees: float
+) -> None:
+    """What a perfect estimator says is what the estimator says, and their rewards agree."""
+    angle = torch.full((1, 1), math.radians(degrees), dtype=torch.float64)
+    env = _turned(
+        library,
+        num_envs=1,
+        drop=(*EPISODE_ENDS, "noise", "fall"),
+        replace={"start": TurnedStart(library, angle)},
+    )
+    env.base_env.set_dynamics({"slope": SLOPE})
+    perfect, policy, td = TrueState(), aslip.load_policy("aslip"), env.reset(_start(1))
+    for step in range(20):
+        td = step_mdp(env.step(policy(td)))
+        truth = perfect._call(td.clone())
+        # the first velocities are those of a foot that is taken to rest
+        for name, atol in ({"velocity": 0.05, "height": 0.04} if step > 4 else {}).items():
+            torch.testing.assert_close(
+                td["estimate", name], truth["estimate", name], atol=atol, rtol=0
+            )
+        torch.testing.assert_close(
+            td["estimate", "orientation"], truth["estimate", "orientation"], atol=1e-3, rtol=0
+        )
+        for side in ("left", "right"):
+            name = f"{side}_foot_orientation"
+            torch.testing.assert_close(
+                td["odometry", name], td["true_odometry", name], atol=2e-3, rtol=0
+            )
+
+
+def test_a_flat_foot_on_a_slope_is_as_flat_as_the_slope() -> None:
+    """Its frame is against gravity; uphill is along x, downhill along -x."""
+    level = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    truth = {
+        name: level if size == 4 else torch.zeros(1, 3, dtype=torch.float64)
+        for name, size in ODOMETRY_SIZES.items()
+    }
+    truth["slope"] = torch.full((1, 1), SLOPE, dtype=torch.float64)
+    truth["pelvis_position"] = torch.tensor([[2.0, 0.0, 0.9]], dtype=torch.float64)
+    truth["pelvis_velocity"] = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
+    origin = start_of(truth)
+    assert torch.allclose(true_heading(truth), torch.zeros(1, 1, dtype=torch.float64))
+    seen = in_heading_frame(truth, true_heading(truth), origin)
+    pitch = Rotation.from_quat(seen["left_foot_orientation"].numpy(), scalar_first=True)
+    np.testing.assert_allclose(pitch.as_euler("ZYX")[0], [0, -SLOPE, 0], atol=1e-12)
+    expected = [[math.cos(SLOPE), 0.0, math.sin(SLOPE)]]
+    np.testing.assert_allclose(seen["pelvis_velocity"], expected, atol=1e-12)
+    # straight above the origin, and above the ground there
+    np.testing.assert_allclose(
+        seen["pelvis_position"], [[0.0, 0.0, 0.9 / math.cos(SLOPE)]], atol=1e-12
+    )
+
+
+# ------------------------------------------------------------------------ symmetry
+
+
+def test_a_heading_mirrors_to_its_negative() -> None:
+    mirror = observation_mirror(["heading"])
+    torch.testing.assert_close(mirror(torch.tensor([[0.7]])), torch.tensor([[-0.7]]))
+
+
+def test_the_frame_keeps_the_symmetry(library: aslip.GaitLibrary) -> None:
+    """Mirrored truth and heading give mirrored odometry."""
+    truth = _truth(torch.Generator().manual_seed(2))
+    vector = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
+    quaternion = torch.tensor([1.0, -1.0, 1.0, -1.0], dtype=torch.float64)
+
+    def mirrored(entries: dict[str, Tensor]) -> dict[str, Tensor]:
+        swap = {"left_foot": "right_foot", "right_foot": "left_foot", "pelvis": "pelvis"}
+        image = {}
+        for name in ODOMETRY_SIZES:
+            body, _, kind = name.rpartition("_")
+            image[f"{swap[body]}_{kind}"] = entries[name] * (
+                quaternion if kind == "orientation" else vector
+            )
+        return image
+
+    heading = torch.full((6, 1), 0.8, dtype=torch.float64)
+    origin = torch.tensor([[0.3, -0.2, 0.0]], dtype=torch.float64).expand(6, 3)
+    ours = mirrored(in_heading_frame(truth, heading, origin))
+    theirs = in_heading_frame(
+        mirrored(truth) | {"slope": truth["slope"]}, -heading, origin * vector
+    )
+    for name in ODOMETRY_SIZES:
+        torch.testing.assert_close(theirs[name], ours[name], atol=1e-12, rtol=0)
+
+
+def test_a_stack_without_the_frame_estimates_by_the_first_packet(
+    library: aslip.GaitLibrary,
+) -> None:
+    terms = ("com_vel", "foot_pos", "straight_diff", "foot_orient")
+    env = _turned(library, drop=(*EPISODE_ENDS, "noise", "heading", *terms))
+    assert isinstance(env.transforms[env.transform_names.index("estimator")], EstimatedState)
+    td = env.reset(_start())
+    orientation = cast("Tensor", td["estimate", "orientation"])
+    torch.testing.assert_close(orientation, orientation[:1].expand(NUM, 4), atol=1e-5, rtol=0)
