@@ -262,7 +262,7 @@ def replays(config: Config, library: GaitLibrary, folder: Path) -> dict[str, int
                 if walker.fallen:
                     falls += 1
                     walker.reset()
-        recording = read(path, ["/step", "/state"])
+        recording = read(path, ["/step", "/state", "/dynamics"])
         middle = float(recording["/state"].time[-1]) / 2
         results = [replay(recording, start) for start in (0.0, middle)]
         equal += all(result.equal for result in results)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 from pathlib import Path
 from typing import NoReturn
 
@@ -12,7 +13,8 @@ from aslip.errors import AslipError
 from aslip.log.check import check
 from aslip.log.reader import read
 from aslip.log.recover import recover
-from aslip.log.replay import low_level_differs, replay
+from aslip.log.replay import TOPICS, Replay, low_level_differs, replay
+from aslip.tables import markdown
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -52,6 +54,11 @@ def _parser() -> argparse.ArgumentParser:
         "--start", type=float, default=0.0, help="begin from the state before this time [s]"
     )
     again.add_argument(
+        "--drift",
+        action="store_true",
+        help="go on where states differ, also with another MuJoCo, and tell by how much",
+    )
+    again.add_argument(
         "--verify",
         action="store_true",
         help="from the start and from the middle, and fail unless every state is equal to the bit",
@@ -70,7 +77,9 @@ def _info(options: argparse.Namespace) -> int:
     print("topics")
     for topic, series in recording.series.items():
         span = f"{series.time[0]:.2f} to {series.time[-1]:.2f} s"
-        print(f"  {topic:24} {len(series):6} messages, {span}, {len(series.columns)} columns")
+        print(f"  {topic:24} {len(series):6} messages, {span}, {len(series.columns)} columns:")
+        names = ", ".join(series.columns)
+        print(textwrap.fill(names, 98, initial_indent=" " * 4, subsequent_indent=" " * 4))
     return 0
 
 
@@ -86,23 +95,25 @@ def _check(options: argparse.Namespace) -> int:
 def _recover(options: argparse.Namespace) -> int:
     saved = recover(options.log, options.out)
     print(f"{saved.path}: {saved.messages} messages, to {saved.until:.2f} s")
-    print(f"reading stopped at: {saved.reason}")
+    if saved.skipped_chunks:
+        print(f"left out: {saved.skipped_chunks} damaged chunks")
+    for name in saved.dropped:
+        print(f"left out: the attachment {name!r}, which is damaged")
+    print(f"what was wrong: {saved.reason or 'nothing'}")
     return 0
 
 
 def _replay(options: argparse.Namespace) -> int:
-    recording = read(options.log, ["/step", "/state"])
+    recording = read(options.log, TOPICS)
     starts = [options.start]
     if options.verify:
         starts.append((options.start + float(recording["/state"].time[-1])) / 2)
-    failed = False
-    for start in starts:
-        result = replay(recording, start)
+    results = [replay(recording, start, strict=not options.drift) for start in starts]
+    for result in results:
         told = f"from {result.start:.2f} s: {result.steps} policy steps, {result.compared} states"
         if result.equal:
             print(f"{told}, all equal bit for bit")
             continue
-        failed = True
         print(
             f"{told}; differs at {result.diverged_at:.2f} s"
             f" by up to {result.largest_difference:.3g}"
@@ -112,7 +123,21 @@ def _replay(options: argparse.Namespace) -> int:
                 "the log was made by another version of this package's drive, sensors or constants:"
                 f" aslip {recording.metadata.get('version/aslip')}, other code"
             )
-    return int(failed and options.verify)
+    if options.drift:
+        print(_drift(results[0]))
+    return int(options.verify and not all(result.equal for result in results))
+
+
+def _drift(result: Replay) -> str:
+    """Table of the difference of each state."""
+    rows = [
+        [f"{time:.2f}", f"{configuration:.3g}", f"{largest:.3g}"]
+        for time, configuration, largest in zip(
+            result.state_time, result.qpos_drift, result.drift, strict=True
+        )
+    ]
+    table = markdown(["state at s", "configuration differs by m, rad", "any number by"], rows)
+    return "\n".join([*result.doubts, table])
 
 
 if __name__ == "__main__":

@@ -1,67 +1,138 @@
-"""A compiled model as the bytes it was made from and what was changed since: exact, and readable.
+"""A compiled model as the file it was made from and a few settings: exact, readable, and safe.
 
-MuJoCo's own XML writer rounds to six digits, which a walking robot notices within seconds.
+MuJoCo's own XML writer rounds to six digits, which a walking robot notices within seconds. A log
+may come from a stranger: its XML may differ from the one that ships in numbers only, settings have
+ranges, and no field of the model is set by name or index. What else differs between robots is
+logged as parameters of `aslip.sim.DYNAMICS`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
 import aslip
 from aslip.assets import asset_path
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.cassie import SUBSTEPS
+from aslip.cassie.model import check_timestep, set_floor_friction
+from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 
-MODEL_FILE = "model.xml"
-CHANGES_FILE = "model.json"
+MODEL_FILE: Final = "model.xml"
+SETTINGS_FILE: Final = "model.json"
+
+LONGEST_MEMORY: Final = 2 * SUBSTEPS
+"""Torque commands that a motor can remember: a delay of a policy step, after doubling."""
+_HIGHEST_FRICTION = 1e3
+# how far a number of the XML may be from the one that ships
+_LARGEST_FACTOR = 10.0
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """What a model is compiled with.
+
+    Raises:
+        ConfigurationError: a value is of another type, or out of range.
+    """
+
+    visual: bool
+    """Whether it has what is only looked at."""
+    timestep: float
+    """Of the physics [s]."""
+    memory: int
+    """Torque commands that a motor remembers."""
+    floor_friction: float
+    """Sliding friction of the floor."""
+
+    def __post_init__(self) -> None:
+        """Check types and ranges."""
+        for name, kind in (("visual", bool), ("timestep", float), ("memory", int)):
+            if type(getattr(self, name)) is not kind:
+                raise ConfigurationError(f"{name} must be of type {kind.__name__}, got {self}")
+        check_timestep(self.timestep)
+        if not 1 <= self.memory <= LONGEST_MEMORY:
+            raise ConfigurationError(
+                f"memory must be from 1 to {LONGEST_MEMORY} commands, got {self.memory!r}"
+            )
+        friction = self.floor_friction
+        if type(friction) is not float or not 0 < friction <= _HIGHEST_FRICTION:
+            raise ConfigurationError(
+                f"floor_friction must be over 0 and up to {_HIGHEST_FRICTION:g}, got {friction!r}"
+            )
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, *, visual: bool) -> ModelSettings:
+        """Settings of a compiled model."""
+        return cls(
+            visual=visual,
+            timestep=float(model.opt.timestep),
+            memory=int(model.actuator_history[0, 0]),
+            floor_friction=float(model.geom("floor").friction[0]),
+        )
 
 
 def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
     """Files from which `thaw_model` makes the same model, to the bit.
 
     Args:
-        model: compiled from `assets/cassie.xml`, with any numbers changed since.
+        model: as `aslip.cassie.model.load_model` made it.
 
     Raises:
-        ConfigurationError: the model has other parts than the file.
+        ConfigurationError: the model differs from the file in more than `ModelSettings`.
     """
     xml = asset_path("cassie.xml").read_bytes()
+    differ: list[str] = []
     for visual in (False, True):
-        original = _compile(xml, visual)
-        if original.ngeom == model.ngeom and original.nq == model.nq:
-            changes = {"visual": visual, "fields": list(_changes(original, model))}
-            return {MODEL_FILE: xml, CHANGES_FILE: json.dumps(changes, indent=1).encode()}
+        settings = ModelSettings.of(model, visual=visual)
+        frozen = {MODEL_FILE: xml, SETTINGS_FILE: json.dumps(asdict(settings), indent=1).encode()}
+        thawed = thaw_model(frozen)
+        if model_digest(thawed) == model_digest(model):
+            return frozen
+        if thawed.ngeom == model.ngeom and thawed.nq == model.nq:
+            differ = _differing(thawed, model)
+    found = f"differs from assets/cassie.xml in {differ}" if differ else "is not assets/cassie.xml"
     raise ConfigurationError(
-        f"cannot log a model with {model.nq} positions and {model.ngeom} geoms: assets/cassie.xml"
-        f" has {original.nq} and {original.ngeom}"
+        f"cannot log this model, which {found}; change robots by set_dynamics or RandomDynamics"
     )
 
 
-def thaw_model(files: dict[str, bytes]) -> mujoco.MjModel:
+def thaw_model(files: Mapping[str, bytes], memory: int | None = None) -> mujoco.MjModel:
     """The model that `freeze_model` was given.
 
+    Args:
+        files: what it returned, perhaps from a stranger.
+        memory: another number of torque commands that a motor remembers.
+
     Raises:
-        FileDamagedError: the files are not what it made.
+        FileDamagedError: the files are not what it made, or would make a model of other parts.
     """
     try:
-        changes = json.loads(files[CHANGES_FILE])
-        model = _compile(files[MODEL_FILE], changes["visual"])
-        for path, index, value in changes["fields"]:
-            owner, name = _owner(model, path)
-            if index:
-                getattr(owner, name)[tuple(index)] = value
-            else:
-                setattr(owner, name, value)
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise FileDamagedError(
-            f"the model of the log cannot be built ({type(error).__name__}: {error})"
-        ) from error
+        given = json.loads(files[SETTINGS_FILE])
+        settings = ModelSettings(**given if memory is None else {**given, "memory": memory})
+        _check_structure(files[MODEL_FILE])
+        spec = mujoco.MjSpec.from_string(files[MODEL_FILE].decode())
+        spec.compiler.discardvisual = not settings.visual
+        spec.option.timestep = settings.timestep
+        for actuator in spec.actuators:
+            actuator.nsample = settings.memory
+        model = spec.compile()
+        set_floor_friction(model, settings.floor_friction)
+    except KeyError as error:
+        raise FileDamagedError(f"the model of the log lacks {error}") from error
+    except (TypeError, ValueError, RecursionError, SyntaxError, mujoco.FatalError) as error:
+        reason = str(error) if isinstance(error, AslipError) else f"{type(error).__name__}: {error}"
+        raise FileDamagedError(f"the model of the log cannot be built: {reason}") from error
     return model
 
 
@@ -72,27 +143,56 @@ def model_digest(model: mujoco.MjModel) -> str:
     return hashlib.sha256(buffer.tobytes()).hexdigest()
 
 
-def _compile(xml: bytes, visual: bool) -> mujoco.MjModel:
-    spec = mujoco.MjSpec.from_string(xml.decode())
-    spec.compiler.discardvisual = not visual
-    return spec.compile()
+def _check_structure(xml: bytes) -> None:
+    """Check that a model has the parts of the one that ships.
+
+    Raises:
+        ValueError: it differs in more than numbers, or in one by much.
+    """
+    own = asset_path("cassie.xml").read_bytes()
+    if xml == own:
+        return
+    ours, theirs = (ElementTree.fromstring(text) for text in (own, xml))
+    for one, other in zip_longest(ours.iter(), theirs.iter()):
+        if one is None or other is None or (one.tag, len(one)) != (other.tag, len(other)):
+            raise ValueError(f"{MODEL_FILE} has other parts than assets/cassie.xml")
+        if one.keys() != other.keys():
+            raise ValueError(f"<{one.tag}> has other attributes than in assets/cassie.xml")
+        for key, text in one.items():
+            if not _alike(text, other.get(key, "")):
+                raise ValueError(
+                    f"<{one.tag} {key}={other.get(key)!r}> cannot be in place of {text!r}"
+                )
 
 
-def _changes(original: mujoco.MjModel, model: mujoco.MjModel) -> Iterator[list[Any]]:
-    """Numbers that differ: where, index, and value."""
-    for prefix in ("", "opt."):
-        names = dir(original if not prefix else original.opt)
-        for name in (n for n in names if not n.startswith("_")):
-            old, new = (getattr(*_owner(m, prefix + name)) for m in (original, model))
-            if isinstance(old, np.ndarray) and old.dtype != object:
-                for index in np.argwhere(old != new):
-                    yield [prefix + name, index.tolist(), new[tuple(index)].item()]
-            elif isinstance(old, int | float) and old != new:
-                yield [prefix + name, [], new]
+def _alike(ours: str, theirs: str) -> bool:
+    """Whether two attributes are equal, or numbers of the same order of magnitude."""
+    if ours == theirs:
+        return True
+    one, other = (_numbers(text) for text in (ours, theirs))
+    return len(one) == len(other) > 0 and all(
+        math.isfinite(b) and abs(b) <= _LARGEST_FACTOR * max(abs(a), 1.0)
+        for a, b in zip(one, other, strict=True)
+    )
 
 
-def _owner(model: mujoco.MjModel, path: str) -> tuple[Any, str]:
-    return (model.opt, path.removeprefix("opt.")) if path.startswith("opt.") else (model, path)
+def _numbers(text: str) -> list[float]:
+    """Numbers of an attribute; empty if it is something else."""
+    words = text.split()
+    if not all(re.fullmatch(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?", word) for word in words):
+        return []
+    return [float(word) for word in words]
+
+
+def _differing(one: Any, other: Any) -> list[str]:
+    """Names of fields that differ between two models."""
+    names = []
+    for prefix, a, b in (("", one, other), ("opt.", one.opt, other.opt)):
+        for name in (n for n in dir(a) if not n.startswith("_")):
+            old, new = getattr(a, name), getattr(b, name)
+            if isinstance(old, np.ndarray | int | float) and not np.array_equal(old, new):
+                names.append(prefix + name)
+    return names
 
 
 def low_level_digest() -> str:

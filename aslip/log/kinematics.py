@@ -24,8 +24,12 @@ class LoggedKinematics:
         # columns of `CassieEnv.watched`
         self._columns = np.concatenate([qpos, model.nq + qvel, model.nq + model.nv + motors])
         self._rest = model.qpos_spring[qpos[len(motors) :]]
-        self._stiffness = np.array([joint.stiffness[0] for joint in passive])
-        self._damping = np.array([joint.damping[0] for joint in passive])
+        self._springs = np.array([[joint.stiffness[0], joint.damping[0]] for joint in passive]).T
+        self.scale(1.0, 1.0)
+
+    def scale(self, stiffness: float, damping: float) -> None:
+        """Take springs and dampers for so many times as strong as the model's."""
+        self._stiffness, self._damping = self._springs * [[stiffness], [damping]]
 
     def poses(self, qpos: np.ndarray, out: np.ndarray) -> None:
         """Put positions [m] and quaternions (xyzw) of all bodies but the world into (b, 7)."""

@@ -5,15 +5,20 @@
 | `/robot_description` | once | URDF of the bodies, primitive shapes only |
 | `/tf` | 33 Hz | world to each body, and to the reduced-order model's body and feet |
 | `/joint_states` | 33 Hz or 2 kHz | `LOGGED_JOINTS`: position, velocity, effort [rad, rad/s, N m] |
-| `/truth`, `/estimate`, `/reference` | 33 Hz | by the names of the tensordict's entries |
-| `/step` | 33 Hz | phase, command, action, motor target, push; reward, its terms, ground force |
+| `/truth`, `/estimate`, `/odometry`, `/reference` | 33 Hz | by the tensordict's names |
+| `/observation` | 33 Hz | what the policy sees next |
+| `/sensors` | 33 Hz | packets with their noise; of each number an array, oldest first |
+| `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: what a step depends on |
+| | | `reward`, terms, `ground_force`, `terminated`, `truncated`, `done`: what came of it |
 | `/touchdown` | a footstep | side (0 left, 1 right), where, and where it was planned [m] |
 | `/state` | 1 Hz, resets | physics state and sensors' memory, to replay from and compare with |
+| `/dynamics` | 1 Hz, changes | parameters of `aslip.sim.DYNAMICS`, and motors' `memory` |
 | `/log` | events | beginning and end of episodes, notes |
 
 Messages are plain ROS 2 types or flat lists of named numbers, so that viewers show them without
-set-up and plots can name every curve. A message tells of the instant at its time; `/step` of the
-policy step that ends then. Units are SI and radians; frames are those of the tensordict's entries
+set-up and plots can name every curve. A message tells of the instant at its time; `/step` and
+`/sensors` of the policy step that ends then, `/touchdown` of a contact some time within it, up to
+30 ms earlier. Units are SI and radians; frames are those of the tensordict's entries
 (see `aslip.sim.true_state`). Quaternions are xyzw in `/tf`, as ROS has them, and name their
 components elsewhere.
 """
@@ -31,8 +36,10 @@ from mcap_ros2.writer import serialize_dynamic  # pyright: ignore[reportPrivateI
 from aslip.cassie import JOINT_NAMES, MOTOR_NAMES, SIDES
 from aslip.estimation import FAULTS
 
-FORMAT: Final = "1"
-"""Version of this layout; readers refuse others."""
+FORMAT: Final = "2"
+"""Version of this layout. Readers refuse others, and name the version of aslip, and its commit,
+that wrote the log: it is what reads and replays it. Format 1 had no hash of its metadata, neither
+`/observation`, `/sensors`, `/odometry` nor `/dynamics`, and the whole model in `model.json`."""
 
 LOGGED_JOINTS: Final = (
     *MOTOR_NAMES,
@@ -44,6 +51,9 @@ ROM_FRAMES: Final = ("rom_body", "rom_left_foot", "rom_right_foot")
 """Frames of the reduced-order model in `/tf`, children of the world as the robot's bodies are."""
 
 WORLD_FRAME: Final = "world"
+
+MEMORY: Final = "memory"
+"""Column of `/dynamics`: how many torque commands a motor remembers, one a physics step."""
 
 _SEPARATOR = "\n" + "=" * 80 + "\n"
 _TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
@@ -123,15 +133,17 @@ TOUCHDOWN = MessageType(
 )
 
 
-def flat_type(name: str, number: str, fields: Sequence[str]) -> MessageType:
-    """A message of named numbers.
+def flat_type(name: str, number: str, fields: Sequence[str], length: int = 0) -> MessageType:
+    """A message of named numbers, or of named arrays of one length.
 
     Args:
         name: of the type, without its package.
         number: "float32" or "float64".
         fields: names of the numbers, in order.
+        length: of the arrays; 0 for single numbers.
     """
-    return MessageType(f"aslip_msgs/msg/{name}", "\n".join(f"{number} {f}" for f in fields))
+    kind = f"{number}[{length}]" if length else number
+    return MessageType(f"aslip_msgs/msg/{name}", "\n".join(f"{kind} {f}" for f in fields))
 
 
 def component_names(name: str, size: int) -> list[str]:

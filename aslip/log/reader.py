@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import os
-import struct
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
-from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
-from aslip.errors import AssetError, FileDamagedError, UnknownNameError
+from aslip.errors import FileDamagedError, UnknownNameError
 from aslip.log import messages
+from aslip.log.decode import Decoder, decoder_of
+from aslip.log.records import METADATA_HASH, Records, begins_as_mcap, open_log, read_summary
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA
-
-MAGIC = b"\x89MCAP0\r\n"
-"""A file's first and last bytes."""
-FOOTER = struct.Struct("<BQQQI")
-"""The record before them: opcode, length, where the summary and its offsets start, checksum."""
-_FOOTER_OPCODE = 0x02
 
 
 @dataclass(frozen=True)
@@ -67,6 +61,8 @@ class Recording:
     """Name -> contents, with hashes that are right."""
     series: dict[str, Series]
     """Topic -> its messages."""
+    damaged: tuple[str, ...] = ()
+    """What is wrong with attachments that are therefore not in `attachments`."""
 
     def __getitem__(self, topic: str) -> Series:
         """The messages of a topic.
@@ -79,9 +75,24 @@ class Recording:
             raise UnknownNameError(f"{name!r} has no topic {topic!r}; it has {list(self.series)}")
         return self.series[topic]
 
+    def attachment(self, name: str) -> bytes:
+        """An attached file.
 
-def read(path: str | Path, topics: list[str] | None = None) -> Recording:
-    """Read a whole log.
+        Raises:
+            FileDamagedError: it is not there, or damaged.
+        """
+        if name not in self.attachments:
+            wrong = "; ".join(self.damaged) or f"it has {list(self.attachments)}"
+            raise FileDamagedError(f"{str(self.path)!r} lacks the attachment {name!r}: {wrong}")
+        return self.attachments[name]
+
+
+def read(path: str | Path, topics: Collection[str] | None = None) -> Recording:
+    """Read a log, or some topics of it.
+
+    Every number is verified: a chunk, the metadata or the summary that is not as it was written is
+    an error. So is a damaged attachment if everything is asked for; if only topics are, it is left
+    out and named in `Recording.damaged`.
 
     Args:
         path: of a finished log.
@@ -92,74 +103,120 @@ def read(path: str | Path, topics: list[str] | None = None) -> Recording:
         FileDamagedError: it is no log, not finished, damaged, or of another format.
     """
     path = Path(path)
-    with open_log(path) as file, _explained(path):
+    with open_log(path) as file:
         if not begins_as_mcap(file):
             raise FileDamagedError(f"{str(path)!r} is no MCAP file: it does not begin as one")
-        problem = ending_problem(file)
-        if problem:
-            raise ValueError(problem)
-        file.seek(0)
-        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        if reader.get_summary() is None:
-            raise ValueError("it has no summary")
-        records = {record.name: dict(record.metadata) for record in reader.iter_metadata()}
-        metadata = check_metadata(records.get(METADATA))
-        attachments = {a.name: bytes(a.data) for a in reader.iter_attachments()}
-        for problem in hash_problems(metadata, attachments):
-            raise ValueError(problem)
-        rows: dict[str, list[Any]] = {}
-        for _, channel, message, decoded in reader.iter_decoded_messages(topics):
-            rows.setdefault(channel.topic, []).append((message.log_time, decoded))
-    series = {topic: _series(topic, entries) for topic, entries in rows.items()}
-    return Recording(path, metadata, records.get(END_METADATA, {}), attachments, series)
+        with _explained(path):
+            statistics = read_summary(file).statistics
+            records, content = Records(file), Content()
+            for record in records:
+                content.add(record, topics)
+            metadata = check_metadata(content.metadata.get(METADATA))
+            problems = records.problems or counts_differ(statistics, content)
+            damaged = [*records.bad_attachments, *hash_problems(metadata, content.attachments)]
+            if problems or (damaged and topics is None):
+                raise ValueError("; ".join(problems or damaged))
+            end = content.metadata.get(END_METADATA, {})
+            series = {topic: _series(topic, *rows) for topic, rows in content.rows.items()}
+    for entries in (metadata, end):
+        entries.pop(METADATA_HASH, None)
+    return Recording(path, metadata, end, content.intact(metadata), series, tuple(damaged))
 
 
-def open_log(path: Path) -> IO[bytes]:
-    """The file, open for reading.
+@dataclass
+class Content:
+    """What the records of a log add up to."""
 
-    Raises:
-        AssetError: there is no such file.
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Records by name."""
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    """Contents by name."""
+    rows: dict[str, tuple[list[int], list[dict[str, Any]]]] = field(default_factory=dict)
+    """Times [ns] and decoded messages of the topics that are read."""
+    counts: Counter[int] = field(default_factory=Counter)
+    """Messages of every channel."""
+    _schemas: dict[int, Schema] = field(default_factory=dict)
+    _topics: dict[int, tuple[str, Decoder]] = field(default_factory=dict)
+
+    def add(self, record: object, topics: Collection[str] | None = None) -> None:
+        """Take in the next record; messages only of some topics if so asked.
+
+        Raises:
+            ValueError: a message or channel is not described by what came before.
+        """
+        if isinstance(record, Metadata):
+            self.metadata[record.name] = dict(record.metadata)
+        elif isinstance(record, Attachment):
+            self.attachments[record.name] = bytes(record.data)
+        elif isinstance(record, Schema):
+            self._schemas[record.id] = record
+        elif isinstance(record, Channel):
+            decoder = decoder_of(record, self._schemas.get(record.schema_id))
+            self._topics[record.id] = record.topic, decoder
+        elif isinstance(record, Message):
+            self.counts[record.channel_id] += 1
+            topic, decode = self._topic(record)
+            if topics is None or topic in topics:
+                time, rows = self.rows.setdefault(topic, ([], []))
+                rows.append(decode(record.data))
+                time.append(record.log_time)
+
+    def _topic(self, message: Message) -> tuple[str, Decoder]:
+        if message.channel_id not in self._topics:
+            raise ValueError(f"the channel {message.channel_id} of a message is not described")
+        return self._topics[message.channel_id]
+
+    def intact(self, metadata: Mapping[str, str]) -> dict[str, bytes]:
+        """Attachments that have the hash that the metadata says."""
+        return {
+            name: data
+            for name, data in self.attachments.items()
+            if metadata.get(HASH_KEY + name) == hashlib.sha256(data).hexdigest()
+        }
+
+
+def counts_differ(said: Any, content: Content) -> list[str]:
+    """Whether the summary counts other messages or metadata than there are.
+
+    Args:
+        said: the summary's `Statistics`.
+        content: what there is.
     """
-    try:
-        return path.open("rb")
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise AssetError(f"no log {str(path)!r}: {error.strerror}") from None
+    counted = {channel: n for channel, n in said.channel_message_counts.items() if n}
+    if counted != dict(content.counts) or said.message_count != content.counts.total():
+        return [f"its summary counts {said.message_count} messages, not the {_total(content)}"]
+    if said.metadata_count != len(content.metadata):
+        return [f"its summary counts {said.metadata_count} metadata, not {len(content.metadata)}"]
+    return []
 
 
-def begins_as_mcap(file: IO[bytes]) -> bool:
-    """Whether a file may be an MCAP file at all."""
-    file.seek(0)
-    return file.read(len(MAGIC)) == MAGIC
-
-
-def ending_problem(file: IO[bytes]) -> str | None:
-    """Why an MCAP file was not finished; None if it was."""
-    size = file.seek(0, os.SEEK_END)
-    tail = FOOTER.size + len(MAGIC)
-    file.seek(max(size - tail, 0))
-    ending = file.read()
-    if not ending.endswith(MAGIC) or size < tail + len(MAGIC):
-        return "it is unfinished: it does not end as an MCAP file"
-    opcode, length, start, _, _ = FOOTER.unpack(ending[: -len(MAGIC)])
-    if opcode != _FOOTER_OPCODE or length != FOOTER.size - 1 - 8 or not 0 < start < size:
-        return "its footer is damaged"
-    return None
+def _total(content: Content) -> str:
+    return f"{content.counts.total()} there are, or other ones"
 
 
 def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
     """The metadata, if it is of a log that this version of the package reads.
 
     Raises:
-        ValueError: it is not.
+        FormatError: it is of a log of another version.
+        ValueError: there is none, or it lacks its hash.
     """
     if metadata is None:
         raise ValueError(f"it is no log of this package: it has no metadata {METADATA!r}")
     if metadata.get("format") != messages.FORMAT:
-        raise ValueError(
+        by = metadata.get("version/aslip", "another version")
+        raise FormatError(
             f"its format is {metadata.get('format')!r}, this version of aslip reads"
-            f" {messages.FORMAT!r}"
+            f" {messages.FORMAT!r}; read it with what wrote it, aslip {by}"
+            f" (commit {metadata.get('commit') or 'unknown'})"
         )
+    if METADATA_HASH not in metadata:
+        raise ValueError("its metadata is damaged: it lacks its SHA-256")
     return metadata
+
+
+class FormatError(ValueError):
+    """A log of another version of the format."""
 
 
 def hash_problems(metadata: dict[str, str], attachments: dict[str, bytes]) -> Iterator[str]:
@@ -183,8 +240,8 @@ def _explained(path: Path) -> Iterator[None]:
     """Turn whatever a parser trips over into one error."""
     try:
         yield
-    except FileDamagedError:
-        raise
+    except FormatError as error:
+        raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
     except Exception as error:  # one cause, a bad file, has many exceptions
         # our own say what is wrong; a parser's say little without their kind
         reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
@@ -194,28 +251,10 @@ def _explained(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _series(topic: str, entries: list[tuple[int, Any]]) -> Series:
-    time = np.array([time for time, _ in entries], dtype=np.int64) / 1e9
-    rows = [_flattened(message) for _, message in entries]
+def _series(topic: str, time: list[int], rows: list[dict[str, Any]]) -> Series:
     columns = {}
     for name in rows[0]:
         values = [row[name] for row in rows]
         same = len({np.shape(value) for value in values}) == 1
         columns[name] = np.array(values) if same else np.array(values, dtype=object)
-    return Series(topic, time, columns)
-
-
-def _flattened(message: Any) -> dict[str, Any]:
-    """A message's entries by dotted names; lists of messages become lists of their entries."""
-    entries: dict[str, Any] = {}
-    for name in message.__slots__:
-        value = getattr(message, name)
-        if hasattr(value, "__slots__") and not isinstance(value, str | bytes):
-            nested = _flattened(value)
-            entries |= {f"{name}.{key}": item for key, item in nested.items()}
-        elif isinstance(value, list) and value and hasattr(value[0], "__slots__"):
-            parts = [_flattened(item) for item in value]
-            entries |= {f"{name}.{key}": [part[key] for part in parts] for key in parts[0]}
-        else:
-            entries[name] = value
-    return entries
+    return Series(topic, np.array(time, dtype=np.int64) / 1e9, columns)

@@ -27,11 +27,12 @@ from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
 from aslip.log import messages
 from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
-from aslip.log.session import Session, require_one_model
+from aslip.log.session import Session
 from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
 from aslip.provenance import commit, versions
 from aslip.settings import JointRate
+from aslip.stack import CassieTransformedEnv, described, observed
 
 CONFIG_FILE = "config.json"
 
@@ -62,8 +63,8 @@ class Recorder(Transform):
 
     Raises:
         ConfigurationError: `joint_rate` is neither; there is a log of that name, or an unfinished
-            one; a transform comes after this one; the environment has no such robot; the model
-            cannot be logged; or robots have been given dynamics that differ from it.
+            one; a transform comes after this one; the environment has no such robot; or its model
+            has been changed otherwise than by `CassieEnv.set_dynamics`.
         AssetError: there is no such policy.
     """
 
@@ -166,7 +167,6 @@ class Recorder(Transform):
             raise ConfigurationError(
                 f"no robot {self._robot!r} to record; the environment has {base.num_envs}, from 0"
             )
-        require_one_model(base)
         if self._fast:
             base.watch(self._robot)
         files = freeze_model(base.model)
@@ -178,17 +178,16 @@ class Recorder(Transform):
             "num_envs": base.num_envs,
             "backend": type(base).__name__,
             "seed": getattr(env, "seed", None),
-            "stack": {
-                name: type(transform).__name__
-                for name, transform in zip(env.transform_names, env.transforms, strict=True)
-            },
+            "stack": described(env),
             "settings": self._config,
         }
         files[CONFIG_FILE] = json.dumps(config, indent=1, default=str).encode()
         writer = LogWriter(self.path, overwrite=self._overwrite)
         try:
             writer.attach(files, _metadata(base.model, config))
-            return Session(writer, base, self._robot, self._fast, self._footholds, tensordict)
+            names = _observed_names(env, tensordict)
+            chosen = (self._robot, self._fast, self._footholds)
+            return Session(writer, base, *chosen, tensordict, names)
         except BaseException as error:
             writer.discard()
             if isinstance(error, OSError) and not isinstance(error, AslipError):
@@ -204,6 +203,21 @@ def _finish(session: Session, process: int) -> None:
         session.finish()
 
 
+def _observed_names(env: CassieTransformedEnv, td: TensorDictBase) -> list[str] | None:
+    """Names of the observation's numbers; none if it is not assembled of entries."""
+    try:
+        keys = [key if isinstance(key, tuple) else (key,) for key in observed(env)]
+    except ConfigurationError:
+        return None
+    names = []
+    for key in keys:
+        size = td.get(key).shape[-1]
+        start, last = "_".join(map(str, key[:-1])), str(key[-1])
+        parts = messages.component_names(last, size)
+        names += [f"{start}_{part}" if start else part for part in parts]
+    return names if len(set(names)) == len(names) else None
+
+
 def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str]:
     """How the log was made."""
     packages = ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
@@ -217,7 +231,8 @@ def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str
         "gaits_sha256": hashlib.sha256(asset_path("gaits.npz").read_bytes()).hexdigest(),
         "seed": str(config["seed"]),
         "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-        "timestep_s": repr(PHYSICS_TIMESTEP),
+        "timestep_s": repr(float(model.opt.timestep)),
+        "control_timestep_s": repr(PHYSICS_TIMESTEP),
         "substeps": str(SUBSTEPS),
         "platform": f"{platform.system()} {platform.machine()}",
     }

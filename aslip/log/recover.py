@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import hashlib
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO
 
-from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.writer import Writer
 
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.log.reader import open_log
-from aslip.log.writer import END_METADATA, finish_file, open_writer
+from aslip.log import messages
+from aslip.log.records import METADATA_HASH, Records, open_log, read_summary
+from aslip.log.writer import (
+    END_METADATA,
+    HASH_KEY,
+    METADATA,
+    add_metadata,
+    finish_file,
+    open_writer,
+)
 
 RECOVERED_METADATA = "aslip/recovered"
 """Name of the metadata record of a log that was recovered."""
@@ -29,15 +38,20 @@ class Recovery:
     until: float
     """Simulated time of the last one [s]."""
     complete: bool
-    """Whether the damaged file turned out to have everything but its end."""
+    """Whether the file had everything, but for its end at most."""
+    skipped_chunks: int
+    """Damaged chunks, of a simulated second at most each, that were left out."""
+    dropped: tuple[str, ...]
+    """Attachments that were left out, because they are damaged."""
     reason: str
-    """What stopped reading."""
+    """What was wrong with the file; empty if nothing was."""
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
-    """Write a whole log of what can be read from the beginning of a damaged one.
+    """Write a whole log of what is intact in a damaged one.
 
-    Reading stops at the first thing that is wrong; nothing before it is left out.
+    Damaged chunks and attachments are left out, with the attachments' hashes; so `read` takes the
+    new log. Reading ends where a length is wrong.
 
     Args:
         path: of the damaged log, often `<name>.mcap.part`.
@@ -46,7 +60,7 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
     Raises:
         AssetError: there is no such file.
         ConfigurationError: `out` is the damaged file itself, or exists.
-        FileDamagedError: not one message can be read.
+        FileDamagedError: not one message can be read, or the log is of another format.
     """
     path = Path(path)
     out = path.with_name(path.name.split(".mcap")[0] + ".recovered.mcap") if out is None else out
@@ -55,79 +69,127 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
     # not ".part", which the damaged log, or one that is being written, may be called
     temporary = out.with_name(out.name + ".recovering")
-    with open_log(path) as damaged, temporary.open("wb") as file:
-        try:
-            recovery = _copy(damaged, file, out)
-        except BaseException:
-            temporary.unlink()
-            raise
-    return recovery
-
-
-def _copy(damaged: IO[bytes], file: IO[bytes], out: Path) -> Recovery:
-    writer = open_writer(file)
-    schemas: dict[int, int] = {}
-    channels: dict[int, int] = {}
-    count, until, whole = 0, 0, False
-    source = _Records(damaged)
-    for record in source:
-        if isinstance(record, DataEnd):
-            whole = True
-            break
-        if isinstance(record, Metadata):
-            writer.add_metadata(record.name, dict(record.metadata))
-        elif isinstance(record, Attachment):
-            writer.add_attachment(
-                record.create_time, record.log_time, record.name, record.media_type, record.data
-            )
-        elif isinstance(record, Schema) and record.id not in schemas:
-            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-        elif isinstance(record, Channel) and record.id not in channels:
-            channels[record.id] = writer.register_channel(
-                record.topic,
-                record.message_encoding,
-                schemas.get(record.schema_id, 0),
-                dict(record.metadata),
-            )
-        elif isinstance(record, Message):
-            count, until = count + 1, max(until, record.log_time)
-            writer.add_message(
-                channels[record.channel_id],
-                record.log_time,
-                record.data,
-                record.publish_time,
-                record.sequence,
-            )
-    if count == 0:
-        reason = source.reason or "it is empty"
-        raise FileDamagedError(f"{damaged.name!r} has nothing to recover: {reason}")
-    reason = source.reason or "nothing"
-    writer.add_metadata(
-        RECOVERED_METADATA, {"messages": str(count), "until_ns": str(until), "stopped_by": reason}
-    )
-    if not whole:
-        writer.add_metadata(END_METADATA, {"recovered": "true"})
-    finish_file(writer, file, out)
-    return Recovery(out, count, until / 1e9, whole, reason)
-
-
-class _Records:
-    """Records of a stream up to the first that is wrong; then `reason` tells what was."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file = file
-        self.reason = ""
-
-    def __iter__(self) -> Iterator[McapRecord]:
-        records = None
-        while True:
+    with open_log(path) as damaged:
+        found = _look(damaged)
+        with temporary.open("wb") as file:
             try:
-                if records is None:
-                    records = iter(StreamReader(self._file, validate_crcs=True).records)
-                record = next(records)
-            except StopIteration:
-                return
-            except Exception as error:  # whatever a parser trips over
-                self.reason = f"{type(error).__name__}: {error}"
-                return
-            yield record
+                return _copy(damaged, found, file, out)
+            except BaseException:
+                temporary.unlink(missing_ok=True)
+                raise
+
+
+@dataclass
+class _Found:
+    """What a damaged file has besides messages."""
+
+    records: Records
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: list[Attachment] = field(default_factory=list)
+    dropped: list[str] = field(default_factory=list)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+
+    def add(self, record: McapRecord) -> None:
+        """Take in the next record."""
+        if isinstance(record, Metadata) and METADATA_HASH in record.metadata:
+            self.metadata[record.name] = dict(record.metadata)
+        elif isinstance(record, Attachment):
+            self.attachments.append(record)
+        elif isinstance(record, Schema):
+            self.schemas.setdefault(record.id, record)
+        elif isinstance(record, Channel):
+            self.channels.setdefault(record.id, record)
+
+    def saved(self, record: McapRecord) -> bool:
+        """Whether a record is a message that is described."""
+        channel = self.channels.get(record.channel_id) if isinstance(record, Message) else None
+        return channel is not None and channel.schema_id in self.schemas
+
+
+def _look(damaged: IO[bytes]) -> _Found:
+    """Read everything once.
+
+    Raises:
+        FileDamagedError: there is no message, or the log is of another format.
+    """
+    found = _Found(Records(damaged))
+    for record in found.records:
+        found.add(record)
+    # definitions that were in a damaged chunk
+    with suppress(Exception):
+        for record in read_summary(damaged).definitions:
+            found.add(record)
+    if not any(found.saved(record) for record in Records(damaged)):
+        problems = "; ".join(found.records.problems) or "it is empty"
+        raise FileDamagedError(f"{damaged.name!r} has nothing to recover: {problems}")
+    known = found.metadata.get(METADATA, {}).get("format", messages.FORMAT)
+    if known != messages.FORMAT:
+        raise FileDamagedError(
+            f"{damaged.name!r} is of format {known!r}, this version of aslip recovers"
+            f" {messages.FORMAT!r}"
+        )
+    return found
+
+
+def _copy(damaged: IO[bytes], found: _Found, file: IO[bytes], out: Path) -> Recovery:
+    writer = open_writer(file)
+    _copy_attachments(writer, found)
+    channels = _open_channels(writer, found)
+    count, until = 0, 0
+    for record in Records(damaged):
+        if isinstance(record, Message) and found.saved(record):
+            count, until = count + 1, max(until, record.log_time)
+            channel, time = channels[record.channel_id], record.log_time
+            writer.add_message(channel, time, record.data, record.publish_time, record.sequence)
+    source = found.records
+    reason = "; ".join([*source.problems, *source.bad_attachments])
+    told = {
+        "messages": str(count),
+        "until_ns": str(until),
+        "skipped_chunks": str(source.bad_chunks),
+        "dropped_attachments": " ".join(found.dropped),
+        "reason": reason,
+    }
+    add_metadata(writer, RECOVERED_METADATA, told)
+    add_metadata(writer, END_METADATA, found.metadata.get(END_METADATA, {"recovered": "true"}))
+    finish_file(writer, file, out)
+    complete = source.whole and not reason and not found.dropped
+    dropped = tuple(found.dropped)
+    return Recovery(out, count, until / 1e9, complete, source.bad_chunks, dropped, reason)
+
+
+def _copy_attachments(writer: Writer, found: _Found) -> None:
+    """Write metadata and attachments, without those that are not what was attached."""
+    metadata = found.metadata.get(METADATA, {"format": messages.FORMAT})
+    metadata = {key: text for key, text in metadata.items() if key != METADATA_HASH}
+    # with the metadata, hashes are lost; an attachment's checksum has been verified by then
+    known = {key: metadata.pop(key) for key in list(metadata) if key.startswith(HASH_KEY)}
+    kept = {}
+    for attachment in found.attachments:
+        key = HASH_KEY + attachment.name
+        digest = hashlib.sha256(attachment.data).hexdigest()
+        if known.pop(key, digest) == digest:
+            kept[key] = attachment, digest
+        else:
+            found.dropped.append(attachment.name)
+    found.dropped += [key.removeprefix(HASH_KEY) for key in known]
+    hashes = {key: digest for key, (_, digest) in kept.items()}
+    add_metadata(writer, METADATA, {**metadata, **hashes})
+    for attachment, _ in kept.values():
+        writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
+
+
+def _open_channels(writer: Writer, found: _Found) -> dict[int, int]:
+    """Announce the topics again; the new id of each by its old one."""
+    schemas = {
+        old: writer.register_schema(schema.name, schema.encoding, schema.data)
+        for old, schema in found.schemas.items()
+    }
+    return {
+        old: writer.register_channel(
+            channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
+        )
+        for old, channel in found.channels.items()
+        if channel.schema_id in schemas
+    }

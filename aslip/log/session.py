@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, cast
 
 import mujoco
 import numpy as np
@@ -12,13 +12,12 @@ from tensordict import TensorDictBase
 from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SIDES, SUBSTEPS
 from aslip.cassie.model import load_model
 from aslip.envs import CassieEnv
-from aslip.errors import ConfigurationError
 from aslip.ghost import Footholds, Ghost
 from aslip.log import messages
 from aslip.log.kinematics import LoggedKinematics
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
 from aslip.log.robot_description import robot_description
-from aslip.log.template import Template, joints_template, state_template, transforms_template
+from aslip.log.template import Marks, Template, joints_template, state_template, transforms_template
 from aslip.log.writer import LogWriter
 from aslip.metrics.contact import CONTACT_FORCE
 
@@ -41,33 +40,18 @@ _TRUTH = (
 
 _TRUTH_READ = {*_TRUTH, "qpos", "qvel", "ground_force", "diverged"}
 # topics of named numbers, if the tensordict has them
-_GROUPS = ("truth", "estimate", "reference")
+_GROUPS = ("truth", "estimate", "odometry", "reference")
 _CLOCK = ("phase", "command")
 # what a step depends on
 _CAUSES = (*_CLOCK, "action", "motor_target", "push")
-_OUTCOMES = ("reward", "terminated")
+_OUTCOMES = ("reward", "terminated", "truncated", "done")
+_NEVER = np.zeros(1)
 _NO_PUSH = np.zeros(3)
 _START = {"faults": "fault"}
+_INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_SPRINGS = ("spring_stiffness", "joint_damping")
 # the filter's insides, and what follows from gaits, phase and command but is of no use to look at
 _UNLOGGED = {"estimate": {"memory"}, "reference": {"motor_velocity", "motor_torque"}}
-
-
-def require_one_model(base: CassieEnv) -> None:
-    """Check that the robots have the default model, the only one that a replay knows.
-
-    Raises:
-        ConfigurationError: their dynamics have been changed, or the physics has another timestep.
-    """
-    if base.model.opt.timestep != PHYSICS_TIMESTEP:
-        raise ConfigurationError(
-            f"logs are of physics with a timestep of {PHYSICS_TIMESTEP} s, this environment's is"
-            f" {base.model.opt.timestep} s"
-        )
-    if base.altered:
-        raise ConfigurationError(
-            "the robots' dynamics have been changed (by RandomDynamics, set_dynamics or a reset),"
-            " and a replay knows the default model only: record an environment of its own"
-        )
 
 
 # one robot's entries of a part of the tensordict
@@ -87,6 +71,8 @@ class _Flat:
         entries: keys of the entries, and how the names of their numbers begin.
         sample: a row that has them.
         dtype: of the numbers.
+        names: of all numbers; made of the entries' by default.
+        length: entries are (length, k), k named arrays; 0 for single numbers.
     """
 
     def __init__(
@@ -96,21 +82,30 @@ class _Flat:
         entries: Mapping[str, str],
         sample: Row,
         dtype: type[np.floating],
+        *,
+        names: Sequence[str] | None = None,
+        length: int = 0,
     ) -> None:
         self._writer, self._keys = writer, list(entries)
-        names = [
+        names = names or [
             name
             for key, start in entries.items()
-            for name in messages.component_names(start, sample[key].size)
+            for name in messages.component_names(start, sample[key].size // max(length, 1))
         ]
         number = "float32" if dtype is np.float32 else "float64"
-        kind = messages.flat_type(topic.strip("/").title(), number, names)
-        self._template = Template(kind, lambda m: {name: m.number() for name in names}, dtype)
+        kind = messages.flat_type(topic.strip("/").title(), number, names, length)
+
+        def build(marks: Marks) -> dict[str, Any]:
+            return {name: marks.numbers(length) if length else marks.number() for name in names}
+
+        # of arrays, each number's values over the rows lie side by side
+        self._order: Literal["C", "F"] = "F" if length else "C"
+        self._template = Template(kind, build, dtype)
         self._channel = writer.open_channel(topic, kind)
 
     def write(self, time_ns: int, row: Row) -> None:
         """Add the message of a row."""
-        values = np.concatenate([row[key].ravel() for key in self._keys])
+        values = np.concatenate([row[key].ravel(self._order) for key in self._keys])
         self._writer.write(self._channel, time_ns, self._template.encode(time_ns, values))
 
 
@@ -125,6 +120,7 @@ class Session:
         fast: bool,
         footholds: Footholds,
         sample: TensorDictBase,
+        observed: Sequence[str] | None = None,
     ) -> None:
         self._writer, self._base, self._robot, self._fast = writer, base, robot, fast
         self._footholds = footholds
@@ -146,30 +142,29 @@ class Session:
         self._poses[:, 6] = 1.0
         self._transforms = transforms_template(frames)
         self._joints = joints_template(LOGGED_JOINTS)
-        size = base.states().shape[1]
-        self._integration = mujoco.mj_stateSize(base.model, mujoco.mjtState.mjSTATE_INTEGRATION)
-        self._state = state_template(self._integration, size - self._integration)
         self._fixed = {
             template: writer.open_channel(topic, template.kind)
-            for topic, template in (
-                ("/tf", self._transforms),
-                ("/joint_states", self._joints),
-                ("/state", self._state),
-            )
+            for topic, template in (("/tf", self._transforms), ("/joint_states", self._joints))
         }
+        self._state_channel = writer.open_channel("/state", messages.STATE)
+        self._state: Template | None = None
+        self._dynamics: Row = {}
         self._groups = [name for name in _GROUPS if name in sample]
         rows = self._rows(sample)
         self._flat = {
             name: _Flat(writer, f"/{name}", _entries(name, rows[name]), rows[name], np.float32)
             for name in self._groups
         }
+        self._flat |= self._policy_topics(rows, observed)
+        row = self._dynamics_row()
+        names = {name: name for name in row}
+        self._dynamics_topic = _Flat(writer, "/dynamics", names, row, np.float64)
         self._step_topic: _Flat | None = None
 
     # --------------------------------------------------------------- events
 
     def reset(self, td: TensorDictBase) -> None:
         """The robot stands at the start of an episode."""
-        require_one_model(self._base)
         self._ticks += 1
         self._episode, self._episode_step = self._episode + 1, 0
         self._airborne = [0, 0]
@@ -185,7 +180,7 @@ class Session:
 
     def step(self, td: TensorDictBase, after: TensorDictBase) -> None:
         """A policy step has passed."""
-        require_one_model(self._base)
+        self._note_change()
         self._ticks += 1
         self._episode_step += 1
         rows = self._rows(after)
@@ -250,7 +245,29 @@ class Session:
             rows["estimate"] |= _row(cast("TensorDictBase", td.get("estimator")), self._robot)
         if "reference" in rows:
             rows["reference"] |= {key: td.get(key)[self._robot].numpy() for key in _CLOCK}
+        if "sensors" in td:
+            rows["sensors"] = _row(cast("TensorDictBase", td.get("sensors")), robot)
+        if "observation" in td:
+            rows["observation"] = {"observation": td.get("observation")[robot].numpy()}
         return rows
+
+    def _policy_topics(
+        self, rows: dict[str, Row], observed: Sequence[str] | None
+    ) -> dict[str, _Flat]:
+        """Topics of what the robot measures and the policy sees, if the tensordict has them."""
+        topics = {}
+        if row := rows.get("sensors"):
+            names, (length, _) = {key: key for key in row}, next(iter(row.values())).shape
+            topics["sensors"] = _Flat(
+                self._writer, "/sensors", names, row, np.float32, length=length
+            )
+        if row := rows.get("observation"):
+            names = {key: key for key in row}
+            fit = observed if observed and len(observed) == row["observation"].size else None
+            topics["observation"] = _Flat(
+                self._writer, "/observation", names, row, np.float32, names=fit
+            )
+        return topics
 
     def _place(self, rows: dict[str, Row]) -> None:
         """Find out where everything is."""
@@ -270,7 +287,11 @@ class Session:
         """What was done, and what came of it."""
         row = {"push": _NO_PUSH, **before}
         row |= {key: truth[key] for key in ("ground_force", "diverged")}
-        row |= {key: after.get(key)[self._robot].detach().numpy() for key in _OUTCOMES}
+        row |= {
+            key: value[self._robot].detach().numpy() if value is not None else _NEVER
+            for key in _OUTCOMES
+            for value in [after.get(key, None)]
+        }
         names = {key: key for key in row}
         if "reward_terms" in after:
             terms = _row(cast("TensorDictBase", after.get("reward_terms")), self._robot)
@@ -284,8 +305,31 @@ class Session:
         """A state to begin a replay from, and to compare one with; ends a chunk."""
         state = self._base.states()[self._robot]
         values = np.concatenate([[self._episode, self._episode_step], state])
-        self._put(self._state, self._time, values)
+        if self._state is None or self._state.count != len(values):
+            # a longer torque delay makes states longer
+            integration = mujoco.mj_stateSize(self._base.model, _INTEGRATION)
+            self._state = state_template(integration, len(state) - integration)
+        data = self._state.encode(self._time, values)
+        self._writer.write(self._state_channel, self._time, data)
+        self._dynamics = {}  # with every state, so that none depends on an earlier chunk
+        self._note_change()
         self._writer.flush()
+
+    def _dynamics_row(self) -> Row:
+        """What the robot is like."""
+        row = {name: values[self._robot, None] for name, values in self._base.dynamics.items()}
+        return row | {messages.MEMORY: self._base.model.actuator_history[0, :1].astype(float)}
+
+    def _note_change(self) -> None:
+        """Tell at once of dynamics that have changed since the last policy step."""
+        if self._dynamics and not self._base.altered:
+            return
+        row = self._dynamics_row()
+        if row != self._dynamics:
+            self._dynamics = row
+            stiffness, damping = (float(row[key][0]) for key in _SPRINGS)
+            self._kinematics.scale(stiffness, damping)
+            self._dynamics_topic.write(self._time, row)
 
     def _touchdowns(self, before: Row, truth: Row) -> None:
         """Tell of feet that have come down."""
@@ -333,4 +377,4 @@ def _entries(group: str, row: Row) -> dict[str, str]:
     """Entries that a group's topic has, and how the names of their numbers begin."""
     if group == "truth":
         return {key: key for key in _TRUTH}
-    return {key: _START.get(key, key) for key in row if key not in _UNLOGGED[group]}
+    return {key: _START.get(key, key) for key in row if key not in _UNLOGGED.get(group, ())}

@@ -23,6 +23,7 @@ import aslip
 from aslip.errors import ConfigurationError
 from aslip.files import commit
 from aslip.log.messages import MessageType
+from aslip.log.records import METADATA_HASH, metadata_hash
 
 METADATA = "aslip"
 """Name of the metadata record that tells how the log was made."""
@@ -72,7 +73,7 @@ class LogWriter:
     def attach(self, files: Mapping[str, bytes], metadata: Mapping[str, str]) -> None:
         """Write attachments, and metadata that has the hash of each."""
         hashes = {HASH_KEY + name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
-        self._writer.add_metadata(METADATA, {**metadata, **hashes})
+        add_metadata(self._writer, METADATA, {**metadata, **hashes})
         for name, data in files.items():
             media = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
             self._writer.add_attachment(0, 0, name, media, data)
@@ -103,7 +104,7 @@ class LogWriter:
         self._attempt(lambda: self._finish(metadata))
 
     def _finish(self, metadata: Mapping[str, str]) -> None:
-        self._writer.add_metadata(END_METADATA, dict(metadata))
+        add_metadata(self._writer, END_METADATA, metadata)
         finish_file(self._writer, self._file, self.path)
 
     def _attempt(self, action: Callable[[], object]) -> None:
@@ -131,6 +132,11 @@ def refuse_existing(path: Path, *, overwrite: bool) -> None:
         raise ConfigurationError(
             f"{str(path)!r} exists; give the log another name, or pass overwrite=True"
         )
+
+
+def add_metadata(writer: Writer, name: str, metadata: Mapping[str, str]) -> None:
+    """Write a metadata record, with its hash."""
+    writer.add_metadata(name, {**metadata, METADATA_HASH: metadata_hash(metadata)})
 
 
 def open_writer(file: IO[bytes]) -> Writer:

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs.transforms import StepCounter
 
 import aslip
+from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read
-from aslip.stack import CassieTransformedEnv, default_stack
+from aslip.stack import CassieTransformedEnv, default_stack, randomised
 
 MakeRecorded = Callable[..., CassieTransformedEnv]
 
@@ -22,15 +24,31 @@ MakeRecorded = Callable[..., CassieTransformedEnv]
 def make_recorded(library: GaitLibrary) -> MakeRecorded:
     """`aslip.make_env` with a recorder as the last transform."""
 
-    def make(path: Path, backend: str = "batch", num_envs: int = 1, **settings: Any) -> Any:
+    def make(
+        path: Path,
+        backend: str = "batch",
+        num_envs: int = 1,
+        *,
+        drop: Sequence[str] = (),
+        max_steps: int | None = None,
+        dynamics: bool = False,
+        timestep: float = PHYSICS_TIMESTEP,
+        **settings: Any,
+    ) -> Any:
         stack = default_stack(library)
+        if max_steps is not None:
+            stack["time_limit"] = lambda: StepCounter(max_steps=max_steps)
+        if dynamics:
+            stack = randomised(stack)
         stack["recorder"] = lambda: Recorder(path, library=library, **settings)
         return aslip.make_env(
             backend,  # pyright: ignore[reportArgumentType]
             num_envs=num_envs,
             seed=4,
             stack=stack,
+            drop=drop,
             num_threads=1,
+            timestep=timestep,
         )
 
     return make

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,9 +14,13 @@ from mcap.records import Attachment, Metadata
 from mcap.stream_reader import StreamReader
 
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError
-from aslip.log import check, read, recover, replay
-from aslip.log.writer import METADATA, open_writer
+from aslip.log import Recording, check, read, recover, replay
+from aslip.log.messages import FORMAT
+from aslip.log.writer import METADATA, add_metadata, open_writer
 from tests.log.conftest import MakeRecorded
+
+Alter = Callable[[Callable[[bytearray], None]], Path]
+MAGIC = b"\x89MCAP0\r\n"
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +35,14 @@ def log(make_recorded: MakeRecorded, tmp_path_factory: pytest.TempPathFactory) -
     return path
 
 
+@pytest.fixture(scope="module")
+def whole(log: Path) -> Recording:
+    """The same, read."""
+    return read(log)
+
+
 @pytest.fixture
-def altered(log: Path, tmp_path: Path) -> Callable[[Callable[[bytearray], None]], Path]:
+def altered(log: Path, tmp_path: Path) -> Alter:
     """A copy of the log with changed bytes."""
 
     def alter(change: Callable[[bytearray], None]) -> Path:
@@ -53,7 +64,7 @@ def _rewritten(
         for record in StreamReader(source).records:
             if isinstance(record, Metadata):
                 own = metadata if record.name == METADATA and metadata is not None else None
-                writer.add_metadata(record.name, own or dict(record.metadata))
+                add_metadata(writer, record.name, own or dict(record.metadata))
             elif isinstance(record, Attachment) and record.name != drop:
                 data = bytes(record.data)
                 if record.name == alter:
@@ -74,14 +85,36 @@ def _rewritten(
     return out
 
 
+def assert_same(one: Recording, other: Recording) -> None:
+    """Equal to the bit."""
+    assert one.metadata == other.metadata
+    assert one.end == other.end
+    assert one.attachments == other.attachments
+    assert one.series.keys() == other.series.keys()
+    for topic, series in one.series.items():
+        np.testing.assert_array_equal(series.time, other[topic].time)
+        assert series.columns.keys() == other[topic].columns.keys()
+        for name, column in series.columns.items():
+            np.testing.assert_array_equal(column, other[topic][name], err_msg=topic + name)
+
+
+def assert_subset(rest: Recording, whole: Recording) -> None:
+    """Every message is one of the whole log's."""
+    for topic, series in rest.series.items():
+        rows = np.searchsorted(whole[topic].time, series.time)
+        np.testing.assert_array_equal(whole[topic].time[rows], series.time)
+        for name, column in series.columns.items():
+            if topic != "/log":  # has several lines of one time
+                np.testing.assert_array_equal(column, whole[topic][name][rows], err_msg=name)
+            assert set(map(str, column)) <= set(map(str, whole[topic][name]))
+
+
 def test_a_whole_log_has_no_problems(log: Path) -> None:
     assert check(log) == []
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_flipped_byte_is_found(
-    altered: Callable[[Callable[[bytearray], None]], Path], seed: int
-) -> None:
+def test_a_flipped_byte_is_found(altered: Alter, whole: Recording, seed: int) -> None:
     """Anywhere, in data and summary."""
     rng = np.random.default_rng(seed)
 
@@ -91,13 +124,109 @@ def test_a_flipped_byte_is_found(
     path = altered(flip)
     assert check(path)
     try:
-        read(path)
+        found = read(path)
     except FileDamagedError as error:
         assert "altered.mcap" in str(error)
+    else:
+        assert_same(found, whole)
+
+
+def test_numbers_of_a_log_are_verified_by_reading(log: Path, altered: Alter) -> None:
+    """Names in the summary and words of the metadata, too."""
+    data = log.read_bytes()
+    places = {"summary is damaged": data.rindex(b"phase"), "metadata": data.index(b"Linux")}
+    for message, place in places.items():
+        path = altered(lambda d, at=place: d.__setitem__(at, d[at] ^ 1))
+        with pytest.raises(FileDamagedError, match=message):
+            read(path)
+
+
+def test_a_damaged_attachment_does_not_keep_one_from_the_numbers(
+    log: Path, altered: Alter, whole: Recording
+) -> None:
+    place = log.read_bytes().index(b"WeightedReward")
+    path = altered(lambda data: data.__setitem__(place, data[place] ^ 1))
+    with pytest.raises(FileDamagedError, match=r"attachment.*config\.json"):
+        read(path)
+    some = read(path, ["/step", "/state", "/dynamics"])
+    assert some["/step"]["reward"].tolist() == whole["/step"]["reward"].tolist()
+    assert "config.json" not in some.attachments
+    assert "config.json" in some.damaged[0]
+    assert replay(some).equal
+    with pytest.raises(FileDamagedError, match=r"config\.json"):
+        some.attachment("config.json")
+
+
+def test_counts_of_the_summary_are_compared(log: Path, tmp_path: Path) -> None:
+    """A chunk that is not there, with checksums that are right."""
+    path = tmp_path / "fewer.mcap"
+    data = bytearray(log.read_bytes())
+    footer = len(data) - len(MAGIC) - 4
+    (start,) = struct.unpack_from("<Q", data, footer - 16)
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None and summary.statistics is not None
+    count = struct.pack("<Q", summary.statistics.message_count)
+    place = data.index(count, start)
+    struct.pack_into("<Q", data, place, summary.statistics.message_count - 1)
+    struct.pack_into("<I", data, footer, zlib.crc32(bytes(data[start:footer])))
+    path.write_bytes(data)
+    assert [problem for problem in check(path) if "counts" in problem] == check(path) != []
+    with pytest.raises(FileDamagedError, match="summary counts"):
+        read(path)
+
+
+def test_a_flipped_bit_in_any_chunk_costs_that_chunk(
+    log: Path, altered: Alter, tmp_path: Path, whole: Recording
+) -> None:
+    """The first, where topics are described, as any other."""
+    total = sum(map(len, whole.series.values()))
+    with log.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    indexes = summary.chunk_indexes
+    assert len(indexes) >= 4
+    for i, index in enumerate(indexes):
+        place = index.chunk_start_offset + index.chunk_length // 2
+        path = altered(lambda data, at=place: data.__setitem__(at, data[at] ^ 1))
+        saved = recover(path, tmp_path / f"{i}.mcap")
+        held = sum(length > 0 for length in index.message_index_offsets.values())
+        assert saved.skipped_chunks == 1
+        assert not saved.complete
+        assert held == 0 or total * 0.5 < saved.messages < total
+        assert check(saved.path) == []
+        assert_subset(read(saved.path), whole)
+
+
+def test_damaged_metadata_cost_no_message(log: Path, altered: Alter, whole: Recording) -> None:
+    """One byte that is no text."""
+    place = log.read_bytes().index(b"Linux")
+    saved = recover(altered(lambda data: data.__setitem__(place, 0xFF)))
+    assert saved.messages == sum(map(len, whole.series.values()))
+    rest = read(saved.path)
+    assert rest.metadata.keys() - {"format"} == {f"sha256/{name}" for name in whole.attachments}
+    assert rest.attachments == whole.attachments
+    assert replay(rest, strict=False).equal
+
+
+@pytest.mark.parametrize(
+    ("name", "inside"), [("model.xml", b"<worldbody"), ("config.json", b"WeightedReward")]
+)
+def test_a_damaged_attachment_is_left_out(
+    log: Path, altered: Alter, name: str, inside: bytes, whole: Recording
+) -> None:
+    """So that the new log is read by all that read the old one."""
+    place = log.read_bytes().index(inside)
+    saved = recover(altered(lambda data: data.__setitem__(place, data[place] ^ 1)))
+    assert saved.dropped == (name,)
+    assert check(saved.path) == []
+    rest = read(saved.path)
+    assert rest.attachments.keys() == whole.attachments.keys() - {name}
+    assert len(rest["/step"]) == len(whole["/step"])
 
 
 def test_a_flipped_byte_in_a_message_is_told_as_such(
-    altered: Callable[[Callable[[bytearray], None]], Path],
+    altered: Alter,
 ) -> None:
     def flip(data: bytearray) -> None:
         data[len(data) // 2] ^= 0x10
@@ -109,14 +238,15 @@ def test_a_flipped_byte_in_a_message_is_told_as_such(
 
 
 def test_an_unfinished_log_is_told_as_such(
-    altered: Callable[[Callable[[bytearray], None]], Path],
+    altered: Alter,
 ) -> None:
     def cut(data: bytearray) -> None:
         del data[len(data) // 2 :]
 
     path = altered(cut)
     unfinished = "it is unfinished: it does not end as an MCAP file"
-    assert check(path)[0] == unfinished
+    assert check(path)[0].startswith(f"{unfinished}; save what is in it with: python -m aslip.log")
+    assert f"recover {path}" in check(path)[0]
     with pytest.raises(FileDamagedError, match=f"no whole, intact log: {unfinished}; .* recover"):
         read(path)
 
@@ -133,8 +263,8 @@ def test_attachments_that_are_missing_or_altered_are_named(log: Path, tmp_path: 
             read(path)
 
 
-def test_a_wrong_or_absent_hash_is_named(log: Path, tmp_path: Path) -> None:
-    metadata = read(log, ["/log"]).metadata
+def test_a_wrong_or_absent_hash_is_named(log: Path, whole: Recording, tmp_path: Path) -> None:
+    metadata = whole.metadata
     wrong = {**metadata, "sha256/config.json": "0" * 64}
     assert check(_rewritten(log, tmp_path / "wrong.mcap", wrong)) == [
         "the attachment 'config.json' is not what was attached: its SHA-256 differs"
@@ -148,8 +278,11 @@ def test_a_wrong_or_absent_hash_is_named(log: Path, tmp_path: Path) -> None:
 def test_other_formats_and_files_are_refused(log: Path, tmp_path: Path) -> None:
     later = {**read(log, ["/log"]).metadata, "format": "99"}
     path = _rewritten(log, tmp_path / "later.mcap", later)
-    with pytest.raises(FileDamagedError, match="format is '99'"):
+    with pytest.raises(FileDamagedError, match=r"format is '99'.*wrote it, aslip 0\.") as raised:
         read(path)
+    assert "recover" not in str(raised.value)
+    with pytest.raises(FileDamagedError, match="format '99'"):
+        recover(path)
     assert "its format is '99'" in check(path)[0]
     text = tmp_path / "notes.mcap"
     text.write_text("walked well")
@@ -162,7 +295,9 @@ def test_other_formats_and_files_are_refused(log: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("part", np.linspace(0.0, 0.999, 25).round(3))
-def test_a_log_cut_anywhere_is_saved_up_to_the_cut(log: Path, tmp_path: Path, part: float) -> None:
+def test_a_log_cut_anywhere_is_saved_up_to_the_cut(
+    log: Path, whole: Recording, tmp_path: Path, part: float
+) -> None:
     """Or there is nothing to save, and that is said."""
     data = log.read_bytes()
     path = tmp_path / "walk.mcap.part"
@@ -177,7 +312,7 @@ def test_a_log_cut_anywhere_is_saved_up_to_the_cut(log: Path, tmp_path: Path, pa
         return
     assert saved.path == tmp_path / "walk.recovered.mcap"
     assert check(saved.path) == []
-    whole, rest = read(log), read(saved.path)
+    rest = read(saved.path)
     assert rest.attachments == whole.attachments
     for topic, series in rest.series.items():
         np.testing.assert_array_equal(series.time, whole[topic].time[: len(series)])
@@ -206,19 +341,6 @@ def test_what_is_saved_ends_a_second_before_the_cut_at_most(log: Path, tmp_path:
     assert saved.until in states.time
 
 
-def test_a_damaged_middle_keeps_what_was_before(
-    altered: Callable[[Callable[[bytearray], None]], Path], log: Path, tmp_path: Path
-) -> None:
-    def flip(data: bytearray) -> None:
-        data[int(0.8 * len(data))] ^= 1
-
-    saved = recover(altered(flip), tmp_path / "saved.mcap")
-    assert not saved.complete
-    assert 0.5 < saved.until < read(log).series["/step"].time[-1]
-    assert saved.reason
-    assert check(saved.path) == []
-
-
 def test_recovering_never_overwrites(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "there.mcap"
     out.write_bytes(b"precious")
@@ -237,7 +359,7 @@ def test_time_that_goes_back_is_found(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "back.mcap"
     with log.open("rb") as source, path.open("wb") as file:
         writer = open_writer(file)
-        writer.add_metadata(METADATA, {"format": "1"})
+        add_metadata(writer, METADATA, {"format": FORMAT})
         schema, channel, message = next(make_reader(source).iter_messages(["/log"]))
         assert schema is not None
         kind = writer.register_schema(schema.name, schema.encoding, schema.data)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,6 @@ from torchrl.envs.utils import check_env_specs
 
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.log import Recorder
 from aslip.sim import DYNAMICS
 from aslip.stack import CassieTransformedEnv, Stack, default_stack, insert_before
 from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics, RandomNoise
@@ -226,26 +224,6 @@ def test_a_chosen_value_out_of_limits_is_refused(make: MakeEnv, library: GaitLib
     chosen = TensorDict(mass=torch.tensor([[1.0], [50.0]]), batch_size=2)
     with pytest.raises(ConfigurationError, match=r"mass of robot 1.*0\.2 to 5.*got 50"):
         env.reset(TensorDict(dynamics=chosen, batch_size=2))
-
-
-@pytest.mark.parametrize("when", ["before", "during"])
-def test_robots_that_differ_are_not_recorded(
-    make: MakeEnv, library: GaitLibrary, tmp_path: Path, when: str
-) -> None:
-    """Their replay would be another walk; robots of no other dynamics are recorded."""
-    stack = _stack(library, NOMINAL if when == "during" else DYNAMICS_RANGES)
-    stack["recorder"] = lambda: Recorder(tmp_path / "walk.mcap", library=library)
-    env = make(num_envs=1, stack=stack)
-    if when == "during":
-        td = env.reset()
-        env.base_env.set_dynamics({"payload": 1.0})
-        with pytest.raises(ConfigurationError, match="replay"):
-            env.step(td.set("action", torch.zeros(1, 10)))
-    else:
-        with pytest.raises(ConfigurationError, match="replay"):
-            env.reset()
-        assert not list(tmp_path.iterdir())
-    env.close()
 
 
 # ---------------------------------------------------------------------- noise

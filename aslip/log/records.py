@@ -1,0 +1,215 @@
+"""Records of an MCAP file, one after the other, past those that are damaged.
+
+Every part of a log proves itself: chunks and attachments by their checksums, metadata by a hash
+among them, the summary by its checksum. What does not is skipped and remembered, so that one wrong
+bit costs one chunk and not the rest of the file. Memory is bounded by the size of the file and
+`LARGEST_CHUNK`, whatever the lengths in it say.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from io import BytesIO
+from pathlib import Path
+from typing import IO, Final
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    Channel,
+    Chunk,
+    DataEnd,
+    McapRecord,
+    Message,
+    Metadata,
+    Schema,
+    Statistics,
+)
+from mcap.stream_reader import StreamReader, breakup_chunk
+
+from aslip.errors import AssetError
+
+LARGEST_CHUNK: Final = 2**24
+"""Size above which a chunk is taken for damaged [bytes]; ours have a quarter of a megabyte."""
+METADATA_HASH: Final = "sha256"
+"""Key of a metadata record that has the hash of all others."""
+
+_MAGIC = b"\x89MCAP0\r\n"
+_HEAD = struct.Struct("<BQ")
+# opcode, length, where the summary and its offsets start, checksum of the summary
+_FOOTER = struct.Struct("<BQQQI")
+# longer chunks of so many times the size of their bytes are bombs
+_DENSEST = 1000
+_IGNORED = (Opcode.HEADER, Opcode.MESSAGE_INDEX)
+
+
+def open_log(path: Path) -> IO[bytes]:
+    """The file, open for reading.
+
+    Raises:
+        AssetError: there is no such file.
+    """
+    try:
+        return path.open("rb")
+    except (FileNotFoundError, IsADirectoryError) as error:
+        raise AssetError(f"no log {str(path)!r}: {error.strerror}") from None
+
+
+def begins_as_mcap(file: IO[bytes]) -> bool:
+    """Whether a file may be an MCAP file at all."""
+    file.seek(0)
+    return file.read(len(_MAGIC)) == _MAGIC
+
+
+def metadata_hash(metadata: Mapping[str, str]) -> str:
+    """SHA-256 of a metadata record, but for the entry that holds it."""
+    entries = sorted((key, text) for key, text in metadata.items() if key != METADATA_HASH)
+    return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
+
+
+@dataclass
+class Summary:
+    """What the end of a finished file says of the rest."""
+
+    statistics: Statistics
+    """Counts of everything."""
+    definitions: list[Schema | Channel]
+    """Schemas and channels, once more."""
+    data_crc: int
+    """Checksum of everything before the summary, and how long that is."""
+    data_size: int
+
+
+def read_summary(file: IO[bytes]) -> Summary:
+    """The summary of a finished file.
+
+    Raises:
+        ValueError: the file was not finished, or its summary is damaged.
+    """
+    size = file.seek(0, os.SEEK_END)
+    tail = _FOOTER.size + len(_MAGIC)
+    file.seek(max(size - tail, 0))
+    ending = file.read()
+    if not ending.endswith(_MAGIC) or size < tail + len(_MAGIC):
+        raise ValueError("it is unfinished: it does not end as an MCAP file")
+    opcode, length, start, _, crc = _FOOTER.unpack(ending[: -len(_MAGIC)])
+    data_end = start - _HEAD.size - 4
+    if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not 0 < data_end < size:
+        raise ValueError("its footer is damaged")
+    file.seek(data_end)
+    end = file.read(start - data_end)
+    summary = file.read(size - start - len(_MAGIC))
+    if zlib.crc32(summary[:-4]) != crc:
+        raise ValueError("its summary is damaged: the checksum differs")
+    records = list(StreamReader(BytesIO(summary + _MAGIC), skip_magic=True).records)
+    counts = [record for record in records if isinstance(record, Statistics)]
+    if not counts:
+        raise ValueError("its summary counts nothing")
+    definitions = [record for record in records if isinstance(record, Schema | Channel)]
+    return Summary(counts[0], definitions, *struct.unpack("<I", end[-4:]), data_end)
+
+
+@dataclass
+class Records:
+    """The records of a file's data section, without indexes; iterate once.
+
+    Yields `Metadata`, `Attachment`, `Schema`, `Channel` and `Message` records that are intact.
+    """
+
+    file: IO[bytes]
+    """Open for reading."""
+    problems: list[str] = field(default_factory=list)
+    """What was skipped but for attachments, or ended the reading."""
+    bad_attachments: list[str] = field(default_factory=list)
+    """What is wrong with attachments that were skipped."""
+    bad_chunks: int = 0
+    """Chunks that were skipped."""
+    whole: bool = False
+    """Whether the end of the data section was reached."""
+
+    def __iter__(self) -> Iterator[McapRecord]:
+        if not begins_as_mcap(self.file):
+            self.problems.append("it is no MCAP file: it does not begin as one")
+            return
+        size = os.fstat(self.file.fileno()).st_size
+        while not self.whole:
+            offset = self.file.tell()
+            head = self.file.read(_HEAD.size)
+            opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
+            if length > size - offset - _HEAD.size:
+                self.problems.append(f"the record at byte {offset} is cut off, or its length wrong")
+                return
+            content = self.file.read(length)
+            try:
+                yield from self._intact(opcode, content)
+            except Exception as error:  # whatever a parser trips over
+                self._skip(opcode, offset, error)
+
+    def _intact(self, opcode: int, content: bytes) -> list[McapRecord]:
+        """The records that one record at the top level is made of."""
+        stream = ReadDataStream(BytesIO(content))
+        if opcode == Opcode.CHUNK:
+            return _opened(Chunk.read(stream))
+        if opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(stream)
+            if struct.pack("<I", zlib.crc32(content[:-4])) != content[-4:]:
+                raise ValueError(f"the checksum of {attachment.name!r} differs")
+            return [attachment]
+        if opcode == Opcode.METADATA:
+            return [_checked(Metadata.read(stream))]
+        if opcode == Opcode.DATA_END:
+            DataEnd.read(stream)
+            self.whole = True
+        elif opcode not in _IGNORED:
+            raise ValueError(f"it is of the unknown kind {opcode}")
+        return []
+
+    def _skip(self, opcode: int, offset: int, error: Exception) -> None:
+        kinds = {int(Opcode.CHUNK): "chunk", int(Opcode.ATTACHMENT): "attachment"}
+        reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
+        to = self.bad_attachments if opcode == Opcode.ATTACHMENT else self.problems
+        to.append(f"the {kinds.get(opcode, 'record')} at byte {offset} is damaged: {reason}")
+        self.bad_chunks += opcode == Opcode.CHUNK
+
+
+def _opened(chunk: Chunk) -> list[McapRecord]:
+    """Schemas, channels and messages of a chunk.
+
+    Raises:
+        ValueError: the chunk is not as it was written.
+    """
+    size = chunk.uncompressed_size
+    if chunk.compression != "zstd":
+        raise ValueError(f"its compression is {chunk.compression!r}")
+    if size > min(LARGEST_CHUNK, _DENSEST * len(chunk.data)):
+        raise ValueError(f"it would take {size} bytes")
+    # decompression allocates what the compressed bytes say, not what the chunk says
+    if zstandard.frame_content_size(chunk.data) != size:
+        raise ValueError("its two sizes differ")
+    data = zstandard.decompress(chunk.data)
+    if zlib.crc32(data) != chunk.uncompressed_crc:
+        raise ValueError("its checksum differs")
+    records = breakup_chunk(replace(chunk, compression="", data=data))
+    if not all(isinstance(record, Schema | Channel | Message) for record in records):
+        raise ValueError("it has other records than messages")
+    return records
+
+
+def _checked(metadata: Metadata) -> Metadata:
+    """A metadata record whose hash is right, or that has none.
+
+    Raises:
+        ValueError: its hash is another.
+    """
+    known = metadata.metadata.get(METADATA_HASH)
+    if known is not None and known != metadata_hash(metadata.metadata):
+        raise ValueError(f"the SHA-256 of the metadata {metadata.name!r} differs")
+    return metadata

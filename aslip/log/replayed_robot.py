@@ -1,0 +1,153 @@
+"""The robot of a log, simulated: its model, its dynamics, and its states."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from aslip.cassie import POLICY_PERIOD
+from aslip.errors import FileDamagedError
+from aslip.log.frozen_model import LONGEST_MEMORY, MODEL_FILE, SETTINGS_FILE, thaw_model
+from aslip.log.messages import MEMORY
+from aslip.log.reader import Recording, Series
+from aslip.sim import DYNAMICS, Dynamics, Simulations
+from aslip.sim.dynamics import with_memory_of
+
+_ONE = np.zeros(1, dtype=int)
+_HISTORY = int(mujoco.mjtState.mjSTATE_HISTORY)
+
+
+class ReplayedRobot:
+    """One simulation as a log has it.
+
+    Args:
+        recording: with `/dynamics`, which must say at the latest at the first state of a replay
+            what the robot is like.
+
+    Raises:
+        FileDamagedError: the log's model cannot be built, or its dynamics are not numbers.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._files = {n: recording.attachment(n) for n in (MODEL_FILE, SETTINGS_FILE)}
+        self.model = thaw_model(self._files)
+        """As it was when the log began."""
+        self._memory = self._shortest = int(self.model.actuator_history[0, 0])
+        self._changes = _changes(recording["/dynamics"])
+        self._dynamics = Dynamics(1, self.model)
+        self._simulations = Simulations(1, model=self.model, num_threads=1)
+        self._size = self._simulations.states().shape[1]
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(35,) copy of the configuration."""
+        return self._simulations.qpos[0].copy()
+
+    @property
+    def qvel(self) -> np.ndarray:
+        """(32,) copy of the velocity."""
+        return self._simulations.qvel[0].copy()
+
+    def rows(self, states: Series) -> list[np.ndarray]:
+        """States of `/state`, checked to be such that simulating them is safe.
+
+        Raises:
+            FileDamagedError: one is not a state of this robot.
+        """
+        pairs = zip(states["integration"], states["sensors"], strict=True)
+        return [self._checked(np.concatenate([np.ravel(part) for part in pair])) for pair in pairs]
+
+    def change(self, tick: int) -> None:
+        """Give the robot the dynamics that the log has last at or before an instant.
+
+        Raises:
+            FileDamagedError: there are none, or they are out of range.
+        """
+        past = [at for at in self._changes if at <= tick]
+        if not past:
+            raise FileDamagedError(f"/dynamics does not begin before {tick * POLICY_PERIOD:g} s")
+        values = dict(self._changes[max(past)])
+        self._lengthen(self._checked_memory(values.pop(MEMORY)))
+        try:
+            fields = self._dynamics.update(_ONE, values)
+        except ValueError as error:
+            raise FileDamagedError(f"/dynamics at {tick * POLICY_PERIOD:g} s: {error}") from error
+        self._simulations.write_fields(_ONE, fields)
+
+    def set_state(self, row: np.ndarray) -> None:
+        """Put the robot into a state of the log."""
+        memory = self._memory_of(row)
+        self._lengthen(memory)
+        state = self._converted(row[None], memory, self._memory)
+        self._simulations.set_states(state)
+
+    def state(self, row: np.ndarray) -> np.ndarray:
+        """The robot's state, as long as one of the log's."""
+        self._lengthen(self._memory_of(row))
+        return self._simulations.states()[0]
+
+    def advance(self, target: np.ndarray, push: np.ndarray) -> None:
+        """Simulate a policy step."""
+        self._simulations.advance(target[None], push[None])
+
+    # -------------------------------------------------- memory of commands
+
+    def _memory_of(self, row: np.ndarray) -> int:
+        """How many torque commands a state remembers, by its length.
+
+        Raises:
+            FileDamagedError: it has another length than a state of this robot.
+        """
+        more, rest = divmod(len(row) - self._size, 2 * self.model.nu)
+        if rest:
+            raise FileDamagedError(f"a state of the log has {len(row)} numbers, not {self._size}")
+        return self._checked_memory(self._shortest + more)
+
+    def _checked_memory(self, memory: float) -> int:
+        lengths = [self._shortest * 2**i for i in range(LONGEST_MEMORY.bit_length())]
+        if memory > LONGEST_MEMORY or memory not in lengths:
+            raise FileDamagedError(f"no motor remembers {memory:g} commands")
+        return int(memory)
+
+    def _checked(self, row: np.ndarray) -> np.ndarray:
+        memory = self._memory_of(row)
+        if row.dtype != np.float64 or not np.isfinite(row).all():
+            raise FileDamagedError("a state of the log is not of finite numbers")
+        start = mujoco.mj_stateSize(self.model, _HISTORY - 1)
+        history = row[start : start + self.model.nu * (2 + 2 * memory)]
+        # where the newest command is: MuJoCo would look there without asking
+        newest = history.reshape(self.model.nu, -1)[:, 1]
+        if not np.isin(newest, np.arange(memory)).all():
+            raise FileDamagedError("a state of the log has commands outside of a motor's memory")
+        return row
+
+    def _lengthen(self, memory: int) -> None:
+        """Go on in simulations that remember more commands, as `CassieEnv.set_dynamics` does."""
+        if memory <= self._memory:
+            return
+        states = self._converted(self._simulations.states(), self._memory, memory)
+        model = thaw_model(self._files, memory=memory)
+        self._simulations = Simulations(1, model=model, num_threads=1)
+        self._simulations.write_fields(_ONE, self._dynamics.fields(_ONE))
+        self._simulations.set_states(states)
+        self._memory = memory
+
+    def _converted(self, states: np.ndarray, memory: int, to: int) -> np.ndarray:
+        """States with so many commands as states with more."""
+        if memory == to:
+            return states
+        models = (thaw_model(self._files, memory=number) for number in (memory, to))
+        return with_memory_of(states, *models)
+
+
+def _changes(series: Series) -> dict[int, dict[str, float]]:
+    """What the robot is like from each instant of `/dynamics` on."""
+    names = [*DYNAMICS, MEMORY]
+    columns = {name: series[name] for name in names}
+    if any(column.dtype.kind != "f" or column.ndim != 1 for column in columns.values()):
+        raise FileDamagedError("/dynamics is not of numbers")
+    ticks = np.rint(series.time / POLICY_PERIOD).astype(int)
+    return {
+        int(tick): {name: float(column[i]) for name, column in columns.items()}
+        for i, tick in enumerate(ticks)
+    }
