@@ -1,0 +1,33 @@
+"""Write `tests/data/golden.mcap`, the log that pins the format: `python -m tests.log.golden`.
+
+To be written anew, with a new `aslip.log.messages.FORMAT`, only when messages change on purpose.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+from tensordict import TensorDict
+
+import aslip
+from aslip.log import Recorder
+from aslip.stack import default_stack
+
+GOLDEN = Path(__file__).parents[1] / "data" / "golden.mcap"
+
+
+def main(path: Path) -> None:
+    """Some steps at 0.5 m/s, and more of a second episode with a payload."""
+    stack = {**default_stack(), "recorder": lambda: Recorder(path, overwrite=True)}
+    env = aslip.make_env(seed=7, num_threads=1, stack=stack)
+    policy = aslip.load_policy("aslip")
+    start = TensorDict(command=torch.full((1, 1), 0.5), phase=torch.zeros(1, 1), batch_size=1)
+    for steps, payload in ((5, 0.0), (12, 3.0)):
+        env.base_env.set_dynamics({"payload": payload})
+        env.rollout(steps, policy, auto_reset=False, tensordict=env.reset(start))
+    env.close()
+
+
+if __name__ == "__main__":
+    main(GOLDEN)
