@@ -35,7 +35,9 @@ def command_line(
     """
     import tyro
 
-    given: dict[str, Any] = {} if default is None else {"default": default}
+    given: dict[str, Any] = {"prog": program()}
+    if default is not None:
+        given["default"] = default
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

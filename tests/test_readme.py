@@ -4,7 +4,10 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
+
+from packaging.specifiers import SpecifierSet
 
 from aslip.policy import policy_stack
 
@@ -45,3 +48,41 @@ def test_every_script_it_names_exists() -> None:
         scripts.append(f"{path}/__main__.py" if (ROOT / path).is_dir() else f"{path}.py")
     assert len(scripts) >= 4
     assert not [script for script in scripts if not (ROOT / script).is_file()]
+
+
+def _commands() -> list[list[str]]:
+    """Words of each command in blocks of shell, comments left out."""
+    blocks = re.findall(r"```bash\n(.*?)```", README, flags=re.DOTALL)
+    lines = "\n".join(blocks).replace("\\\n", " ").splitlines()
+    words = [str(line).partition(" #")[0].split() for line in lines]
+    return [found for found in words if found]
+
+
+def test_every_policy_it_measures_ships_or_is_trained_before() -> None:
+    """In the order of the commands; a benchmark of learning curves makes a folder a run."""
+    made = {"runs/ppo_aslip"}
+    measured = []
+    for words in _commands():
+        if "--out" in words:
+            made.add(words[words.index("--out") + 1])
+        if "benchmarks.learning_curves" in words and "--no-train" not in words:
+            made.add("runs/learning_curves")
+        for flag in {"--policy", "--baseline", "--run"} & set(words):
+            first = words.index(flag) + 1
+            last = next((i for i in range(first, len(words)) if words[i][:2] == "--"), len(words))
+            for policy in words[first:last]:
+                shipped = (ROOT / "assets" / "policies" / f"{policy}.zip").is_file()
+                known = any(policy == folder or policy.startswith(f"{folder}/") for folder in made)
+                measured.append(policy)
+                assert shipped or known, f"{' '.join(words)}: {policy} is not there"
+    assert len(measured) >= 5
+
+
+def test_versions_of_python_are_those_that_can_be_installed() -> None:
+    """Labmaze has no wheels from 3.13 on; the README names what is admitted."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    admitted = SpecifierSet(project["requires-python"])
+    assert [minor for minor in range(8, 20) if f"3.{minor}" in admitted] == [11, 12]
+    assert "With Python 3.11 or 3.12" in README
+    assert "CI runs 3.11" in README
+    assert "python3.11" in (ROOT / ".ci" / "run").read_text()
