@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from aslip.cassie import MOTOR_NAMES
 from aslip.errors import (
     AslipError,
     AssetError,
@@ -25,6 +26,8 @@ from aslip.errors import (
 from aslip.rom import Gait
 
 _FORMAT = "aslip gait library 2"
+# what cubic interpolation takes
+_FEWEST_SAMPLES = 4
 _FORMAT_KEY, _SHA256, _MADE_BY = "format", "sha256", "made_by"
 
 
@@ -69,24 +72,40 @@ class GaitTable:
         """Make the arrays read-only, and check that they belong together.
 
         Raises:
-            ConfigurationError: fewer than two speeds, speeds that do not ascend, or NaN.
-            ShapeError: an array has another number of gaits.
+            ConfigurationError: fewer than two speeds, speeds that do not ascend, strides that are
+                not positive, or entries that are not finite.
+            ShapeError: an array has another number of gaits, samples or columns, or there are fewer
+                than four samples.
         """
         for field in fields(self):
             array = np.array(getattr(self, field.name), dtype=np.float64)
             array.setflags(write=False)
             object.__setattr__(self, field.name, array)
-        if len(self.speeds) < 2 or not (np.diff(self.speeds) > 0).all():
+        if self.speeds.ndim != 1 or len(self.speeds) < 2 or not (np.diff(self.speeds) > 0).all():
             raise ConfigurationError(
                 f"a library needs two or more ascending speeds, got {self.speeds.tolist()} m/s"
             )
         for field in fields(self):
-            array = getattr(self, field.name)
-            if len(array) != len(self.speeds):
-                expected = len(self.speeds)
-                raise ShapeError(f"{field.name} must have {expected} rows, got {len(array)}")
-            if not np.isfinite(array).all():
-                raise ConfigurationError(f"{field.name} has entries that are not finite")
+            self._check(field.name)
+        if not (self.strides > 0).all():
+            raise ConfigurationError(f"strides must be positive, got {self.strides.tolist()} s")
+
+    def _check(self, name: str) -> None:
+        array, gaits, samples = getattr(self, name), len(self.speeds), self.qpos.shape[1:2]
+        expected = (gaits,) if name in ("speeds", "strides") else (gaits, *samples, _width(name))
+        if array.shape != expected or not all(n >= _FEWEST_SAMPLES for n in samples):
+            raise ShapeError(
+                f"{name} must have shape {expected} with {_FEWEST_SAMPLES} or more samples of a"
+                f" stride, got {array.shape}"
+            )
+        if not np.isfinite(array).all():
+            raise ConfigurationError(f"{name} has entries that are not finite")
+
+
+def _width(name: str) -> int:
+    """Columns of an array of a `GaitTable` over speeds and samples."""
+    robot = {"qpos": 35, "qvel": 32}
+    return robot.get(name, len(MOTOR_NAMES) if name.startswith("motor") else 3)
 
 
 def write_library(

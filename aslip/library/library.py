@@ -18,7 +18,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from aslip.assets import asset_path
-from aslip.errors import ShapeError, SpeedOutOfRangeError
+from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library.file import GaitTable, read_library
 from aslip.rom import Gait
 
@@ -66,10 +66,19 @@ class GaitLibrary:
     Args:
         gaits: the gaits in order of speed.
         table: the gaits sampled at equal steps of phase, with the robot's configuration.
+
+    Raises:
+        ConfigurationError: there are gaits, but of other speeds than the table's.
     """
 
     def __init__(self, gaits: Sequence[Gait], table: GaitTable) -> None:
         self.gaits = tuple(gaits)
+        speeds = [gait.speed for gait in gaits]
+        if speeds and speeds != table.speeds.tolist():
+            raise ConfigurationError(
+                f"gaits must be those of the table's speeds, {table.speeds.tolist()} m/s, got"
+                f" {len(speeds)} of {speeds} m/s"
+            )
         self.table = table
         columns = [getattr(table, field.name) for field in fields(Reference)]
         self._widths = [column.shape[-1] for column in columns]

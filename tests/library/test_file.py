@@ -247,6 +247,40 @@ def test_a_table_with_holes_is_refused(small: GaitLibrary) -> None:
         replace(small.table, qpos=qpos[:1])
 
 
+@pytest.mark.parametrize("name", [f.name for f in fields(GaitTable)])
+@pytest.mark.parametrize("change", ["column", "sample", "axis"])
+def test_a_table_of_another_shape_is_refused(small: GaitLibrary, name: str, change: str) -> None:
+    """With fewer columns, with one sample more than the others, as one number a gait or two."""
+    array = getattr(small.table, name)
+    flat = array.ndim == 1
+    wrong = {
+        "column": np.stack([array, array], -1) if flat else array[..., :-1],
+        "sample": array[..., None] if flat else np.concatenate([array, array[:, :1]], 1),
+        "axis": array[:, None, None] if flat else array[:, 0],
+    }[change]
+    with pytest.raises((ShapeError, ConfigurationError), match=r"must have shape|ascending speeds"):
+        replace(small.table, **{name: wrong})
+
+
+@pytest.mark.parametrize("stride", [0.0, -0.7])
+def test_strides_must_be_positive(small: GaitLibrary, stride: float) -> None:
+    with pytest.raises(ConfigurationError, match="strides must be positive"):
+        replace(small.table, strides=np.array([0.7, stride]))
+
+
+def test_a_table_of_too_few_samples_is_refused(small: GaitLibrary) -> None:
+    table = {f.name: getattr(small.table, f.name) for f in fields(GaitTable)}
+    thin = {name: array[:, :3] if array.ndim == 3 else array for name, array in table.items()}
+    with pytest.raises(ShapeError, match="4 or more samples"):
+        GaitTable(**thin)
+
+
+def test_gaits_must_be_those_of_the_table(library: GaitLibrary, small: GaitLibrary) -> None:
+    for gaits in (small.gaits, library.gaits[:3], library.gaits[::-1]):
+        with pytest.raises(ConfigurationError, match="gaits must be those of the table's speeds"):
+            GaitLibrary(gaits, library.table)
+
+
 def test_a_built_library_is_the_shipped_one(library: GaitLibrary) -> None:
     _, table = build_library(library.speeds[:2].tolist(), samples=16)
     for field in fields(table):
