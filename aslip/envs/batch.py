@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -14,12 +15,16 @@ from aslip.sim import SimulationPool, Snapshot
 from aslip.sim.checks import check_count
 from aslip.sim.dynamics import with_longer_memory
 
+MAX_BATCH_ENVS: Final = 65_536
+"""Most robots of one environment, each of some 50 kB. More is a slip of the finger, which would
+fill all memory before it failed."""
+
 
 class BatchCassieEnv(CassieEnv):
     """N robots on `mujoco.batch`; see `CassieEnv` for the keys.
 
     Args:
-        num_envs: number of robots.
+        num_envs: number of robots, at most `MAX_BATCH_ENVS`.
         num_threads: threads to step on, 0 for all processors.
         floor_friction: sliding friction of the floor.
         timestep: of the physics [s]; see `aslip.cassie.model.load_model`.
@@ -33,7 +38,7 @@ class BatchCassieEnv(CassieEnv):
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
         timestep: float = PHYSICS_TIMESTEP,
     ) -> None:
-        num_envs = check_count("num_envs", num_envs)
+        num_envs = check_count("num_envs", num_envs, most=MAX_BATCH_ENVS)
         num_threads = check_count("num_threads", num_threads, least=0)
         model = load_model(floor_friction, visual=False, timestep=timestep)
         self.simulations = SimulationPool(num_envs, model=model, num_threads=num_threads)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from copy import copy
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -27,19 +28,22 @@ from aslip.sim.checks import check_count, check_states
 from aslip.sim.dynamics import with_longer_memory, write_fields
 from aslip.task import CassiePhysics, walk_environment
 
+MAX_DM_CONTROL_ENVS: Final = 1_024
+"""Most robots of one environment, each with a model of its own; for more take the batch backend."""
+
 
 class DmControlCassieEnv(CassieEnv):
     """N dm_control environments; see `CassieEnv` for the keys.
 
     Args:
-        num_envs: number of robots, simulated in turn.
+        num_envs: number of robots, simulated in turn; at most `MAX_DM_CONTROL_ENVS`.
         floor_friction: sliding friction of the floor.
     """
 
     def __init__(
         self, num_envs: int = 1, *, floor_friction: float = DEFAULT_FLOOR_FRICTION
     ) -> None:
-        num_envs = check_count("num_envs", num_envs)
+        num_envs = check_count("num_envs", num_envs, most=MAX_DM_CONTROL_ENVS)
         # time limit and falls are the transforms' and the base class's business
         self.environments = [
             walk_environment(

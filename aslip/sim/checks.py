@@ -10,15 +10,18 @@ import numpy as np
 from aslip.errors import ConfigurationError, ShapeError
 
 
-def check_count(name: str, value: Any, least: int = 1) -> int:
+def check_count(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
     """Check a count, NumPy's whole numbers included, and return it as a Python number.
 
     Raises:
-        ConfigurationError: `value` is not a whole number of `least` or more.
+        ConfigurationError: `value` is not a whole number from `least` to `most`.
     """
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         raise ConfigurationError(f"{name} must be a whole number of {least} or more, got {value!r}")
-    return int(value)
+    count = int(value)
+    if most is not None and count > most:
+        raise ConfigurationError(f"{name} must be {most} or less, got {count}")
+    return count
 
 
 def check_ids(ids: Any, num: int) -> np.ndarray:

@@ -40,7 +40,8 @@ def make_env(
 
     Args:
         backend: "batch" for training, "dm_control" for the reference task; same keys, same states.
-        num_envs: number of robots n; all tensors have it as their first dimension.
+        num_envs: number of robots n, at most 65,536, or 1,024 of the "dm_control" backend; all
+            tensors have it as their first dimension.
         seed: reaches every random number, also inside transforms.
         drop: names of transforms to leave out. Without some reward terms the largest reward is
             smaller, while an episode still ends below 0.3: consider `LowReward` along with them.

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,6 +35,19 @@ def test_numpy_counts_are_counts(make: Maker) -> None:
 def test_what_is_no_count_is_refused(make: Maker, num: Any) -> None:
     with pytest.raises(ConfigurationError, match="must be a whole number of 1 or more, got"):
         make(num)
+
+
+@pytest.mark.parametrize("make", ENVIRONMENTS)
+def test_a_number_of_robots_beyond_all_memory_is_refused(make: Maker) -> None:
+    """At once: the old code would go on until it was killed, so the test limits its memory."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + 2**28, hard))
+    try:
+        with pytest.raises(ConfigurationError, match=r"num_envs must be \d+ or less, got 10{9}"):
+            make(10**9)
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 @pytest.mark.parametrize("make", [SimulationPool, Simulations, BatchCassieEnv])
