@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from tensordict import TensorDict
 from torch import Tensor
 
@@ -66,12 +66,16 @@ class GaitLibrary:
     Args:
         gaits: the gaits in order of speed.
         table: the gaits sampled at equal steps of phase, with the robot's configuration.
+        torque_jumps: whether motor torques jump between samples, as when a pendulum changes its
+            stance foot; they are then interpolated such that they never overshoot the samples.
 
     Raises:
         ConfigurationError: there are gaits, but of other speeds than the table's.
     """
 
-    def __init__(self, gaits: Sequence[Gait], table: GaitTable) -> None:
+    def __init__(
+        self, gaits: Sequence[Gait], table: GaitTable, *, torque_jumps: bool = False
+    ) -> None:
         self.gaits = tuple(gaits)
         speeds = [gait.speed for gait in gaits]
         if speeds and speeds != table.speeds.tolist():
@@ -80,9 +84,14 @@ class GaitLibrary:
                 f" {len(speeds)} of {speeds} m/s"
             )
         self.table = table
-        columns = [getattr(table, field.name) for field in fields(Reference)]
-        self._widths = [column.shape[-1] for column in columns]
-        self._reference = _PeriodicTable(np.concatenate(columns, axis=-1), table.speeds)
+        columns = {field.name: getattr(table, field.name) for field in fields(Reference)}
+        self._widths = [column.shape[-1] for column in columns.values()]
+        jumps = np.repeat(
+            [torque_jumps and name == "motor_torque" for name in columns], self._widths
+        )
+        self._reference = _PeriodicTable(
+            np.concatenate(list(columns.values()), axis=-1), table.speeds, jumps
+        )
         self._qpos = _PeriodicTable(table.qpos, table.speeds)
         self._qvel = _PeriodicTable(table.qvel, table.speeds)
         self._strides = torch.tensor(table.strides)
@@ -161,13 +170,22 @@ class GaitLibrary:
 
 
 class _PeriodicTable:
-    """(g, m, k) samples over speed and phase, interpolated; phase k of m is at k / m."""
+    """(g, m, k) samples over speed and phase, interpolated; phase k of m is at k / m.
 
-    def __init__(self, values: np.ndarray, speeds: np.ndarray) -> None:
+    Columns (k,) with `jumps` are monotone between samples, the others twice differentiable.
+    """
+
+    def __init__(
+        self, values: np.ndarray, speeds: np.ndarray, jumps: np.ndarray | None = None
+    ) -> None:
         samples = values.shape[1]
         closed = np.concatenate([values, values[:, :1]], axis=1)
         spline = CubicSpline(np.arange(samples + 1), closed, axis=1, bc_type="periodic")
         slopes = spline(np.arange(samples), 1)
+        if jumps is not None and jumps.any():
+            around = np.concatenate([values[:, -1:], closed], axis=1)[..., jumps]
+            monotone = PchipInterpolator(np.arange(-1, samples + 1), around, axis=1)
+            slopes[..., jumps] = monotone(np.arange(samples), 1)
         # (g, m, 2, k): value and slope per sample, gathered together
         self._nodes = torch.as_tensor(np.stack([values, slopes], axis=2), dtype=torch.float64)
         self._speeds = torch.as_tensor(np.array(speeds), dtype=torch.float64)

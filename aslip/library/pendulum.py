@@ -17,21 +17,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
-from aslip.cassie import STANDARD_GRAVITY, TOTAL_MASS
+from aslip.cassie import STANDARD_GRAVITY
 from aslip.errors import ConfigurationError
 from aslip.ik import BodyTarget, CassieKinematics, solve, static_torque
 from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.library.file import GaitTable
 from aslip.library.library import GaitLibrary
-from aslip.rom import Gait, swing_foot
+from aslip.rom import Gait, SlipParameters, swing_foot
+
+_MODEL = SlipParameters()
 
 
 @dataclass(frozen=True)
 class PendulumWalk:
-    """A walk of the linear inverted pendulum."""
+    """A walk of the linear inverted pendulum.
+
+    Mass, width and clearance are by default those of the actuated spring-mass model, so that the
+    two differ in nothing but how the body moves over its feet.
+    """
 
     speed: float = 0.75
     """Mean forward speed [m/s]; as the motion that the single-reference method was published
@@ -40,10 +47,12 @@ class PendulumWalk:
     """Duration of a stride, two steps [s]."""
     height: float = 0.92
     """Of the body, constant [m]; with it, the legs are a little bent as they pass."""
-    width: float = 0.2
-    """Sideways distance of the feet [m], that of the library's gaits."""
-    clearance: float = 0.15
+    width: float = _MODEL.foot_separation
+    """Sideways distance of the feet [m]."""
+    clearance: float = _MODEL.swing_clearance
     """Height of a foot in the middle of its swing [m]."""
+    mass: float = _MODEL.mass
+    """Of the body [kg]; joint torques carry its weight."""
     swing_share: float = 0.8
     """Share of a step that the foot is in the air."""
 
@@ -51,15 +60,21 @@ class PendulumWalk:
         """Check the settings.
 
         Raises:
-            ConfigurationError: a length or time is not positive, or the share not within (0, 1].
+            ConfigurationError: a length, time or mass is not positive, or the share not within
+                (0, 1].
         """
-        for name in ("stride", "height", "width", "clearance"):
+        for name in ("stride", "height", "width", "clearance", "mass"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)!r}")
         if not 0 < self.swing_share <= 1:
             raise ConfigurationError(f"swing_share must be in (0, 1], got {self.swing_share!r}")
         if not np.isfinite(self.speed):
             raise ConfigurationError(f"speed must be finite [m/s], got {self.speed!r}")
+
+
+SINGLE_REFERENCE_WALK: Final = PendulumWalk(clearance=0.15)
+"""The one motion of the baseline. Its feet rise less than the model's: with this clearance the
+shipped policy `single_reference` was trained."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +90,7 @@ class PendulumMotion:
     foot_velocity: np.ndarray
     """(2, m, 3) [m/s]."""
     ground_force: np.ndarray
-    """(2, m, 3) on the feet of a body with the robot's mass [N]. While both feet stand, the one
+    """(2, m, 3) on the feet of a body of the walk's mass [N]. While both feet stand, the one
     that came down bears nothing yet."""
 
 
@@ -119,7 +134,7 @@ def pendulum_motion(walk: PendulumWalk, phase: np.ndarray) -> PendulumMotion:
         feet.append(position)
         rates.append(rate)
     carrying = np.stack([second, ~second])[..., None]
-    force = TOTAL_MASS * omega**2 * (body - np.stack(feet)) * carrying
+    force = walk.mass * omega**2 * (body - np.stack(feet)) * carrying
     return PendulumMotion(body, velocity, np.stack(feet), np.stack(rates), force)
 
 
@@ -132,18 +147,22 @@ def pendulum_library(
 
     Args:
         gaits: in order of speed.
-        walk: width, clearance and share of swing of all of them.
+        walk: mass, width, clearance and share of swing of all of them; by default mass, width and
+            clearance are those of the model that a gait is of.
         samples: of a stride.
 
     Raises:
         UnreachablePoseError: the robot cannot take a pose of a walk.
     """
-    walk = walk or PendulumWalk()
     walks = []
     for gait in gaits:
+        p = gait.parameters
+        same = walk or PendulumWalk(
+            width=p.foot_separation, clearance=p.swing_clearance, mass=p.mass
+        )
         height = float(np.trapezoid(gait.body_position[:, 2], gait.time) / gait.stride)
-        walks.append(replace(walk, speed=gait.speed, stride=gait.stride, height=height))
-    return GaitLibrary((), GaitTable(**_columns(walks, samples)))
+        walks.append(replace(same, speed=gait.speed, stride=gait.stride, height=height))
+    return GaitLibrary((), GaitTable(**_columns(walks, samples)), torque_jumps=True)
 
 
 def single_reference_library(
@@ -158,7 +177,7 @@ def single_reference_library(
     at rest and at the top speed, everything is linear in speed, so that every speed is covered.
 
     Args:
-        walk: the one motion.
+        walk: the one motion, `SINGLE_REFERENCE_WALK` by default.
         top_speed: of the library [m/s].
         samples: of a stride.
 
@@ -166,7 +185,7 @@ def single_reference_library(
         ConfigurationError: the walk does not go forward.
         UnreachablePoseError: the robot cannot take a pose of the walk.
     """
-    walk = walk or PendulumWalk()
+    walk = walk or SINGLE_REFERENCE_WALK
     if walk.speed <= 0:
         raise ConfigurationError(f"a walk to be stretched must go forward, got {walk.speed} m/s")
     columns = _columns([walk, walk], samples)
@@ -174,7 +193,7 @@ def single_reference_library(
     stretch = columns["speeds"] / walk.speed
     for name in ("body_position", "body_velocity", "qpos", "qvel"):
         columns[name][..., 0] *= stretch[:, None]
-    return GaitLibrary((), GaitTable(**columns))
+    return GaitLibrary((), GaitTable(**columns), torque_jumps=True)
 
 
 def _columns(walks: Sequence[PendulumWalk], samples: int) -> dict[str, np.ndarray]:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.cassie import STANDARD_GRAVITY, TOTAL_MASS
+from aslip.cassie import STANDARD_GRAVITY
 from aslip.errors import ConfigurationError
+from aslip.ik import CassieKinematics, static_torque
 from aslip.library import (
     GaitLibrary,
     PendulumWalk,
@@ -15,6 +16,7 @@ from aslip.library import (
     single_reference_library,
 )
 from aslip.library.pendulum import pendulum_motion
+from aslip.rom import SlipParameters
 
 WALK = PendulumWalk(speed=0.8, stride=0.8, height=0.9, width=0.24)
 PHASE = np.arange(4000) / 4000
@@ -98,7 +100,14 @@ def test_pendulums_take_the_place_of_gaits(library: GaitLibrary) -> None:
 
 @pytest.mark.parametrize(
     ("setting", "value"),
-    [("stride", 0.0), ("height", -1.0), ("width", np.inf), ("swing_share", 1.1), ("speed", np.nan)],
+    [
+        ("mass", 0.0),
+        ("stride", 0.0),
+        ("height", -1.0),
+        ("width", np.inf),
+        ("swing_share", 1.1),
+        ("speed", np.nan),
+    ],
 )
 def test_walks_that_are_none_are_refused(setting: str, value: float) -> None:
     with pytest.raises(ConfigurationError, match=setting):
@@ -114,4 +123,54 @@ def test_the_ground_pushes_on_the_foot_that_stands() -> None:
     motion = pendulum_motion(WALK, PHASE)
     swinging = np.linalg.norm(motion.foot_velocity, axis=-1) > 1e-6
     assert not motion.ground_force[swinging].any()
-    np.testing.assert_allclose(motion.ground_force[..., 2].sum(0), TOTAL_MASS * STANDARD_GRAVITY)
+    np.testing.assert_allclose(motion.ground_force[..., 2].sum(0), WALK.mass * STANDARD_GRAVITY)
+
+
+def test_a_pendulum_in_a_gaits_place_is_as_heavy_and_lifts_its_feet_as_high(
+    library: GaitLibrary,
+) -> None:
+    """So that a comparison of the two is one of how the body moves over its feet."""
+    gaits = library.gaits[5:7]
+    pendulums = pendulum_library(gaits, samples=32)
+    pairs = zip(pendulums.table.qpos, pendulums.table.motor_torque, gaits, strict=True)
+    kinematics = CassieKinematics()
+    for row, (qpos, torque, gait) in enumerate(pairs):
+        p = gait.parameters
+        height = pendulums.table.body_position[row, 0, 2]
+        foot = pendulums.table.left_foot_position[row, :, 2] + height
+        phase = np.arange(320) / 320
+        lifted = gait.sample(phase).left_foot_position[:, 2].max()
+        assert foot.max() == pytest.approx(lifted, abs=4e-3)  # of 32 samples
+        walk = PendulumWalk(
+            speed=gait.speed, stride=gait.stride, height=height, clearance=p.swing_clearance,
+            width=p.foot_separation, mass=p.mass,
+        )  # fmt: skip
+        force = pendulum_motion(walk, np.arange(32) / 32).ground_force.swapaxes(0, 1)
+        expected = static_torque(kinematics, qpos, force)
+        np.testing.assert_allclose(torque, expected, atol=1e-9)
+        carried = gait.sample(phase).leg_force.sum(-1).mean()
+        assert force[..., 2].sum(1).mean() == pytest.approx(p.weight, rel=1e-12)
+        assert carried == pytest.approx(p.weight, rel=0.03)
+
+
+def test_the_shipped_baselines_motion_is_the_one_it_was_trained_on() -> None:
+    table = single_reference_library(samples=128).table
+    feet = table.left_foot_position[0, :, 2] + table.body_position[0, :, 2]
+    assert feet.max() == pytest.approx(0.15, abs=5e-4)
+    assert PendulumWalk().clearance == SlipParameters().swing_clearance == 0.2
+    assert PendulumWalk().mass == SlipParameters().mass == 30.0
+
+
+def test_torques_never_overshoot_at_the_change_of_stance(library: GaitLibrary) -> None:
+    """Each lookup lies between the samples on either side; a C2 spline overshoots by 13 N m."""
+    pendulums, per_sample = pendulum_library(library.gaits[5:7]), 10
+    table = pendulums.table.motor_torque[0]
+    phase = np.arange(len(table) * per_sample) / (len(table) * per_sample)
+    column = torch.tensor(phase)[:, None]
+    speed = torch.full_like(column, pendulums.speeds[0])
+    found = pendulums.lookup(column, speed).motor_torque.numpy()
+    left = np.repeat(table, per_sample, axis=0)
+    right = np.repeat(np.roll(table, -1, axis=0), per_sample, axis=0)
+    assert (found >= np.minimum(left, right) - 1e-3).all()
+    assert (found <= np.maximum(left, right) + 1e-3).all()
+    assert np.abs(left - right).max() > 50  # there is a jump
