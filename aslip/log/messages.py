@@ -6,6 +6,7 @@
 | `/tf` | 33 Hz | world to each body, and to the reduced-order model's body and feet |
 | `/joint_states` | 33 Hz or 2 kHz | `LOGGED_JOINTS`: position, velocity, effort [rad, rad/s, N m] |
 | `/truth`, `/estimate`, `/odometry`, `/reference` | 33 Hz | by the tensordict's names |
+| `/true_odometry` | 33 Hz | the truth in the robot's heading frame, and its `heading` [rad] |
 | `/observation` | 33 Hz | what the policy sees next |
 | `/sensors` | 33 Hz | packets with their noise; of each number an array, oldest first |
 | `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: what a step depends on |

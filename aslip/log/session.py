@@ -40,7 +40,7 @@ _TRUTH = (
 
 _TRUTH_READ = {*_TRUTH, "qpos", "qvel", "ground_force", "diverged"}
 # topics of named numbers, if the tensordict has them
-_GROUPS = ("truth", "estimate", "odometry", "reference")
+_GROUPS = ("truth", "estimate", "odometry", "true_odometry", "reference")
 _CLOCK = ("phase", "command")
 # what a step depends on
 _CAUSES = (*_CLOCK, "action", "motor_target", "push")
@@ -93,7 +93,7 @@ class _Flat:
             for name in messages.component_names(start, sample[key].size // max(length, 1))
         ]
         number = "float32" if dtype is np.float32 else "float64"
-        kind = messages.flat_type(topic.strip("/").title(), number, names, length)
+        kind = messages.flat_type(topic.strip("/").title().replace("_", ""), number, names, length)
 
         def build(marks: Marks) -> dict[str, Any]:
             return {name: marks.numbers(length) if length else marks.number() for name in names}
@@ -245,6 +245,8 @@ class Session:
             rows["estimate"] |= _row(cast("TensorDictBase", td.get("estimator")), self._robot)
         if "reference" in rows:
             rows["reference"] |= {key: td.get(key)[self._robot].numpy() for key in _CLOCK}
+        if "true_odometry" in rows:
+            rows["true_odometry"]["heading"] = td.get("heading")[robot].numpy()
         if "sensors" in td:
             rows["sensors"] = _row(cast("TensorDictBase", td.get("sensors")), robot)
         if "observation" in td:

@@ -18,6 +18,7 @@ TOPICS = {
     "/truth": (19, 46, "8281001168502ad6"),
     "/estimate": (19, 52, "11148b4cb5a55f98"),
     "/odometry": (19, 24, "5eb5913fbd932ee6"),
+    "/true_odometry": (19, 28, "a73c0e6c9675517a"),
     "/reference": (19, 40, "22f8a784ef07278d"),
     "/sensors": (19, 42, "5916cbec78d1850e"),
     "/observation": (19, 64, "11480c5f9d6cfb7b"),

@@ -213,6 +213,11 @@ def test_odometry_is_logged(walk: Walk, recording: Recording) -> None:
     for name in ("pelvis_position", "right_foot_position"):
         expected = torch.cat([td["next", "odometry", name] for td in walk[1]])
         np.testing.assert_array_equal(recording["/odometry"].vector(name)[rows], expected)
+    truth = recording["/true_odometry"]
+    expected = torch.cat([td["next", "true_odometry", "pelvis_position"] for td in walk[1]])
+    np.testing.assert_array_equal(truth.vector("pelvis_position")[rows], expected)
+    heading = [float(td["next", "heading"]) for td in walk[1]]
+    np.testing.assert_array_equal(truth["heading"][rows], heading)
 
 
 def test_ends_of_episodes_are_logged(make_recorded: MakeRecorded, tmp_path: Path) -> None:
