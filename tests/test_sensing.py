@@ -7,6 +7,7 @@ from typing import cast
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 import aslip
@@ -27,17 +28,18 @@ JUDGES = ["low_reward", "fall", "step_limit"]
 
 
 class Liar(CassieTransform):
-    """Puts nonsense in the place of all that is true."""
+    """Puts nonsense in the place of all that is true, but for the heading that a robot is told."""
 
     def __init__(self) -> None:
-        super().__init__(in_keys=["truth"], out_keys=["truth"])
+        groups: list[NestedKey] = ["truth", "true_odometry"]
+        super().__init__(in_keys=groups, out_keys=groups)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        truth = cast("TensorDict", next_tensordict["truth"])
-        for key, value in truth.items():
-            nonsense = torch.full_like(value, float("nan") if value.is_floating_point() else True)
-            truth = truth.set(key, nonsense)
-        return next_tensordict.set("truth", truth)
+        for group in self.in_keys:
+            for key, value in cast("TensorDict", next_tensordict[group]).items():
+                wrong = float("nan") if value.is_floating_point() else True
+                next_tensordict.set((group, key), torch.full_like(value, wrong))
+        return next_tensordict
 
 
 def _walk(env: CassieTransformedEnv, steps: int = 40) -> list[TensorDictBase]:
@@ -57,7 +59,7 @@ def _walk(env: CassieTransformedEnv, steps: int = 40) -> list[TensorDictBase]:
 
 def _envs(make: MakeEnv, library: GaitLibrary, **edit: object) -> list[CassieTransformedEnv]:
     stack = default_stack(library)
-    lying = insert_before(stack, "start", liar=Liar)
+    lying = insert_before(stack, "noise", liar=Liar)
     settings = {"num_envs": 3, "seed": 4, "drop": JUDGES, **edit}
     return [make(stack=stack, **settings), make(stack=lying, **settings)]
 
@@ -181,7 +183,7 @@ def test_rewards_can_be_given_on_the_estimate(make: MakeEnv, library: GaitLibrar
     seen, believed = (walk["next", "reward"][:, 15:] for walk in walks)
     assert (seen - believed).abs().mean() < 0.02
     assert not torch.equal(seen, believed)
-    lying = insert_before(default_stack(library, "estimate"), "start", liar=Liar)
+    lying = insert_before(default_stack(library, "estimate"), "noise", liar=Liar)
     lied_to = make(stack=lying, num_envs=3, seed=4, drop=[*JUDGES, "reward", "episode_sum"])
     # a robot that diverged earns nothing: that, too, is the truth
     terms = lied_to.rollout(2, break_when_any_done=False)["next", "reward_terms"]
