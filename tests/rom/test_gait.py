@@ -232,6 +232,21 @@ def test_certificate_names_what_failed(gait):
     assert [message.split()[0] for message in bad.failures()] == ["kkt_residual", "body"]
 
 
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [
+        ("kkt_residual", 9e-9, 2e-8),
+        ("max_defect", 9e-9, 2e-8),
+        ("integration_error", 9e-4, 2e-3),
+        ("margins", {"body height": -9e-9}, {"body height": -2e-8}),
+    ],
+)
+def test_certificate_is_as_strict_as_its_tolerances_say(gait, name, good, bad):
+    """A margin of -1e-2 m would be a body a centimetre too low."""
+    assert dataclasses.replace(gait.certificate, **{name: good}).ok
+    assert not dataclasses.replace(gait.certificate, **{name: bad}).ok
+
+
 def test_gait_can_be_copied_deeply(gait):
     again = copy.deepcopy(gait)
     np.testing.assert_array_equal(again.control, gait.control)

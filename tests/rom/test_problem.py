@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from aslip.rom import SlipParameters
-from aslip.rom.certify import kkt_residual, rows
+from aslip.rom.certificate import KKT_TOLERANCE
+from aslip.rom.certify import certify, kkt_residual, rows
 from aslip.rom.problem import MIRROR, MIRROR_SIGN, walking_problem
 from aslip.rom.unfold import fold, mirrored
 
@@ -69,3 +70,24 @@ def test_kkt_residual_is_zero_at_a_known_optimum():
 def test_kkt_residual_sees_each_violation(gradient, g, lam, expected):
     arrays = (np.array([v]) for v in (gradient, g, 1.0, np.inf, lam))
     assert kkt_residual(*arrays) == pytest.approx(expected)
+
+
+def test_a_certificate_counts_multipliers_of_bounds_that_are_not_active(monkeypatch):
+    """Complementarity: bounds moved away by 0.1 leave multipliers without a constraint."""
+    problem, speed = walking_problem(SlipParameters(), "mean"), 1.0
+    problem.opti.set_value(problem.speed, speed)
+    problem.start_from(problem.rough_guess(speed))
+    problem.opti.solve()
+    half = problem.solution()
+    assert certify(problem, half, speed, 0.0).kkt_residual <= KKT_TOLERANCE
+    optimality, lam = problem.optimality, np.ravel(problem.opti.value(problem.opti.lam_g))
+
+    def moved(*args):
+        gradient, g, lower, upper = optimality(*args)
+        return 0 * gradient, g, lower - 0.1, upper + 0.1
+
+    monkeypatch.setitem(vars(problem), "optimality", moved)
+    certificate = certify(problem, half, speed, 0.0)
+    assert certificate.kkt_residual == pytest.approx(0.1 * np.abs(lam).max(), rel=1e-3)
+    assert certificate.kkt_residual > 1e-2
+    assert not certificate.ok
