@@ -32,8 +32,8 @@ _CURVES: tuple[uplot.Series, ...] = (
 _LEGEND = "".join(
     f"<span style='margin-right:1em;white-space:nowrap'><span style='display:inline-block;"
     f"width:1.6em;margin-right:0.4em;vertical-align:middle;"
-    f"border-top:2px {'dashed' if 'dash' in curve else 'solid'} {curve['stroke']}'></span>"
-    f"{curve['label']}</span>"
+    f"border-top:2px {'dashed' if 'dash' in curve else 'solid'} {curve.get('stroke')}'></span>"
+    f"{curve.get('label')}</span>"
     for curve in _CURVES
 )
 _LEGEND = f"<div style='padding:0 0.8em 0.4em;font-size:0.8em;text-align:center'>{_LEGEND}</div>"

@@ -27,12 +27,12 @@ def test_blue_and_red_are_nothing_else():
     motors = [viewer_layouts.motors(side, "position", "rad") for side in SIDES]
     plots = (viewer_layouts.VELOCITY, viewer_layouts.REWARD, *motors)
     used = {curve.color for plot in plots for curve in plot.curves}
-    used |= {curve["stroke"] for curve in _CURVES}
+    used |= {curve.get("stroke") for curve in _CURVES}
     assert not used & {"#1f77b4", "#d62728", palette.LEFT, palette.RIGHT}
 
 
 def test_page_and_layouts_show_robot_model_and_command_alike():
-    page = {curve["label"]: curve["stroke"] for curve in _CURVES}
+    page = {curve.get("label"): curve.get("stroke") for curve in _CURVES}
     layout = {curve.label: curve.color for curve in viewer_layouts.VELOCITY.curves}
     assert page["Cassie"] == layout["robot"] == palette.ROBOT
     assert page["spring-mass model"] == layout["reduced-order model"] == palette.MODEL
