@@ -38,7 +38,7 @@ _MAY_IMPORT = {
 }
 _TOP = {"stack", "policy", "evaluation", "run", "tables", "plots", "render", "symmetry"}
 _TOP |= {"checkpoint", "provenance", "collect", "ghost", "walker", "walks", "video", "log", "live"}
-_TOP |= {"__init__"}
+_TOP |= {"__init__", "pacing"}
 _FOREIGN = {
     "errors": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},
     "assets": {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"},

@@ -17,10 +17,10 @@ from aslip.cassie.model import load_model
 from aslip.errors import AslipError, ConfigurationError
 from aslip.ghost import yaw_rotation
 from aslip.live.controls import PUSH_DURATION, Click, Controls
-from aslip.live.pacing import Pacer
 from aslip.live.readouts import Readouts, Status
 from aslip.live.scene import SceneView
 from aslip.live.server import page_url, start_server
+from aslip.pacing import Pacer
 from aslip.policy import load_policy
 from aslip.walker import Walker
 

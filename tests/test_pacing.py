@@ -2,7 +2,7 @@
 
 import pytest
 
-from aslip.live.pacing import MOST_BEHIND, Pacer
+from aslip.pacing import MOST_BEHIND, Pacer
 
 PERIOD = 0.03
 
