@@ -215,7 +215,8 @@ def _check(
 def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
     try:
         _check_display()
-        renderer = mujoco.Renderer(model, height, width)
+        with _buffer(model, width, height):
+            renderer = mujoco.Renderer(model, height, width)
     except Exception as error:  # every backend has its own way to say that it is not there
         chosen = os.environ.get("MUJOCO_GL")
         raise RenderingError(
@@ -228,6 +229,17 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
         yield renderer
     finally:
         renderer.close()
+
+
+@contextlib.contextmanager
+def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
+    """Have an off-screen buffer made no larger than the picture: in software it takes its time."""
+    limits, whole = model.vis.global_, (model.vis.global_.offwidth, model.vis.global_.offheight)
+    limits.offwidth, limits.offheight = width, height
+    try:
+        yield
+    finally:
+        limits.offwidth, limits.offheight = whole
 
 
 def _check_display() -> None:

@@ -10,6 +10,7 @@ robot at the same instants. Without a display: MUJOCO_GL=egl, or MUJOCO_GL=osmes
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -66,12 +67,13 @@ import numpy as np
 import torch
 from matplotlib.figure import Figure
 from tensordict import TensorDict
+from tqdm import tqdm
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
 from aslip.ghost import Ghost
 from aslip.plots import save_figure
-from aslip.render import render_robot, strip
+from aslip.render import render_frames, strip
 from aslip.walker import Walker
 
 
@@ -157,14 +159,20 @@ def stride_duration(library: aslip.GaitLibrary, speed: float) -> float:
 def draw(stride: Stride, config: Config) -> Figure:
     """Two film strips: the reduced-order model, and the robot beneath it."""
     look: dict[str, Any] = {"camera": config.camera, "width": config.width, "height": config.height}
-    rom = render_robot(stride.qpos, ghosts=stride.ghosts, robot=False, supersampling=2, **look)
-    overlay = stride.ghosts if config.overlay else None
-    robot = render_robot(stride.qpos, ghosts=overlay, supersampling=2, **look)
     count = len(stride.phase)
+    rom = render_frames(stride.qpos, ghosts=stride.ghosts, robot=False, supersampling=2, **look)
+    overlay = stride.ghosts if config.overlay else None
+    robot = render_frames(stride.qpos, ghosts=overlay, supersampling=2, **look)
+    # in software a picture takes seconds
+    drawn = tqdm(itertools.chain(rom, robot), total=2 * count, unit="picture", desc="drawing")
+    pictures = np.stack(list(drawn))
     size = (count * config.width / 110, 2 * config.height / 110 + 0.8)
     figure, rows = plt.subplots(2, 1, figsize=size, layout="constrained")
     figure.get_layout_engine().set(hspace=0.0, h_pad=0.02)  # pyright: ignore
-    for axes, frames, name in ((rows[0], rom, "reduced-order model"), (rows[1], robot, "robot")):
+    for axes, frames, name in (
+        (rows[0], pictures[:count], "reduced-order model"),
+        (rows[1], pictures[count:], "robot"),
+    ):
         axes.imshow(strip(frames), interpolation="antialiased")
         for i in range(1, count):
             axes.axvline(i * config.width - 0.5, color="white", lw=2)

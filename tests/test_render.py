@@ -116,6 +116,23 @@ def test_full_scene_is_refused(model):
         add_ghost(scene, Ghost(np.array([0, 0, 0.9]), np.zeros(3), np.ones(3)))
 
 
+def test_the_buffer_is_as_large_as_the_picture_only(model, monkeypatch):
+    whole = model.vis.global_.offwidth, model.vis.global_.offheight
+    buffers = []
+
+    class Renderer:
+        def __init__(self, model, height, width):
+            buffers.append((model.vis.global_.offwidth, model.vis.global_.offheight))
+            raise OSError("no OpenGL here")
+
+    monkeypatch.setattr(mujoco, "Renderer", Renderer)
+    monkeypatch.setattr("aslip.render._check_display", lambda: None)
+    with pytest.raises(RenderingError, match="no OpenGL here"):
+        render_robot(model.key("standing").qpos, model=model, supersampling=2, **SIZE)
+    assert buffers == [(192, 144)]
+    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == whole
+
+
 def test_wrong_arguments_are_named(model):
     qpos = model.key("standing").qpos[None]
     with pytest.raises(ShapeError, match=r"\(n, 35\)"):
