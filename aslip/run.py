@@ -171,7 +171,7 @@ class TrainingRun:
         unsaved: OSError | None = None
         stopping = False
         try:
-            with _sigterm_exits():
+            with sigterm_exits():
                 yield keep
         except (KeyboardInterrupt, SystemExit):
             stopping = True
@@ -383,7 +383,7 @@ def _say(message: str) -> None:
 
 
 @contextmanager
-def _sigterm_exits() -> Iterator[None]:
+def sigterm_exits() -> Iterator[None]:
     """Have SIGTERM, with which clusters announce the end, raise SystemExit."""
     if threading.current_thread() is not threading.main_thread():
         yield

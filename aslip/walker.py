@@ -84,8 +84,8 @@ class Push:
     """When it begins [s]."""
     force: tuple[float, float, float]
     """[N, world]."""
-    duration: float = 0.1
-    """[s]."""
+    duration: float = 4 * POLICY_PERIOD
+    """[s]; rounded up to whole policy steps."""
 
     @classmethod
     def parse(cls, text: str) -> Push:
@@ -180,7 +180,7 @@ class Walker:
     def command(self, speed: float) -> None:
         self.td["command"] = torch.full((1, 1), self.library.check_speed(speed))
 
-    def push(self, force: Sequence[float], duration: float = 0.1) -> None:
+    def push(self, force: Sequence[float], duration: float = 4 * POLICY_PERIOD) -> None:
         """Push the pelvis from the next policy step on, in place of any push there is.
 
         Args:

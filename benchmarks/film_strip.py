@@ -11,6 +11,7 @@ robot at the same instants. Without a display: MUJOCO_GL=egl, or MUJOCO_GL=osmes
 from __future__ import annotations
 
 import itertools
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,7 +56,6 @@ if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = command_line(Config)
 
-from contextlib import closing
 from typing import Any
 
 import matplotlib as mpl

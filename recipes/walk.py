@@ -30,7 +30,8 @@ class Config:
     command: str = "0:0.0,4:1.0,8:0.5"
     """Speeds over time, "seconds:m/s,..."; each holds until the next begins."""
     push: tuple[str, ...] = ()
-    """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world; 0.1 s]."""
+    """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world]; each lasts
+    whole policy steps of 0.03 s, 0.12 s by default."""
     duration: float | None = None
     """How long to walk [s]; 4 s longer than the schedule by default. Live, until Ctrl-C."""
     seed: int = 0
@@ -45,6 +46,8 @@ class Config:
     """Log joints at the policy's rate or at that of the physics, 2 kHz."""
     video: Path | None = None
     """Where to write a film, such as walk.mp4."""
+    steps_per_frame: int = 1
+    """Policy steps from one frame of the film to the next; 2 draws half as many."""
     camera: str = "follow"
     """Of the film: side, follow or front."""
     width: int = 640
@@ -68,6 +71,10 @@ class Config:
         """Check what would fail late."""
         if self.duration is not None and not 0 < self.duration < math.inf:
             raise ConfigurationError(f"duration must be a positive time [s], got {self.duration}")
+        if self.steps_per_frame < 1:
+            raise ConfigurationError(
+                f"steps per frame must be 1 or more, got {self.steps_per_frame}"
+            )
         if self.live and (self.viewer or self.video or self.push):
             raise ConfigurationError("--live steers by itself: leave out --viewer --video --push")
         for name in ("log", "video"):
@@ -97,11 +104,15 @@ from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.model import load_model
 from aslip.ghost import Ghost
 from aslip.log import Recorder
+from aslip.pacing import Pacer
 from aslip.policy import policy_stack
+from aslip.run import sigterm_exits
 from aslip.stack import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.tables import markdown
 from aslip.walker import Push, Schedule, Walker, policy_steps
 
+# columns of the pelvis's velocity, world
+_AXES = ("velocity_x", "velocity_y")
 # how long the last speed of a schedule is held [s]
 _LAST_SPEED = 4.0
 
@@ -123,22 +134,60 @@ def main(config: Config) -> None:
     pushes = [Push.parse(text) for text in config.push]
     check_pushes(pushes, duration(config, schedule))
     if config.video is not None:
-        check_rendering(config)  # before the walk, not after it
+        announce_film(config, check_rendering(config), duration(config, schedule))
     walker = make_walker(config, schedule)
-    with contextlib.closing(walker.env):
-        if config.live:
-            from aslip.live import LivePage
+    try:
+        with sigterm_exits(), contextlib.closing(walker.env):
+            if config.live:
+                serve(config, walker)
+                return
+            rows = walk(config, walker, schedule, pushes)
+    except (KeyboardInterrupt, SystemExit):
+        print(f"stopped after {walker.time:.2f} s; {written(config)}")
+        raise
+    print(table(schedule, rows))
+    print(outcome(walker, pushes, rows))
+    print(written(config))
 
-            policies = dict.fromkeys([config.policy, *config.policies])
-            page = LivePage(
-                walker, {name: name for name in policies}, host=config.host, port=config.port
-            )
-            page.serve()
-            return
-        steps = walk(config, walker, schedule, pushes)
-    print(table(schedule, steps))
-    if config.log is not None:
-        print(config.log)
+
+def serve(config: Config, walker: Walker) -> None:
+    """Serve the page until Ctrl-C."""
+    from aslip.live import LivePage
+
+    policies = dict.fromkeys([config.policy, *config.policies])
+    LivePage(walker, {name: name for name in policies}, host=config.host, port=config.port).serve()
+
+
+def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) -> str:
+    """What became of the robot, and what each push did to it."""
+    lines = []
+    for push in sorted(pushes, key=lambda push: push.time):
+        first = policy_steps(push.time)
+        last = min(first + policy_steps(push.duration), len(rows)) - 1
+        if first >= len(rows):
+            continue
+        change = [rows[last][name] - (rows[first - 1][name] if first else 0.0) for name in _AXES]
+        lines.append(
+            f"push at {push.time:g} s of {push.force} N for"
+            f" {policy_steps(push.duration) * POLICY_PERIOD:g} s: velocity changed by"
+            f" {change[0]:+.2f} m/s in x and {change[1]:+.2f} m/s in y meanwhile"
+        )
+    end = "fell after" if walker.fallen else "did not fall in"
+    return "\n".join([*lines, f"the robot {end} {walker.time:.2f} s"])
+
+
+def written(config: Config) -> str:
+    """What was written, and what to do with it."""
+    lines = [f"wrote {path}" for path in (config.video, config.log) if path and path.exists()]
+    if config.log is not None and config.log.exists():
+        lines += [
+            f"  python -m aslip.log info {config.log}             # what is in it",
+            f"  python -m aslip.log replay --verify {config.log}  # simulate it again",
+            "  open it in Foxglove with the layout assets/viewers/foxglove.json",
+        ]
+    if not lines:
+        lines = ["nothing was written; add --log walk.mcap or --video walk.mp4 to keep the walk"]
+    return "\n".join(lines)
 
 
 def check_policies(config: Config) -> None:
@@ -218,12 +267,11 @@ def walk(
                 walker.push(push.force, push.duration)
             td = walker.step()
             rows.append(row(walker, td))
-            if config.video is not None or show is not None:
+            if config.video is not None and walker.steps % config.steps_per_frame == 0:
                 frames.append(frame(td["next"]))
             if show is not None:
-                show(frames[-1])
+                show(frame(td["next"]))
             if walker.fallen:
-                print(f"fell after {walker.time:.2f} s")
                 break
     if config.video is not None:
         film(config, frames)
@@ -235,6 +283,8 @@ def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
     return {
         "time": walker.time,
         "speed": float(td["next", "true_odometry", "pelvis_velocity"][0, 0]),
+        "velocity_x": float(td["next", "truth", "pelvis_velocity"][0, 0]),
+        "velocity_y": float(td["next", "truth", "pelvis_velocity"][0, 1]),
         "reward": float(td["next", "reward"]),
     }
 
@@ -260,18 +310,34 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     return markdown(["from s", "command m/s", "speed m/s", "mean reward"], lines)
 
 
-def check_rendering(config: Config) -> None:
-    """Draw one picture of the film.
+def check_rendering(config: Config) -> float:
+    """Draw two pictures of the film's size; the time that the second took [s].
 
     Raises:
         RenderingError: no OpenGL works.
         UnknownNameError: there is no such camera.
         ConfigurationError: pictures cannot have that size.
     """
-    from aslip.render import render_robot
+    from aslip.render import render_frames
 
-    qpos = load_model().key("standing").qpos
-    render_robot(qpos, camera=config.camera, width=config.width, height=config.height)
+    qpos = np.tile(load_model().key("standing").qpos, (2, 1))
+    look: dict[str, Any] = {"camera": config.camera, "width": config.width, "height": config.height}
+    pictures = render_frames(qpos, **look)
+    next(pictures)  # sets up OpenGL
+    start = time.perf_counter()
+    next(pictures)
+    return time.perf_counter() - start
+
+
+def announce_film(config: Config, seconds: float, duration: float) -> None:
+    """Say how long the film of a walk [s] will take, from the time for a frame [s]."""
+    frames = policy_steps(duration) // config.steps_per_frame + 1
+    total = frames * seconds
+    took = f"{total / 60:.0f} min" if total >= 90 else f"{total:.0f} s"
+    print(
+        f"drawing {frames} frames after the walk will take about {took}, {seconds:.2f} s each;"
+        " faster: MUJOCO_GL=egl with a graphics card, --steps-per-frame 2, or fewer pixels"
+    )
 
 
 def film(config: Config, frames: list[Frame]) -> None:
@@ -288,8 +354,8 @@ def film(config: Config, frames: list[Frame]) -> None:
         ghosts=[frame.ghost for frame in frames] if config.rom else None,
     )
     shown = tqdm(pictures, total=len(frames), unit="frame")
-    write_video(config.video, shown, 1 / POLICY_PERIOD, (config.width, config.height))
-    print(config.video)
+    rate = 1 / (config.steps_per_frame * POLICY_PERIOD)
+    write_video(config.video, shown, rate, (config.width, config.height))
 
 
 @contextlib.contextmanager
@@ -319,10 +385,9 @@ def viewer(config: Config) -> Any:
     with window:
         window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         window.cam.trackbodyid = model.body("pelvis").id
-        due = time.perf_counter()
+        pacer = Pacer(POLICY_PERIOD)
 
         def show(instant: Frame) -> None:
-            nonlocal due
             if not window.is_running():
                 raise KeyboardInterrupt
             with window.lock():
@@ -332,8 +397,7 @@ def viewer(config: Config) -> Any:
                     window.user_scn.ngeom = 0
                     add_ghost(window.user_scn, instant.ghost)
             window.sync()
-            due = max(due + POLICY_PERIOD, time.perf_counter())
-            time.sleep(max(0.0, due - time.perf_counter()))
+            pacer.wait()
 
         yield show
 

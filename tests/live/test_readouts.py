@@ -107,7 +107,8 @@ def test_the_range_of_speeds_holds_the_curves_closely(shown, readouts, library):
 def test_the_legend_names_every_curve_with_its_line(shown, readouts):
     legend = shown["html"][1].content
     for curve in _CURVES:
-        assert re.search(rf"(solid|dashed) {curve.get('stroke')}'></span>{curve.get('label')}", legend)
+        color, label = curve.get("stroke"), curve.get("label")
+        assert re.search(rf"(solid|dashed) {color}'></span>{label}", legend)
     assert shown["uplot"][0].legend == {"show": False}
 
 
