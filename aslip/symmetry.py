@@ -72,8 +72,10 @@ class Mirror(nn.Module):
             raise ConfigurationError(
                 f"no mirror image: {f'{twice} come twice' if twice else f'there is no {lacking}'}"
             )
-        self.register_buffer("index", torch.tensor([place[partner] for partner in partners]))
-        self.register_buffer("sign", torch.tensor(signs))
+        index = torch.tensor([place[partner] for partner in partners])
+        # these follow from the names, so that files need not hold them
+        self.register_buffer("index", index, persistent=False)
+        self.register_buffer("sign", torch.tensor(signs), persistent=False)
 
     def forward(self, values: Tensor) -> Tensor:
         """Mirror image of (*b, k) values.

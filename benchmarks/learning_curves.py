@@ -73,7 +73,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from aslip.plots import save_figure
-from aslip.policy import POLICY_FILE, read_manifest
+from aslip.policy import POLICY_FILE, read_card
 from aslip.run import read_progress, steps_done, write_text
 from aslip.tables import markdown
 from benchmarks.common import WALKING_LENGTH, Interval
@@ -246,8 +246,7 @@ def _found(config: Config) -> Runs:
 def _commit(folder: Path) -> str:
     """Of what made the policy of a run."""
     policy = folder / POLICY_FILE
-    about = read_manifest(policy).get("metadata", {}) if policy.exists() else {}
-    return about.get("made_by", {}).get("commit") or ""
+    return read_card(policy)["made_by"].get("commit") or "" if policy.exists() else ""
 
 
 def write_record(path: Path, runs: Runs) -> None:

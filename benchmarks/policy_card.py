@@ -43,14 +43,12 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import json
-import os
 import re
-import shutil
-import zipfile
 from typing import Any
 
 from tensordict.utils import unravel_key
 
+from aslip.archive import as_json
 from aslip.cassie import (
     GEAR,
     JOINT_NAMES,
@@ -62,7 +60,8 @@ from aslip.cassie import (
     SUBSTEPS,
     TORQUE_DELAY,
 )
-from aslip.policy import find_policy, load_policy, policy_stack, read_manifest
+from aslip.files import replacing
+from aslip.policy import CARD, POLICY_FORMAT, find_policy, load_policy, policy_stack, read_card
 from aslip.run import write_text
 from aslip.stack import make_env
 from aslip.tables import markdown
@@ -115,7 +114,7 @@ def main(config: Config) -> Path:
     has_curve = (config.run / "learning_curve.png").exists()
     if has_curve:
         _copy(config.run / "learning_curve.png", curve)
-    about = read_manifest(shipped)["metadata"]
+    about = read_card(shipped)
     parts = [f"# The policy `{config.name}`", how_made(about)]
     if has_curve:
         parts.append(f"![Learning curve]({curve.name})")
@@ -151,7 +150,7 @@ def how_made(about: dict[str, Any]) -> str:
 
 def contract(about: dict[str, Any]) -> str:
     """What goes in and what comes out."""
-    env = make_env(stack=about.get("stack", "paper"))
+    env = make_env(stack=about["stack"])
     try:
         delta = next(t for t in env.transforms if isinstance(t, ActionDelta))
         spec = env.full_observation_spec
@@ -182,7 +181,7 @@ def contract(about: dict[str, Any]) -> str:
             f" {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
             f" {SUBSTEPS / POLICY_PERIOD:.0f} times a second, with velocity target zero; torques"
             f" reach the robot {1e3 * TORQUE_DELAY:g} ms late. `aslip.make_env(stack="
-            f'"{about.get("stack", "paper")}")` and `aslip.walker.Walker` do all this.',
+            f'"{about["stack"]}")` and `aslip.walker.Walker` do all this.',
             markdown(header, gains),
         ]
     )
@@ -247,25 +246,18 @@ def _section(config: Config, title: str, benchmark: str) -> str:
 
 def _ship(source: Path, target: Path) -> None:
     """Copy a policy, but for what its command says of the run's folder."""
-    temporary = target.with_name(target.name + ".part")
-    with zipfile.ZipFile(source) as old, zipfile.ZipFile(temporary, "w") as new:
-        for item in old.infolist():
-            content = old.read(item)
-            if item.filename == "manifest.json":
-                manifest = json.loads(content)
-                made = manifest["metadata"].get("made_by", {})
-                if "command" in made:
-                    made["command"] = re.sub(_OWN, "", made["command"])
-                content = json.dumps(manifest, indent=2).encode()
-            new.writestr(item, content)
-    os.replace(temporary, target)
+    entries = POLICY_FORMAT.read(source)
+    card = json.loads(entries[CARD])
+    made = card["made_by"]
+    if "command" in made:
+        made["command"] = re.sub(_OWN, "", made["command"])
+    POLICY_FORMAT.write(target, {**entries, CARD: as_json(card)})
 
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a file as a whole or not at all."""
-    temporary = target.with_name(target.name + ".part")
-    shutil.copyfile(source, temporary)
-    os.replace(temporary, target)
+    with replacing(target) as file:
+        file.write(source.read_bytes())
 
 
 if __name__ == "__main__":

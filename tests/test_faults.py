@@ -28,7 +28,7 @@ FEW: dict[suite.Inject, int] = {
     checkpoints.flips: 5,
     checkpoints.losses: 2,
     checkpoints.full_disks: 3,
-    strangers.strangers: 4,
+    strangers.strangers: 24,
     bad_settings.settings: 300,
     simulations.steps: 500,
 }

@@ -21,9 +21,8 @@ from aslip.errors import AssetError, ConfigurationError
 from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
-    find_policy,
     make_actor,
-    read_manifest,
+    read_card,
     save_policy,
 )
 from aslip.provenance import provenance
@@ -43,7 +42,8 @@ def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) 
     size = {"single_reference": 49}.get(stack, 64)
     actor = make_actor(RunningNormalizer(size), PolicyShape(size), table)
     folder.mkdir()
-    names = {"stack": stack, "observation": list(table)}
+    key = "motor_target" if stack == "aslip" else "motor_position"
+    names = {"stack": stack, "observation": list(table), "baseline": ("reference", key)}
     save_policy(folder / "policy.zip", actor, PolicyShape(size), made_by, **names)
     return folder
 
@@ -77,7 +77,7 @@ def test_a_training_says_how_it_was_made(tmp_path: Path) -> None:
     config = TINY.__class__(**{**vars(TINY), "out": tmp_path / "run", "total_steps": 64})
     train(config)
     text = _card(config.out, tmp_path / "assets")
-    made = read_manifest(config.out / "policy.zip")["metadata"]["made_by"]
+    made = read_card(config.out / "policy.zip")["made_by"]
     assert made["commit"] == provenance()["commit"]
     assert f"| commit | {made['commit'] or 'not recorded'} |" in text
     assert f"mujoco {made['versions']['mujoco']}" in text
@@ -124,7 +124,7 @@ def test_policy_and_card_do_not_say_where_the_run_lay(tmp_path: Path) -> None:
     text = _card(folder, tmp_path / "assets")
     assert "`python recipes/ppo_aslip.py --seed 3`" in text
     files = folder / "policy.zip", tmp_path / "assets" / "mine.zip"
-    old, new = (read_manifest(file)["metadata"] for file in files)
+    old, new = (read_card(file) for file in files)
     assert new["made_by"].pop("command") == "python recipes/ppo_aslip.py --seed 3"
     assert old["made_by"].pop("command") == command
     assert new == old
@@ -175,6 +175,6 @@ def test_shipped_policies_have_the_settings_of_their_recipes(
     name: str, recipe: Any, other: set[str]
 ) -> None:
     """Whoever runs the recipe trains such a policy."""
-    made = read_manifest(find_policy(name))["metadata"]["made_by"]["settings"]
+    made = read_card(name)["made_by"]["settings"]
     default = asdict(recipe.PRESETS["default"])
     assert {key for key in made if made[key] != default[key]} == other

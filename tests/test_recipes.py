@@ -25,7 +25,7 @@ from aslip.collect import local
 from aslip.errors import AslipError, ConfigurationError
 from aslip.evaluation import WalkResult, evaluate
 from aslip.library import GaitLibrary
-from aslip.policy import policy_stack, read_manifest
+from aslip.policy import policy_stack, read_card
 from aslip.ppo_settings import with_schedule
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.run import TrainingStoppedError
@@ -361,7 +361,7 @@ def test_exploration_shrinks(
     )
     ppo_aslip.main(config)
     assert seen == pytest.approx(expected)
-    std = read_manifest(config.out / "policy.zip")["metadata"]["shape"]["std"]
+    std = read_card(config.out)["shape"].std
     assert std == pytest.approx(0.1)
     td = aslip.load_policy(config.out)(aslip.make_env().reset())
     assert td["scale"].unique().tolist() == pytest.approx([0.1])
@@ -530,7 +530,7 @@ def test_edits_are_kept_with_a_run_and_may_not_change(tmp_path: Path) -> None:
     config = replace(TINY, out=tmp_path, total_steps=64)
     edits = {"replace": {"reward": WeightedReward(PAPER_WEIGHTS)}, "drop": ["noise"]}
     ppo_aslip.main(config, edits)
-    made_of = read_manifest(tmp_path / "policy.zip")["metadata"]["made_by"]["transforms"]
+    made_of = read_card(tmp_path)["made_by"]["transforms"]
     assert "noise" not in made_of
     assert "'com_vel': '0.3'" in made_of["reward"]
     other = {name: 0.2 for name in PAPER_WEIGHTS}

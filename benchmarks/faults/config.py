@@ -26,8 +26,8 @@ class Config:
     """Runs all of whose checkpoints are truncated."""
     full_disks: int = 50
     """Disks that are full after a random number of bytes of a checkpoint."""
-    strangers: int = 20
-    """Policies and checkpoints with a program inside, hidden in four ways."""
+    strangers: int = 24
+    """Files with a program inside, hidden in eight ways."""
     files: int = 1000
     """Damaged files of each kind."""
     settings: int = 1000

@@ -5,6 +5,7 @@ To add a kind, add a `Kind` to `KINDS`.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
@@ -16,14 +17,16 @@ import torch
 from tensordict import TensorDict
 
 import aslip
+from aslip.archive import as_json
 from aslip.checkpoint import load_checkpoint, save_checkpoint
 from aslip.errors import FileDamagedError
 from aslip.library import GaitLibrary
 from aslip.library.file import GaitTable, read_made_by, write_library
 from aslip.log import Recorder, Recording, Series, check, recover
 from aslip.log import read as read_log
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_manifest, save_policy
+from aslip.policy import CARD, PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
 from aslip.stack import default_stack
+from benchmarks.faults.archives import forged, unzipped
 from benchmarks.faults.trainings import Holder, same
 
 
@@ -49,6 +52,24 @@ class Kind:
     """Ways to damage it that no other kind has, by name."""
 
 
+def _finite(content: Any) -> Any:
+    """The content.
+
+    Raises:
+        ArithmeticError: a tensor in it is not finite.
+    """
+    if isinstance(content, torch.Tensor) and not content.isfinite().all():
+        raise ArithmeticError("loaded numbers are not finite")
+    if isinstance(content, Mapping):
+        content = dict(content)
+        for item in content.values():
+            _finite(item)
+    if isinstance(content, list | tuple):
+        for item in content:
+            _finite(item)
+    return content
+
+
 def _write_policy(path: Path) -> None:
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -62,7 +83,22 @@ def _load_policy(path: Path) -> Any:
     actor = aslip.load_policy(path)
     observation = torch.linspace(-1, 1, 64).expand(2, -1)
     action = actor(TensorDict(observation=observation, batch_size=2))["action"]
-    return {"card": read_manifest(path)["metadata"], "weights": actor.state_dict(), "act": action}
+    return {"card": read_card(path), "weights": _finite(actor.state_dict()), "act": action}
+
+
+def _other_sizes(data: bytes, rng: np.random.Generator) -> bytes:
+    """Claim another network in the card, of up to 10^18 weights; hashes are right."""
+    parts = unzipped(data)
+    card = json.loads(parts[CARD])
+    widths = [10 ** int(rng.integers(0, 10)) for _ in range(int(rng.integers(4)))]
+    card["shape"] |= [
+        {"hidden": widths},
+        {"observation_size": 10 ** int(rng.integers(1, 10))},
+        {"action_size": 10 ** int(rng.integers(2, 10))},
+        {"hidden": [1] * 10 ** int(rng.integers(1, 6))},
+    ][int(rng.integers(4))]
+    card["shape"]["symmetric"] = bool(rng.integers(2))
+    return forged({**parts, CARD: as_json(card)})
 
 
 def _write_library(path: Path) -> None:
@@ -77,13 +113,20 @@ def _load_library(path: Path) -> Any:
     library = GaitLibrary.load(path)
     point = torch.full((1, 1), 0.7)
     arrays = [gait.to_arrays() for gait in library.gaits]
-    return {
-        "table": [_tensor(getattr(library.table, f.name)) for f in fields(GaitTable)],
-        "gaits": [{k: v.tolist() for k, v in gait.items()} for gait in arrays],
-        "reference": library.lookup(point, point).motor_position,
-        "start": library.initial_state(point, point),
-        "made_by": read_made_by(path),
-    }
+    return _finite(
+        {
+            "table": [_tensor(getattr(library.table, f.name)) for f in fields(GaitTable)],
+            "gaits": [{k: _content(v) for k, v in gait.items()} for gait in arrays],
+            "reference": library.lookup(point, point).motor_position,
+            "start": library.initial_state(point, point),
+            "made_by": read_made_by(path),
+        }
+    )
+
+
+def _content(array: np.ndarray) -> Any:
+    """An array to be compared: text as such."""
+    return str(array) if array.dtype.kind == "U" else _tensor(array)
 
 
 def _tensor(array: np.ndarray) -> torch.Tensor:
@@ -148,7 +191,13 @@ def _require_some(saved: Recording) -> None:
 KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
-        Kind("policy", ".zip", _write_policy, _load_policy),
+        Kind(
+            "policy",
+            ".zip",
+            _write_policy,
+            _load_policy,
+            damages={"forged sizes": _other_sizes},
+        ),
         Kind("library", ".npz", _write_library, _load_library),
         Kind("checkpoint", ".torchrl", _write_checkpoint, _load_checkpoint),
         Kind("log", ".mcap", _write_log, _load_log, archive=False),

@@ -1,24 +1,20 @@
-"""Files from strangers: programs hidden in policies and checkpoints."""
+"""Files from strangers: programs hidden in every kind of archive."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import json
 import pickle
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-import aslip
-from aslip.checkpoint import load_checkpoint
 from aslip.errors import FileDamagedError
-from benchmarks.faults.checkpoints import finished
-from benchmarks.faults.trainings import quiet
+from benchmarks.faults.archives import forged, unzipped
+from benchmarks.faults.kinds import KINDS
 
 
 class Program:
@@ -34,55 +30,43 @@ class Program:
 def strangers(count: int, rng: np.random.Generator, folder: Path) -> int:
     """Survived: the program has not run, whether the file is refused or read without it."""
     del rng
-    out, _, components = finished(folder)
-    newest, survived = max((out / "checkpoints").iterdir()), 0
+    kinds, survived = [kind for kind in KINDS.values() if kind.archive], 0
     for i in range(count):
-        mark, path = folder / f"ran-{i}", folder / "stranger.zip"
-        ways = _hidden(Program(mark))
-        way = ways[i % len(ways)]
-        _rewrite(newest if "arrays.npz" in way else out / "policy.zip", path, way)
-        with contextlib.suppress(FileDamagedError), quiet():
-            if "arrays.npz" in way:
-                load_checkpoint(path, components)
-            else:
-                aslip.load_policy(path)
+        kind, mark = kinds[i % len(kinds)], folder / f"ran-{i}"
+        path = folder / f"stranger{kind.suffix}"
+        kind.write(path)
+        ways = list(programs(path.read_bytes(), Program(mark)))
+        path.write_bytes(ways[i // len(kinds) % len(ways)])
+        with contextlib.suppress(FileDamagedError):
+            kind.load(path)
         survived += not mark.exists()
     return survived
 
 
-def _hidden(program: Program) -> list[dict[str, bytes]]:
-    """Files to put into the folder of each component; those of one way a dict.
+def programs(data: bytes, program: Program) -> Iterator[bytes]:
+    """Archives with a program inside, all hashes right.
 
-    TorchRL reads "state.pt" in place of arrays, and "state.tdz" in place of a folder of them;
-    TensorDict unpickles what is not a tensor, NumPy arrays of objects.
+    It is in the place of all arrays, of one array, of all text, or beside them under names that
+    NumPy, TorchRL and TensorDict unpickle.
     """
-    saved, archive, arrays = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    saved, objects = io.BytesIO(), io.BytesIO()
     torch.save(program, saved)
-    kind = json.dumps({"_type": "<class 'tensordict.tensorclass.NonTensorData'>"}).encode()
+    array = np.empty(1, dtype=object)
+    array[0] = program
+    np.save(objects, array, allow_pickle=True)
     pickled = pickle.dumps({"data": program})
-    with zipfile.ZipFile(archive, "w") as file:
-        file.writestr("meta.json", kind)
-        file.writestr("other.pickle", pickled)
-    objects = np.empty(1, dtype=object)
-    objects[0] = program
-    np.savez(arrays, allow_pickle=True, arr_0=objects)
-    return [
-        {"state.pt": saved.getvalue()},
-        {"state/meta.json": kind, "state/other.pickle": pickled},
-        {"state.tdz": archive.getvalue()},
-        {"arrays.npz": arrays.getvalue()},
-    ]
 
-
-def _rewrite(source: Path, path: Path, files: Mapping[str, bytes]) -> None:
-    """Copy an archive with other files in each component, but for what says how to read them."""
-    with zipfile.ZipFile(source) as archive:
-        manifest = json.loads(archive.read("manifest.json"))
-        parts = {name: archive.read(name) for name in archive.namelist() if "/state/" not in name}
-    for record in manifest["components"].values():
-        record["files"] = sorted({"state.json", "tree.json"} & set(record["files"]) | set(files))
-        parts |= {f"{record['path']}/{name}": data for name, data in files.items()}
-    parts["manifest.json"] = json.dumps(manifest).encode()
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, data in parts.items():
-            archive.writestr(name, data)
+    parts = unzipped(data)
+    arrays = [name for name in parts if name.endswith(".npy")]
+    for changed in (arrays, arrays[:1]):
+        for content in (objects.getvalue(), pickled, saved.getvalue()):
+            yield forged({**parts, **dict.fromkeys(changed, content)})
+    texts = [name for name in parts if name.endswith(".json")]
+    yield forged({**parts, **dict.fromkeys(texts, pickled)})
+    folders = {name.rpartition("/")[0] for name in parts}
+    beside = {
+        "state.pt": saved.getvalue(),
+        "other.pickle": pickled,
+        "extra.npy": objects.getvalue(),
+    }
+    yield forged({**parts, **{f"{f}/{name}": c for f in folders for name, c in beside.items()}})

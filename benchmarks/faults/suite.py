@@ -43,7 +43,7 @@ def main(config: Config) -> dict[str, dict[str, int]]:
         "bit of the newest checkpoint flipped": (config.flips, flips),
         "all checkpoints truncated": (config.losses, losses),
         "disk full": (config.full_disks, full_disks),
-        "program in a policy or checkpoint": (config.strangers, strangers),
+        "program in a file": (config.strangers, strangers),
         **{f"damaged {kind}": (config.files, partial(damaged, kind)) for kind in KINDS},
         "setting of wrong type or range": (config.settings, settings),
         "policy steps of random actions": (config.steps, steps),

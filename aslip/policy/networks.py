@@ -1,4 +1,4 @@
-"""Actor, critic and their shared input normaliser; saving and loading (Sec. IV-B).
+"""Actor, critic and their shared input normaliser (Sec. IV-B).
 
 Both nets are 64-256-256-k with ReLU, on request made to treat left and right alike. The actor's
 output is unbounded and its standard deviation fixed ("We choose to use fixed covariance ... the
@@ -7,16 +7,13 @@ output is unbounded"). The normaliser is part of the policy, so it travels with 
 
 from __future__ import annotations
 
-import json
+import itertools
 import math
-import zipfile
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
-from tensordict import TensorDict
 from tensordict.nn import (
     AddStateIndependentNormalScale,
     InteractionType,
@@ -24,7 +21,6 @@ from tensordict.nn import (
 )
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor, nn
-from torchrl.checkpoint import Checkpoint
 from torchrl.modules import (
     MLP,
     IndependentNormal,
@@ -32,16 +28,9 @@ from torchrl.modules import (
     ValueOperator,
 )
 
-from aslip.assets import asset_path
-from aslip.errors import (
-    AslipError,
-    AssetError,
-    ConfigurationError,
-    FileDamagedError,
-    UnknownNameError,
-)
+from aslip.errors import ConfigurationError
 from aslip.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
-from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from aslip.transforms import OBSERVATION_TABLE
 
 # normalised inputs further out than this are cut off: a fall must not shout down the rest
 _CLIP = 10.0
@@ -50,9 +39,6 @@ _EPSILON = 1e-4
 _CONSTANT = 1e-8
 # of the actor's last layer, so that training starts near the reference motion
 _OUTPUT_SCALE = 0.01
-
-POLICY_FILE = "policy.zip"
-"""Name of the policy in the folder of a training run."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +55,27 @@ class PolicyShape:
     """Standard deviation of every action [rad]; the paper gives no value, its public code this."""
     symmetric: bool = False
     """Whether the mirrored observation gets the mirrored action; not so in the paper."""
+
+    def __post_init__(self) -> None:
+        """Check the values.
+
+        Raises:
+            ConfigurationError: a size is no positive whole number, or `std` no positive number.
+        """
+        sizes = (self.observation_size, self.action_size, *self.hidden)
+        if not all(type(size) is int and size > 0 for size in sizes):
+            raise ConfigurationError(f"sizes of a policy must be positive whole numbers: {self}")
+        number = isinstance(self.std, int | float) and not isinstance(self.std, bool)
+        if not number or not 0 < self.std < math.inf:
+            raise ConfigurationError(f"std must be a positive number, got {self.std!r}")
+        if not isinstance(self.symmetric, bool):
+            raise ConfigurationError(f"symmetric must be True or False, got {self.symmetric!r}")
+
+    @property
+    def parameters(self) -> int:
+        """Number of weights and biases of the actor's network."""
+        widths = (self.observation_size, *self.hidden, self.action_size)
+        return sum((a + 1) * b for a, b in itertools.pairwise(widths))
 
 
 class RunningNormalizer(nn.Module):
@@ -92,8 +99,9 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("_offset", torch.zeros(size))
-        self.register_buffer("_scale", torch.ones(size))
+        # these follow from the statistics, so that files need not hold them
+        self.register_buffer("_offset", torch.zeros(size), persistent=False)
+        self.register_buffer("_scale", torch.ones(size), persistent=False)
 
     @torch.no_grad()
     def update(self, values: Tensor) -> None:
@@ -117,7 +125,7 @@ class RunningNormalizer(nn.Module):
         self._scale.copy_(torch.where(self.variance < _CONSTANT, 1.0, scale))
 
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
-        """Load the statistics; what follows from them may have been derived in another way."""
+        """Load the statistics, and derive offset and scale from them."""
         super()._load_from_state_dict(*args, **kwargs)
         self._refresh()
 
@@ -239,182 +247,6 @@ class _Scale(nn.Module):
 
     def forward(self, values: Tensor) -> Tensor:
         return self.factor * values
-
-
-def save_policy(
-    path: str | Path,
-    actor: nn.Module,
-    shape: PolicyShape,
-    made_by: Mapping[str, Any] | None = None,
-    *,
-    stack: str | None = "aslip",
-    observation: Sequence[NestedKey] = OBSERVATION_TABLE,
-) -> None:
-    """Write a policy that `load_policy` reads: a ZIP archive of plain arrays, nothing pickled.
-
-    Args:
-        path: the file; replaced as a whole.
-        actor: from `make_actor`.
-        shape: what it was made with.
-        made_by: settings and versions of what made it, of JSON types.
-        stack: name of the stack that it acts on, one of `aslip.stack.STACKS`; None for another.
-        observation: keys of the entries that its observation is made of.
-    """
-    card = {
-        "shape": asdict(shape),
-        "stack": stack,
-        "observation": entry_names(observation),
-        "made_by": dict(made_by or {}),
-    }
-    Checkpoint(actor=actor).save(path, format="archive", metadata=card)
-
-
-def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
-    """A trained policy: maps the environment's tensordict to `action`, deterministic by default.
-
-    Its parameters require no gradients; to train it further, let them.
-
-    Args:
-        name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
-
-    Raises:
-        AssetError: there is no such policy.
-        FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: the stack it was trained on, one of `aslip.stack.STACKS`, gives another
-            observation in this version of the package.
-    """
-    path = find_policy(name_or_path)
-    card = _card(path)
-    try:
-        shape = PolicyShape(**{**card["shape"], "hidden": tuple(card["shape"]["hidden"])})
-        names = [str(name) for name in card["observation"]]
-    except (KeyError, TypeError) as error:
-        raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
-    known = [entry_names(table) for table in (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE)]
-    if card.get("stack", "paper") is not None and names not in known:
-        raise ConfigurationError(
-            f"the policy {str(path)!r} expects the observation {names}; this version of aslip"
-            f" gives {' or '.join(map(str, known))}"
-        )
-    table = [unravel_key(tuple(name.split("/"))) for name in names]
-    try:
-        actor = make_actor(RunningNormalizer(shape.observation_size), shape, table)
-    except AslipError:
-        raise
-    except Exception as error:  # whatever a wrong size makes of a network
-        raise _damaged(path, error) from error
-    load_components(path, actor=actor)
-    # nothing differentiates through a simulator: without this, rollouts would carry graphs along
-    return actor.eval().requires_grad_(False)
-
-
-def policy_stack(name_or_path: str | Path) -> str:
-    """Name of the stack that a policy acts on, one of `aslip.stack.STACKS`.
-
-    Policies of before there were several act on the paper's.
-
-    Raises:
-        AssetError: there is no such policy.
-        FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: it acts on a stack of its own.
-    """
-    stack = _card(find_policy(name_or_path)).get("stack", "paper")
-    if stack is None:
-        raise ConfigurationError(
-            f"the policy {str(name_or_path)!r} was trained with a stack of its own, which has no"
-            " name: make an environment with the same edits, and give it that"
-        )
-    return stack
-
-
-def policy_observation(name_or_path: str | Path) -> list[str]:
-    """Entries of the observation that a policy was trained on, such as "estimate/height".
-
-    Raises:
-        AssetError: there is no such policy.
-        FileDamagedError: it is truncated, altered, or no policy.
-    """
-    path = find_policy(name_or_path)
-    try:
-        return list(_card(path)["observation"])
-    except (KeyError, TypeError) as error:
-        raise FileDamagedError(f"{str(path)!r} is no policy: its card lacks {error}") from error
-
-
-def find_policy(name_or_path: str | Path) -> Path:
-    """The file of a policy: given, inside the folder of a run, or shipped.
-
-    Raises:
-        AssetError: there is no such policy.
-    """
-    path = Path(name_or_path)
-    if path.is_file():
-        return path
-    if (path / POLICY_FILE).is_file():
-        return path / POLICY_FILE
-    try:
-        return asset_path(f"policies/{name_or_path}.zip")
-    except AssetError:
-        folder = asset_path("policies/aslip.zip").parent
-        shipped = sorted(policy.stem for policy in folder.glob("*.zip"))
-        hint = UnknownNameError.among("shipped policy", str(name_or_path), shipped)
-        raise AssetError(
-            f"no policy {str(name_or_path)!r}: it is neither a file, nor the folder of a run with"
-            f" a {POLICY_FILE}, and there is {hint}"
-        ) from None
-
-
-def read_manifest(path: Path) -> dict[str, Any]:
-    """Contents and metadata of a policy.
-
-    Raises:
-        FileDamagedError: the file is truncated, altered, or of another kind.
-    """
-    try:
-        return Checkpoint.manifest(path)
-    except Exception as error:  # one cause, a bad file, has many exceptions
-        raise _damaged(path, error) from error
-
-
-def _card(path: Path) -> dict[str, Any]:
-    """What a policy says of itself; see `save_policy`."""
-    card = read_manifest(path).get("metadata", {})
-    if not isinstance(card, dict):
-        raise FileDamagedError(f"{str(path)!r} is no policy: its card is {card!r}")
-    return card
-
-
-def load_components(path: Path, **components: Any) -> None:
-    """Restore named objects from a policy.
-
-    Raises:
-        FileDamagedError: the file is truncated, altered, or holds other things.
-    """
-    try:
-        _refuse_programs(path)
-        Checkpoint(**components).load(path)
-    except Exception as error:
-        raise _damaged(path, error) from error
-
-
-def _refuse_programs(path: Path) -> None:
-    """Check that an archive holds JSON and arrays only: TorchRL and TensorDict unpickle the rest.
-
-    Raises:
-        ValueError: it holds something else.
-    """
-    with zipfile.ZipFile(path) as archive:
-        for name in archive.namelist():
-            if not name.endswith((".json", ".memmap")):
-                raise ValueError(f"it holds {name!r}, which is neither JSON nor an array")
-            if name.endswith("/meta.json"):
-                kind = json.loads(archive.read(name))["_type"]
-                if kind != str(TensorDict):
-                    raise ValueError(f"{name!r} describes a {kind}, not tensors")
-
-
-def _damaged(path: Path, error: Exception) -> FileDamagedError:
-    return FileDamagedError(f"{str(path)!r} is no intact policy ({type(error).__name__}: {error})")
 
 
 def entry_names(table: Iterable[NestedKey]) -> list[str]:
