@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.policy import entry_names, load_policy, policy_observation, policy_stack
-from aslip.stack import EPISODE_ENDS, CassieTransformedEnv, acts_on, make_env, observed
+from aslip.policy import load_policy, policy_stack
+from aslip.stack import EPISODE_ENDS, CassieTransformedEnv, check_fits, make_env
 
 
 @dataclass(frozen=True)
@@ -120,8 +119,8 @@ class Walker:
         speed: first command [m/s].
 
     Raises:
-        ConfigurationError: the environment has another number of robots, or another stack than
-            the policy acts on.
+        ConfigurationError: the environment has another number of robots, or shows the policy
+            another observation or adds its action to something else than in its training.
         SpeedOutOfRangeError: the library does not cover the speed.
     """
 
@@ -145,10 +144,6 @@ class Walker:
         self.policy = policy
         self.reset(speed)
 
-    @cached_property
-    def _stack(self) -> str | None:
-        return acts_on(self.env)
-
     @property
     def policy(self) -> TensorDictModuleBase:
         """What acts; a name or path may be assigned at any time."""
@@ -157,17 +152,7 @@ class Walker:
     @policy.setter
     def policy(self, policy: TensorDictModuleBase | str | Path) -> None:
         if isinstance(policy, str | Path):
-            has = self._stack
-            if has is not None and has != (wants := policy_stack(policy)):
-                raise ConfigurationError(
-                    f"the policy {str(policy)!r} acts on the stack {wants!r}, not on {has!r}"
-                )
-            if has is None and (seen := entry_names(observed(self.env))) != (
-                needed := policy_observation(policy)
-            ):
-                raise ConfigurationError(
-                    f"the policy {str(policy)!r} observes {needed}, the environment shows {seen}"
-                )
+            check_fits(policy, self.env)
             policy = load_policy(policy)
         self._policy = policy
 

@@ -21,7 +21,7 @@ from aslip.plots import save_figure
 from aslip.policy import policy_stack
 from aslip.rom import Gait
 from aslip.run import write_text
-from aslip.stack import EPISODE_ENDS, ON_TRUTH, CassieTransformedEnv
+from aslip.stack import EPISODE_ENDS, ON_TRUTH, CassieTransformedEnv, check_fits
 from aslip.walks import Walks, record_walks
 from benchmarks.flags import Common
 
@@ -87,7 +87,7 @@ def environment(
 ) -> CassieTransformedEnv:
     """The stack of a policy without an end of episodes but falls."""
     edits = ON_TRUTH if config.truth else {}
-    return aslip.make_env(
+    env = aslip.make_env(
         num_envs=num_envs,
         seed=config.seed,
         stack=policy_stack(policy),
@@ -95,6 +95,8 @@ def environment(
         replace=edits.get("replace"),
         **settings,
     )
+    check_fits(policy, env)
+    return env
 
 
 def constant_walks(config: Common, speeds: Sequence[float], duration: float) -> list[Walks]:

@@ -67,9 +67,9 @@ from aslip.stack import (
     ON_TRUTH,
     STACKS,
     CassieTransformedEnv,
-    acts_on,
     commanded,
     described,
+    interface_of,
     observed,
     randomised,
 )
@@ -231,8 +231,7 @@ def main(
         "seconds": round(time.perf_counter() - start),
         **provenance(),
     }
-    stack = acts_on(eval_env)
-    save_policy(run.policy_file, actor, shape, made_by, stack=stack, observation=observation)
+    save_policy(run.policy_file, actor, shape, made_by, **interface_of(eval_env))
     table = walk_table(results)
     minutes = (time.perf_counter() - start) / 60
     footer = f"{step} policy steps in {minutes:.1f} minutes, peak memory {peak_memory():.2f} GiB"

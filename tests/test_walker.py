@@ -152,7 +152,7 @@ def test_a_push_that_cannot_be_read_is_refused(text: str) -> None:
 def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:
     walker = Walker("aslip")
     other = save_other_policy(tmp_path / "other.zip")
-    with pytest.raises(ConfigurationError, match=r"other.zip.*'single_reference', not on"):
+    with pytest.raises(ConfigurationError, match=r"other.zip.*lacks \['reference/body"):
         walker.policy = other
     assert acts_on(Walker(other).env) == "single_reference"
 
@@ -160,5 +160,6 @@ def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:
 def save_other_policy(path: Path) -> Path:
     shape = PolicyShape(49)
     actor = make_actor(RunningNormalizer(49), shape)
-    save_policy(path, actor, shape, stack="single_reference", observation=SINGLE_REFERENCE_TABLE)
+    names = {"observation": SINGLE_REFERENCE_TABLE, "baseline": ("reference", "motor_position")}
+    save_policy(path, actor, shape, stack="single_reference", **names)
     return path

@@ -19,7 +19,15 @@ an environment, where TorchRL would keep stale specs; build another.
 
 from aslip.stack.edit import edited, insert_before, judged, randomised
 from aslip.stack.environment import CassieTransformedEnv, check_seed
-from aslip.stack.interface import acts_on, commanded, described, observed
+from aslip.stack.interface import (
+    acts_on,
+    baseline,
+    check_fits,
+    commanded,
+    described,
+    interface_of,
+    observed,
+)
 from aslip.stack.make import Backend, make_env
 from aslip.stack.stacks import (
     EPISODE_ENDS,
@@ -44,12 +52,15 @@ __all__ = [
     "RewardSource",
     "Stack",
     "acts_on",
+    "baseline",
+    "check_fits",
     "check_seed",
     "commanded",
     "default_stack",
     "described",
     "edited",
     "insert_before",
+    "interface_of",
     "judged",
     "make_env",
     "observed",

@@ -2,50 +2,111 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import partial
+from pathlib import Path
 from types import FunctionType, MethodType
 from typing import Any, TypeVar
 
 import torch
-from tensordict.utils import NestedKey
-from torchrl.envs.transforms import RewardSum, StepCounter, Transform
+from tensordict.utils import NestedKey, unravel_key
+from torchrl.envs.transforms import Transform
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.policy import entry_names, observation_difference, read_card
 from aslip.stack.code_hash import function_text
 from aslip.stack.environment import CassieTransformedEnv
 from aslip.stack.stacks import STACKS
-from aslip.transforms import (
-    AssembleObservation,
-    EpisodeSum,
-    EstimatedState,
-    Fall,
-    HeadingFrame,
-    LowReward,
-    ObservationNoise,
-    RandomDynamics,
-    ReferenceStart,
-    RewardTerm,
-    SpeedCommand,
-    TrueState,
-    WeightedReward,
-)
+from aslip.transforms import ActionDelta, AssembleObservation, ReferenceInjection, SpeedCommand
+
+
+def interface_of(env: CassieTransformedEnv) -> dict[str, Any]:
+    """What a policy must know of an environment, as arguments of `aslip.policy.save_policy`.
+
+    Raises:
+        ConfigurationError: no `AssembleObservation` makes an observation.
+    """
+    return {"stack": acts_on(env), "observation": observed(env), "baseline": baseline(env)}
 
 
 def acts_on(env: CassieTransformedEnv) -> str | None:
     """Name of the stack in `STACKS` that is the same to a policy; None if no stack is.
 
-    Which rewards there are, when episodes end, and what robots and sensors are like makes no
-    difference; what the policy observes, and what becomes of its action, does.
+    The entries of the observation and their order, what the action is added to, and the motion of
+    the reference make a difference; rewards, ends of episodes, robots, sensors, and transforms that
+    write anything else do not.
     """
-    has = _interface(env.transforms)
+    keys = _observation_keys(env.transforms), baseline(env)
+    if None in keys:
+        return None
     for name, make in STACKS.items():
         stack = make()
-        if has == _interface([t() for t in stack.values()]):
+        named = [stack[part]() for part in ("observation", "action", "reference")]
+        same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
+        if same_keys and _motion(env.transforms) == _motion(named):
             return name
     return None
+
+
+def baseline(env: CassieTransformedEnv) -> NestedKey | None:
+    """Key of the angles that the action is added to.
+
+    None if there is no `ActionDelta`, or another transform changes actions as well.
+    """
+    acting = [t for t in env.transforms if _changes_actions(t)]
+    return _baseline_key(acting[0]) if len(acting) == 1 else None
+
+
+def check_fits(policy: str | Path, env: CassieTransformedEnv) -> None:
+    """Check that an environment shows a policy what it was trained on, and adds its action to that.
+
+    Args:
+        policy: what `aslip.load_policy` takes.
+        env: the environment.
+
+    Raises:
+        AssetError: there is no such policy.
+        FileDamagedError: it is truncated, altered, or no policy.
+        ConfigurationError: the order of the observation's entries, or what the action is added to,
+            is another.
+    """
+    card = read_card(policy)
+    shown, key = entry_names(observed(env)), baseline(env)
+    if card["observation"] != shown:
+        difference = observation_difference(card["observation"], shown)
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} does not fit the environment: {difference}"
+        )
+    added_to = None if key is None else entry_names([key])[0]
+    if card["baseline"] != added_to:
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} does not fit the environment: its action is to be added to"
+            f" {card['baseline']!r}, the environment adds it to {added_to!r}"
+        )
+
+
+def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] | None:
+    """Keys of the observation's entries; None if not one `AssembleObservation` alone writes it."""
+    writing = [t for t in transforms if "observation" in t.out_keys]
+    if len(writing) != 1 or not isinstance(writing[0], AssembleObservation):
+        return None
+    return tuple(writing[0].in_keys)
+
+
+def _changes_actions(transform: Transform) -> bool:
+    """Whether a transform stands between the policy's action and the robot."""
+    keys = {*map(str, transform.in_keys_inv), *map(str, transform.out_keys_inv)}
+    if keys & {"action", "motor_target"}:
+        return True
+    # TorchRL's own name the keys that they change; others need not
+    owner = next(kind for kind in type(transform).__mro__ if "_inv_call" in vars(kind))
+    return not owner.__module__.startswith("torchrl.")
+
+
+def _baseline_key(transform: Transform) -> NestedKey | None:
+    return unravel_key(transform.baseline_key) if isinstance(transform, ActionDelta) else None
 
 
 def observed(env: CassieTransformedEnv) -> list[NestedKey]:
@@ -124,28 +185,12 @@ def _only(env: CassieTransformedEnv, kind: type[Kind]) -> Kind:
     )
 
 
-# these change neither what a policy observes nor what becomes of its action
-_NO_INTERFACE = (
-    *(RewardTerm, WeightedReward, EpisodeSum, RewardSum, Fall, LowReward, StepCounter),
-    *(ReferenceStart, HeadingFrame, SpeedCommand, RandomDynamics),
-    *(ObservationNoise, EstimatedState, TrueState),
-)
-
-
-def _interface(transforms: Iterable[Transform]) -> list[tuple[Any, ...]]:
-    """What transforms are to a policy, to be compared."""
-    kept = [t for t in transforms if not isinstance(t, _NO_INTERFACE)]
-    return [
-        (type(t), t.in_keys, t.out_keys, _motion(getattr(t, "library", None)))
-        for t in kept
-        if t.in_keys or t.out_keys  # otherwise it only looks on
-    ]
-
-
-def _motion(library: GaitLibrary | None) -> list[list[float]]:
-    """Numbers that tell a library from others: its motion at some points of the stride."""
-    if library is None:
+def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
+    """Numbers that tell the reference's motion from others, at some points of the stride."""
+    libraries = [t.library for t in transforms if isinstance(t, ReferenceInjection)]
+    if not libraries:
         return []
+    library = libraries[0]
     lowest, *_, highest = library.speeds.tolist()
     points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
     motion = library.lookup(points[:, :1], points[:, 1:])
