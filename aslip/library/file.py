@@ -1,13 +1,7 @@
-"""The gait library's file: arrays, how they were made, and a hash over them.
-
-No pickle: anyone's file can be opened. It is written under a temporary name and renamed, so a file
-of the right name is a whole one.
-"""
+"""The gait library's file: arrays, and how they were made; NumPy reads it, too."""
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -15,20 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from aslip.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.cassie import MOTOR_NAMES
-from aslip.errors import (
-    AslipError,
-    AssetError,
-    ConfigurationError,
-    FileDamagedError,
-    ShapeError,
-)
+from aslip.errors import AssetError, ConfigurationError, ShapeError
 from aslip.rom import Gait
 
-_FORMAT = "aslip gait library 2"
+FORMAT = ArchiveFormat(
+    "gait library", 3, advice="rebuild it with recipes/gait_library.py", compressed=True
+)
+"""Entries: `table/FIELD.npy`, `gaitNN/FIELD.npy`, `made_by.json`."""
+_MADE_BY = "made_by.json"
 # what cubic interpolation takes
 _FEWEST_SAMPLES = 4
-_FORMAT_KEY, _SHA256, _MADE_BY = "format", "sha256", "made_by"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,17 +117,8 @@ def write_library(
     arrays = {f"table/{f.name}": getattr(table, f.name) for f in fields(table)}
     for i, gait in enumerate(gaits):
         arrays |= {f"gait{i:02d}/{name}": value for name, value in gait.to_arrays().items()}
-    arrays[_MADE_BY] = np.array(json.dumps(dict(made_by), indent=1))
-    arrays[_SHA256] = np.array(_digest(arrays))
-    arrays[_FORMAT_KEY] = np.array(_FORMAT)
-    temporary = path.with_name(path.name + ".part")
-    try:
-        with temporary.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # pyright: ignore[reportArgumentType]
-        temporary.replace(path)
-    finally:
-        with contextlib.suppress(FileNotFoundError):
-            temporary.unlink()
+    entries = {f"{name}.npy": npy(array) for name, array in arrays.items()}
+    FORMAT.write(path, {**entries, _MADE_BY: as_json(dict(made_by))})
 
 
 def read_library(path: Path) -> tuple[list[Gait], GaitTable]:
@@ -145,13 +128,14 @@ def read_library(path: Path) -> tuple[list[Gait], GaitTable]:
         AssetError: there is no such file.
         FileDamagedError: the file is truncated, altered, or no gait library.
     """
-    arrays = _read(path)
-    count = len({name.split("/")[0] for name in arrays if name.startswith("gait")})
+    entries = _read(path)
     try:
+        arrays = _arrays(entries)
+        count = len({name.split("/")[0] for name in arrays if name.startswith("gait")})
         table = GaitTable(**{f.name: arrays[f"table/{f.name}"] for f in fields(GaitTable)})
         gaits = [Gait.from_arrays(_below(arrays, f"gait{i:02d}/")) for i in range(count)]
-    except (AslipError, KeyError, TypeError, ValueError) as error:
-        raise _damaged(path, f"{error}") from error
+    except Exception as error:  # whatever a stranger's arrays are
+        raise FORMAT.damaged(path, error) from error
     return gaits, table
 
 
@@ -162,43 +146,38 @@ def read_made_by(path: Path) -> dict[str, str]:
         AssetError: there is no such file.
         FileDamagedError: the file is truncated, altered, or no gait library.
     """
-    return json.loads(str(_read(path)[_MADE_BY]))
+    entries = _read(path)
+    try:
+        return dict(json.loads(entries[_MADE_BY]))
+    except Exception as error:  # whatever a stranger's text is
+        raise FORMAT.damaged(path, error) from error
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of a file whose hash is right."""
+def _read(path: Path) -> dict[str, bytes]:
+    """All entries of a file whose hashes are right."""
     if not path.is_file():
         raise AssetError(
             f"there is no gait library {str(path)!r}; make it with recipes/gait_library.py"
         )
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        file_format, digest = str(arrays.pop(_FORMAT_KEY)), str(arrays.pop(_SHA256))
-    except Exception as error:  # one cause, a bad file, has many exceptions
-        raise _damaged(path, f"{type(error).__name__}: {error}") from error
-    if file_format != _FORMAT:
-        raise _damaged(path, f"its format is not {_FORMAT!r}")
-    if digest != _digest(arrays):
-        raise _damaged(path, "its contents do not match its SHA-256")
-    return arrays
+    return FORMAT.read(path)
 
 
-def _damaged(path: Path, why: str) -> FileDamagedError:
-    return FileDamagedError(
-        f"{str(path)!r} is no intact gait library ({why}); rebuild it with recipes/gait_library.py"
-    )
+def _arrays(entries: Mapping[str, bytes]) -> dict[str, np.ndarray]:
+    """Arrays by name.
+
+    Raises:
+        ValueError: one cannot be read, or has numbers that are not finite.
+    """
+    found = {
+        name.removesuffix(".npy"): from_npy(data)
+        for name, data in entries.items()
+        if name.endswith(".npy")
+    }
+    for name, array in found.items():
+        if array.dtype.kind != "U" and not np.isfinite(array).all():
+            raise ValueError(f"{name!r} has entries that are not finite")
+    return found
 
 
 def _below(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
     return {name[len(prefix) :]: a for name, a in arrays.items() if name.startswith(prefix)}
-
-
-def _digest(arrays: Mapping[str, np.ndarray]) -> str:
-    """SHA-256 over names, types, shapes and contents."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name} {array.dtype.str} {array.shape};".encode())
-        digest.update(array.tobytes())
-    return digest.hexdigest()
