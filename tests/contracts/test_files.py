@@ -1,0 +1,324 @@
+"""What holds for files of every kind: written whole or not at all, read whole or refused."""
+
+from __future__ import annotations
+
+import io
+import os
+import resource
+import stat
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.archive import SUMS
+from aslip.errors import AslipError, FileDamagedError
+from aslip.files import commit, replacing
+from benchmarks.faults.archives import forged, unzipped, zipped
+from benchmarks.faults.files import damages
+from benchmarks.faults.kinds import KINDS, Kind
+from benchmarks.faults.strangers import Program, programs
+
+every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
+every_archive = pytest.mark.parametrize(
+    "kind", [kind for kind in KINDS.values() if kind.archive], ids=lambda kind: kind.name
+)
+
+
+@pytest.fixture
+def path(kind: Kind, tmp_path: Path) -> Path:
+    """A whole file, alone in its folder."""
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    kind.write(folder / f"whole{kind.suffix}")
+    return folder / f"whole{kind.suffix}"
+
+
+# ------------------------------------------------------------------------- reading
+
+
+@every_kind
+def test_a_whole_file_loads_again_and_again(kind: Kind, path: Path) -> None:
+    assert kind.same(kind.load(path), kind.load(path))
+
+
+@every_kind
+def test_a_cut_file_is_refused_wherever_it_ends(kind: Kind, path: Path) -> None:
+    data = path.read_bytes()
+    ends = [int(share * len(data)) for share in np.linspace(0, 1, 41)[:-1]]
+    for end in [*ends, *(len(data) - missing for missing in (1, 2, 21, 22, 23))]:
+        path.write_bytes(data[:end])
+        with pytest.raises(FileDamagedError, match=path.name):
+            kind.load(path)
+
+
+def _survives(kind: Kind, path: Path, data: bytes, whole: Any) -> str:
+    """Nothing if data is refused or has the whole content, else what happens."""
+    path.write_bytes(data)
+    try:
+        return "" if kind.same(kind.load(path), whole) else "other content"
+    except AslipError as error:
+        return "" if path.name in str(error) else f"a message without the file: {error}"
+    except Exception as error:
+        return repr(error)
+
+
+@every_kind
+def test_a_flipped_bit_is_refused_or_harmless(kind: Kind, path: Path) -> None:
+    """Anywhere, and everywhere in the last bytes, where formats keep their directories."""
+    data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(0)
+    offsets = {*rng.choice(len(data), 150).tolist(), *range(len(data) - 70, len(data))}
+    if kind.archive:  # the directory's first entry names methods and sizes
+        start = data.index(b"PK\x01\x02")
+        offsets |= set(range(start, start + 46))
+    wrong = {}
+    for offset in sorted(offsets):
+        spoilt = bytearray(data)
+        spoilt[offset] ^= 1 << offset % 8
+        wrong[offset] = _survives(kind, path, bytes(spoilt), whole)
+    assert {offset: found for offset, found in wrong.items() if found} == {}
+
+
+@every_kind
+def test_damage_of_every_sort_is_refused_or_harmless(kind: Kind, path: Path) -> None:
+    """A few of what `benchmarks.faults.files` does 1000 times; forged files may be in order."""
+    data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(1)
+    for name, damage in damages(kind).items():
+        for _ in range(3):
+            found = _survives(kind, path, damage(data, rng), whole)
+            in_order = name.startswith("forged") and found == "other content"
+            assert not found or in_order, name
+
+
+@every_kind
+@pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04", b"\x93NUMPY\x01\x00v\x00{'"])
+def test_a_file_of_another_format_is_refused(kind: Kind, path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with pytest.raises(FileDamagedError, match=path.name):
+        kind.load(path)
+
+
+@every_kind
+def test_a_file_of_another_kind_is_refused(kind: Kind, path: Path, tmp_path: Path) -> None:
+    foreign = io.BytesIO()
+    np.save(foreign, np.zeros(3))
+    contents = [foreign.getvalue(), zipped({"readme.txt": b"none"}), forged({"a.npy": b""})]
+    for other in (other for other in KINDS.values() if other is not kind):
+        other.write(tmp_path / f"other{other.suffix}")
+        contents.append((tmp_path / f"other{other.suffix}").read_bytes())
+    for content in contents:
+        path.write_bytes(content)
+        with pytest.raises(FileDamagedError, match=path.name):
+            kind.load(path)
+
+
+@every_kind
+def test_a_file_that_is_not_there_is_named(kind: Kind, path: Path) -> None:
+    with pytest.raises(AslipError, match="gone"):
+        kind.load(path.with_name(f"gone{path.suffix}"))
+
+
+@every_kind
+def test_a_pickle_is_refused_and_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
+    mark = tmp_path / "ran"
+    torch.save(Program(mark), path)
+    with pytest.raises(FileDamagedError):
+        kind.load(path)
+    assert not mark.exists()
+
+
+@every_archive
+def test_a_pickle_in_an_archive_is_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
+    """In the place of an array, or where other libraries would look for one; hashes are right."""
+    mark, data = tmp_path / "ran", path.read_bytes()
+    for content in programs(data, Program(mark)):
+        path.write_bytes(content)
+        with suppress(FileDamagedError):
+            kind.load(path)
+        assert not mark.exists()
+    # the marks of programs that do run can be seen
+    with suppress(Exception):
+        torch.load(io.BytesIO(_saved(Program(mark))), weights_only=False)
+    assert mark.exists()
+
+
+def _saved(program: Program) -> bytes:
+    buffer = io.BytesIO()
+    torch.save(program, buffer)
+    return buffer.getvalue()
+
+
+@every_archive
+def test_no_entry_can_be_changed_removed_or_added(kind: Kind, path: Path) -> None:
+    """However right the archive's own checksums are."""
+    parts = unzipped(path.read_bytes())
+    rng = np.random.default_rng(0)
+    names = sorted(parts.keys() - {SUMS})
+    for name in rng.choice(names, min(12, len(names)), replace=False).tolist():
+        spoilt = bytearray(parts[name])
+        spoilt[-1 - len(spoilt) // 3] ^= 4
+        for content in (bytes(spoilt), parts[name][:-1], b""):
+            path.write_bytes(zipped({**parts, name: content}))
+            with pytest.raises(FileDamagedError, match="SHA-256"):
+                kind.load(path)
+        without = {other: content for other, content in parts.items() if other != name}
+        for others in (without, {**parts, f"{name}.npy": parts[name]}, {**parts, SUMS: b""}):
+            path.write_bytes(zipped(others))
+            with pytest.raises(FileDamagedError, match="SHA-256"):
+                kind.load(path)
+
+
+@every_archive
+@pytest.mark.parametrize("name", ["", "aslip policy 99", "aslip gait library 1"])
+def test_another_version_is_refused(kind: Kind, path: Path, name: str) -> None:
+    path.write_bytes(forged({**unzipped(path.read_bytes()), "format": name.encode()}))
+    with pytest.raises(FileDamagedError, match=f"its format is {name!r}, not 'aslip "):
+        kind.load(path)
+
+
+@every_archive
+def test_a_file_without_hashes_is_refused(kind: Kind, path: Path) -> None:
+    """As those of earlier versions were."""
+    parts = unzipped(path.read_bytes())
+    path.write_bytes(zipped({name: parts[name] for name in parts if name != SUMS}))
+    with pytest.raises(FileDamagedError, match=f"no {SUMS}; files of earlier versions"):
+        kind.load(path)
+
+
+@every_archive
+def test_two_entries_of_a_name_are_refused(kind: Kind, path: Path) -> None:
+    """Readers differ in which of them they take."""
+    with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
+        archive.writestr("format", archive.read("format"))
+    with pytest.raises(FileDamagedError, match="two entries of the same name"):
+        kind.load(path)
+
+
+@every_archive
+def test_a_small_file_cannot_unfold_into_a_large_one(kind: Kind, path: Path) -> None:
+    parts = unzipped(path.read_bytes())
+    largest = max(parts, key=lambda name: len(parts[name]))
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in {**parts, largest: bytes(30 * len(path.read_bytes() or b"x"))}.items():
+            archive.writestr(name, content + bytes(10**7 if name == largest else 0))
+    with pytest.raises(FileDamagedError, match="claim to hold"):
+        kind.load(path)
+
+
+@every_archive
+def test_an_array_that_claims_to_be_large_is_refused(kind: Kind, path: Path) -> None:
+    """Before its memory is taken; hashes are right."""
+    parts = unzipped(path.read_bytes())
+    name = next(name for name in parts if name.endswith(".npy"))
+    buffer = io.BytesIO()
+    header = {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
+    np.lib.format.write_array_header_1_0(buffer, header)
+    path.write_bytes(forged({**parts, name: buffer.getvalue() + bytes(64)}))
+    with pytest.raises(FileDamagedError, match="has 64 bytes in place of"):
+        kind.load(path)
+
+
+# ------------------------------------------------------------------------- writing
+
+
+@contextmanager
+def _full_disk(room: int) -> Iterator[None]:
+    """Let files grow to so many bytes and no further: the system says so when they do."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@every_kind
+def test_a_full_disk_leaves_what_was_there(kind: Kind, path: Path) -> None:
+    """Full at any byte: an OSError, the old file, and nothing else in the folder."""
+    size, old = path.stat().st_size, b"what was there"
+    for share in (0, 0.01, 0.5, 0.99):
+        path.write_bytes(old)
+        with pytest.raises(OSError, match="File too large"), _full_disk(int(share * size)):
+            kind.write(path)
+        assert path.read_bytes() == old
+        assert list(path.parent.iterdir()) == [path]
+
+
+@every_kind
+def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
+    whole = kind.load(path)
+    path.write_bytes(b"what was there")
+    kind.write(path)
+    assert kind.same(kind.load(path), whole)
+    assert list(path.parent.iterdir()) == [path]
+
+
+@every_kind
+def test_writing_into_no_folder_is_an_os_error(kind: Kind, path: Path) -> None:
+    with pytest.raises(OSError, match="nowhere"):
+        kind.write(path.parent / "nowhere" / path.name)
+
+
+@pytest.fixture
+def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Syncs and renames, in the order in which they happen."""
+    calls: list[str] = []
+    fsync, replace = os.fsync, os.replace
+
+    def syncing(descriptor: int) -> None:
+        folder = stat.S_ISDIR(os.fstat(descriptor).st_mode)
+        calls.append("sync folder" if folder else f"sync {os.fstat(descriptor).st_size} bytes")
+        fsync(descriptor)
+
+    def replacing(*names: Any) -> None:
+        calls.append("rename")
+        replace(*names)
+
+    monkeypatch.setattr(os, "fsync", syncing)
+    monkeypatch.setattr(os, "replace", replacing)
+    return calls
+
+
+@every_kind
+def test_content_is_on_the_disk_before_its_name(kind: Kind, path: Path, calls: list[str]) -> None:
+    """Or a power cut may leave an empty file in the place of the old one."""
+    kind.write(path)
+    assert calls == [f"sync {path.stat().st_size} bytes", "rename", "sync folder"]
+
+
+def test_replacing_syncs_renames_and_syncs_the_folder(tmp_path: Path, calls: list[str]) -> None:
+    with replacing(tmp_path / "file") as file:
+        file.write(b"12345")
+    assert calls == ["sync 5 bytes", "rename", "sync folder"]
+    assert (tmp_path / "file").read_bytes() == b"12345"
+
+
+def test_commit_syncs_what_is_still_in_the_buffer(tmp_path: Path, calls: list[str]) -> None:
+    file = (tmp_path / "temporary").open("wb")
+    file.write(b"123")
+    commit(file, tmp_path / "file")
+    assert calls == ["sync 3 bytes", "rename", "sync folder"]
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("error", [OSError("no space left"), KeyboardInterrupt()])
+def test_an_interrupted_write_leaves_the_file_that_was_there(
+    tmp_path: Path, error: BaseException
+) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"old")
+    with pytest.raises(type(error)), replacing(path) as file:
+        file.write(b"half of the new")
+        raise error
+    assert path.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_missing_folder_is_an_os_error(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="nowhere"), replacing(tmp_path / "nowhere" / "file"):
+        pass
