@@ -121,7 +121,10 @@ class TestOtherProcesses:
         for data in collected[0]:
             assert data.shape == single.shape == (ROBOTS, SAMPLES // ROBOTS)
             assert data.names == single.names
-            for key in SENT:
+            kept = [key for key in SENT if key in single.keys(True)]
+            assert set(kept) == {key for key in SENT if key in data.keys(True)}
+            assert set(SENT) - set(kept) == {"stagger"}  # of trainings only
+            for key in kept:
                 assert data[key].shape == single[key].shape
                 if isinstance(data[key], torch.Tensor):
                     assert data[key].dtype == single[key].dtype

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Any
 
 import torch
@@ -11,7 +13,7 @@ from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from aslip.errors import UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError
 
 
 class CassieTransform(Transform):
@@ -85,6 +87,33 @@ class CassieTransform(Transform):
         if parent is None:
             raise RuntimeError(f"{type(self).__name__} needs an environment; add it to one first")
         return TensorDict(batch_size=parent.batch_size)
+
+
+def check_number(
+    name: str, value: Any, low: float = -math.inf, high: float = math.inf, what: str = ""
+) -> float:
+    """A setting as a float, if it is a finite number from `low` to `high`.
+
+    Args:
+        name: of the setting, for the message.
+        value: what was given.
+        low: least value.
+        high: greatest value.
+        what: meaning and unit, for the message.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    real = isinstance(value, Real) and not isinstance(value, bool)
+    number = float(value) if real else math.nan
+    if not math.isfinite(number) or not low <= number <= high:
+        limits = [f"of at least {low:g}"] * (low > -math.inf) + [f"of at most {high:g}"] * (
+            high < math.inf
+        )
+        told = " ".join(["a finite number", " and ".join(limits)]).strip()
+        meaning = f" ({what})" if what else ""
+        raise ConfigurationError(f"{name} must be {told}{meaning}, got {value!r}")
+    return number
 
 
 def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 from typing import cast
 
 import torch
@@ -14,7 +15,7 @@ from torchrl.data import Composite
 from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
-from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
 
 
 class SpeedCommand(CassieTransform):
@@ -45,7 +46,8 @@ class SpeedCommand(CassieTransform):
         interval: float = math.inf,
     ) -> None:
         super().__init__(in_keys=[], out_keys=["command"])
-        if not interval >= POLICY_PERIOD:
+        number = isinstance(interval, Real) and not isinstance(interval, bool)
+        if not number or not interval >= POLICY_PERIOD:
             raise ConfigurationError(
                 f"interval must be a policy step, {POLICY_PERIOD} s, or more, got {interval!r}"
             )
@@ -54,6 +56,7 @@ class SpeedCommand(CassieTransform):
         self._bounds = torch.tensor([library.speeds[0], library.speeds[-1]], dtype=torch.float32)
         self.speeds: Tensor
         chosen = list(library.speeds if speeds is None else speeds)
+        chosen = [check_number("a speed", v, what="in m/s") for v in chosen]
         if not chosen:
             raise ConfigurationError("speeds is empty; give at least one speed in m/s")
         self.register_buffer(
@@ -132,8 +135,11 @@ class PhaseClock(CassieTransform):
         return tensordict_reset.set("phase", tensordict["phase"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        advance = POLICY_PERIOD / self.library.stride(tensordict["command"])
-        return next_tensordict.set("phase", (tensordict["phase"] + advance) % 1.0)
+        # a caller may have written either, command also as integers
+        command, phase = (_checked(tensordict, key) for key in ("command", "phase"))
+        return next_tensordict.set(
+            "phase", (phase + POLICY_PERIOD / self.library.stride(command)) % 1.0
+        )
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add `phase`."""

@@ -11,7 +11,7 @@ from torchrl.data import Composite, Unbounded
 
 from aslip.errors import ConfigurationError
 from aslip.task import FALL_HEIGHT
-from aslip.transforms.base import CassieTransform
+from aslip.transforms.base import CassieTransform, check_number
 
 
 class _Termination(CassieTransform):
@@ -46,11 +46,14 @@ class LowReward(_Termination):
 
     Args:
         threshold: "less than 0.3" in the paper (Sec. IV-B).
+
+    Raises:
+        ConfigurationError: the threshold is no finite number.
     """
 
     def __init__(self, threshold: float = 0.3) -> None:
         super().__init__(["reward"])
-        self.threshold = threshold
+        self.threshold = check_number("threshold", threshold)
 
     def _over(self, value: Tensor) -> Tensor:
         # a reward that is not a number is low, too
@@ -66,11 +69,14 @@ class Fall(_Termination):
 
     Args:
         height: of the pelvis above the floor [m].
+
+    Raises:
+        ConfigurationError: the height is no finite number.
     """
 
     def __init__(self, height: float = FALL_HEIGHT) -> None:
         super().__init__([("truth", "pelvis_position")])
-        self.height = height
+        self.height = check_number("height", height, what="of the pelvis [m]")
 
     def _over(self, value: Tensor) -> Tensor:
         return value[..., 2:] < self.height

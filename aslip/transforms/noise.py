@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import ClassVar, cast
 
 import torch
@@ -15,7 +16,7 @@ from torchrl.data import Composite
 from aslip.cassie import POLICY_PERIOD
 from aslip.cassie.sensing import NOISE_CHANNELS, SENSOR_NOISE, NoiseLevel
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in NOISE_CHANNELS)
 _BIAS_KEYS = tuple(("sensor_bias", name) for name in NOISE_CHANNELS)
@@ -58,9 +59,9 @@ class ObservationNoise(CassieTransform):
         bias_time: float = 10.0,
     ) -> None:
         super().__init__(in_keys=[*self._reads], out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
-        if not 0 <= scale < math.inf:
-            raise ConfigurationError(f"scale must be finite and 0 or more, got {scale!r}")
-        if not bias_time > 0:
+        scale = check_number("scale", scale, low=0)
+        number = isinstance(bias_time, Real) and not isinstance(bias_time, bool)
+        if not number or not bias_time > 0:
             raise ConfigurationError(f"bias_time must be more than 0 s, got {bias_time!r}")
         self.levels = dict(SENSOR_NOISE) | _checked(levels or {})
         self._decay = math.exp(-POLICY_PERIOD / bias_time)

@@ -14,7 +14,7 @@ from torchrl.data import Composite
 from aslip.cassie import MOTOR_NAMES, PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, Reference
-from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
 
 _MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))
 _BODY = tuple(field.name for field in fields(Reference) if field.name not in _MOTORS)
@@ -41,6 +41,9 @@ class ReferenceInjection(CassieTransform):
         motor_lead: how far ahead the motors are read, in policy steps.
         reference_key: another key in place of "reference".
         goal_key: another key in place of "goal".
+
+    Raises:
+        ConfigurationError: `motor_lead` is no finite number.
     """
 
     def __init__(
@@ -53,7 +56,7 @@ class ReferenceInjection(CassieTransform):
     ) -> None:
         super().__init__(in_keys=["command", "phase"], out_keys=[reference_key, goal_key])
         self.library = library
-        self.motor_lead = motor_lead
+        self.motor_lead = check_number("motor_lead", motor_lead, what="in policy steps")
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         command, phase = next_tensordict["command"], next_tensordict["phase"]

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.transforms.base import CassieTransform, extend_spec
+from aslip.transforms.base import CassieTransform, check_number, extend_spec
 
 TermFunction = Callable[..., Tensor]
 
@@ -39,6 +39,17 @@ class RewardTerm(CassieTransform):
         next_keys: Sequence[NestedKey],
         root_keys: Sequence[NestedKey] = (),
     ) -> None:
+        if not isinstance(name, str) or not name:
+            raise ConfigurationError(f"name must be a string that is not empty, got {name!r}")
+        if not callable(function):
+            raise ConfigurationError(f"function of {name!r} must be callable, got {function!r}")
+        for which, keys in (("next_keys", next_keys), ("root_keys", root_keys)):
+            if isinstance(keys, str) or not isinstance(keys, Sequence):
+                raise ConfigurationError(f"{which} of {name!r} must be a list, got {keys!r}")
+        if not [*next_keys, *root_keys]:
+            raise ConfigurationError(
+                f"the term {name!r} reads nothing; give next_keys or root_keys"
+            )
         super().__init__(in_keys=[*next_keys, *root_keys], out_keys=[("reward_terms", name)])
         self.function = function
         self.next_keys = tuple(next_keys)
@@ -86,13 +97,15 @@ class WeightedReward(CassieTransform):
 
     def __init__(self, weights: Mapping[str, float]) -> None:
         super().__init__(in_keys=["reward_terms"], out_keys=["reward"])
-        for name, weight in weights.items():
-            if not 0 <= weight < float("inf"):
-                raise ConfigurationError(
-                    f"the weight of {name!r} must be a number >= 0, got {weight!r}; a penalty is"
-                    " a term that falls from one to zero, such as exp(-cost)"
-                )
-        self.weights = dict(weights)
+        if not isinstance(weights, Mapping) or not weights:
+            raise ConfigurationError(
+                f"weights must map names of terms to weights, at least one, got {weights!r}"
+            )
+        penalty = "a penalty is a term that falls from one to zero, such as exp(-cost)"
+        self.weights = {
+            name: check_number(f"the weight of {name!r}", weight, low=0, what=penalty)
+            for name, weight in weights.items()
+        }
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         del tensordict

@@ -386,7 +386,9 @@ def test_a_bare_number_is_no_level() -> None:
 
 @pytest.mark.parametrize("scale", [-1.0, math.nan, math.inf])
 def test_a_scale_that_is_none_is_refused(scale: float) -> None:
-    with pytest.raises(ConfigurationError, match="scale must be finite and 0 or more, got"):
+    with pytest.raises(
+        ConfigurationError, match="scale must be a finite number of at least 0, got"
+    ):
         ObservationNoise(scale=scale)
 
 
