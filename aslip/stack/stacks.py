@@ -26,6 +26,7 @@ from aslip.transforms import (
     EstimatedState,
     Fall,
     Feedforward,
+    FirstStep,
     HeadingFrame,
     LastAction,
     LowReward,
@@ -99,6 +100,8 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
     learning to walk takes a fraction of the samples; see `paper_stack`.
 
     The policy never sees the truth: its input is what a state estimator makes of noisy sensors.
+    A collector's `max_frames_per_traj` counts on its own; with it, drop `step_limit`.
+
     Rewards read the truth, as usual when training in simulation, where the simulator knows what a
     robot could only guess; with `reward_on="estimate"` they read the estimator's odometry instead.
 
@@ -124,6 +127,7 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
         "fall": Fall,
         "low_reward": LowReward,
         "step_limit": lambda: StepCounter(MAX_EPISODE_STEPS),
+        "first_step": FirstStep,
         "episode_sum": EpisodeSum,
     }
 

@@ -9,7 +9,7 @@ from aslip.cassie.sensing import SENSOR_NOISE, NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
 from aslip.transforms.base import CassieTransform
 from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand
-from aslip.transforms.episode import Fall, LowReward, StaggeredEnds
+from aslip.transforms.episode import Fall, FirstStep, LowReward, StaggeredEnds
 from aslip.transforms.estimate import ESTIMATE_SIZES, ODOMETRY_SIZES, EstimatedState, TrueState
 from aslip.transforms.heading import HeadingFrame
 from aslip.transforms.noise import ObservationNoise
@@ -42,6 +42,7 @@ __all__ = [
     "EstimatedState",
     "Fall",
     "Feedforward",
+    "FirstStep",
     "HeadingFrame",
     "LastAction",
     "LowReward",

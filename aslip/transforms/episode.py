@@ -1,4 +1,4 @@
-"""When an episode is over."""
+"""When an episode begins, and when it is over."""
 
 from __future__ import annotations
 
@@ -7,11 +7,42 @@ from numbers import Integral
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Composite, Unbounded
+from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.errors import ConfigurationError
 from aslip.task import FALL_HEIGHT
 from aslip.transforms.base import CassieTransform, check_number
+
+
+class FirstStep(CassieTransform):
+    """Write whether the coming step is the first of its episode, `is_init` (n, 1) bool.
+
+    Recurrent policies forget by it, and TorchRL's collectors ask for it whatever the policy. As
+    TorchRL's `InitTracker`, without asking for the specs of the whole stack.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=[], out_keys=["is_init"])
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        del tensordict
+        return self._write(next_tensordict, False)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        # TorchRL takes only the rows of robots that are reset
+        return self._write(tensordict_reset, True)
+
+    def _write(self, tensordict: TensorDictBase, first: bool) -> TensorDictBase:
+        return tensordict.set("is_init", torch.full((*tensordict.batch_size, 1), first))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the flag."""
+        shape = torch.Size((*observation_spec.shape, 1))
+        observation_spec["is_init"] = Binary(shape=shape, dtype=torch.bool)
+        return observation_spec
 
 
 class _Termination(CassieTransform):
