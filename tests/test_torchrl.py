@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+from functools import partial
 from typing import Any
 
 import pytest
 import torch
 from tensordict.nn import TensorDictModule
 from torch import nn
+from torchrl.collectors import Collector
 from torchrl.data import Bounded
-from torchrl.envs import TransformedEnv
+from torchrl.envs import ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import (
     ActionDiscretizer,
     ActionScaling,
+    ExcludeTransform,
+    FrameSkipTransform,
+    InitTracker,
     NoopResetEnv,
     RenameTransform,
     RewardScaling,
@@ -31,7 +38,8 @@ from torchrl.objectives import SACLoss, TD3Loss
 
 from aslip import load_policy
 from aslip.errors import ConfigurationError
-from aslip.stack import STACKS
+from aslip.stack import STACKS, default_stack, make_env
+from aslip.transforms import LowReward
 from tests.conftest import MakeEnv
 
 # no target networks are updated here
@@ -175,3 +183,73 @@ def test_twin_delayed_gradients_know_the_range(make: MakeEnv) -> None:
     loss = TD3Loss(actor, _critic(), action_spec=env.action_spec_unbatched)
     data = env.rollout(3, actor, break_when_any_done=False)
     assert loss(data.reshape(-1))["loss_qvalue"].isfinite()
+
+
+def test_a_shipped_policy_collects_without_a_warning(
+    make: MakeEnv, recwarn: pytest.WarningsRecorder
+) -> None:
+    collector = Collector(make(num_envs=2), load_policy("aslip"), frames_per_batch=8)
+    data = next(iter(collector))
+    collector.shutdown()
+    assert [str(w.message) for w in recwarn if "transforms required" in str(w.message)] == []
+    assert data["is_init"][:, 0].all()
+    assert not data["is_init"][:, 1:].any()
+
+
+def test_the_first_step_is_marked_as_torchrl_does(make: MakeEnv) -> None:
+    env = make(num_envs=3, replace={"low_reward": LowReward(0.7)})
+    env.append_transform(InitTracker("torchrl_is_init"))
+    torch.manual_seed(0)
+    data = env.rollout(30, break_when_any_done=False)
+    done = data["next", "done"][..., 0]
+    assert (done.any(0) & ~done.all(0)).any()  # some robots began again while others went on
+    for level in (data, data["next"]):
+        assert torch.equal(level["is_init"], level["torchrl_is_init"])
+
+
+def test_a_collector_may_limit_episodes_in_place_of_the_stack(make: MakeEnv) -> None:
+    env = make(num_envs=2, drop=["step_limit", "low_reward"])
+    policy = load_policy("aslip")
+    collector = Collector(env, policy, frames_per_batch=12, max_frames_per_traj=3)
+    data = next(iter(collector))
+    collector.shutdown()
+    assert data["next", "truncated"][..., 0].tolist() == 2 * [2 * [False, False, True]]
+
+
+@pytest.mark.parametrize("how", [pickle.dumps, copy.deepcopy, copy.copy])
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_a_copy_is_refused_and_the_way_is_named(make: MakeEnv, backend: str, how: Any) -> None:
+    env = make(backend, num_envs=2)
+    for thing in (env, env.base_env):
+        with pytest.raises(ConfigurationError, match=r"partial\(aslip.make_env, num_envs=2\)"):
+            how(thing)
+
+
+@pytest.mark.parametrize("several", [SerialEnv, pytest.param(ParallelEnv, marks=pytest.mark.slow)])
+def test_several_environments_are_made_from_what_makes_one(several: Any) -> None:
+    env = several(2, partial(make_env, num_envs=2, num_threads=1))
+    try:
+        assert env.rollout(3)["next", "reward"].shape == (2, 2, 3, 1)
+    finally:
+        env.close()
+
+
+def test_a_group_that_cannot_be_left_out_names_its_entries(make: MakeEnv) -> None:
+    env = make(num_envs=2)
+    with pytest.raises(ConfigurationError, match=r"'sensors' is a group.*\('sensors', ") as info:
+        env.append_transform(ExcludeTransform("sensors"))
+    with pytest.raises(ConfigurationError, match="'truth' is a group"):
+        env.insert_transform(len(env.transforms), ExcludeTransform("observation", "truth"))
+    with pytest.raises(ConfigurationError, match="'truth' is a group"):
+        make(stack={**default_stack(), "slim": lambda: ExcludeTransform("truth")})
+    advice = str(info.value).partition("for all of them: ")[2]
+    env.append_transform(eval(advice))
+    check_env_specs(env)
+    assert not env.rollout(2)["sensors"].keys()
+
+
+def test_steps_that_would_move_the_robot_but_not_the_clock_are_refused(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match="clock and estimator one"):
+        make().append_transform(FrameSkipTransform(2))
+    with pytest.raises(ConfigurationError, match="clock and estimator one"):
+        make(stack={**default_stack(), "skip": lambda: FrameSkipTransform(2)})

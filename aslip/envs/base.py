@@ -303,6 +303,18 @@ class CassieEnv(EnvBase):
         }
         return {"sensors": sensors, "truth": truth}
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refused: TorchRL's processes take what makes an environment.
+
+        Raises:
+            ConfigurationError: always.
+        """
+        raise ConfigurationError(
+            "an environment is a running simulation and cannot be copied or pickled; give what"
+            " makes it, such as functools.partial(aslip.make_env, num_envs="
+            f"{self.batch_size.numel()}), to ParallelEnv, EnvCreator and collectors"
+        )
+
     def _set_seed(self, seed: int | None) -> None:
         """The robots themselves draw nothing; transforms have their own generators."""
 

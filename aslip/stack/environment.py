@@ -8,9 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import TensorSpec
+from tensordict.utils import NestedKey
+from torchrl.data import Composite, TensorSpec
 from torchrl.envs import EnvBase, TransformedEnv
-from torchrl.envs.transforms import Compose, Transform
+from torchrl.envs.transforms import Compose, ExcludeTransform, FrameSkipTransform, Transform
 
 from aslip.envs import CassieEnv
 from aslip.envs.base import requested
@@ -33,10 +34,14 @@ class CassieTransformedEnv(TransformedEnv):
     # mistaken for one that an environment of its own kind has overwritten, and refused
     rand_action = EnvBase.rand_action
 
+    __reduce_ex__ = CassieEnv.__reduce_ex__
+
     def __init__(self, env: CassieEnv, transforms: Mapping[str, Transform]) -> None:
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
         self.transform_names = tuple(transforms)
+        for transform in transforms.values():
+            _check_foreign(transform, env)
         self.seed: int | None = None
         """The last seed that was set."""
 
@@ -57,13 +62,23 @@ class CassieTransformedEnv(TransformedEnv):
     def append_transform(
         self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]
     ) -> TransformedEnv:
-        """Add a transform at the end; it is named after its class."""
+        """Add a transform at the end; it is named after its class.
+
+        Raises:
+            ConfigurationError: it is one of TorchRL's that a stack makes no sense of.
+        """
+        _check_foreign(transform, self)
         before = self.transforms
         super().append_transform(transform)
         return self._renamed(before)
 
     def insert_transform(self, index: int, transform: Transform) -> TransformedEnv:
-        """Add a transform in front of another; it is named after its class."""
+        """Add a transform in front of another; it is named after its class.
+
+        Raises:
+            ConfigurationError: it is one of TorchRL's that a stack makes no sense of.
+        """
+        _check_foreign(transform, self)
         before = self.transforms
         super().insert_transform(index, transform)
         return self._renamed(before)
@@ -127,6 +142,39 @@ def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
         return []
     groups = ("initial", "dynamics")
     return [(group, name) for group in groups for name in requested(tensordict, group)]
+
+
+def _check_foreign(transform: object, env: EnvBase) -> None:
+    """Check that a transform of TorchRL's works with what the stack carries in the tensordict.
+
+    Args:
+        transform: the transform, ours or another.
+        env: what it is added to.
+
+    Raises:
+        ConfigurationError: it does not; the message names what does.
+    """
+    if isinstance(transform, FrameSkipTransform):
+        raise ConfigurationError(
+            "FrameSkipTransform repeats a step from the same tensordict: the robot would move"
+            f" {transform.frame_skip} policy steps, clock and estimator one; call env.step again"
+            " with the same action instead"
+        )
+    if isinstance(transform, ExcludeTransform):
+        spec = env.observation_spec
+        for key in transform.excluded_keys:
+            if isinstance(spec.get(key, None), Composite):
+                raise ConfigurationError(
+                    f"ExcludeTransform takes single entries, and {key!r} is a group; for all of"
+                    f" them: ExcludeTransform(*{_entries(key, spec)})"
+                )
+
+
+def _entries(group: NestedKey, spec: Composite) -> list[NestedKey]:
+    """Full keys of what is in a group."""
+    parents = (group,) if isinstance(group, str) else group
+    inside = spec[group].keys(True, True)
+    return [(*parents, *((key,) if isinstance(key, str) else key)) for key in inside]
 
 
 def check_seed(seed: object) -> int:
