@@ -85,7 +85,7 @@ SENSOR_NOISE: Final = MappingProxyType(
         "motor_velocity": NoiseLevel(),
         # shin, tarsus, foot, of both legs
         "joint_position": NoiseLevel(white=(2e-4, 2e-4, 0.0) * 2),
-        "joint_velocity": NoiseLevel(),
+        "joint_velocity": NoiseLevel(white=(1.48e-2, 1.48e-2, 0.0) * 2),
         "orientation": NoiseLevel(white=5e-4, bias=1.5e-3),
         "gyro": NoiseLevel(white=5e-4, bias=1e-3),
         "accelerometer": NoiseLevel(white=1e-2, bias=2e-2),
@@ -99,7 +99,11 @@ nothing, and we choose:
 
 - Motor and foot encoders have no noise beyond their quantisation.
 - Encoders have no bias: they are absolute, and calibrated at start-up.
-- Velocities have none of their own: the robot filters them out of the positions.
+- Joint velocities have what the encoders' noise becomes in the filter that makes them out of
+  angles at 2 kHz (`aslip.sim.sensors.JOINT_VELOCITY_FILTER`): 74 /s times 2e-4 rad, the square root
+  of the sum of the filter's squared impulse response. From packet to packet it is nearly white
+  (correlation 0.08).
+- Motor velocities have none, as their encoders have none.
 - The orientation is the output of a filter in an inertial unit rated to 0.5 degrees (9e-3 rad); it
   errs well below the rating, and more slowly than from packet to packet.
 - Gyro and accelerometer are biased by twice their white noise: over the ten packets of a policy

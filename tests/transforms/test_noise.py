@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.signal import lfilter
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
@@ -19,8 +20,9 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from aslip.cassie import POLICY_PERIOD
-from aslip.cassie.sensing import NOISE_CHANNELS
+from aslip.cassie.sensing import NOISE_CHANNELS, PACKET_SUBSTEPS
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.sim.sensors import JOINT_VELOCITY_FILTER
 from aslip.transforms import SENSOR_NOISE, NoiseLevel, ObservationNoise
 from tests.conftest import differing, leaves
 
@@ -239,13 +241,14 @@ def test_without_noise_the_packets_are_the_same_to_the_bit(noise: ObservationNoi
 
 
 def test_channels_without_noise_are_the_same_to_the_bit() -> None:
-    """By default the motors, all velocities, and the encoders of the feet."""
+    """By default the motors and the encoders of the feet."""
     clean = _clean(4)
     noisy = _start(ObservationNoise(), clean)
     changed = {name: noisy["sensors", name] != clean["sensors", name] for name in SIZES}
-    for name in ("motor_position", "motor_velocity", "joint_velocity"):
+    for name in ("motor_position", "motor_velocity"):
         assert not changed[name].any(), name
-    assert changed["joint_position"].any(1).any(0).tolist() == [True, True, False] * 2
+    for name in ("joint_position", "joint_velocity"):
+        assert changed[name].any(1).any(0).tolist() == [True, True, False] * 2, name
     for name in ("orientation", "gyro", "accelerometer"):
         assert changed[name].any(-1).all(), name
 
@@ -332,8 +335,20 @@ def test_the_default_levels_are_the_declared_and_the_chosen_ones() -> None:
     assert SENSOR_NOISE["accelerometer"] == NoiseLevel(white=1e-2, bias=2e-2)
     assert SENSOR_NOISE["orientation"] == NoiseLevel(white=5e-4, bias=1.5e-3)
     silent = {name for name, level in SENSOR_NOISE.items() if level == NoiseLevel()}
-    assert silent == {"motor_position", "motor_velocity", "joint_velocity"}
+    assert silent == {"motor_position", "motor_velocity"}
     assert set(SENSOR_NOISE) == set(NOISE_CHANNELS)
+
+
+def test_joint_velocities_err_by_what_the_encoders_noise_becomes_in_their_filter() -> None:
+    angle, rate = (
+        np.asarray(SENSOR_NOISE[f"joint_{name}"].white) for name in ("position", "velocity")
+    )
+    noise = np.random.default_rng(0).normal(size=(400_000, len(angle))) * angle
+    filtered = np.asarray(lfilter(*JOINT_VELOCITY_FILTER, noise, axis=0))[1000:]
+    np.testing.assert_allclose(rate, filtered.std(0), rtol=0.01)
+    packets = filtered[::PACKET_SUBSTEPS, 0]
+    # white enough to be drawn anew for every packet
+    assert abs(np.corrcoef(packets[1:], packets[:-1])[0, 1]) < 0.1
 
 
 def test_levels_take_the_place_of_those_named_only() -> None:
