@@ -13,7 +13,7 @@ from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
-from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 
 
 class CassieTransform(Transform):
@@ -138,3 +138,19 @@ def require_keys(transform: Transform, spec: TensorSpec, keys: Sequence[NestedKe
                 f"{type(transform).__name__} reads {key!r}, which nothing before it in the stack"
                 f" writes; there are {names}"
             )
+
+
+def checked_column(tensordict: TensorDictBase, key: str) -> torch.Tensor:
+    """A value that a caller may have written, in single precision.
+
+    Raises:
+        ShapeError: it has not one number a robot.
+        ConfigurationError: a number is not finite.
+    """
+    value = torch.as_tensor(tensordict[key])
+    expected = (*tensordict.batch_size, 1)
+    if tuple(value.shape) != expected:
+        raise ShapeError(f"{key} must have shape {expected}, got {tuple(value.shape)}")
+    if not torch.isfinite(value).all():
+        raise ConfigurationError(f"{key} must be finite, got {value.tolist()}")
+    return value.float()

@@ -13,9 +13,15 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.cassie import POLICY_PERIOD
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import (
+    CassieTransform,
+    check_number,
+    checked_column,
+    extend_spec,
+    require_keys,
+)
 
 
 class SpeedCommand(CassieTransform):
@@ -86,7 +92,7 @@ class SpeedCommand(CassieTransform):
 
     def _checked(self, tensordict: TensorDictBase) -> Tensor:
         """What is commanded, if gaits for it are in the library."""
-        command = _checked(tensordict, "command")
+        command = checked_column(tensordict, "command")
         # bounds rounded as the command is
         outside = (command < self._bounds[0]) | (command > self._bounds[1])
         if outside.any():
@@ -127,7 +133,7 @@ class PhaseClock(CassieTransform):
         shape = (*tensordict.batch_size, 1)
         draw = torch.rand(shape, generator=self.generator, dtype=torch.float32)
         tensordict = self._draw_into_reset(tensordict, "phase", draw)
-        return tensordict.set("phase", _checked(tensordict, "phase") % 1.0)
+        return tensordict.set("phase", checked_column(tensordict, "phase") % 1.0)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -136,7 +142,7 @@ class PhaseClock(CassieTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         # a caller may have written either, command also as integers
-        command, phase = (_checked(tensordict, key) for key in ("command", "phase"))
+        command, phase = (checked_column(tensordict, key) for key in ("command", "phase"))
         return next_tensordict.set(
             "phase", (phase + POLICY_PERIOD / self.library.stride(command)) % 1.0
         )
@@ -165,19 +171,3 @@ class ClockInput(CassieTransform):
         """Add sine and cosine."""
         require_keys(self, observation_spec, ["phase"])
         return extend_spec(observation_spec, {("clock", "sin"): 1, ("clock", "cos"): 1})
-
-
-def _checked(tensordict: TensorDictBase, key: str) -> Tensor:
-    """A value that a caller may have written, in single precision.
-
-    Raises:
-        ShapeError: it has not one number a robot.
-        ConfigurationError: a number is not finite.
-    """
-    value = torch.as_tensor(tensordict[key])
-    expected = (*tensordict.batch_size, 1)
-    if tuple(value.shape) != expected:
-        raise ShapeError(f"{key} must have shape {expected}, got {tuple(value.shape)}")
-    if not torch.isfinite(value).all():
-        raise ConfigurationError(f"{key} must be finite, got {value.tolist()}")
-    return value.float()

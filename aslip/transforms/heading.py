@@ -12,8 +12,7 @@ from torchrl.data import Composite
 
 from aslip.cassie import SIDES
 from aslip.rewards import rotate_inverse, yaw_angle
-from aslip.transforms.base import CassieTransform, extend_spec, require_keys
-from aslip.transforms.command import _checked as checked_column
+from aslip.transforms.base import CassieTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
 
 _GROUP = "true_odometry"
