@@ -94,8 +94,17 @@ def test_pendulums_take_the_place_of_gaits(library: GaitLibrary) -> None:
     np.testing.assert_array_equal(pendulums.speeds, [gait.speed for gait in gaits])
     np.testing.assert_array_equal(pendulums.table.strides, [gait.stride for gait in gaits])
     assert np.ptp(pendulums.table.body_position[0, :, 2]) == 0
-    low, high = gaits[0].body_position[:, 2].min(), gaits[0].body_position[:, 2].max()
-    assert low < pendulums.table.body_position[0, 0, 2] < high
+
+
+def test_a_pendulum_of_every_gait_lifts_its_feet_as_high_below_the_body(
+    library: GaitLibrary,
+) -> None:
+    table = pendulum_library(library.gaits, samples=32).table
+    phase = np.arange(320) / 320
+    for lowest, gait in zip(-table.left_foot_position[..., 2].max(1), library.gaits, strict=True):
+        sample = gait.sample(phase)
+        leg = sample.body_position[:, 2] - sample.left_foot_position[:, 2]
+        assert lowest == pytest.approx(leg.min(), abs=5e-3)  # of 32 samples
 
 
 @pytest.mark.parametrize(
