@@ -108,6 +108,8 @@ class LivePage:
             self._readouts = Readouts(gui)
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH)
+        # a plot that was drawn as the page opened has lost its time axis
+        self._server.on_client_connect(lambda _: self._readouts.redraw())
         self._scene = SceneView(self._server, load_model(), walker.library)
         self._obey()
         self._show()

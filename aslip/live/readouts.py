@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -37,6 +38,8 @@ _LEGEND = "".join(
     for curve in _CURVES
 )
 _LEGEND = f"<div style='padding:0 0.8em 0.4em;font-size:0.8em;text-align:center'>{_LEGEND}</div>"
+# how often a plot is built anew for a visitor: for 2 s, an even number
+_REDRAWS = 12
 # the paper's terms in its order; others follow
 _ORDER = {name: i for i, name in enumerate(PAPER_WEIGHTS)}
 _TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#9aa5b8", "#333d52", "#c92a2a"
@@ -75,6 +78,7 @@ class Readouts:
         self._time = POLICY_PERIOD * np.arange(-round(PLOT_SPAN / POLICY_PERIOD), 1)
         self._history: deque[tuple[float, float, float]] = deque(maxlen=len(self._time))
         self._reward: dict[str, float] = {}
+        self._redraws = 0
         self._lines = gui.add_html("")
         self._plot = gui.add_uplot(
             self._curves(),
@@ -99,9 +103,17 @@ class Readouts:
         self._reward = {name: float(terms[name]) for name in names}
         self._reward["reward"] = float(after["reward"])
 
+    def redraw(self) -> None:
+        """Have browsers build the plot anew, some times until a visitor's page has its size.
+
+        uPlot leaves out the time axis of a plot that gets its data while the page is laid out.
+        """
+        self._redraws = _REDRAWS
+
     def show(self, status: Status) -> None:
         """Bring what is shown up to date; meant for a few times a second."""
         self._lines.content = _lines(status, self._mean_speed())
+        self._redraws = max(self._redraws - 1, 0)
         if (scales := self._scales()) != self._plot.scales:
             self._plot.scales = scales
         self._plot.data = self._curves()
@@ -123,11 +135,14 @@ class Readouts:
         uPlot finds no range of its own for data with NaN.
         """
         speeds = np.array(self._history or [(0.0, 0.0, 0.0)])
-        low = _SPEED_STEP * np.floor((speeds.min() - _MARGIN) / _SPEED_STEP)
-        high = _SPEED_STEP * np.ceil((speeds.max() + _MARGIN) / _SPEED_STEP)
+        low = _SPEED_STEP * math.floor((speeds.min() - _MARGIN) / _SPEED_STEP)
+        high = _SPEED_STEP * math.ceil((speeds.max() + _MARGIN) / _SPEED_STEP)
         return {
             "x": {"time": False, "range": (float(self._time[0]), 0.0)},
-            "y": {"range": (round(float(low), 6), round(float(high), 6))},
+            # a change that nobody sees has browsers build the plot anew
+            "y": {
+                "range": (round(float(low), 6), round(float(high), 6) + 1e-6 * (self._redraws % 2))
+            },
         }
 
     def _mean_speed(self) -> float:

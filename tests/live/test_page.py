@@ -133,6 +133,14 @@ def test_visitors_are_sent_where_robot_and_model_are_now(open_page):
         assert places["/rom/body"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
 
 
+def test_the_plot_is_built_anew_when_a_visitor_comes(open_page, monkeypatch):
+    page, redrawn = open_page(), []
+    monkeypatch.setattr(page._readouts, "redraw", lambda: redrawn.append(1))
+    with visit(page):
+        wait_for(lambda: redrawn)
+    assert redrawn == [1]
+
+
 @pytest.mark.parametrize(("degrees", "ahead", "left"), [(0, 1, 0), (90, 0, 1), (-135, -1, -1)])
 def test_a_push_has_its_direction_size_and_duration(open_page, degrees, ahead, left):
     steps = []

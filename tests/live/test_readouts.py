@@ -104,6 +104,23 @@ def test_the_range_of_speeds_holds_the_curves_closely(shown, readouts, library):
         assert high - 0.25 < np.nanmax(speeds) < high
 
 
+def test_a_plot_is_built_anew_for_a_visitor_and_then_no_more(shown, readouts):
+    def ranges(count: int) -> list[tuple[float, float]]:
+        seen = []
+        for _ in range(count):
+            readouts.show(STATUS)
+            seen.append(shown["uplot"][0].scales["y"]["range"])
+        return seen
+
+    rest = ranges(1)[0]
+    readouts.redraw()
+    seen = ranges(20)
+    assert len(set(seen)) == 2
+    assert seen[0] != rest
+    assert seen[-5:] == [rest] * 5
+    np.testing.assert_allclose(seen, [rest] * 20, atol=1e-5)
+
+
 def test_the_legend_names_every_curve_with_its_line(shown, readouts):
     legend = shown["html"][1].content
     for curve in _CURVES:
