@@ -46,6 +46,8 @@ class Kind:
     """Whether two contents are equal, bit for bit."""
     archive: bool = True
     """Whether it is a ZIP archive."""
+    at_once: bool = True
+    """Whether it is written at once; one that grows keeps what it has if the disk is full."""
     damages: Mapping[str, Callable[[bytes, np.random.Generator], bytes]] = field(
         default_factory=dict
     )
@@ -200,7 +202,7 @@ KINDS: dict[str, Kind] = {
         ),
         Kind("library", ".npz", _write_library, _load_library),
         Kind("checkpoint", ".torchrl", _write_checkpoint, _load_checkpoint),
-        Kind("log", ".mcap", _write_log, _load_log, archive=False),
+        Kind("log", ".mcap", _write_log, _load_log, archive=False, at_once=False),
     )
 }
 """Every kind of file, by name."""

@@ -28,6 +28,9 @@ every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
 every_archive = pytest.mark.parametrize(
     "kind", [kind for kind in KINDS.values() if kind.archive], ids=lambda kind: kind.name
 )
+at_once = pytest.mark.parametrize(
+    "kind", [kind for kind in KINDS.values() if kind.at_once], ids=lambda kind: kind.name
+)
 
 
 @pytest.fixture
@@ -37,6 +40,11 @@ def path(kind: Kind, tmp_path: Path) -> Path:
     folder.mkdir()
     kind.write(folder / f"whole{kind.suffix}")
     return folder / f"whole{kind.suffix}"
+
+
+def _step(kind: Kind) -> int:
+    """Stride through places to damage: a log takes a second to read, check and recover."""
+    return 1 if kind.archive else 10
 
 
 # ------------------------------------------------------------------------- reading
@@ -50,7 +58,7 @@ def test_a_whole_file_loads_again_and_again(kind: Kind, path: Path) -> None:
 @every_kind
 def test_a_cut_file_is_refused_wherever_it_ends(kind: Kind, path: Path) -> None:
     data = path.read_bytes()
-    ends = [int(share * len(data)) for share in np.linspace(0, 1, 41)[:-1]]
+    ends = [int(share * len(data)) for share in np.linspace(0, 1, 41)[: -1 : _step(kind)]]
     for end in [*ends, *(len(data) - missing for missing in (1, 2, 21, 22, 23))]:
         path.write_bytes(data[:end])
         with pytest.raises(FileDamagedError, match=path.name):
@@ -72,7 +80,8 @@ def _survives(kind: Kind, path: Path, data: bytes, whole: Any) -> str:
 def test_a_flipped_bit_is_refused_or_harmless(kind: Kind, path: Path) -> None:
     """Anywhere, and everywhere in the last bytes, where formats keep their directories."""
     data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(0)
-    offsets = {*rng.choice(len(data), 150).tolist(), *range(len(data) - 70, len(data))}
+    offsets = set(rng.choice(len(data), 150).tolist()[:: _step(kind)])
+    offsets |= set(range(len(data) - 70, len(data), _step(kind)))
     if kind.archive:  # the directory's first entry names methods and sizes
         start = data.index(b"PK\x01\x02")
         offsets |= set(range(start, start + 46))
@@ -89,7 +98,7 @@ def test_damage_of_every_sort_is_refused_or_harmless(kind: Kind, path: Path) -> 
     """A few of what `benchmarks.faults.files` does 1000 times; forged files may be in order."""
     data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(1)
     for name, damage in damages(kind).items():
-        for _ in range(3):
+        for _ in range(3 if kind.archive else 1):
             found = _survives(kind, path, damage(data, rng), whole)
             in_order = name.startswith("forged") and found == "other content"
             assert not found or in_order, name
@@ -237,7 +246,7 @@ def _full_disk(room: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-@every_kind
+@at_once
 def test_a_full_disk_leaves_what_was_there(kind: Kind, path: Path) -> None:
     """Full at any byte: an OSError, the old file, and nothing else in the folder."""
     size, old = path.stat().st_size, b"what was there"
@@ -249,7 +258,7 @@ def test_a_full_disk_leaves_what_was_there(kind: Kind, path: Path) -> None:
         assert list(path.parent.iterdir()) == [path]
 
 
-@every_kind
+@at_once
 def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
     whole = kind.load(path)
     path.write_bytes(b"what was there")
@@ -258,7 +267,7 @@ def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-@every_kind
+@at_once
 def test_writing_into_no_folder_is_an_os_error(kind: Kind, path: Path) -> None:
     with pytest.raises(OSError, match="nowhere"):
         kind.write(path.parent / "nowhere" / path.name)
