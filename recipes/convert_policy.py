@@ -8,18 +8,36 @@ convert those that you wrote yourself. The weights stay as they are, bit for bit
 
 from __future__ import annotations
 
-import json
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
+
+from aslip.cli import command_line
+from aslip.errors import FileDamagedError, one_line_errors
+
+
+@dataclass(frozen=True)
+class Config:
+    """Which file."""
+
+    path: Annotated[Path, tyro.conf.Positional]
+    """The policy's file; replaced as a whole."""
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import json
+import zipfile
+from typing import Any
+
 from tensordict import TensorDict
 from tensordict.utils import unravel_key
 from torchrl.checkpoint import Checkpoint
 
-from aslip.errors import FileDamagedError, one_line_errors
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 
 # what follows from statistics and names
@@ -29,14 +47,6 @@ _BASELINES = {
     "paper": ("reference", "motor_position"),
     "single_reference": ("reference", "motor_position"),
 }
-
-
-@dataclass(frozen=True)
-class Config:
-    """Which file."""
-
-    path: Annotated[Path, tyro.conf.Positional]
-    """The policy's file; replaced as a whole."""
 
 
 class _Weights:
@@ -105,4 +115,4 @@ def _refuse_programs(path: Path) -> None:
 
 if __name__ == "__main__":
     with one_line_errors():
-        main(tyro.cli(Config))
+        main(CONFIG)
