@@ -31,8 +31,7 @@ from aslip.evaluation import evaluate
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, set_std
 from aslip.run import TrainingStoppedError, read_progress
 from recipes import ppo_aslip
-from tests.conftest import differing
-from tests.test_recipes import TINY
+from tests.helpers import TINY, differing
 
 ROBOTS, SAMPLES = 4, 32
 
@@ -229,7 +228,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from recipes import ppo_aslip
-from tests.test_recipes import TINY
+from tests.helpers import TINY
 
 if __name__ == "__main__":
     config = replace(TINY, out=Path(sys.argv[1]), collector=sys.argv[2], total_steps=10**6)

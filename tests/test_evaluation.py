@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tensordict.nn import TensorDictModule
 
 import aslip
 from aslip.cassie import POLICY_PERIOD
@@ -17,22 +16,14 @@ from aslip.evaluation import WalkResult, evaluate, tracks, walk_table
 from aslip.library import GaitLibrary
 from aslip.stack import EPISODE_ENDS
 from aslip.transforms import SpeedCommand
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv, limp
 
 SPEEDS = [0.0, 1.0, 2.0]
 
 
-def _still() -> TensorDictModule:
-    return TensorDictModule(
-        lambda observation: torch.zeros(*observation.shape[:-1], 10),
-        in_keys=["observation"],
-        out_keys=["action"],
-    )
-
-
 def test_walks_equal_plain_episodes(make: MakeEnv) -> None:
     """Steps, return, distance and terms, of each robot until its own end."""
-    results = evaluate(_still(), make(num_envs=3), SPEEDS, num_steps=40)
+    results = evaluate(limp(), make(num_envs=3), SPEEDS, num_steps=40)
     for i, (speed, result) in enumerate(zip(SPEEDS, results, strict=True)):
         env = make(num_envs=1, seed=i + 7)
         td = env.reset()
@@ -62,20 +53,20 @@ def test_walks_equal_plain_episodes(make: MakeEnv) -> None:
 
 def test_another_number_of_robots_is_refused(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match="3 speeds need an environment of as many robots"):
-        evaluate(_still(), make(num_envs=2), SPEEDS)
+        evaluate(limp(), make(num_envs=2), SPEEDS)
 
 
 def test_a_stack_without_terms_can_be_evaluated(make: MakeEnv) -> None:
     """Rewards are the experiment's business."""
     terms = ["com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"]
     env = make(num_envs=3, drop=[*terms, "reward", "low_reward"])
-    results = evaluate(_still(), env, SPEEDS, num_steps=3)
+    results = evaluate(limp(), env, SPEEDS, num_steps=3)
     assert [result.terms for result in results] == [{}, {}, {}]
     assert "of 3 speeds 3 survived" in walk_table(results)
 
 
 def test_the_table_marks_who_fell(make: MakeEnv) -> None:
-    results = evaluate(_still(), make(num_envs=3), SPEEDS, num_steps=40)
+    results = evaluate(limp(), make(num_envs=3), SPEEDS, num_steps=40)
     table = walk_table(results)
     assert table.count(" fell |") == sum(not result.survived for result in results) > 0
 
@@ -134,4 +125,4 @@ def test_weight_is_that_of_the_robot_as_it_is(make: MakeEnv, changes: dict[str, 
 @pytest.mark.parametrize("steps", [0, -1, 2.5, True])
 def test_walks_of_no_steps_are_refused(make: MakeEnv, steps: Any) -> None:
     with pytest.raises(ConfigurationError, match=f"num_steps must be .* 1 or more, got {steps}"):
-        evaluate(_still(), make(), [1.0], num_steps=steps)
+        evaluate(limp(), make(), [1.0], num_steps=steps)

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from aslip.cassie import SIDES
 from aslip.ghost import Footholds, Ghost, heading, yaw_rotation
 from aslip.library import GaitLibrary
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 
 def _instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> TensorDict:

@@ -29,7 +29,7 @@ from aslip.transforms.base import extend_spec
 from aslip.walker import Walker
 from benchmarks import velocity_tracking
 from benchmarks.common import Common, environment
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 
 class AirTime(CassieTransform):

@@ -19,7 +19,7 @@ from aslip.rom import SlipParameters
 from aslip.stack import MAX_EPISODE_STEPS
 from aslip.transforms import LowReward
 from recipes.ppo_aslip import PRESETS
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 
 def test_observation_is_64d(make: MakeEnv) -> None:

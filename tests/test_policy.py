@@ -28,7 +28,7 @@ from aslip.policy import (
     save_policy,
 )
 from benchmarks.faults.archives import forged, unzipped
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 
 def _observations(num: int, seed: int = 0) -> torch.Tensor:

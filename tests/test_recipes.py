@@ -42,11 +42,7 @@ from aslip.transforms import (
 from aslip.transforms.base import extend_spec
 from aslip.walker import Walker
 from recipes import ablate, ppo_aslip
-from recipes.ppo_aslip import Config
-
-TINY = Config(
-    num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000, checkpoint_minutes=0
-)
+from tests.helpers import TINY
 
 
 def _rows(folder: Path) -> list[dict[str, str]]:

@@ -28,7 +28,7 @@ from aslip.stack import default_stack, randomised
 from aslip.transforms import TrueState
 from benchmarks.faults.trainings import TINY, Holder, killed, resumed, same, train, updates
 from recipes import ppo_aslip
-from tests.conftest import MakeEnv, differing
+from tests.helpers import MakeEnv, differing
 
 ROBOTS, STEPS = 4, 8
 

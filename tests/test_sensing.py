@@ -21,7 +21,7 @@ from aslip.transforms import (
     ObservationNoise,
     TrueState,
 )
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 # what ends episodes and rewards robots may look at the truth
 JUDGES = ["low_reward", "fall", "step_limit"]

@@ -22,7 +22,7 @@ from aslip.policy import policy_stack
 from aslip.stack import STACKS, single_reference_stack
 from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall
 from aslip.walker import Walker
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 STILL, SWINGING = torch.zeros(3), torch.tensor([1.0, 0.0, 0.5])
 

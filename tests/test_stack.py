@@ -40,7 +40,7 @@ from aslip.transforms import (
     SpeedCommand,
     WeightedReward,
 )
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 
 @pytest.mark.parametrize("how", ["drop", "replace"])

@@ -40,7 +40,7 @@ from aslip import load_policy
 from aslip.errors import ConfigurationError
 from aslip.stack import STACKS, default_stack, make_env
 from aslip.transforms import LowReward
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 # no target networks are updated here
 _NO_UPDATER = pytest.mark.filterwarnings("ignore:No target network updater")

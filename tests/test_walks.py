@@ -14,7 +14,7 @@ from aslip.library import GaitLibrary
 from aslip.log import Recorder, read
 from aslip.stack import EPISODE_ENDS, default_stack
 from aslip.walks import Walks, record_walks
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 STEPS = 40
 

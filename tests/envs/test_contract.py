@@ -21,7 +21,7 @@ from aslip.evaluation import evaluate
 from aslip.library import GaitLibrary
 from aslip.task import FALL_HEIGHT
 from aslip.transforms import Fall
-from tests.conftest import MakeEnv, differing, leaves
+from tests.helpers import MakeEnv, differing, leaves
 
 BACKENDS = ("batch", "dm_control")
 STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore

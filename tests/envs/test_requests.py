@@ -13,7 +13,7 @@ from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownName
 from aslip.library import GaitLibrary
 from aslip.stack import default_stack, insert_before
 from aslip.transforms import RandomDynamics
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 BACKENDS = ("batch", "dm_control")
 STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore

@@ -9,8 +9,7 @@ import pytest
 
 from aslip.library import GaitLibrary
 from aslip.library.file import GaitTable, write_library
-
-MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}
+from tests.helpers import MADE_BY
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from aslip.library import GaitLibrary, build_library
 from aslip.library.file import GaitTable, read_library, read_made_by
 from aslip.rom import Gait
 from benchmarks.faults.archives import forged, unzipped
-from tests.library.conftest import MADE_BY
+from tests.helpers import MADE_BY
 
 
 def _assert_same(gaits: list[Gait], table: GaitTable, library: GaitLibrary) -> None:

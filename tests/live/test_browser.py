@@ -13,7 +13,8 @@ from tensordict import TensorDictBase
 
 from aslip.live import LivePage
 from aslip.walker import Walker
-from tests.live.conftest import PATIENCE, limp, served, wait_for
+from tests.helpers import limp
+from tests.live.helpers import PATIENCE, served, wait_for
 
 playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from aslip.live import LivePage
-from tests.live.conftest import wait_for
+from tests.live.helpers import wait_for
 from tests.live.visitor import Visitor, visit
 
 INVALID = [None, "", "1.0", "9" * 309, math.nan, [], {}, [0.5], {"a": 1}, b"x", True]

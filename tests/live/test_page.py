@@ -11,7 +11,8 @@ from aslip.errors import AssetError, ConfigurationError
 from aslip.live import LivePage
 from aslip.walker import Walker
 from recipes.walk import Config
-from tests.live.conftest import limp, served, wait_for
+from tests.helpers import limp
+from tests.live.helpers import served, wait_for
 from tests.live.visitor import visit
 
 

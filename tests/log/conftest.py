@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
-import torch
 from tensordict import TensorDict
 from torchrl.envs.transforms import StepCounter
 
@@ -15,9 +14,8 @@ import aslip
 from aslip.cassie import PHYSICS_TIMESTEP
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read
-from aslip.stack import CassieTransformedEnv, default_stack, randomised
-
-MakeRecorded = Callable[..., CassieTransformedEnv]
+from aslip.stack import default_stack, randomised
+from tests.log.helpers import MakeRecorded, run
 
 
 @pytest.fixture(scope="session")
@@ -52,21 +50,6 @@ def make_recorded(library: GaitLibrary) -> MakeRecorded:
         )
 
     return make
-
-
-def run(env: CassieTransformedEnv, steps: int, size: float = 0.1) -> list[TensorDict]:
-    """Steps of random actions, each with what came before; episodes begin anew when they end."""
-    generator = torch.Generator().manual_seed(0)
-    seen, td = [], env.reset()
-    for step in range(steps):
-        action = size * torch.randn(env.num_envs, 10, generator=generator)
-        td["action"] = action
-        if step in (3, 4):
-            td["push"] = torch.tensor([[0.0, 20.0, 0.0]]).expand(env.num_envs, 3).clone()
-        stepped, td = env.step_and_maybe_reset(td)
-        seen.append(stepped.clone())
-        td = td.exclude("push")
-    return seen
 
 
 @pytest.fixture(scope="session")

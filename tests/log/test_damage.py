@@ -17,7 +17,7 @@ from aslip.errors import AssetError, ConfigurationError, FileDamagedError
 from aslip.log import Recording, check, read, recover, replay
 from aslip.log.messages import FORMAT
 from aslip.log.writer import METADATA, add_metadata, open_writer
-from tests.log.conftest import MakeRecorded
+from tests.log.helpers import MakeRecorded
 
 Alter = Callable[[Callable[[bytearray], None]], Path]
 MAGIC = b"\x89MCAP0\r\n"
@@ -26,7 +26,7 @@ MAGIC = b"\x89MCAP0\r\n"
 @pytest.fixture(scope="module")
 def log(make_recorded: MakeRecorded, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A walk of 3 s in one episode after another."""
-    from tests.log.conftest import run
+    from tests.log.helpers import run
 
     path = tmp_path_factory.mktemp("logs") / "walk.mcap"
     env = make_recorded(path)

@@ -29,7 +29,7 @@ from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
 from aslip.provenance import commit
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.stack import default_stack
-from tests.log.conftest import MakeRecorded, run
+from tests.log.helpers import MakeRecorded, run
 
 Walk = tuple[Path, list[TensorDict]]
 

@@ -17,7 +17,7 @@ from aslip.log import replay as package
 from aslip.log.__main__ import main
 from aslip.log.replay import low_level_differs
 from aslip.sim import Drive
-from tests.log.conftest import MakeRecorded, run
+from tests.log.helpers import MakeRecorded, run
 
 
 def test_every_state_is_equal_from_everywhere(recording: Recording) -> None:

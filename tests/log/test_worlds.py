@@ -18,7 +18,7 @@ from aslip.cassie.model import TIMESTEPS, load_model
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.log import Recording, check, read, replay
 from aslip.sim import DYNAMICS
-from tests.log.conftest import MakeRecorded, run
+from tests.log.helpers import MakeRecorded, run
 
 
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])

@@ -24,7 +24,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, check, read, recover, replay
 from aslip.stack import default_stack, insert_before
-from tests.log.conftest import MakeRecorded, run
+from tests.log.helpers import MakeRecorded, run
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import ActionDelta
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 
 def _spy(env: CassieTransformedEnv) -> list[np.ndarray]:

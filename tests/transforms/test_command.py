@@ -12,7 +12,7 @@ from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import SpeedCommand
-from tests.conftest import MakeEnv, leaves
+from tests.helpers import MakeEnv, leaves
 
 
 def _start(command: float, phase: float, num: int = 1) -> TensorDict:

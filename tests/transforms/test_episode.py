@@ -13,7 +13,7 @@ from torchrl.envs.transforms import StepCounter
 from aslip.errors import ConfigurationError
 from aslip.stack import CassieTransformedEnv
 from aslip.transforms import StaggeredEnds
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 LIMIT = 12
 

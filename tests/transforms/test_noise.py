@@ -24,7 +24,7 @@ from aslip.cassie.sensing import NOISE_CHANNELS, PACKET_SUBSTEPS
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.sim.sensors import JOINT_VELOCITY_FILTER
 from aslip.transforms import SENSOR_NOISE, NoiseLevel, ObservationNoise
-from tests.conftest import differing, leaves
+from tests.helpers import differing, leaves
 
 WINDOW = 10
 SIZES = NOISE_CHANNELS | {"orientation": 4}

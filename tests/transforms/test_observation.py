@@ -14,7 +14,7 @@ from aslip.transforms import (
     AssembleObservation,
     TrueState,
 )
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 # first index of each entry, as the docstring of AssembleObservation has it
 STARTS = {

@@ -17,7 +17,7 @@ from aslip.library import GaitLibrary
 from aslip.sim import DYNAMICS
 from aslip.stack import CassieTransformedEnv, Stack, default_stack, insert_before
 from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics, RandomNoise
-from tests.conftest import MakeEnv, differing
+from tests.helpers import MakeEnv, differing
 
 BACKENDS = ("batch", "dm_control")
 Ranges = Mapping[str, tuple[float, float]]

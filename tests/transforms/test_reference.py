@@ -21,7 +21,7 @@ from aslip.transforms import (
     ReferenceStart,
     SpeedCommand,
 )
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 
 @pytest.mark.parametrize("when", ["reset", "step"])

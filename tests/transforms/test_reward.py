@@ -18,7 +18,7 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.stack import default_stack
 from aslip.transforms import LowReward, RewardTerm, SpeedCommand, WeightedReward
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 TERMS = list(rewards.PAPER_WEIGHTS)
 

@@ -18,7 +18,7 @@ from aslip.transforms import (
     SpeedCommand,
     WeightedReward,
 )
-from tests.conftest import MakeEnv
+from tests.helpers import MakeEnv
 
 BAD = [float("nan"), float("inf"), "x", None, True]
 

@@ -1,0 +1,50 @@
+"""Comparisons, policies and settings that several test modules use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
+
+from aslip.ppo_settings import Config
+from aslip.stack import CassieTransformedEnv
+
+MakeEnv = Callable[..., CassieTransformedEnv]
+
+MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}
+
+TINY = Config(
+    num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000, checkpoint_minutes=0
+)
+"""A training of two updates."""
+
+
+def leaves(td: TensorDictBase) -> dict[tuple[str, ...], torch.Tensor]:
+    """All tensors of a tensordict by their full keys."""
+    return {
+        (key,) if isinstance(key, str) else key: value
+        for key, value in td.items(include_nested=True, leaves_only=True)
+    }
+
+
+def differing(a: TensorDictBase, b: TensorDictBase) -> list[str]:
+    """Keys that only one has, or whose bits differ (NaN equals NaN)."""
+    left, right = leaves(a), leaves(b)
+    odd = ["/".join(key) for key in left.keys() ^ right.keys()]
+    return sorted(odd) + sorted(
+        "/".join(key)
+        for key in left.keys() & right.keys()
+        if left[key].dtype != right[key].dtype
+        or not torch.allclose(left[key], right[key], rtol=0, atol=0, equal_nan=True)
+    )
+
+
+def limp() -> TensorDictModule:
+    """A policy that leaves the robot to the reference, on which it falls."""
+    return TensorDictModule(
+        lambda observation: torch.zeros(*observation.shape[:-1], 10),
+        in_keys=["observation"],
+        out_keys=["action"],
+    )
