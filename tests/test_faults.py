@@ -16,8 +16,17 @@ from aslip.envs import BatchCassieEnv
 from aslip.errors import AslipError, ConfigurationError
 from aslip.run import read_progress
 from aslip.settings import check_types
-from benchmarks.faults import checkpoints, processes, simulations, strangers, suite, trainings
+from benchmarks.faults import (
+    checkpoints,
+    files,
+    processes,
+    simulations,
+    strangers,
+    suite,
+    trainings,
+)
 from benchmarks.faults import settings as bad_settings
+from benchmarks.faults.kinds import KINDS
 from benchmarks.faults.trainings import TINY
 from recipes import ppo_aslip
 
@@ -54,6 +63,21 @@ def test_faults_are_survived(inject: suite.Inject, folder: Path) -> None:
 @pytest.mark.parametrize("inject", [processes.kills, processes.workers], ids=lambda f: f.__name__)
 def test_killed_processes_are_survived(inject: suite.Inject, tmp_path: Path) -> None:
     assert _survived(inject, 2, tmp_path) == 2
+
+
+def test_damaged_files_are_survived(folder: Path) -> None:
+    """One of each damage to a checkpoint; what is read of other content is told from it."""
+    kind = KINDS["checkpoint"]
+    count = len(files.damages(kind))
+    assert files.damaged("checkpoint", count, np.random.default_rng(0), folder) == count
+    kind.write(folder / "whole")
+    whole = kind.load(folder / "whole")
+    assert files.outcome(kind, folder / "whole", whole) == "same content"
+    assert files.outcome(kind, folder / "whole", {**whole, "actor": {}}) == "other content"
+    (folder / "whole").write_bytes(b"")
+    assert files.outcome(kind, folder / "whole", whole) == "refused"
+    broken = replace(kind, load=lambda path: [][len(str(path))])
+    assert files.outcome(broken, folder / "whole", whole) == "IndexError"
 
 
 def _say_nothing(*args: object, **kwargs: object) -> None:

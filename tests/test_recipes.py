@@ -412,7 +412,9 @@ def test_a_policy_of_another_observation_goes_where_there_is_one(tmp_path: Path)
     edits["drop"] = ["noise"]
     Walker(tmp_path, aslip.make_env(**edits, num_threads=1)).step()
     clock = ablate.VARIANTS["no_model_inputs"].edits()
-    with pytest.raises(ConfigurationError, match=r"observes .*the environment shows .*clock/sin"):
+    with pytest.raises(
+        ConfigurationError, match=r"lacks \['clock/sin', 'clock/cos'\] and .*has \['ref"
+    ):
         Walker(tmp_path, aslip.make_env(**clock, num_threads=1))
 
 
