@@ -41,11 +41,11 @@ class ArchiveFormat:
     """A kind of file that is an archive."""
 
     kind: str
-    """What such a file is called in messages."""
+    """Name of this kind of file in messages."""
     version: int
     """Files of other versions are refused."""
     advice: str = ""
-    """What to do about a file that is refused."""
+    """Advice to the owner of a file that is refused."""
     compressed: bool = False
     """Whether entries are compressed."""
 

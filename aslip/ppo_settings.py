@@ -24,7 +24,7 @@ class Config:
     """Settings; "Table II" is the paper's table of PPO hyper-parameters, the preset "paper"."""
 
     preset: Literal["default", "paper"] = "default"
-    """What all other settings are by default: the recipe's own, or what the paper says."""
+    """Defaults of all other settings: the recipe's own, or the paper's where it gives them."""
 
     out: Path = Path("runs/ppo_aslip")
     """Folder of the run."""
@@ -41,41 +41,41 @@ class Config:
     num_envs: int = 256
     """Robots simulated side by side."""
     stack: Literal["aslip", "paper", "single_reference"] = "aslip"
-    """What to learn on: with motor targets that make up for load and damping, or without, or the
-    paper's baseline, one reference motion."""
+    """Environment: motor targets with feedforward torque, without (paper), or the paper's baseline,
+    one reference motion."""
     symmetric: bool = True
     """Make actor and critic treat left and right alike; not in the paper."""
     value_scale: float = 10.0
-    """What an output of one of the critic's net is worth; one in the paper."""
+    """Factor on the output of the critic's network; 1 in the paper."""
     samples: int = 2048
-    """Policy steps an update; Table II says 5096."""
+    """Policy steps per update; Table II says 5096."""
     minibatch: int = 256
     """Samples of a gradient step; Table II says 64."""
     epochs: int = 5
     """Passes over the samples of an update; Table II says 3."""
     learning_rate: float = 3e-4
-    """Of Adam, at first; Table II says 1e-4."""
+    """Initial learning rate of Adam; Table II says 1e-4."""
     last_learning_rate: float = 2e-5
-    """The same at the end. Constant in the paper."""
+    """Final learning rate of Adam; constant in the paper."""
     std: float = 0.15
-    """Standard deviation of actions, at first [rad]; the paper gives none, its public code
+    """Initial standard deviation of the policy [rad]; the paper gives none, its public code
     exp(-2)."""
     last_std: float = 0.05
-    """The same at the end. Constant in the paper."""
+    """Final standard deviation of the policy [rad]; constant in the paper."""
     fall_after: float = 0.6
     """Share of schedule_steps after which learning rate and standard deviation fall,
-    exponentially; until then they are what they are at first."""
+    exponentially; until then both keep their initial values."""
     adam_epsilon: float = 1e-5
-    """Of Adam (Table II)."""
+    """Epsilon of Adam (Table II)."""
     gamma: float = 0.95
     """Discount; Table II says 0.99. Steps count for 0.6 s in place of 3: less noise in advantages,
     and what a step does shows within a stride."""
     gae_lambda: float = 0.95
-    """Of the advantage estimate; the paper gives none."""
+    """Lambda of generalised advantage estimation; the paper gives none."""
     clip: float = 0.2
-    """Of PPO's probability ratio (Table II)."""
+    """Clipping range of PPO's probability ratio (Table II)."""
     max_grad_norm: float = 0.5
-    """Gradient norm, of actor and critic each; the paper gives none."""
+    """Largest gradient norm, of actor and critic each; the paper gives none."""
     truth: bool = False
     """Show the policy the simulator's truth instead of what an estimator makes of noisy sensors."""
     reward_on: RewardSource = "truth"
@@ -89,7 +89,7 @@ class Config:
     coarse: bool = False
     """Train with physics steps of 1 ms in place of 0.5; evaluated is always with the latter."""
     collector: CollectorKind = "single"
-    """Where robots are: in this process, in others on this machine, or in Ray's, on a cluster, too
+    """Processes that simulate: this one, others on this machine, or those of a Ray cluster
     (`aslip.collect`)."""
     num_collectors: int = 2
     """Processes or actors that robots are shared out to, unless there is but this process."""
@@ -99,7 +99,7 @@ class Config:
     """Minutes between checkpoints; with none, there is one after every update."""
 
     def __post_init__(self) -> None:
-        """Check what a typing slip would make a mystery of later."""
+        """Check ranges, so that a typing slip is reported at the start."""
         check_types(self)
         for name in (
             "total_steps", "num_envs", "samples", "minibatch", "epochs", "num_collectors",
@@ -140,7 +140,7 @@ PRESETS = {
         command_interval=0.0, std=math.exp(-2), last_std=math.exp(-2),
     ),
 }  # fmt: skip
-"""Settings that others are given on top of; 5120 is the multiple of 256 nearest to 5096."""
+"""Named settings to start from; 5120 is the multiple of 256 nearest to 5096."""
 
 
 def training_settings(

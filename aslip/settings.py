@@ -16,13 +16,13 @@ Backend = Literal["batch", "dm_control"]
 """Simulators."""
 
 CollectorKind = Literal["single", "distributed", "ray"]
-"""Where the robots of a training are."""
+"""Kinds of processes that simulate a training's robots."""
 
 JointRate = Literal["policy", "physics"]
-"""How often joints are logged."""
+"""Rates at which joints are logged."""
 
 RewardSource = Literal["truth", "estimate"]
-"""What rewards read."""
+"""Sources of the state that rewards read."""
 
 PAPER_SPEEDS = tuple(round(0.1 * i, 1) for i in range(21))
 """0 to 2 m/s in steps of 0.1 m/s (Sec. III-A)."""

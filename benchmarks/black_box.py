@@ -19,7 +19,7 @@ from aslip.errors import FileDamagedError, one_line_errors
 
 @dataclass(frozen=True)
 class Config:
-    """What to measure."""
+    """Settings of the benchmark."""
 
     rounds: int = 3
     """Walks of 12 s, each with and without a log."""
@@ -32,9 +32,9 @@ class Config:
     policy: str = "aslip"
     """Who walks."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of all random numbers."""
     report: Path = Path("runs/black_box.json")
-    """Where to write the numbers."""
+    """File for the numbers."""
 
 
 if __name__ == "__main__":

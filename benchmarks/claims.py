@@ -20,7 +20,7 @@ from benchmarks.flags import Common
 
 @dataclass(frozen=True)
 class Config(Common):
-    """What to judge."""
+    """Settings of the benchmark."""
 
     baseline: tuple[str, ...] = ()
     """Policies of `recipes/ppo_single_reference.py`; without them its claims are left out."""

@@ -17,7 +17,7 @@ class Common:
     truth: bool = False
     """Show them the simulator's truth instead of what an estimator makes of noisy sensors."""
     seed: int = 0
-    """Of sensor noise."""
+    """Seed of the sensor noise."""
     out: Path = Path("runs/benchmarks")
     """Folder of table, numbers and picture."""
 

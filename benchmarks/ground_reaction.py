@@ -19,7 +19,7 @@ from benchmarks.flags import Common
 
 @dataclass(frozen=True)
 class Config(Common):
-    """What to measure."""
+    """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
     """Commanded [m/s]."""

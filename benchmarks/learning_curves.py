@@ -32,7 +32,7 @@ class Config:
     out: Path = Path("runs/learning_curves")
     """Folder of the runs, one each, by variant and seed."""
     variants: tuple[Literal["truth", "default", "paper"], ...] = ("truth", "default")
-    """What to compare."""
+    """Settings of the benchmark."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
     total_steps: int = 1_500_000
@@ -44,7 +44,7 @@ class Config:
     record: Path | None = None
     """Curves of runs that are done, here or elsewhere; begun if there is none."""
     picture: Path = Path("runs/learning_curves/learning_curves.png")
-    """Where to draw."""
+    """File for the picture."""
 
     def __post_init__(self) -> None:
         """Check the settings."""

@@ -17,7 +17,7 @@ from aslip.errors import one_line_errors
 
 @dataclass(frozen=True)
 class Config:
-    """What to measure."""
+    """Settings of the benchmark."""
 
     rounds: int = 5
     """Processes to take the median over."""

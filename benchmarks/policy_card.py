@@ -19,14 +19,14 @@ from aslip.errors import ConfigurationError, one_line_errors
 
 @dataclass(frozen=True)
 class Config:
-    """What to ship."""
+    """Settings of the benchmark."""
 
     run: Path
     """Folder of the training."""
     name: str
     """By which `aslip.load_policy` finds it."""
     assets: Path = Path("assets/policies")
-    """Where policies are shipped from."""
+    """Folder that policies are shipped from."""
     out: Path = Path("runs/policy_card")
     """Folder of what the benchmarks write."""
     measure: bool = True

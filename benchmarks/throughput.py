@@ -27,7 +27,7 @@ from aslip.errors import one_line_errors
 
 @dataclass(frozen=True)
 class Config:
-    """What to measure."""
+    """Settings of the benchmark."""
 
     num_envs: tuple[int, ...] = (1, 16, 64, 256, 1024)
     """Numbers of robots N."""

@@ -20,7 +20,7 @@ from benchmarks.flags import Common
 
 @dataclass(frozen=True)
 class Config(Common):
-    """What to measure."""
+    """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded speeds of the map [m/s]."""

@@ -29,12 +29,12 @@ NAMES = (
 
 @dataclass(frozen=True)
 class Config:
-    """What to train."""
+    """Settings of the ablations."""
 
     variants: tuple[str, ...] = NAMES
     """Which, by name."""
     seeds: tuple[int, ...] = (0, 1, 2)
-    """Of each variant."""
+    """Seeds of each variant."""
     total_steps: int = 500_000
     """Policy steps of each training."""
     num_envs: int = 256

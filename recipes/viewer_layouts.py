@@ -17,7 +17,7 @@ from aslip.errors import one_line_errors
 
 @dataclass(frozen=True)
 class Config:
-    """Where to."""
+    """Folder for the layouts."""
 
     out: Path = Path("assets/viewers")
     """Folder of the layouts."""

@@ -159,7 +159,7 @@ def serve(config: Config, walker: Walker) -> None:
 
 
 def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) -> str:
-    """What became of the robot, and what each push did to it."""
+    """Outcome of the walk and of each push, in words."""
     lines = []
     for push in sorted(pushes, key=lambda push: push.time):
         first = policy_steps(push.time)
@@ -177,7 +177,7 @@ def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) ->
 
 
 def written(config: Config) -> str:
-    """What was written, and what to do with it."""
+    """Files that were written and commands to open them."""
     lines = [f"wrote {path}" for path in (config.video, config.log) if path and path.exists()]
     if config.log is not None and config.log.exists():
         lines += [

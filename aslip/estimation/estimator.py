@@ -86,7 +86,7 @@ TRACKING_SIZE = sum(_TRACKING_SIZES)
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is known of n robots after their last packet.
+    """State of n robots after their last packet.
 
     The heading frame has z up against gravity, x along the robot's heading, and its origin on the
     ground where the pelvis was at the start.
@@ -422,14 +422,14 @@ def _turned_back(heading: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
 
 
 def _unit(quaternion: np.ndarray) -> np.ndarray:
-    """The same rotations (n, 4) of unit length with w >= 0; unit ones stay as they are."""
+    """Quaternions (n, 4) normalised, with w >= 0; unit ones keep their bits."""
     length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
     unit = np.where(np.abs(length - 1) > _ROUNDING, quaternion / length, quaternion)
     return np.where(unit[:, :1] < 0, -unit, unit)
 
 
 def _good(screened: Screened) -> Screened:
-    """The same with all readings taken for good ones."""
+    """Copy of the screened packets with all readings marked good."""
     legs, imu, age = (np.ones_like(field) for field in (screened.legs, screened.imu, screened.age))
     return screened._replace(legs=legs, imu=imu, age=age)
 

@@ -93,7 +93,7 @@ def join(packet: Mapping[str, np.ndarray]) -> np.ndarray:
 
 @dataclass
 class PacketMemory:
-    """What is remembered of n robots' packets."""
+    """Memory of n robots' packets."""
 
     reading: np.ndarray
     """(n, 42) last good readings."""

@@ -52,7 +52,7 @@ class PendulumWalk:
     clearance: float = _MODEL.swing_clearance
     """Height of a foot in the middle of its swing [m]."""
     mass: float = _MODEL.mass
-    """Of the body [kg]; joint torques carry its weight."""
+    """Mass of the body [kg]; joint torques carry its weight."""
     swing_share: float = 0.8
     """Share of a step that the foot is in the air."""
 

@@ -22,7 +22,7 @@ _MOST = 2**16
 
 
 def decoder_of(channel: Channel, schema: Schema | None) -> Decoder:
-    """What decodes a channel's messages.
+    """Decoder of a channel's messages.
 
     Raises:
         ValueError: the channel has no schema, or is not encoded as ROS 2 does.

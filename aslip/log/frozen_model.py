@@ -40,16 +40,16 @@ _LARGEST_FACTOR = 10.0
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """What a model is compiled with.
+    """Settings that a model is compiled with.
 
     Raises:
         ConfigurationError: a value is of another type, or out of range.
     """
 
     visual: bool
-    """Whether it has what is only looked at."""
+    """Whether it has the parts that are only drawn."""
     timestep: float
-    """Of the physics [s]."""
+    """Physics timestep [s]."""
     memory: int
     """Torque commands that a motor remembers."""
     floor_friction: float

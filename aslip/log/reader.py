@@ -62,7 +62,7 @@ class Recording:
     series: dict[str, Series]
     """Topic -> its messages."""
     damaged: tuple[str, ...] = ()
-    """What is wrong with attachments that are therefore not in `attachments`."""
+    """Reason for each damaged attachment that is left out of `attachments`."""
 
     def __getitem__(self, topic: str) -> Series:
         """The messages of a topic.
@@ -125,7 +125,7 @@ def read(path: str | Path, topics: Collection[str] | None = None) -> Recording:
 
 @dataclass
 class Content:
-    """What the records of a log add up to."""
+    """Content of a log, collected record by record."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Records by name."""

@@ -77,7 +77,7 @@ def metadata_hash(metadata: Mapping[str, str]) -> str:
 
 @dataclass
 class Summary:
-    """What the end of a finished file says of the rest."""
+    """Summary section at the end of a finished file."""
 
     statistics: Statistics
     """Counts of everything."""
@@ -127,9 +127,9 @@ class Records:
     file: IO[bytes]
     """Open for reading."""
     problems: list[str] = field(default_factory=list)
-    """What was skipped but for attachments, or ended the reading."""
+    """Damage that was skipped or ended the reading, attachments apart."""
     bad_attachments: list[str] = field(default_factory=list)
-    """What is wrong with attachments that were skipped."""
+    """Reasons for which attachments were skipped."""
     bad_chunks: int = 0
     """Chunks that were skipped."""
     whole: bool = False

@@ -44,7 +44,7 @@ class Recovery:
     dropped: tuple[str, ...]
     """Attachments that were left out, because they are damaged."""
     reason: str
-    """What was wrong with the file; empty if nothing was."""
+    """Damage found in the file; empty if there is none."""
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
@@ -81,7 +81,7 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
 
 @dataclass
 class _Found:
-    """What a damaged file has besides messages."""
+    """Intact content of a damaged file besides its messages."""
 
     records: Records
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from aslip.log.replayed_robot import ReplayedRobot
 
 TOPICS = ("/step", "/state", "/dynamics")
-"""What a replay reads."""
+"""Columns that a replay reads."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ class _Run:
         self.drift.append(difference)
 
     def result(self, doubts: tuple[str, ...]) -> Replay:
-        """What has come of it.
+        """Result of the replay.
 
         Raises:
             ConfigurationError: there was no step.

@@ -31,7 +31,7 @@ class ReplayedRobot:
     def __init__(self, recording: Recording) -> None:
         self._files = {n: recording.attachment(n) for n in (MODEL_FILE, SETTINGS_FILE)}
         self.model = thaw_model(self._files)
-        """As it was when the log began."""
+        """Robot as it was when the log began."""
         self._memory = self._shortest = int(self.model.actuator_history[0, 0])
         self._changes = _changes(recording["/dynamics"])
         self._dynamics = Dynamics(1, self.model)
@@ -93,7 +93,7 @@ class ReplayedRobot:
     # -------------------------------------------------- memory of commands
 
     def _memory_of(self, row: np.ndarray) -> int:
-        """How many torque commands a state remembers, by its length.
+        """Number of torque commands that a state remembers, from its length.
 
         Raises:
             FileDamagedError: it has another length than a state of this robot.
@@ -141,7 +141,7 @@ class ReplayedRobot:
 
 
 def _changes(series: Series) -> dict[int, dict[str, float]]:
-    """What the robot is like from each instant of `/dynamics` on."""
+    """Dynamics of the robot from each instant of `/dynamics` on."""
     names = [*DYNAMICS, MEMORY]
     columns = {name: series[name] for name in names}
     if any(column.dtype.kind != "f" or column.ndim != 1 for column in columns.values()):

@@ -189,7 +189,7 @@ def policy_stack(name_or_path: str | Path) -> str:
 
 
 def _own(card: Mapping[str, Any]) -> str:
-    """What is different about a policy whose stack has no name."""
+    """Difference between a policy's stack and the named ones, in words."""
     if card["observation"] not in _known_observations():
         return observation_difference(card["observation"], _known_observations()[0])
     if card["baseline"] is None:
@@ -201,7 +201,7 @@ def _own(card: Mapping[str, Any]) -> str:
 
 
 def observation_difference(has: Sequence[str], expected: Sequence[str]) -> str:
-    """How the entries of an observation differ from others, in words."""
+    """Difference between the entries of two observations, in words."""
     lacks = [name for name in expected if name not in has]
     more = [name for name in has if name not in expected]
     parts = [f"its observation lacks {lacks}"] if lacks else []
@@ -237,7 +237,7 @@ def find_policy(name_or_path: str | Path) -> Path:
 
 
 def read_card(name_or_path: str | Path) -> dict[str, Any]:
-    """What a policy says of itself.
+    """Card of a policy: how it is built and what it acts on.
 
     Returns:
         What was given to `save_policy`: `shape`, `made_by`, `stack`, and with names as text

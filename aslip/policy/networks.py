@@ -43,7 +43,7 @@ _OUTPUT_SCALE = 0.01
 
 @dataclass(frozen=True)
 class PolicyShape:
-    """What must be known to rebuild a policy before its weights are read."""
+    """Settings from which a policy is rebuilt before its weights are read."""
 
     observation_size: int = 64
     """Length of `observation` ("64D input space", Sec. IV-A)."""

@@ -23,7 +23,7 @@ from aslip.transforms import ActionDelta, AssembleObservation, ReferenceInjectio
 
 
 def interface_of(env: CassieTransformedEnv) -> dict[str, Any]:
-    """What a policy must know of an environment, as arguments of `aslip.policy.save_policy`.
+    """Interface of an environment to a policy, as arguments of `aslip.policy.save_policy`.
 
     Raises:
         ConfigurationError: no `AssembleObservation` makes an observation.

@@ -1,4 +1,4 @@
-"""How many faults to inject."""
+"""Settings of the fault benchmark."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 @dataclass(frozen=True)
 class Config:
-    """How many of each fault; none skips it."""
+    """Number of each fault; 0 skips it."""
 
     numbers: int = 600
     """NaN, infinities and huge values in one simulation's state."""
@@ -37,6 +37,6 @@ class Config:
     robots: int = 256
     """Robots of a training whose checkpoints are timed."""
     seed: int = 0
-    """Of everything random."""
+    """Seed of all random numbers."""
     report: Path = Path("runs/faults.json")
-    """Where to write the numbers."""
+    """File for the numbers."""

@@ -187,7 +187,7 @@ def damages(kind: Kind) -> dict[str, Damage]:
 
 
 def outcome(kind: Kind, path: Path, whole: Any) -> str:
-    """What reading a damaged file does; `whole` is the content of the whole one."""
+    """Outcome of reading a damaged file; `whole` is the content of the intact one."""
     before = peak_memory()
     try:
         content = kind.load(path)

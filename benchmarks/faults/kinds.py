@@ -35,7 +35,7 @@ class Kind:
     """A kind of file."""
 
     name: str
-    """What it is called in tables."""
+    """Name in tables."""
     suffix: str
     """End of a file's name, with the dot."""
     write: Callable[[Path], None]
@@ -163,7 +163,7 @@ def _write_log(path: Path) -> None:
 
 
 def _load_log(path: Path) -> Any:
-    """What `read` returns; what `recover` saves must be some of the true messages."""
+    """Content that `read` returns; `recover` must save a subset of the true messages."""
     recovered = path.with_name("recovered.mcap")
     recovered.unlink(missing_ok=True)
     with suppress(FileDamagedError):
