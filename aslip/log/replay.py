@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.log.frozen_model import low_level_digest, model_digest
 from aslip.log.reader import Recording, Series, read
 
@@ -84,9 +84,16 @@ def replay(log: str | Path | Recording, start: float = 0.0, *, strict: bool = Tr
             something else here, and the replay is strict; or the log has no state at or before
             `start`, or no policy step after that.
     """
+    recording = log if isinstance(log, Recording) else read(log, TOPICS)
+    try:
+        return _replayed(recording, start, strict)
+    except AslipError as error:
+        raise type(error)(f"cannot replay {str(recording.path)!r}: {error}") from error
+
+
+def _replayed(recording: Recording, start: float, strict: bool) -> Replay:
     from aslip.log.replayed_robot import ReplayedRobot  # takes a second, `info` needs it not
 
-    recording = log if isinstance(log, Recording) else read(log, TOPICS)
     robot = ReplayedRobot(recording)
     doubts = _doubts(recording, robot)
     if strict and doubts:
@@ -209,7 +216,7 @@ def _doubts(recording: Recording, robot: ReplayedRobot) -> tuple[str, ...]:
 
 def _series(recording: Recording, topic: str) -> Series:
     if topic not in recording.series:
-        raise FileDamagedError(f"{str(recording.path)!r} has no {topic}: nothing to replay")
+        raise FileDamagedError(f"it has no {topic}: nothing to replay")
     return recording[topic]
 
 

@@ -4,8 +4,9 @@
     python -m benchmarks.faults.files --kinds policy
 
 A damaged file is survived if it is refused with one of the package's errors, or if it loads with
-the content of the whole file (a date in an archive has no meaning). Reading it must not end the
-process and must not take more than `MEMORY` on top of what the process had.
+the content of the whole file (a date in an archive has no meaning). One that was forged on purpose,
+so that its checksums are right, may load with other content. Reading it, and replaying a log, must
+not end the process and must not take more than `MEMORY` on top of what the process had.
 """
 
 from __future__ import annotations

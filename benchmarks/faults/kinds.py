@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -19,14 +18,11 @@ from tensordict import TensorDict
 import aslip
 from aslip.archive import as_json
 from aslip.checkpoint import load_checkpoint, save_checkpoint
-from aslip.errors import FileDamagedError
 from aslip.library import GaitLibrary
 from aslip.library.file import GaitTable, read_made_by, write_library
-from aslip.log import Recorder, Recording, Series, check, recover
-from aslip.log import read as read_log
 from aslip.policy import CARD, PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
-from aslip.stack import default_stack
 from benchmarks.faults.archives import forged, unzipped
+from benchmarks.faults.logs import FORGED_LOGS, load_log, write_log
 from benchmarks.faults.trainings import Holder, same
 
 
@@ -46,8 +42,8 @@ class Kind:
     """Whether two contents are equal, bit for bit."""
     archive: bool = True
     """Whether it is a ZIP archive."""
-    at_once: bool = True
-    """Whether it is written at once; one that grows keeps what it has if the disk is full."""
+    makes_folders: bool = False
+    """Whether it is written into a folder that does not exist, too."""
     damages: Mapping[str, Callable[[bytes, np.random.Generator], bytes]] = field(
         default_factory=dict
     )
@@ -152,44 +148,6 @@ def _load_checkpoint(path: Path) -> Any:
     return {"metadata": metadata, **{name: holder.state for name, holder in holders.items()}}
 
 
-def _write_log(path: Path) -> None:
-    path.unlink(missing_ok=True)
-    stack = {**default_stack(), "recorder": lambda: Recorder(path)}
-    env = aslip.make_env(stack=stack, num_threads=1)
-    td = env.reset()
-    for _ in range(36):
-        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(1, 10)))
-    env.close()
-
-
-def _load_log(path: Path) -> Any:
-    """Content that `read` returns; `recover` must save a subset of the true messages."""
-    recovered = path.with_name("recovered.mcap")
-    recovered.unlink(missing_ok=True)
-    with suppress(FileDamagedError):
-        _require_some(read_log(recover(path, recovered).path))
-    log = read_log(path)
-    _TRUE_LOG.update(log.series if not _TRUE_LOG else {})
-    check(path)
-    series = {topic: {"time": s.time, **s.columns} for topic, s in log.series.items()}
-    arrays = {t: {k: v.tolist() for k, v in columns.items()} for t, columns in series.items()}
-    return {"metadata": log.metadata, "end": log.end, "files": log.attachments, "series": arrays}
-
-
-# of the whole log, which is loaded first
-_TRUE_LOG: dict[str, Series] = {}
-
-
-def _require_some(saved: Recording) -> None:
-    """Raise ValueError if a recovered log has a message that the whole one has not."""
-    for topic, series in saved.series.items() if _TRUE_LOG else ():
-        true = _TRUE_LOG[topic]
-        for name, column in {"time": series.time, **series.columns}.items():
-            whole = true.time if name == "time" else true[name]
-            if not {str(row) for row in column} <= {str(row) for row in whole}:
-                raise ValueError(f"{topic} {name} was recovered otherwise than it was written")
-
-
 KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
@@ -202,7 +160,15 @@ KINDS: dict[str, Kind] = {
         ),
         Kind("library", ".npz", _write_library, _load_library),
         Kind("checkpoint", ".torchrl", _write_checkpoint, _load_checkpoint),
-        Kind("log", ".mcap", _write_log, _load_log, archive=False, at_once=False),
+        Kind(
+            "log",
+            ".mcap",
+            write_log,
+            load_log,
+            archive=False,
+            makes_folders=True,
+            damages=FORGED_LOGS,
+        ),
     )
 }
 """Every kind of file, by name."""

@@ -28,9 +28,6 @@ every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
 every_archive = pytest.mark.parametrize(
     "kind", [kind for kind in KINDS.values() if kind.archive], ids=lambda kind: kind.name
 )
-at_once = pytest.mark.parametrize(
-    "kind", [kind for kind in KINDS.values() if kind.at_once], ids=lambda kind: kind.name
-)
 
 
 @pytest.fixture
@@ -246,7 +243,7 @@ def _full_disk(room: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-@at_once
+@every_kind
 def test_a_full_disk_leaves_what_was_there(kind: Kind, path: Path) -> None:
     """Full at any byte: an OSError, the old file, and nothing else in the folder."""
     size, old = path.stat().st_size, b"what was there"
@@ -258,7 +255,7 @@ def test_a_full_disk_leaves_what_was_there(kind: Kind, path: Path) -> None:
         assert list(path.parent.iterdir()) == [path]
 
 
-@at_once
+@every_kind
 def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
     whole = kind.load(path)
     path.write_bytes(b"what was there")
@@ -267,7 +264,9 @@ def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
-@at_once
+@pytest.mark.parametrize(
+    "kind", [kind for kind in KINDS.values() if not kind.makes_folders], ids=lambda kind: kind.name
+)
 def test_writing_into_no_folder_is_an_os_error(kind: Kind, path: Path) -> None:
     with pytest.raises(OSError, match="nowhere"):
         kind.write(path.parent / "nowhere" / path.name)
