@@ -17,8 +17,6 @@ Decoder = Callable[[bytes], dict[str, Any]]
 _FIELD = re.compile(r"float(32|64)(?:\[(\d+)\])? (\w+)")
 # before the numbers of a message; they need no padding if all are of one size
 _ENCAPSULATION = 4
-# elements of a field's array, above which a definition is taken for a forgery
-_MOST = 2**16
 
 
 def decoder_of(channel: Channel, schema: Schema | None) -> Decoder:
@@ -45,8 +43,6 @@ def _flat_dtype(definition: str) -> np.dtype | None:
     fields = [match.groups() for match in matches if match is not None]
     if len(fields) != len(matches) or len({size for size, _, _ in fields}) != 1:
         return None
-    if any(int(count or 1) > _MOST for _, count, _ in fields):
-        raise ValueError(f"a message has an array of more than {_MOST} numbers")
     number = f"<f{int(fields[0][0]) // 8}"
     return np.dtype([(name, number, (int(n),) if n else ()) for _, n, name in fields])
 

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Attachment, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Message, Metadata, Schema
 
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError
 from aslip.log import Recording, check, read, recover, replay
 from aslip.log.messages import FORMAT
 from aslip.log.writer import METADATA, add_metadata, open_writer
+from benchmarks.faults.logs import put_together, taken_apart
 from tests.log.helpers import MakeRecorded
 
 Alter = Callable[[Callable[[bytearray], None]], Path]
@@ -59,29 +61,15 @@ def _rewritten(
     log: Path, out: Path, metadata: dict[str, str] | None, drop: str = "", alter: str = ""
 ) -> Path:
     """The log with other attachments or metadata, otherwise whole."""
-    with log.open("rb") as source, out.open("wb") as file:
-        writer = open_writer(file)
-        for record in StreamReader(source).records:
-            if isinstance(record, Metadata):
-                own = metadata if record.name == METADATA and metadata is not None else None
-                add_metadata(writer, record.name, own or dict(record.metadata))
-            elif isinstance(record, Attachment) and record.name != drop:
-                data = bytes(record.data)
-                if record.name == alter:
-                    data = data.replace(b"9.81", b"9.80") + b" "
-                writer.add_attachment(0, 0, record.name, record.media_type, data)
-        with log.open("rb") as again:
-            channels = {}
-            for schema, channel, message in make_reader(again).iter_messages():
-                assert schema is not None
-                if channel.topic not in channels:
-                    kind = writer.register_schema(schema.name, schema.encoding, schema.data)
-                    channels[channel.topic] = writer.register_channel(
-                        channel.topic, channel.message_encoding, kind
-                    )
-                time = message.log_time
-                writer.add_message(channels[channel.topic], time, message.data, time)
-        writer.finish()
+    records = []
+    for record in taken_apart(log.read_bytes()):
+        if isinstance(record, Metadata) and record.name == METADATA:
+            record = replace(record, metadata=metadata or record.metadata)
+        if isinstance(record, Attachment) and record.name == alter:
+            record = replace(record, data=record.data.replace(b"9.81", b"9.80") + b" ")
+        if not isinstance(record, Attachment) or record.name != drop:
+            records.append(record)
+    out.write_bytes(put_together(records))
     return out
 
 
@@ -261,6 +249,43 @@ def test_attachments_that_are_missing_or_altered_are_named(log: Path, tmp_path: 
     for path in (missing, other):
         with pytest.raises(FileDamagedError, match="attachment"):
             read(path)
+
+
+@pytest.mark.parametrize("content", [bytes(2**23), np.random.default_rng(0).bytes(2**24)])
+def test_a_chunk_that_takes_much_memory_is_skipped(
+    log: Path, whole: Recording, tmp_path: Path, content: bytes
+) -> None:
+    """Because it unfolds to thousands of times its size, or is too large in itself."""
+    records = taken_apart(log.read_bytes())
+    first = next(i for i, record in enumerate(records) if isinstance(record, Message))
+    bomb = records[first]
+    assert isinstance(bomb, Message)
+    records[first] = replace(bomb, data=content)
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(put_together(records))
+    assert any("it would take" in problem for problem in check(path))
+    with pytest.raises(FileDamagedError, match=r"bomb\.mcap"):
+        read(path)
+    saved = recover(path)
+    assert saved.skipped_chunks == 1
+    assert_subset(read(saved.path), whole)
+
+
+@pytest.mark.parametrize("count", ["7", "100000", "99999999999", "9" * 5000])
+def test_a_definition_of_other_sizes_is_refused(log: Path, tmp_path: Path, count: str) -> None:
+    """However much memory it asks for."""
+    records = taken_apart(log.read_bytes())
+    at = next(i for i, r in enumerate(records) if isinstance(r, Schema) and "Sensors" in r.name)
+    schema = records[at]
+    assert isinstance(schema, Schema)
+    data, found = re.subn(rb"\[\d+\]", f"[{count}]".encode(), schema.data, count=1)
+    assert found
+    records[at] = replace(schema, data=data)
+    path = tmp_path / "sizes.mcap"
+    path.write_bytes(put_together(records))
+    assert check(path)
+    with pytest.raises(FileDamagedError, match=r"sizes\.mcap"):
+        read(path)
 
 
 def test_a_wrong_or_absent_hash_is_named(log: Path, whole: Recording, tmp_path: Path) -> None:
