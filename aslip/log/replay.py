@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from aslip.log.replayed_robot import ReplayedRobot
 
 TOPICS = ("/step", "/state", "/dynamics")
-"""Columns that a replay reads."""
+"""Topics that a replay reads."""
 
 
 @dataclass(frozen=True)

@@ -145,8 +145,9 @@ def test_a_damaged_attachment_does_not_keep_one_from_the_numbers(
         some.attachment("config.json")
 
 
-def test_counts_of_the_summary_are_compared(log: Path, tmp_path: Path) -> None:
-    """A chunk that is not there, with checksums that are right."""
+@pytest.mark.parametrize("of_topics", [False, True])
+def test_counts_of_the_summary_are_compared(log: Path, tmp_path: Path, of_topics: bool) -> None:
+    """A chunk that is not there, or messages of another topic, with checksums that are right."""
     path = tmp_path / "fewer.mcap"
     data = bytearray(log.read_bytes())
     footer = len(data) - len(MAGIC) - 4
@@ -154,9 +155,19 @@ def test_counts_of_the_summary_are_compared(log: Path, tmp_path: Path) -> None:
     with log.open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None and summary.statistics is not None
-    count = struct.pack("<Q", summary.statistics.message_count)
-    place = data.index(count, start)
-    struct.pack_into("<Q", data, place, summary.statistics.message_count - 1)
+    said = summary.statistics
+    counts = [struct.pack("<Q", said.message_count)]
+    wrong = [struct.pack("<Q", said.message_count - 1)]
+    if of_topics:  # with the right sum
+        (one, most), (other, least) = (
+            choose(said.channel_message_counts.items(), key=lambda item: item[1])
+            for choose in (max, min)
+        )
+        counts = [struct.pack("<HQ", *item) for item in ((one, most), (other, least))]
+        wrong = [struct.pack("<HQ", *item) for item in ((one, most - 1), (other, least + 1))]
+    for old, new in zip(counts, wrong, strict=True):
+        place = data.index(old, start)
+        data[place : place + len(old)] = new
     struct.pack_into("<I", data, footer, zlib.crc32(bytes(data[start:footer])))
     path.write_bytes(data)
     assert [problem for problem in check(path) if "counts" in problem] == check(path) != []

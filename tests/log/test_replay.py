@@ -52,7 +52,9 @@ def test_logs_of_both_backends_replay(
     )
 
 
-def _changed(recording: Recording, topic: str, name: str, row: int, by: float) -> Recording:
+def _changed(
+    recording: Recording, topic: str, name: str, row: int | tuple[int, int], by: float
+) -> Recording:
     series = recording[topic]
     column = series[name].copy()
     column[row] += by
@@ -114,6 +116,20 @@ def test_drift_is_told_of_every_state(recording: Recording) -> None:
     assert later.any()
     assert (whole.drift[later] == 0).all()
     assert len(whole.time) == 80
+
+
+@pytest.mark.parametrize(("place", "moves"), [(0, 0), (1, 1), (35, 1), (36, 0), (-1, 0)])
+def test_drift_of_the_configuration_is_of_positions_alone(
+    recording: Recording, place: int, moves: int
+) -> None:
+    """The time comes before them in a state, velocities and others after them."""
+    states = recording["/state"]
+    last = np.searchsorted(states.time, recording["/step"].time[-1], side="right") - 1
+    other = _changed(recording, "/state", "integration", (last, place), 1e-3)
+    result = replay(other, float(states.time[last - 1]), strict=False)
+    assert result.diverged_at == pytest.approx(states.time[last])
+    np.testing.assert_allclose(result.drift[-1], 1e-3, rtol=1e-6)
+    np.testing.assert_allclose(result.qpos_drift[-1], 1e-3 * moves, rtol=1e-6)
 
 
 def test_a_log_without_states_is_told_as_such(recording: Recording) -> None:
