@@ -132,13 +132,13 @@ class _Run:
     def steps(self) -> Iterator[None]:
         """Simulate, one policy step after the other."""
         robot, reached = self._robot, self._first
-        self._begin(reached)
+        robot.set_state(self._rows[self._known[reached]])
         for i in np.flatnonzero(self._ticks > self._first):
             tick = int(self._ticks[i])
             if tick - 1 != reached:  # an episode begins, or a recovered log has a gap
                 if tick - 1 not in self._known:
                     continue
-                self._begin(tick - 1)
+                robot.set_state(self._rows[self._known[tick - 1]])
             robot.change(tick - 1)
             robot.advance(self._targets[i], self._pushes[i])
             reached = tick
@@ -146,10 +146,6 @@ class _Run:
             if tick in self._known:
                 self._compare(tick)
             yield
-
-    def _begin(self, tick: int) -> None:
-        self._robot.change(tick)
-        self._robot.set_state(self._rows[self._known[tick]])
 
     def _compare(self, tick: int) -> None:
         """Compare the state of an instant with the log's."""
