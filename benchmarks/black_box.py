@@ -186,21 +186,18 @@ def kills(config: Config, folder: Path) -> dict[str, float]:
 
 def killed(policy: str, path: Path, steps: int, rng: np.random.Generator) -> int:
     """Kill a writer a random instant after so many steps; returns the last step it told of."""
-    victim = subprocess.Popen(
-        [sys.executable, "-c", _VICTIM, policy, str(path)], stdout=subprocess.PIPE, text=True
-    )
-    assert victim.stdout is not None
-    told = 0
-    for line in victim.stdout:
-        told = int(line)
-        if told >= steps:
-            time.sleep(float(rng.uniform(0, 0.02)))
-            os.kill(victim.pid, signal.SIGKILL)
-            break
-    # what it told of before it died
-    for line in victim.stdout:
-        told = int(line) if line.endswith("\n") else told
-    victim.wait()
+    command, told = [sys.executable, "-c", _VICTIM, policy, str(path)], 0
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as victim:
+        assert victim.stdout is not None
+        for line in victim.stdout:
+            told = int(line)
+            if told >= steps:
+                time.sleep(float(rng.uniform(0, 0.02)))
+                os.kill(victim.pid, signal.SIGKILL)
+                break
+        # what it told of before it died
+        for line in victim.stdout:
+            told = int(line) if line.endswith("\n") else told
     return told
 
 

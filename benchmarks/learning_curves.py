@@ -209,6 +209,9 @@ def _train(config: Config, recorded: Runs) -> None:
         finally:
             for process in running.values():
                 process.terminate()
+            # until they have saved
+            for process in running.values():
+                process.wait()
 
 
 def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Popen[bytes]:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
@@ -48,3 +52,20 @@ def limp() -> TensorDictModule:
         in_keys=["observation"],
         out_keys=["action"],
     )
+
+
+@contextmanager
+def started(command: Sequence[str], **settings: Any) -> Iterator[subprocess.Popen[str]]:
+    """A process whose output is read, which Ctrl-C reaches, and which does not outlive the test."""
+
+    def let_interrupt() -> None:
+        # a shell's background jobs ignore it, and so would what they start
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, preexec_fn=let_interrupt, **settings
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()

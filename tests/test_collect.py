@@ -268,6 +268,7 @@ def test_however_a_training_ends_so_do_its_processes(
         assert list((out / "checkpoints").glob("checkpoint-*"))
     finally:
         training.kill()
+        training.wait()
 
 
 def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:

@@ -24,6 +24,7 @@ from aslip.ppo_settings import (
 )
 from aslip.run import TrainingRun
 from aslip.settings import SETTINGS_FILE
+from tests.helpers import started
 
 ROOT = Path(__file__).parent.parent
 
@@ -138,18 +139,13 @@ def test_a_training_that_is_told_to_stop_saves_and_says_so(
 ) -> None:
     out, recipe = tmp_path / "run", "recipes/ppo_aslip.py"
     command = [sys.executable, recipe, "--out", str(out), *_TINY.split()]
-    process = subprocess.Popen(
-        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    try:
+    with started(command, cwd=ROOT, stderr=subprocess.PIPE) as process:
         until = time.monotonic() + 240
         while not list(out.glob("checkpoints/*.torchrl")) and time.monotonic() < until:
             assert process.poll() is None, process.communicate()[1]
             time.sleep(0.1)
         process.send_signal(number)
         told, said = process.communicate(timeout=120)
-    finally:
-        process.kill()
     assert process.returncode == 128 + number
     go_on = f"python {recipe} --resume --out {out}"
     assert f"to go on: {go_on}" in told

@@ -30,6 +30,7 @@ from aslip.render import render_robot
 from aslip.video import write_video
 from recipes import walk
 from recipes.walk import Config
+from tests.helpers import started
 
 
 def test_it_walks_the_schedule_and_logs_it(
@@ -131,13 +132,11 @@ def test_a_walk_that_is_stopped_leaves_a_whole_log(
     path = tmp_path / "walk.mcap"
     root = Path(walk.__file__).parents[1]
     command = [sys.executable, "recipes/walk.py", "--command", "0.5", "--duration", "100000"]
-    process = subprocess.Popen(
-        [*command, "--log", str(path)], cwd=root, stdout=subprocess.PIPE, text=True
-    )
     part = path.with_name("walk.mcap.part")
-    wait_until(lambda: part.exists() and part.stat().st_size > 500_000, process)
-    process.send_signal(number)
-    told = process.communicate(timeout=60)[0]
+    with started([*command, "--log", str(path)], cwd=root) as process:
+        wait_until(lambda: part.exists() and part.stat().st_size > 500_000, process)
+        process.send_signal(number)
+        told = process.communicate(timeout=60)[0]
     assert process.returncode == status
     assert "stopped after" in told
     assert f"wrote {path}" in told
