@@ -8,7 +8,7 @@ import pytest
 
 from aslip.assets import asset_path
 from aslip.cassie import mirror_name
-from aslip.cassie.model import load_model
+from aslip.cassie.model import geom_color, load_model
 
 MIRROR = np.diag([1.0, -1.0, 1.0])
 APPEARANCE_GROUP = 1
@@ -127,3 +127,17 @@ def test_rods_are_seen_to_reach_what_they_pull(model, library, side, rod, end, l
         local = np.einsum("gji,gj->gi", axes, tip - data.geom_xpos[seen])
         extent = model.geom_aabb[seen, 3:] + 0.002
         assert (np.abs(local) <= extent).all(-1).any()
+
+
+def test_colours_are_those_that_mujoco_draws(model):
+    data, scene = mujoco.MjData(model), mujoco.MjvScene(model, model.ngeom)
+    mujoco.mj_forward(model, data)
+    option, camera = mujoco.MjvOption(), mujoco.MjvCamera()
+    option.geomgroup[:] = 1
+    mujoco.mjv_updateScene(
+        model, data, option, None, camera, mujoco.mjtCatBit.mjCAT_ALL.value, scene
+    )
+    drawn = {geom.objid: geom.rgba for geom in scene.geoms[: scene.ngeom]}
+    assert sorted(drawn) == list(range(model.ngeom))
+    for geom, rgba in drawn.items():
+        np.testing.assert_array_equal(geom_color(model, geom), rgba, model.geom(geom).name)

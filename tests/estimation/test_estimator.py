@@ -115,6 +115,22 @@ def test_a_stream_of_one_robot_gives_what_the_batch_does(
         np.testing.assert_allclose(getattr(estimate, name)[0], sound[-1][name][1], atol=1e-9)
 
 
+@pytest.mark.parametrize("lost", [slice(0, 2), slice(4, 6), slice(7, 10)])
+def test_windows_with_lost_packets_give_what_their_packets_do(walk: Walk, lost: slice) -> None:
+    """One by one or together, wherever in the window packets are lost."""
+    windows = walk.packets[1:2, :SPOILED].copy()
+    windows[:, -1, lost] = np.nan
+    estimator = StateEstimator()
+    together, _ = estimator.start(windows[:, 0])
+    alone, _ = estimator.start(windows[:, 0])
+    for step in range(1, SPOILED):
+        whole = estimator.update(together, windows[:, step])
+        for packet in windows[0, step]:
+            last = estimator.update(alone, packet)
+    for name in ("velocity", "height", "acceleration"):
+        np.testing.assert_allclose(getattr(whole, name), getattr(last, name), atol=1e-9)
+
+
 def test_what_is_remembered_can_be_handed_on(walk: Walk) -> None:
     estimator = StateEstimator()
     tracking, _ = estimator.start(walk.packets[:, 0])
@@ -230,6 +246,17 @@ def test_a_moderate_spike_that_looks_possible_does_little(
     )
     assert np.abs(off[SPOILED:]).max() < 0.4
     assert np.abs(off[SPOILED + 10 :]).max() < 0.03
+
+
+def test_spikes_that_do_not_last_are_never_believed() -> None:
+    """However many there are, with a good packet after each."""
+    packet, estimator = _standing(load_model()), StateEstimator()
+    tracking, _ = estimator.start(packet)
+    for k in range(40):
+        packet[GYRO] = 10.0 * (k % 2) + 1e-6 * k
+        estimate = estimator.update(tracking, packet)
+        assert estimate.faults[0].tolist() == [False, False, k % 2 == 1, False]
+        assert np.abs(estimate.angular_velocity).max() < 1e-3
 
 
 def test_a_change_that_lasts_is_believed(walk: Walk) -> None:
@@ -428,6 +455,17 @@ def test_noise_is_the_same_robots_at_any_period(period: float) -> None:
                 row.append(np.diagonal(tracking.belief.covariance[0], axis1=1, axis2=2)[:, [P, V]])
         deviations.append(np.sqrt(row))
     np.testing.assert_allclose(deviations[1], deviations[0], rtol=0.06)
+
+
+@pytest.mark.parametrize(("period", "most"), [(1e-3, 3.0), (3e-3, 3.0), (6e-3, 6.0)])
+def test_a_change_may_be_as_large_as_the_time_allows(period: float, most: float) -> None:
+    """Of the gyro 3 rad/s in 3 ms or less, and in proportion between packets further apart."""
+    for change, jumped in ((0.95 * most, False), (1.05 * most, True)):
+        packet, estimator = _standing(load_model()), StateEstimator(period=period)
+        tracking, _ = estimator.start(packet)
+        packet[GYRO.start] += change
+        faults = estimator.update(tracking, packet).faults
+        assert faults[0].tolist() == [False, False, jumped, False]
 
 
 def test_faults_are_timed_in_seconds() -> None:

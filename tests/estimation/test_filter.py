@@ -162,6 +162,30 @@ def test_a_shaken_spring_in_the_air_is_no_contact() -> None:
         assert not belief.resting.any()
 
 
+def test_a_foot_in_the_air_is_as_uncertain_as_the_pelvis_and_the_legs_encoders() -> None:
+    """Of its place relative to the pelvis only what the encoders err by is not known."""
+    filter_ = _filter()
+    belief = _started(filter_)
+    _run(filter_, belief, 50)
+    filter_.step(belief, _motion(51 * PERIOD, STANDING, (LOADED, FREE)))
+    cov = belief.covariance[0]
+    np.testing.assert_allclose(cov[:, RIGHT, P], cov[:, P, P], rtol=1e-12)
+    apart = cov[:, RIGHT, RIGHT] - 2 * cov[:, RIGHT, P] + cov[:, P, P]
+    np.testing.assert_allclose(apart, filter_.noise.leg**2, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("height", "rests"), [(0.006, True), (-0.006, True), (0.012, False)])
+def test_ground_may_be_as_uneven_as_the_filter_assumes(height: float, rests: bool) -> None:
+    """A foot set down 3 standard deviations higher or lower rests, one 6 higher does not yet."""
+    filter_ = _filter()
+    belief = _started(filter_)
+    _run(filter_, belief, 200)
+    feet = STANDING + np.array([[0, 0, 0], [0, 0, height]])
+    filter_.step(belief, _motion(201 * PERIOD, feet, (LOADED, FREE)))
+    filter_.step(belief, _motion(202 * PERIOD, feet, (LOADED, LOADED)))
+    assert belief.resting[0].tolist() == [True, rests]
+
+
 def test_a_sole_that_rocks_over_its_heel_does_not_move_the_robot() -> None:
     """The toes come up by 0.15 rad in 0.1 s; the heel stays, the centre rises and goes back."""
     filter_ = _filter()

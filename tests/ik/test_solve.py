@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 
 from aslip.cassie import MOTOR_NAMES, SPRING_NAMES
 from aslip.ik import BodyTarget, IkSolution, solve
+from aslip.ik.leg import JOINTS
 from aslip.ik.newton import MAX_ITERATIONS, guess, solve_legs
 from aslip.ik.target import FootMotion, Motion
 
@@ -214,3 +216,23 @@ def test_targets_are_not_changed(kinematics, smooth_motion):
     for target, copy in zip(targets, copies, strict=True):
         for name, value in vars(copy).items():
             np.testing.assert_array_equal(getattr(target, name), value)
+
+
+@pytest.mark.parametrize("joint", ["tarsus", "plantar_rod"])
+def test_residual_is_the_gap_that_forward_kinematics_finds(
+    kinematics, smooth_motion, monkeypatch, joint
+):
+    """Of whichever loop is open: the rod's of the Achilles tendon, or that of the plantar rod."""
+
+    def inexact(*args):
+        found = solve_legs(*args)
+        angle = found.angle.copy()
+        angle[..., JOINTS.index(joint)] += 1e-7
+        return dataclasses.replace(found, angle=angle)
+
+    # the function hides the module of its name
+    monkeypatch.setattr(sys.modules["aslip.ik.solve"], "solve_legs", inexact)
+    solution = solve(kinematics, *smooth_motion(np.linspace(0, 3, 5)))
+    gaps = np.linalg.norm(kinematics.forward(solution.qpos).loop_gap, axis=-1)
+    assert gaps.max() > 1e-9
+    assert solution.residual.loop == pytest.approx(gaps.max(), rel=1e-3)
