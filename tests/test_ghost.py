@@ -53,6 +53,19 @@ def test_one_robot_of_many_is_chosen(make: MakeEnv) -> None:
     np.testing.assert_allclose(ghost.body[0], td["truth", "pelvis_position"][2, 0])
 
 
+def test_what_a_ghost_is_made_of_stays_as_it_is(library: GaitLibrary) -> None:
+    """Also rows of double precision, as logs have them."""
+    groups = _instant(library, 0.2, 1.0, 0.5)
+    rows = [
+        {k: v[0].double().numpy() for k, v in groups[g].items()} for g in ("reference", "truth")
+    ]
+    before = [{name: value.copy() for name, value in group.items()} for group in rows]
+    Ghost.of_rows(*rows)
+    for group, kept in zip(rows, before, strict=True):
+        for name, value in kept.items():
+            np.testing.assert_array_equal(group[name], value, err_msg=name)
+
+
 @pytest.mark.parametrize("speed", [0.0, 0.65, 1.0, 2.0])
 def test_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) -> None:
     """Two steps are a stride; sideways they cancel."""

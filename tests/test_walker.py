@@ -15,7 +15,7 @@ from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.stack import MAX_EPISODE_STEPS, acts_on
 from aslip.transforms import SINGLE_REFERENCE_TABLE
-from aslip.walker import Push, Schedule, Walker
+from aslip.walker import Push, Schedule, Walker, policy_steps
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +136,14 @@ def test_a_schedule_holds_each_speed_until_the_next() -> None:
 def test_a_schedule_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match=r"schedule|times"):
         Schedule.parse(text)
+
+
+@pytest.mark.parametrize("steps", range(1, 60))
+def test_a_time_of_whole_policy_steps_takes_no_step_more(steps: int) -> None:
+    """However it is rounded; a little longer takes one more."""
+    for time in (steps * POLICY_PERIOD, float(f"{steps * 0.03:.2f}")):
+        assert policy_steps(time) == steps
+    assert policy_steps(steps * POLICY_PERIOD + 1e-4) == steps + 1
 
 
 def test_pushes_are_read() -> None:

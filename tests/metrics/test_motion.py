@@ -64,6 +64,16 @@ def test_what_never_arrives_never_settles() -> None:
     assert answer.steady_error == pytest.approx(-0.3)
 
 
+def test_what_arrives_less_than_a_stride_before_the_end_has_not_settled() -> None:
+    """It may be an oscillation on its way through."""
+    length = 27
+    # the mean over 27 samples is within 0.1 m/s once 25 of them are at the command
+    for within, settled in ((length - 1, False), (length, True)):
+        speed = np.concatenate([np.zeros(50), np.ones(24 + within)])
+        answer = step_response(speed, 0.0, 1.0, length * PERIOD, PERIOD)
+        assert math.isfinite(answer.settling_time) == settled
+
+
 def test_root_mean_square_is_over_time() -> None:
     np.testing.assert_allclose(root_mean_square(np.array([[3.0, 0], [4, 0]])), [np.sqrt(12.5), 0])
 
@@ -93,6 +103,16 @@ def test_cost_of_transport_is_work_over_weight_and_way() -> None:
     cost = cost_of_transport(torque, velocity, 3.0, PERIOD)
     assert cost == pytest.approx(work / (TOTAL_MASS * STANDARD_GRAVITY * 3.0))
     assert math.isnan(cost_of_transport(torque, velocity, 0.0, PERIOD))
+
+
+def test_cost_of_transport_is_by_the_weight_that_is_carried() -> None:
+    torque, velocity = np.full((10, 10), 2.0), np.ones((10, 10))
+    bare, loaded = (
+        cost_of_transport(torque, velocity, 1.0, PERIOD, mass=mass)
+        for mass in (TOTAL_MASS, 2 * TOTAL_MASS)
+    )
+    assert loaded == pytest.approx(bare / 2)
+    assert cost_of_transport(torque, velocity, 1.0, PERIOD) == bare
 
 
 def test_roughness_is_the_change_between_actions() -> None:

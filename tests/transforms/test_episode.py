@@ -59,6 +59,15 @@ def test_only_the_first_episode_is_cut_short() -> None:
     assert {length for each in lengths for length in each[1:]} == {LIMIT}
 
 
+def test_what_is_left_counts_down_to_zero_and_stays_there() -> None:
+    env = _env()
+    env.set_seed(0)
+    left = env.reset()["stagger"]
+    env.set_seed(0)
+    for k, outcome in enumerate(_walk(env, LIMIT + 2), 1):
+        assert torch.equal(outcome["stagger"], (left - k).clamp(min=0))
+
+
 def test_ends_follow_the_seed() -> None:
     found = [_env(seed=seed).reset()["stagger"] for seed in (3, 3, 4)]
     assert torch.equal(found[0], found[1])
