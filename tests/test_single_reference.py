@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import ppo_aslip
 import ppo_single_reference
 import pytest
 import torch
@@ -18,9 +19,10 @@ from aslip.cassie import MOTOR_NAMES, POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MAS
 from aslip.cassie.model import CassieIndices, load_model
 from aslip.errors import UnknownNameError
 from aslip.evaluation import evaluate
+from aslip.library import single_reference_library
 from aslip.policy import policy_stack
 from aslip.stack import STACKS, single_reference_stack
-from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall
+from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall, SpeedCommand
 from aslip.walker import Walker
 from tests.helpers import MakeEnv
 
@@ -71,6 +73,16 @@ def test_springs_carry_the_weight_in_stance(qpos: torch.Tensor) -> None:
     assert wrong == pytest.approx(math.exp(-2000 * loaded**2), rel=1e-4)
 
 
+def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
+    """Where neither foot of the reference stands, none carries."""
+    shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
+    free, loaded = qpos.clone(), qpos.clone()
+    free[shins], loaded[shins] = 0.0, -0.02
+    assert terms.springs(free, SWINGING, SWINGING).item() == 1.0
+    expected = math.exp(-1000 * 2 * 0.02**2)
+    assert terms.springs(loaded, SWINGING, SWINGING).item() == pytest.approx(expected)
+
+
 def test_the_compliance_is_the_robots() -> None:
     """Deflection and force of the shipped policy's robot fit the line that the reward assumes."""
     walker = Walker("aslip", speed=0.5)
@@ -109,6 +121,25 @@ def test_the_odometer_counts_from_each_reset(make: MakeEnv) -> None:
     again = env.reset(rollout[:, -1]["next"].clone().set("_reset", mask))
     assert again["reference", "distance"][0] == 0
     torch.testing.assert_close(again["reference", "distance"][1], expected[1])
+
+
+def test_the_odometer_counts_at_the_speed_of_each_step(make: MakeEnv) -> None:
+    """Whenever commands change: it goes where the step's command goes, and the goal was there."""
+    library = single_reference_library()
+    restless = SpeedCommand(library, [0.0, 1.0, 2.0], interval=POLICY_PERIOD)
+    env = make(
+        num_envs=8,
+        stack="single_reference",
+        library=library,
+        drop=["low_reward", "fall"],
+        replace={"command": restless},
+    )
+    walk = env.rollout(6, break_when_any_done=False)
+    assert (walk["command"] != walk["next", "command"]).any()
+    way = walk["next", "reference", "distance"] - walk["reference", "distance"]
+    torch.testing.assert_close(way, POLICY_PERIOD * walk["command"], atol=1e-6, rtol=0)
+    reached = walk["next", "reference", "distance"]
+    torch.testing.assert_close(walk["goal", "distance"], reached, atol=0, rtol=0)
 
 
 def test_rewards_sum_by_weight_and_know_the_reference(make: MakeEnv) -> None:
@@ -153,12 +184,11 @@ def test_stacks_have_names() -> None:
 def test_the_recipe_trains_a_policy_that_knows_its_stack(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recipe = ppo_single_reference.ppo_aslip
-    monkeypatch.setattr(recipe, "evaluate", partial(evaluate, num_steps=5))
+    monkeypatch.setattr(ppo_aslip, "evaluate", partial(evaluate, num_steps=5))
     tiny = {"num_envs": 4, "samples": 32, "total_steps": 32, "minibatch": 16}
     for config in ppo_single_reference.PRESETS.values():
         assert config.command_interval == 0
-        recipe.main(replace(config, out=tmp_path / config.preset, **tiny))
+        ppo_aslip.main(replace(config, out=tmp_path / config.preset, **tiny))
         assert policy_stack(tmp_path / config.preset) == "single_reference"
         walker = Walker(tmp_path / config.preset, speed=1.0)
         assert walker.step()["observation"].shape == (1, 49)
