@@ -14,7 +14,7 @@ from tensordict import TensorDict
 
 import aslip
 from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
-from aslip.evaluation import evaluate
+from aslip.evaluation import WalkResult, evaluate
 from aslip.rewards import PAPER_WEIGHTS
 from aslip.transforms import ActionDelta, AssembleObservation
 
@@ -162,6 +162,18 @@ def test_a_longer_training_is_estimated_to_take_longer(tmp_path: Path) -> None:
 
 def test_the_names_on_the_command_line_are_those_of_the_variants() -> None:
     assert tuple(VARIANTS) == ablate.NAMES
+
+
+def test_the_papers_return_is_of_the_steps_that_were_walked() -> None:
+    """Whatever a training was rewarded for; who falls early has little."""
+    terms = [dict.fromkeys(PAPER_WEIGHTS, value) for value in (0.5, 1.0)]
+    fell = WalkResult(1.0, 100, False, -7.0, 0.7, 0.0, 1.0, terms[0])
+    walked = WalkResult(0.5, 400, True, -7.0, 0.6, 0.0, 1.0, terms[1])
+    found = ablate.measures([fell, walked])
+    assert found["paper's return"] == pytest.approx((100 * 0.5 + 400 * 1.0) / 2)
+    assert found["speed error m/s"] == pytest.approx((0.3 + 0.1) / 2)
+    assert [found[name] for name in ("survived", "on the feet", "tracked")] == [1, 2, 1]
+    assert [found[name] for name in PAPER_WEIGHTS] == [pytest.approx(0.75)] * len(PAPER_WEIGHTS)
 
 
 def test_a_mixed_table_says_where_it_has_intervals() -> None:

@@ -247,6 +247,18 @@ def test_intervals_are_over_seeds_where_there_are_several() -> None:
     assert few == Interval(3.0, 3.0, 3.0)
 
 
+def test_values_that_are_none_are_left_out_of_an_interval() -> None:
+    """Of a group that has some, the others count."""
+    some = [np.array([1.0, np.nan, 3.0]), np.array([np.nan]), np.array([4.0, np.inf])]
+    assert Interval.of(some) == Interval.of([np.array([1.0, 3.0]), np.array([4.0])])
+
+
+@pytest.mark.parametrize("groups", [[np.full(20, 0.1)], [np.array([0.1])] * 3])
+def test_equal_values_have_their_value_and_no_interval(groups: list[np.ndarray]) -> None:
+    """To the last bit, or tables would show an interval."""
+    assert Interval.of(groups) == Interval(0.1, 0.1, 0.1)
+
+
 def test_results_are_json_whatever_failed(tmp_path: Path) -> None:
     write_results(tmp_path, "mine", {"rows": [{"a": math.nan, "b": (1.0, -math.inf)}]}, "|")
     text = (tmp_path / "mine.json").read_text()
@@ -282,6 +294,19 @@ def test_likeness_of_a_seed_that_fell_is_none(
     found = claims.likeness([Walks(**{**sizes, "command": alive.astype(float), "alive": alive})])
     assert list(found) == ["velocity oscillation", "springy legs"]
     assert all(np.isnan(values).tolist() == [fallen] for values in found.values())
+
+
+def test_on_the_spot_there_is_no_oscillation_to_compare(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The model's forward speed is constant there, whatever the robot's does."""
+    monkeypatch.setattr(claims, "_leg_correlation", lambda walk: 1.0)
+    arrays: dict[str, Any] = {field.name: np.zeros((200, 5)) for field in fields(Walks)}
+    arrays["command"] = np.tile(claims._SPEEDS, (200, 1))
+    arrays["alive"] = np.ones((200, 5), dtype=bool)
+    robot = np.random.default_rng(0).normal(size=(200, 5, 3))
+    model = robot * [1.0, 0.0, 0.0] + 0.5
+    model[:, 0] = 0.01 * np.random.default_rng(1).normal(size=(200, 3))  # of rounding
+    arrays |= {"pelvis_velocity": robot, "body_velocity": model}
+    assert claims.likeness([Walks(**arrays)])["velocity oscillation"] == pytest.approx([1.0])
 
 
 def test_every_policy_has_a_curve_of_its_own(library: GaitLibrary) -> None:

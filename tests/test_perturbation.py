@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from tqdm import tqdm
 import aslip
 from aslip.errors import ConfigurationError
 from benchmarks.common import environment
+from benchmarks.perturbation import pushes as pushes_module
 from benchmarks.perturbation import sweeps as sweeps_module
 from benchmarks.perturbation.config import SWEEPS, Config
 from benchmarks.perturbation.pushes import settled, survived_pushes
@@ -65,6 +67,45 @@ def test_bisection_closes_in_from_below() -> None:
     config = _config(bisections=3, largest=1.6, after=0.3)
     survived = survived_pushes(config, "aslip", BAR)
     np.testing.assert_allclose(survived, 1.4)
+
+
+def _measured(
+    monkeypatch: pytest.MonkeyPatch, config: Config, yaw: float, standing: list[bool]
+) -> tuple[np.ndarray, list[Any]]:
+    """Largest pushes of robots that survive all, and what was done to them in order."""
+    done: list[Any] = []
+    base = SimpleNamespace(states=lambda: "settled", set_states=done.append)
+    env = SimpleNamespace(base_env=base, close=lambda: None)
+    turn = [[math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]] * len(standing)
+    td = {("truth", "pelvis_orientation"): torch.tensor(turn)}
+
+    def survives(*arguments: Any) -> np.ndarray:
+        done.append(arguments[-2])
+        return np.ones(len(standing), dtype=bool)
+
+    monkeypatch.setattr(pushes_module, "environment", lambda *_: env)
+    monkeypatch.setattr(pushes_module, "settled", lambda *_: (td, np.array(standing)))
+    monkeypatch.setattr(pushes_module, "survives", survives)
+    return survived_pushes(config, "aslip", BAR), done
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, -2.0])
+def test_directions_are_seen_from_the_robot(monkeypatch: pytest.MonkeyPatch, yaw: float) -> None:
+    """Forward, left, back and right of where it has turned, from one and the same state."""
+    config = _config(directions=4, bisections=2, largest=8.0)
+    _, done = _measured(monkeypatch, config, yaw, [True] * 4)
+    assert done[::2] == ["settled", "settled"]
+    for impulses, size in zip(done[1::2], (4.0, 6.0), strict=True):
+        ahead = [size * math.cos(yaw), size * math.sin(yaw), 0.0]
+        left = [-ahead[1], ahead[0], 0.0]
+        expected = [ahead, left, np.negative(ahead), np.negative(left)]
+        np.testing.assert_allclose(impulses, expected, atol=1e-5)
+
+
+def test_who_falls_without_a_push_survives_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = _config(directions=2, bisections=3, largest=8.0)
+    survived, _ = _measured(monkeypatch, config, 0.0, [True, False])
+    assert survived.ravel().tolist() == [7.0, 0.0]
 
 
 def test_pushes_begin_at_their_phase() -> None:
