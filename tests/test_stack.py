@@ -181,6 +181,17 @@ def test_a_transform_draws_the_same_whatever_else_is_in_the_stack(library: GaitL
     torch.testing.assert_close(full["phase"], other["phase"], rtol=0, atol=0)
 
 
+def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:
+    """Nor does one with another seed: phases would go with commands, noise with both."""
+    env = make_env(stack=randomised(default_stack(library)))
+    drawn = []
+    for seed in (0, 1):
+        env.set_seed(seed)
+        transforms = [t for t in env.transforms if isinstance(t, CassieTransform)]
+        drawn += [tuple(torch.rand(4, generator=t.generator).tolist()) for t in transforms]
+    assert len(set(drawn)) == len(drawn) == 2 * len(transforms)
+
+
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "3"])
 def test_a_seed_that_is_none_is_refused(make: MakeEnv, seed: Any) -> None:
     with pytest.raises(ConfigurationError, match="seed must be a whole number"):
