@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes.util
 import os
+import signal
 from typing import Any
 
 import pytest
@@ -20,6 +21,8 @@ from tests.helpers import MakeEnv
 
 # the machine is shared, and no test gains from more
 torch.set_num_threads(1)
+# the background jobs of a shell ignore Ctrl-C, and so would what tests start and interrupt
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -56,15 +55,8 @@ def limp() -> TensorDictModule:
 
 @contextmanager
 def started(command: Sequence[str], **settings: Any) -> Iterator[subprocess.Popen[str]]:
-    """A process whose output is read, which Ctrl-C reaches, and which does not outlive the test."""
-
-    def let_interrupt() -> None:
-        # a shell's background jobs ignore it, and so would what they start
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, text=True, preexec_fn=let_interrupt, **settings
-    ) as process:
+    """A process whose output is read, and which does not outlive the test."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **settings) as process:
         try:
             yield process
         finally:

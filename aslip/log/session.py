@@ -318,7 +318,7 @@ class Session:
         self._writer.flush()
 
     def _dynamics_row(self) -> Row:
-        """Write the robot's dynamics."""
+        """Robot's dynamics, a row of `/dynamics`."""
         row = {name: values[self._robot, None] for name, values in self._base.dynamics.items()}
         return row | {messages.MEMORY: self._base.model.actuator_history[0, :1].astype(float)}
 

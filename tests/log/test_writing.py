@@ -122,15 +122,20 @@ def test_the_end_of_a_program_finishes_its_log(path: Path, error: list[str]) -> 
     assert len(read(path, ["/step"])["/step"]) == 3
 
 
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_a_forked_process_leaves_the_log_to_its_parent(
-    make_recorded: MakeRecorded, path: Path, monkeypatch: pytest.MonkeyPatch
+    make_recorded: MakeRecorded, path: Path
 ) -> None:
     env = make_recorded(path)
     run(env, 2)
-    with monkeypatch.context() as patched:
-        patched.setattr("os.getpid", lambda: -1)
+    child = os.fork()
+    if child == 0:
         env.transforms[-1].close()
+        os._exit(0)
+    assert os.waitpid(child, 0)[1] == 0
     assert [p.name for p in path.parent.iterdir()] == ["walk.mcap.part"]
+    env.close()
+    assert check(path) == []
 
 
 @contextmanager
