@@ -480,6 +480,7 @@ def test_half_a_row_is_taken_back(settings: Settings, monkeypatch: pytest.Monkey
     run = _open(settings)
     run.log(10, {"value": 1.0})
     before = (settings.out / "progress.csv").read_bytes()
+    run.close()  # TensorBoard writes in a thread, which must not meet the limit
     resource = pytest.importorskip("resource")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with quiet() as said:

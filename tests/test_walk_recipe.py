@@ -209,6 +209,14 @@ def _decoded(path: Path) -> tuple[dict, np.ndarray]:
     return about, np.array([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in stream])
 
 
+# imageio-ffmpeg leaves its pipes to the garbage collector
+leaves_pipes = pytest.mark.filterwarnings(
+    "ignore:unclosed file:ResourceWarning",
+    "ignore::pytest.PytestUnraisableExceptionWarning",
+)
+
+
+@leaves_pipes
 def test_a_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.ndarray]]) -> None:
     write_video(tmp_path / "film.mp4", frames(10), 100 / 3, (64, 48))
     about, decoded = _decoded(tmp_path / "film.mp4")
@@ -270,6 +278,7 @@ def test_only_the_frames_of_a_film_are_drawn(
     assert written["size"] == (160, 480)
 
 
+@leaves_pipes
 def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
     try:
         render_robot(np.zeros((1, 35)), width=16, height=16)

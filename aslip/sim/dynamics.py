@@ -174,7 +174,8 @@ class Dynamics:
                 f"{name} must be one number or {ids.shape} of them, got the shape {value.shape}"
             )
         value = np.broadcast_to(value.astype(np.float64), ids.shape).copy()
-        single, low, high = (np.float32(x) for x in (value, parameter.low, parameter.high))
+        with np.errstate(over="ignore"):  # what overflows is beyond all limits
+            single, low, high = (np.float32(x) for x in (value, parameter.low, parameter.high))
         wrong = ~((single >= low) & (single <= high))
         if wrong.any():
             first = int(np.flatnonzero(wrong)[0])

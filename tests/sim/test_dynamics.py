@@ -274,6 +274,7 @@ def test_values_out_of_limits_are_refused_and_nothing_happens(backend: str) -> N
             {"mass": 1.1, "floor_friction": [0.5, -1.0]},
             r"floor_friction of robot 1.*0\.01 to 5.*-1",
         ),
+        ({"mass": 1e300}, r"mass of robot 0 must be from .* got 1e\+300"),
         ({"torque_delay": 0.2}, r"torque_delay of robot 0 must be from 0 to 0\.03 .*got 0\.2"),
         ({"slope": 45.0}, r"slope.*-0\.7 to 0\.7.*got 45"),
         ({"payload": float("nan")}, r"payload.*0 to 100.*got nan"),
