@@ -144,7 +144,7 @@ def test_the_odometer_counts_at_the_speed_of_each_step(make: MakeEnv) -> None:
 
 def test_rewards_sum_by_weight_and_know_the_reference(make: MakeEnv) -> None:
     env = make(num_envs=4, stack="single_reference", library=None)
-    first = env.rollout(1)[:, 0]["next"]
+    first = env.step(env.reset().set("action", torch.zeros(4, 10)))["next"]
     weighed = sum(
         weight * first["reward_terms", name]
         for name, weight in terms.SINGLE_REFERENCE_WEIGHTS.items()
