@@ -32,6 +32,12 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
+@pytest.fixture(autouse=True)
+def seeded() -> None:
+    """The same random actions in every run; TorchRL draws them from the global generator."""
+    torch.manual_seed(0)
+
+
 @pytest.fixture(scope="session")
 def library() -> GaitLibrary:
     """The library that ships with the package."""
