@@ -34,7 +34,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.fixture(autouse=True)
 def seeded() -> None:
-    """The same random actions in every run; TorchRL draws them from the global generator."""
+    """Seed TorchRL's random actions, which come from the global generator."""
     torch.manual_seed(0)
 
 

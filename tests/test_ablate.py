@@ -93,7 +93,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
 def test_an_interrupted_training_is_no_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The same command goes on where it stopped, with the same budget."""
+    """An ablation goes on where it stopped, with the same command and budget."""
     config = ablate.replace(tiny(tmp_path, "default", "no_symmetry"), total_steps=32)
     update, calls = ablate.ppo_aslip.update, []
 
@@ -219,7 +219,7 @@ def test_each_policy_is_judged_on_what_it_has_learned_to_see(name: str) -> None:
 
 @pytest.mark.parametrize("name", sorted(VARIANTS))
 def test_all_are_judged_alike(name: str) -> None:
-    """The same robot at the same states under the same motor targets: the same rewards."""
+    """Equal robots in equal states under equal motor targets have equal rewards."""
     found, target = [], torch.zeros(2, 10)
     for variant in ("default", name):
         env = judge_of(variant)

@@ -96,7 +96,7 @@ def _require_some(saved: Recording | None, written: Mapping[str, Series]) -> Non
 
 
 def _replayed(log: Recording) -> dict[str, Any]:
-    """What a replay computes."""
+    """Columns that a replay computes."""
     result = replay(log, strict=False)
     arrays = (result.state_time, result.drift, result.qpos, result.qvel)
     return {"steps": result.steps, "doubts": result.doubts, "path": [a.tolist() for a in arrays]}

@@ -1,4 +1,4 @@
-"""What holds for files of every kind: written whole or not at all, read whole or refused."""
+"""Files of every kind: written whole or not at all, read whole or refused."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_another_version_is_refused(kind: Kind, path: Path, name: str) -> None:
 
 @every_archive
 def test_a_file_without_hashes_is_refused(kind: Kind, path: Path) -> None:
-    """As those of earlier versions were."""
+    """Archives of earlier versions had no hashes."""
     parts = unzipped(path.read_bytes())
     path.write_bytes(zipped({name: parts[name] for name in parts if name != SUMS}))
     with pytest.raises(FileDamagedError, match=f"no {SUMS}; files of earlier versions"):

@@ -1,4 +1,4 @@
-"""What the caller of a stack's reset chooses wins over what transforms draw."""
+"""Choices of a reset's caller win over draws of transforms."""
 
 from __future__ import annotations
 

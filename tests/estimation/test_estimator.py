@@ -459,7 +459,7 @@ def test_noise_is_the_same_robots_at_any_period(period: float) -> None:
 
 @pytest.mark.parametrize(("period", "most"), [(1e-3, 3.0), (3e-3, 3.0), (6e-3, 6.0)])
 def test_a_change_may_be_as_large_as_the_time_allows(period: float, most: float) -> None:
-    """Of the gyro 3 rad/s in 3 ms or less, and in proportion between packets further apart."""
+    """The gyro may change by 3 rad/s in 3 ms or less, in proportion over longer gaps."""
     for change, jumped in ((0.95 * most, False), (1.05 * most, True)):
         packet, estimator = _standing(load_model()), StateEstimator(period=period)
         tracking, _ = estimator.start(packet)

@@ -163,7 +163,7 @@ def test_a_shaken_spring_in_the_air_is_no_contact() -> None:
 
 
 def test_a_foot_in_the_air_is_as_uncertain_as_the_pelvis_and_the_legs_encoders() -> None:
-    """Of its place relative to the pelvis only what the encoders err by is not known."""
+    """Only the encoders' errors make its place relative to the pelvis uncertain."""
     filter_ = _filter()
     belief = _started(filter_)
     _run(filter_, belief, 50)

@@ -222,7 +222,7 @@ def test_targets_are_not_changed(kinematics, smooth_motion):
 def test_residual_is_the_gap_that_forward_kinematics_finds(
     kinematics, smooth_motion, monkeypatch, joint
 ):
-    """Of whichever loop is open: the rod's of the Achilles tendon, or that of the plantar rod."""
+    """Either loop may be open: that of the Achilles rod or that of the plantar rod."""
 
     def inexact(*args):
         found = solve_legs(*args)

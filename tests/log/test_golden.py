@@ -48,7 +48,7 @@ def test_the_golden_log_is_read() -> None:
 
 
 def digest(text: str) -> str:
-    """What becomes another text when a column is renamed, moved, or added."""
+    """Description of a log that changes when a column is renamed, moved, or added."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

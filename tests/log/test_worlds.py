@@ -210,7 +210,7 @@ def test_states_with_forged_numbers_do_no_harm(
 
 
 def test_the_place_of_the_newest_command_is_checked(recording: Recording) -> None:
-    """Where MuJoCo would read outside of its memory."""
+    """A place outside the memory of commands is refused."""
     integration = recording["/state"]["integration"].copy()
     # time, positions, velocities; then of each motor a number for users and the place
     integration[:, 1 + 35 + 32 + 1] = 10_000_000
