@@ -23,7 +23,7 @@ from aslip.settings import Backend, JointRate
 
 @dataclass(frozen=True)
 class Config:
-    """What to do."""
+    """Settings of the walk."""
 
     policy: str = "aslip"
     """Name of a shipped policy, its file, or the folder of a run."""

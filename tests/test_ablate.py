@@ -240,7 +240,7 @@ def test_all_are_judged_alike(name: str) -> None:
 
 
 def test_results_are_the_judges(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is kept of a training was walked on the judge's stack, by the saved policy."""
+    """Kept results are of walks of the saved policy on the judge's stack."""
     envs, found = [], []
     measure = ablate.ppo_aslip.evaluate
 

@@ -248,7 +248,7 @@ def test_intervals_are_over_seeds_where_there_are_several() -> None:
 
 
 def test_values_that_are_none_are_left_out_of_an_interval() -> None:
-    """Of a group that has some, the others count."""
+    """Values that are NaN are left out of their group; the others count."""
     some = [np.array([1.0, np.nan, 3.0]), np.array([np.nan]), np.array([4.0, np.inf])]
     assert Interval.of(some) == Interval.of([np.array([1.0, 3.0]), np.array([4.0])])
 

@@ -31,7 +31,7 @@ ROOT = Path(__file__).parent.parent
 
 @dataclass(frozen=True)
 class Flags:
-    """What to do."""
+    """Flags of a small program."""
 
     clip: float = 0.2
     total_steps: int = 10

@@ -169,7 +169,7 @@ def test_what_the_action_is_added_to_must_be_the_same(make: MakeEnv) -> None:
 def test_a_file_whose_stack_is_not_what_it_was_trained_on_is_not_measured(
     make: MakeEnv, tmp_path: Path
 ) -> None:
-    """As after a change of the stack of that name."""
+    """A stack may have changed since the policy named it."""
     path = tmp_path / "policy.zip"
     interface = {**interface_of(make()), "stack": "paper"}
     save_policy(path, make_actor(RunningNormalizer(64)), PolicyShape(), **interface)

@@ -26,7 +26,7 @@ def test_paths_have_no_gaps_and_the_colours_of_their_modes(library: GaitLibrary)
 
 
 def test_double_stance_is_shaded(library: GaitLibrary) -> None:
-    """Of the first gait: where a phase is shaded both feet are on the ground, and nowhere else."""
+    """Phases of the first gait are shaded where both feet are on the ground, and nowhere else."""
     gaits = library.gaits[::20]
     phase = np.linspace(0, 1, 500, endpoint=False)
     double = gaits[0].sample(phase).mode == Mode.DOUBLE

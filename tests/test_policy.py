@@ -310,7 +310,7 @@ def _recurrent() -> nn.Module:
 
 
 def _other_activation() -> nn.Module:
-    """The same weights under the same names, and another function."""
+    """An actor with equal names and weights that computes another function."""
     actor = make_actor(RunningNormalizer(64))
     net = next(m for m in actor.modules() if isinstance(m, nn.ReLU))
     net.forward = torch.tanh

@@ -74,7 +74,7 @@ def test_springs_carry_the_weight_in_stance(qpos: torch.Tensor) -> None:
 
 
 def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
-    """Where neither foot of the reference stands, none carries."""
+    """Springs carry nothing where neither foot of the reference stands."""
     shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
     free, loaded = qpos.clone(), qpos.clone()
     free[shins], loaded[shins] = 0.0, -0.02

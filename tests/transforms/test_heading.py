@@ -297,7 +297,7 @@ SLOPE = 0.1
 def test_on_a_slope_truth_and_odometry_are_in_one_frame(
     library: aslip.GaitLibrary, degrees: float
 ) -> None:
-    """What a perfect estimator says is what the estimator says, and their rewards agree."""
+    """A perfect estimator and the estimator agree, and so do their rewards."""
     angle = torch.full((1, 1), math.radians(degrees), dtype=torch.float64)
     env = _turned(
         library,
