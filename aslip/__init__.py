@@ -18,10 +18,10 @@ from typing import TYPE_CHECKING, Any
 from aslip import errors
 
 if TYPE_CHECKING:
+    from aslip.envs import default_stack, make_env
     from aslip.library import GaitLibrary, Reference
     from aslip.policy import load_policy
     from aslip.rom import Gait
-    from aslip.stack import default_stack, make_env
 
 __version__ = "0.1.0"
 
@@ -29,9 +29,9 @@ _HOME = {
     "Gait": "aslip.rom",
     "GaitLibrary": "aslip.library",
     "Reference": "aslip.library",
-    "default_stack": "aslip.stack",
+    "default_stack": "aslip.envs",
     "load_policy": "aslip.policy",
-    "make_env": "aslip.stack",
+    "make_env": "aslip.envs",
 }
 
 __all__ = [

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line
 from aslip.errors import FileDamagedError, one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -58,13 +58,13 @@ import torch
 from tqdm import trange
 
 import aslip
-from aslip.cassie import POLICY_PERIOD
+from aslip.envs import EPISODE_ENDS, STACKS
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, Recorder, check, read, recover, replay
 from aslip.policy import policy_stack
-from aslip.run import write_text
-from aslip.stack import EPISODE_ENDS, STACKS
-from aslip.walker import Walker
+from aslip.robot import POLICY_PERIOD
+from aslip.training.run import write_text
+from aslip.walking.walker import Walker
 
 # an episode of the paper [policy steps]
 _EPISODE = 400

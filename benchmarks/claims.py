@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 from benchmarks.flags import Common
 
 
@@ -41,12 +41,12 @@ from typing import Any
 
 import numpy as np
 
-from aslip.cassie import POLICY_PERIOD
-from aslip.evaluation import TRACKING_TOLERANCE
-from aslip.metrics import Placement, leg_length_correlation
-from aslip.run import read_progress, write_text
-from aslip.tables import markdown
-from aslip.walks import Walks
+from aslip.robot import POLICY_PERIOD
+from aslip.training.run import read_progress, write_text
+from aslip.walking.evaluation import TRACKING_TOLERANCE
+from aslip.walking.metrics import Placement, leg_length_correlation
+from aslip.walking.tables import markdown
+from aslip.walking.walks import Walks
 from benchmarks import foot_placement, ground_reaction, step_frequency, velocity_tracking
 from benchmarks.common import WALKING_LENGTH, Interval, constant_walks, write_report
 

@@ -16,9 +16,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
-from aslip.settings import CollectorKind
+from aslip.training.command_line import command_line
+from aslip.training.settings import CollectorKind
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.collect import make_collector
 from aslip.policy import policy_stack
-from aslip.tables import markdown
+from aslip.training.collect import make_collector
+from aslip.walking.tables import markdown
 
 
 def main(config: Config) -> None:

@@ -15,14 +15,14 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import aslip
-from aslip.cassie import POLICY_PERIOD
+from aslip.envs import EPISODE_ENDS, ON_TRUTH, CassieTransformedEnv, check_fits
 from aslip.library import GaitLibrary
-from aslip.plots import save_figure
 from aslip.policy import policy_stack
+from aslip.robot import POLICY_PERIOD
 from aslip.rom import Gait
-from aslip.run import write_text
-from aslip.stack import EPISODE_ENDS, ON_TRUTH, CassieTransformedEnv, check_fits
-from aslip.walks import Walks, record_walks
+from aslip.show.plots import save_figure
+from aslip.training.run import write_text
+from aslip.walking.walks import Walks, record_walks
 from benchmarks.flags import Common
 
 WALKING_LENGTH = 350

@@ -15,8 +15,8 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ from tensordict import TensorDict
 from tqdm import tqdm
 
 import aslip
-from aslip.cassie import POLICY_PERIOD
-from aslip.ghost import Ghost
-from aslip.plots import save_figure
-from aslip.render import render_frames, strip
-from aslip.walker import Walker
+from aslip.robot import POLICY_PERIOD
+from aslip.show.ghost import Ghost
+from aslip.show.plots import save_figure
+from aslip.show.render import render_frames, strip
+from aslip.walking.walker import Walker
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
-from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.training.command_line import command_line
 from benchmarks.flags import Common
 
 PUBLISHED: Final = MappingProxyType(
@@ -53,13 +53,13 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.cassie import POLICY_PERIOD, SIDES
-from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
-from aslip.log import read
-from aslip.metrics import Placement, footsteps, placement
-from aslip.tables import markdown
-from aslip.walks import Walks
+from aslip.log import read, read_walk
+from aslip.robot import POLICY_PERIOD, SIDES
+from aslip.show.ghost import Footholds
+from aslip.walking.metrics import Placement, footsteps, placement
+from aslip.walking.tables import markdown
+from aslip.walking.walks import Walks
 from benchmarks.common import Interval, constant_walks, shortest_swing, write_report
 
 _FOOTSTEPS = 15
@@ -71,7 +71,7 @@ def main(config: Config) -> dict[float, list[Placement]]:
     """Measure, print and draw; returns the placements at each speed, one a policy."""
     library = GaitLibrary.load()
     if config.log is not None:
-        walk = Walks.from_log(read(config.log))
+        walk = read_walk(read(config.log))
         speeds = np.unique(walk.command)
         if len(speeds) != 1:
             raise ConfigurationError(

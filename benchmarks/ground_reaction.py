@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 from benchmarks.flags import Common
 
 
@@ -41,15 +41,15 @@ import torch
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
-from aslip.ghost import touchdown_phases
 from aslip.library import GaitLibrary
-from aslip.metrics import force_profile, mean_over_strides
-from aslip.metrics.contact import stances
-from aslip.metrics.force import ForceProfile, dip_ratio, humps
+from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
 from aslip.rom import Gait
-from aslip.tables import markdown
-from aslip.walker import Walker
+from aslip.show.ghost import touchdown_phases
+from aslip.walking.metrics import force_profile, mean_over_strides
+from aslip.walking.metrics.contact import stances
+from aslip.walking.metrics.force import ForceProfile, dip_ratio, humps
+from aslip.walking.tables import markdown
+from aslip.walking.walker import Walker
 from benchmarks.common import environment, nearest_gait, write_report
 
 # before strides count, and while they do [s]

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from aslip.cli import command_line
 from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from aslip.plots import save_figure
 from aslip.policy import POLICY_FILE, read_card
-from aslip.run import read_progress, steps_done, write_text
-from aslip.tables import markdown
+from aslip.show.plots import save_figure
+from aslip.training.run import read_progress, steps_done, write_text
+from aslip.walking.tables import markdown
 from benchmarks.common import WALKING_LENGTH, Interval
 
 VARIANTS: Final = MappingProxyType(

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ import subprocess
 import sys
 import time
 
-from aslip.tables import markdown
+from aslip.walking.tables import markdown
 
 _GAITS = """
 from aslip.library.build import PAPER_SPEEDS

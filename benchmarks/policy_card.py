@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,11 @@ from typing import Any
 
 from tensordict.utils import unravel_key
 
-from aslip.archive import as_json
-from aslip.cassie import (
+from aslip.envs import make_env
+from aslip.files.archive import as_json
+from aslip.files.writing import replacing
+from aslip.policy import CARD, POLICY_FORMAT, find_policy, load_policy, policy_stack, read_card
+from aslip.robot import (
     GEAR,
     JOINT_NAMES,
     MOTOR_NAMES,
@@ -60,12 +63,9 @@ from aslip.cassie import (
     SUBSTEPS,
     TORQUE_DELAY,
 )
-from aslip.files import replacing
-from aslip.policy import CARD, POLICY_FORMAT, find_policy, load_policy, policy_stack, read_card
-from aslip.run import write_text
-from aslip.stack import make_env
-from aslip.tables import markdown
+from aslip.training.run import write_text
 from aslip.transforms import DYNAMICS_RANGES, ActionDelta
+from aslip.walking.tables import markdown
 from benchmarks import foot_placement, step_frequency, velocity_tracking
 from benchmarks.perturbation import suite as perturbation
 from benchmarks.perturbation.config import SWEEPS
@@ -181,7 +181,7 @@ def contract(about: dict[str, Any]) -> str:
             f" {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
             f" {SUBSTEPS / POLICY_PERIOD:.0f} times a second, with velocity target zero; torques"
             f" reach the robot {1e3 * TORQUE_DELAY:g} ms late. `aslip.make_env(stack="
-            f'"{about["stack"]}")` and `aslip.walker.Walker` do all this.',
+            f'"{about["stack"]}")` and `aslip.walking.walker.Walker` do all this.',
             markdown(header, gains),
         ]
     )

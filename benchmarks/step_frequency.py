@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 from benchmarks.flags import Common
 
 
@@ -29,11 +29,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.cassie import POLICY_PERIOD
 from aslip.library import GaitLibrary
-from aslip.metrics import duty_factor, step_frequency
-from aslip.tables import markdown
-from aslip.walks import Walks
+from aslip.robot import POLICY_PERIOD
+from aslip.walking.metrics import duty_factor, step_frequency
+from aslip.walking.tables import markdown
+from aslip.walking.walks import Walks
 from benchmarks.common import Interval, constant_walks, shortest_swing, strides, write_report
 
 # walking before footsteps count, and while they do [s]

@@ -21,8 +21,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -73,15 +73,15 @@ from tensordict import TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv
 
 import aslip
-from aslip import run
-from aslip.cassie import SUBSTEPS
-from aslip.cassie.model import TIMESTEPS
-from aslip.evaluation import evaluate
+from aslip.envs import ON_TRUTH
 from aslip.policy import policy_stack
+from aslip.robot import SUBSTEPS
+from aslip.robot.model import TIMESTEPS
 from aslip.sim import SimulationPool, Simulations
-from aslip.stack import ON_TRUTH
-from aslip.tables import markdown
+from aslip.training import run
 from aslip.transforms import ActionDelta
+from aslip.walking.evaluation import evaluate
+from aslip.walking.tables import markdown
 from benchmarks.faults.trainings import quiet
 from recipes import ppo_aslip
 

@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 from benchmarks.flags import Common
 
 
@@ -40,12 +40,12 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.cassie import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
-from aslip.evaluation import TRACKING_TOLERANCE, on_feet, tracks
-from aslip.ghost import Footholds
 from aslip.library import GaitLibrary
-from aslip.log import read
-from aslip.metrics import (
+from aslip.log import read, read_walk
+from aslip.robot import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
+from aslip.show.ghost import Footholds
+from aslip.walking.evaluation import TRACKING_TOLERANCE, on_feet, tracks
+from aslip.walking.metrics import (
     StepResponse,
     root_mean_square,
     stances,
@@ -53,8 +53,8 @@ from aslip.metrics import (
     stride_average,
     touchdown_spike,
 )
-from aslip.tables import markdown
-from aslip.walks import Walks
+from aslip.walking.tables import markdown
+from aslip.walking.walks import Walks
 from benchmarks.common import Interval, constant_walks, walks_of, write_report
 
 SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
@@ -84,7 +84,7 @@ def main(config: Config) -> dict[str, Any]:
     """Measure, print and draw; returns the numbers."""
     footholds = Footholds(GaitLibrary.load())
     if config.log is not None:
-        walks = [Walks.from_log(read(config.log))]
+        walks = [read_walk(read(config.log))]
         numbers: dict[str, Any] = {"schedule": schedule_rows(walks)}
         figure = picture(walks[0], [])
         write_report(config, "velocity_tracking", numbers, schedule_table(numbers), figure)

@@ -6,7 +6,7 @@
 
 Variants are trained one after the other with the same budget. What is done is kept: started again,
 the command goes on where it stopped, in the middle of a training, too, and adds what is new to the
-table. All are judged alike (`aslip.stack.judged`), whatever they were trained on: walks of one
+table. All are judged alike (`aslip.envs.judged`), whatever they were trained on: walks of one
 robot at 21 speeds, by the paper's reward on the truth and the actuated spring-mass model's motion.
 Each policy sees what it has learned to see.
 """
@@ -16,8 +16,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line, this_command
 from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError, one_line_errors
+from aslip.training.command_line import command_line, this_command
 
 NAMES = (
     "default", "no_com_vel", "no_foot_pos", "no_straight_diff", "no_foot_orient", "no_action_diff",
@@ -79,15 +79,12 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite
 
 import aslip
-from aslip.cassie import MOTOR_NAMES
-from aslip.cassie.model import CassieIndices, load_model
-from aslip.evaluation import TRACKING_TOLERANCE, WalkResult
+from aslip.envs import MAX_EPISODE_STEPS, Stack, commanded, default_stack, insert_before
 from aslip.library import pendulum_library
-from aslip.rewards import PAPER_WEIGHTS
-from aslip.run import write_text
-from aslip.settings import SETTINGS_FILE, read_settings
-from aslip.stack import MAX_EPISODE_STEPS, Stack, commanded, default_stack, insert_before
-from aslip.tables import markdown
+from aslip.robot import MOTOR_NAMES
+from aslip.robot.model import CassieIndices, load_model
+from aslip.training.run import write_text
+from aslip.training.settings import SETTINGS_FILE, read_settings
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
     ActionDelta,
@@ -98,6 +95,9 @@ from aslip.transforms import (
     WeightedReward,
 )
 from aslip.transforms.base import extend_spec
+from aslip.transforms.rewards import PAPER_WEIGHTS
+from aslip.walking.evaluation import TRACKING_TOLERANCE, WalkResult
+from aslip.walking.tables import markdown
 
 _CONFIDENCE = 0.95
 _RESULTS = "judged.json"
@@ -257,9 +257,9 @@ def trained_on(variant: Variant) -> Stack:
     """The stack that a variant's policies are trained on."""
     settings = {"stack": variant.settings.get("stack", "aslip"), **variant.edits()}
     stack, library = settings["stack"], settings.get("library")
-    truth = aslip.stack.ON_TRUTH if variant.settings.get("truth") else {}
-    return aslip.stack.edited(
-        aslip.stack.STACKS[stack](library) if isinstance(stack, str) else stack,
+    truth = aslip.envs.ON_TRUTH if variant.settings.get("truth") else {}
+    return aslip.envs.edited(
+        aslip.envs.STACKS[stack](library) if isinstance(stack, str) else stack,
         truth.get("drop", ()),
         {**settings.get("replace", {}), **truth.get("replace", {})},
     )
@@ -268,7 +268,7 @@ def trained_on(variant: Variant) -> Stack:
 def judge(folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
     """Walks of a training's policy at all speeds, by the judge of all."""
     speeds = aslip.GaitLibrary.load().speeds.tolist()
-    stack = aslip.stack.judged(trained_on(variant))
+    stack = aslip.envs.judged(trained_on(variant))
     with closing(aslip.make_env(num_envs=len(speeds), seed=seed, stack=stack)) as env:
         return ppo_aslip.evaluate(aslip.load_policy(folder), env, speeds)
 

@@ -14,8 +14,8 @@ from typing import Annotated
 
 import tyro
 
-from aslip.cli import command_line
 from aslip.errors import FileDamagedError, one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.settings import PAPER_SPEEDS, PHASE_SAMPLES
+from aslip.library.grid import PAPER_SPEEDS, PHASE_SAMPLES
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ from tqdm import tqdm
 import aslip
 from aslip.library import build_library
 from aslip.library.file import write_library
-from aslip.plots import gait_figure, gait_sheet, save_figure
-from aslip.provenance import versions
 from aslip.rom import Gait, Mode
+from aslip.show.plots import gait_figure, gait_sheet, save_figure
+from aslip.training.provenance import versions
 
 
 def main(config: Config) -> None:

@@ -15,7 +15,7 @@ ablation is a call of `main` in which `make_env` gets something else to `drop` o
 from __future__ import annotations
 
 from aslip.errors import one_line_errors
-from aslip.ppo_settings import (
+from aslip.training.ppo_settings import (
     PRESETS,
     Config,
     resume_command,
@@ -48,22 +48,7 @@ from torchrl.objectives.value import GAE
 from tqdm import tqdm
 
 import aslip
-from aslip.cassie.model import TIMESTEPS
-from aslip.collect import make_collector
-from aslip.evaluation import WalkResult, evaluate, walk_table
-from aslip.plots import learning_curve, save_figure
-from aslip.policy import (
-    PolicyShape,
-    RunningNormalizer,
-    make_actor,
-    make_critic,
-    save_policy,
-    set_std,
-)
-from aslip.provenance import provenance
-from aslip.run import TrainingRun, peak_memory, write_text
-from aslip.settings import read_settings
-from aslip.stack import (
+from aslip.envs import (
     ON_TRUTH,
     STACKS,
     CassieTransformedEnv,
@@ -73,7 +58,22 @@ from aslip.stack import (
     observed,
     randomised,
 )
+from aslip.policy import (
+    PolicyShape,
+    RunningNormalizer,
+    make_actor,
+    make_critic,
+    save_policy,
+    set_std,
+)
+from aslip.robot.model import TIMESTEPS
+from aslip.show.plots import learning_curve, save_figure
+from aslip.training.collect import make_collector
+from aslip.training.provenance import provenance
+from aslip.training.run import TrainingRun, peak_memory, write_text
+from aslip.training.settings import read_settings
 from aslip.transforms import SpeedCommand, StaggeredEnds
+from aslip.walking.evaluation import WalkResult, evaluate, walk_table
 
 
 def main(

@@ -4,7 +4,7 @@
     python recipes/ppo_single_reference.py --resume --total-steps 8000000
 
 Xie et al. 2018 as the paper's authors used it: joint angles of one walking motion at every speed,
-clock and speed as inputs, a reward in joint space (`aslip.stack.single_reference_stack`). Their
+clock and speed as inputs, a reward in joint space (`aslip.envs.single_reference_stack`). Their
 motion was recorded from another controller; ours is a linear inverted pendulum's in closed form.
 Learning is with the paper's settings, but for exploration and learning rate, which fall in the end:
 without, policies differ from one update to the next in which speeds they walk. With the default of
@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from aslip import ppo_settings
 from aslip.errors import one_line_errors
+from aslip.training import ppo_settings
 
 _PAPER = replace(
     ppo_settings.PRESETS["paper"],

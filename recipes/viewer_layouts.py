@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import VisualizerComponentMapping
 
-from aslip.cassie import MOTOR_NAMES, SIDES
-from aslip.cassie.model import load_model
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
-from aslip.palette import COMMAND, ESTIMATE, LEFT, MODEL, OTHERS, RIGHT, ROBOT, rgb
-from aslip.rewards import PAPER_WEIGHTS
+from aslip.robot import MOTOR_NAMES, SIDES
+from aslip.robot.model import load_model
+from aslip.show.palette import COMMAND, ESTIMATE, LEFT, MODEL, OTHERS, RIGHT, ROBOT, rgb
+from aslip.transforms.rewards import PAPER_WEIGHTS
 
 APPLICATION = "aslip"
 """Rerun applies a blueprint to recordings of the same application only."""

@@ -16,9 +16,10 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.cli import command_line
+from aslip.envs.choices import Backend
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.settings import Backend, JointRate
+from aslip.log.rates import JointRate
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -100,16 +101,16 @@ from torch import Tensor
 from tqdm import tqdm
 
 import aslip
-from aslip.cassie import POLICY_PERIOD
-from aslip.cassie.model import load_model
-from aslip.ghost import Ghost
+from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.log import Recorder
-from aslip.pacing import Pacer
 from aslip.policy import policy_stack
-from aslip.run import sigterm_exits
-from aslip.stack import EPISODE_ENDS, ON_TRUTH, STACKS
-from aslip.tables import markdown
-from aslip.walker import Push, Schedule, Walker, policy_steps
+from aslip.robot import POLICY_PERIOD
+from aslip.robot.model import load_model
+from aslip.show.ghost import Ghost
+from aslip.show.pacing import Pacer
+from aslip.training.run import sigterm_exits
+from aslip.walking.tables import markdown
+from aslip.walking.walker import Push, Schedule, Walker, policy_steps
 
 # columns of the pelvis's velocity, world
 _AXES = ("velocity_x", "velocity_y")
@@ -152,7 +153,7 @@ def main(config: Config) -> None:
 
 def serve(config: Config, walker: Walker) -> None:
     """Serve the page until Ctrl-C."""
-    from aslip.live import LivePage
+    from aslip.show.live import LivePage
 
     policies = dict.fromkeys([config.policy, *config.policies])
     LivePage(walker, {name: name for name in policies}, host=config.host, port=config.port).serve()
@@ -318,7 +319,7 @@ def check_rendering(config: Config) -> float:
         UnknownNameError: there is no such camera.
         ConfigurationError: pictures cannot have that size.
     """
-    from aslip.render import render_frames
+    from aslip.show.render import render_frames
 
     qpos = np.tile(load_model().key("standing").qpos, (2, 1))
     look: dict[str, Any] = {"camera": config.camera, "width": config.width, "height": config.height}
@@ -342,8 +343,8 @@ def announce_film(config: Config, seconds: float, duration: float) -> None:
 
 def film(config: Config, frames: list[Frame]) -> None:
     """Render and write the film."""
-    from aslip.render import render_frames
-    from aslip.video import write_video
+    from aslip.show.render import render_frames
+    from aslip.show.video import write_video
 
     assert config.video is not None
     pictures = render_frames(
@@ -369,7 +370,7 @@ def viewer(config: Config) -> Any:
     import mujoco.viewer
 
     from aslip.errors import RenderingError
-    from aslip.render import add_ghost
+    from aslip.show.render import add_ghost
 
     # without one, MuJoCo says so in a thread of its own, and waits
     if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():

@@ -15,8 +15,8 @@ if "DISPLAY" not in os.environ and ctypes.util.find_library("OSMesa"):
     os.environ.setdefault("MUJOCO_GL", "osmesa")
 
 import aslip
+from aslip.envs import CassieTransformedEnv
 from aslip.library import GaitLibrary
-from aslip.stack import CassieTransformedEnv
 from tests.helpers import MakeEnv
 
 # the machine is shared, and no test gains from more

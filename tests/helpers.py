@@ -11,8 +11,8 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
-from aslip.ppo_settings import Config
-from aslip.stack import CassieTransformedEnv
+from aslip.envs import CassieTransformedEnv
+from aslip.training.ppo_settings import Config
 
 MakeEnv = Callable[..., CassieTransformedEnv]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from aslip.cli import command_line, program
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.ppo_settings import (
+from aslip.training.command_line import command_line, program
+from aslip.training.ppo_settings import (
     PRESETS,
     Config,
     kept_settings,
@@ -22,8 +22,8 @@ from aslip.ppo_settings import (
     training_settings,
     with_schedule,
 )
-from aslip.run import TrainingRun
-from aslip.settings import SETTINGS_FILE
+from aslip.training.run import TrainingRun
+from aslip.training.settings import SETTINGS_FILE
 from tests.helpers import started
 
 ROOT = Path(__file__).parent.parent

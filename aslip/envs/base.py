@@ -41,9 +41,9 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from aslip.cassie import MOTOR_NAMES
-from aslip.cassie.model import CassieIndices
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.robot import MOTOR_NAMES
+from aslip.robot.model import CassieIndices
 from aslip.sim import Dynamics, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of

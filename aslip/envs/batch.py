@@ -8,9 +8,9 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from aslip.cassie import PHYSICS_TIMESTEP
-from aslip.cassie.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.envs.base import CassieEnv
+from aslip.robot import PHYSICS_TIMESTEP
+from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.sim import SimulationPool, Snapshot
 from aslip.sim.checks import check_count
 from aslip.sim.dynamics import with_longer_memory
@@ -27,7 +27,7 @@ class BatchCassieEnv(CassieEnv):
         num_envs: number of robots, at most `MAX_BATCH_ENVS`.
         num_threads: threads to step on, 0 for all processors.
         floor_friction: sliding friction of the floor.
-        timestep: of the physics [s]; see `aslip.cassie.model.load_model`.
+        timestep: of the physics [s]; see `aslip.robot.model.load_model`.
     """
 
     def __init__(

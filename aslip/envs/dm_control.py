@@ -20,13 +20,13 @@ with warnings.catch_warnings():
     from dm_control.mujoco.wrapper import MjModel
     from dm_control.rl.control import PhysicsError
 
-from aslip.cassie.model import DEFAULT_FLOOR_FRICTION
+from aslip.envs import CassiePhysics, walk_environment
 from aslip.envs.base import CassieEnv
 from aslip.errors import ConfigurationError
+from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 from aslip.sim import Snapshot
 from aslip.sim.checks import check_count, check_states
 from aslip.sim.dynamics import with_longer_memory, write_fields
-from aslip.task import CassiePhysics, walk_environment
 
 MAX_DM_CONTROL_ENVS: Final = 1_024
 """Most robots of one environment, each with a model of its own; for more take the batch backend."""

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from aslip.cassie import STANDARD_GRAVITY
-from aslip.cassie.model import CassieIndices, load_model
-from aslip.cassie.sensing import PACKET_PERIOD
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation.filter import Belief, ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.packets import PACKET_SIZE, SLICES, PacketMemory, Screen, Screened, join
+from aslip.robot import STANDARD_GRAVITY
+from aslip.robot.model import CassieIndices, load_model
+from aslip.robot.sensing import PACKET_PERIOD
 
 # standard deviation [m/s^2] of the mean over 3 ms of an acceleration that had to be made up
 _DOUBT = 5.0
@@ -159,7 +159,7 @@ class StateEstimator:
         while True:
             estimate = estimator.update(tracking, packet)
 
-    A packet is a mapping of the entries of `aslip.cassie.sensing.PACKET_SIZES`, or those joined to
+    A packet is a mapping of the entries of `aslip.robot.sensing.PACKET_SIZES`, or those joined to
     an array. Windows of packets of several robots, oldest first, have the leading shape (n, w).
     The accelerometer's value is the mean since the packet before.
 

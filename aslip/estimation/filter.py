@@ -34,9 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aslip.cassie.sensing import PACKET_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.estimation.compiled import compiled
+from aslip.robot.sensing import PACKET_PERIOD
 
 P, V, B, LEFT, RIGHT = range(5)
 """Position, velocity, acceleration error, and soles, in the state of an axis."""

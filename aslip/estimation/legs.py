@@ -26,9 +26,9 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from aslip.cassie import SIDES, Side, foot_site
 from aslip.errors import ConfigurationError
 from aslip.estimation.compiled import compiled
+from aslip.robot import SIDES, Side, foot_site
 
 HEEL, TOE, LATERAL, FORCE = range(4)
 """Rows of what `LegKinematics` returns: the ends of the axis of the sole's contact capsule [m], the

@@ -18,8 +18,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SIZES
 from aslip.errors import ShapeError, UnknownNameError
+from aslip.robot.sensing import PACKET_PERIOD, PACKET_SIZES
 
 PACKET_SIZE: Final = sum(PACKET_SIZES.values())
 """Numbers in a packet."""

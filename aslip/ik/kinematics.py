@@ -16,12 +16,12 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from aslip.assets import asset_path
-from aslip.cassie import MOTOR_NAMES, SIDES, Side, foot_site
 from aslip.errors import ShapeError
+from aslip.files.assets import asset_path
 from aslip.ik.leg import JOINTS, LegGeometry
 from aslip.ik.mjcf import read_mjcf
 from aslip.ik.rotation import quaternion_to_matrix, rotate, rotate_back
+from aslip.robot import MOTOR_NAMES, SIDES, Side, foot_site
 
 PELVIS_POSITION = slice(0, 3)
 PELVIS_ORIENTATION = slice(3, 7)

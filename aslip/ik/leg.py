@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from aslip.cassie import SIDES, Side, foot_site
 from aslip.ik.mjcf import DRAWN
 from aslip.ik.rotation import rotate
+from aslip.robot import SIDES, Side, foot_site
 
 JOINTS = (
     "hip_roll", "hip_yaw", "hip_pitch", "knee", "tarsus", "foot_crank", "plantar_rod", "foot",

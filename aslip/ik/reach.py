@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from aslip.cassie import SIDES
 from aslip.errors import UnreachablePoseError
 from aslip.ik.equations import EQUATIONS, LOOPS, POSITION, Equations
 from aslip.ik.leg import JOINTS, KNEE, TARSUS, LegGeometry
 from aslip.ik.newton import MAX_STEP, LegAngles, guess
 from aslip.ik.target import FootMotion
+from aslip.robot import SIDES
 
 _STEPS = 50
 _SINGULAR = 1e-9

@@ -10,8 +10,8 @@ import numpy as np
 from aslip.errors import ConfigurationError
 from aslip.ik import BodyTarget, CassieKinematics, IkSolution, solve, static_torque
 from aslip.library.file import GaitTable
+from aslip.library.grid import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.rom import Gait, GaitSample, optimize_gaits
-from aslip.settings import PAPER_SPEEDS, PHASE_SAMPLES
 
 
 def build_library(

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from aslip.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.cassie import MOTOR_NAMES
 from aslip.errors import AssetError, ConfigurationError, ShapeError
+from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.robot import MOTOR_NAMES
 from aslip.rom import Gait
 
 FORMAT = ArchiveFormat(

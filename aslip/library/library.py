@@ -17,8 +17,8 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from tensordict import TensorDict
 from torch import Tensor
 
-from aslip.assets import asset_path
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
+from aslip.files.assets import asset_path
 from aslip.library.file import GaitTable, read_library
 from aslip.rom import Gait
 

@@ -21,12 +21,12 @@ from typing import Final
 
 import numpy as np
 
-from aslip.cassie import STANDARD_GRAVITY
 from aslip.errors import ConfigurationError
 from aslip.ik import BodyTarget, CassieKinematics, solve, static_torque
 from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.library.file import GaitTable
 from aslip.library.library import GaitLibrary
+from aslip.robot import STANDARD_GRAVITY
 from aslip.rom import Gait, SlipParameters, swing_foot
 
 _MODEL = SlipParameters()

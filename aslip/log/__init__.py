@@ -9,16 +9,18 @@ The same from a shell: `python -m aslip.log info | check | recover | replay --ve
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from aslip.log.check import check
-from aslip.log.reader import Recording, Series, read
-from aslip.log.recover import Recovery, recover
-from aslip.log.replay import Replay, replay
-from aslip.settings import JointRate
+import lazy_loader
 
 if TYPE_CHECKING:
+    from aslip.log.integrity import check
+    from aslip.log.playback import Replay, replay
+    from aslip.log.rates import JointRate
+    from aslip.log.reader import Recording, Series, read
     from aslip.log.recorder import Recorder
+    from aslip.log.recovery import Recovery, recover
+    from aslip.log.walk import read_walk
 
 __all__ = [
     "JointRate",
@@ -29,15 +31,20 @@ __all__ = [
     "Series",
     "check",
     "read",
+    "read_walk",
     "recover",
     "replay",
 ]
 
-
-def __getattr__(name: str) -> Any:
-    """Import the recorder, a TorchRL transform, on first use: reading a log needs no PyTorch."""
-    if name != "Recorder":
-        raise AttributeError(f"module 'aslip.log' has no attribute {name!r}; it has {__all__}")
-    from aslip.log.recorder import Recorder
-
-    return Recorder
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "integrity": ["check"],
+        "rates": ["JointRate"],
+        "reader": ["Recording", "Series", "read"],
+        "recorder": ["Recorder"],
+        "recovery": ["Recovery", "recover"],
+        "playback": ["Replay", "replay"],
+        "walk": ["read_walk"],
+    },
+)

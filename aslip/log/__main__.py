@@ -8,13 +8,13 @@ import textwrap
 from pathlib import Path
 from typing import NoReturn
 
-from aslip.cli import usage_error
 from aslip.errors import AslipError
-from aslip.log.check import check
+from aslip.log.integrity import check
+from aslip.log.playback import TOPICS, Replay, low_level_differs, replay
 from aslip.log.reader import read
-from aslip.log.recover import recover
-from aslip.log.replay import TOPICS, Replay, low_level_differs, replay
-from aslip.tables import markdown
+from aslip.log.recovery import recover
+from aslip.training.command_line import usage_error
+from aslip.walking.tables import markdown
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -23,10 +23,10 @@ import mujoco
 import numpy as np
 
 import aslip
-from aslip.assets import asset_path
-from aslip.cassie import SUBSTEPS
-from aslip.cassie.model import check_timestep, set_floor_friction
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.files.assets import asset_path
+from aslip.robot import SUBSTEPS
+from aslip.robot.model import check_timestep, set_floor_friction
 
 MODEL_FILE: Final = "model.xml"
 SETTINGS_FILE: Final = "model.json"
@@ -86,7 +86,7 @@ def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
     """Files from which `thaw_model` makes the same model, to the bit.
 
     Args:
-        model: as `aslip.cassie.model.load_model` made it.
+        model: as `aslip.robot.model.load_model` made it.
 
     Raises:
         ConfigurationError: the model differs from the file in more than `ModelSettings`.
@@ -196,7 +196,7 @@ def _differing(one: Any, other: Any) -> list[str]:
 
 
 def low_level_digest() -> str:
-    """SHA-256 of the code between motor targets and physics: `aslip.cassie` and `aslip.sim`."""
+    """SHA-256 of the code between motor targets and physics: `aslip.robot` and `aslip.sim`."""
     package = Path(aslip.__file__).parent
     digest = hashlib.sha256()
     for path in sorted(p for name in ("cassie", "sim") for p in (package / name).glob("*.py")):

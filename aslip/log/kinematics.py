@@ -5,8 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from aslip.cassie import MOTOR_NAMES
 from aslip.log.messages import LOGGED_JOINTS
+from aslip.robot import MOTOR_NAMES
 
 
 class LoggedKinematics:

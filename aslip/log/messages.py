@@ -34,8 +34,8 @@ from typing import Any, Final
 
 from mcap_ros2.writer import serialize_dynamic  # pyright: ignore[reportPrivateImportUsage]
 
-from aslip.cassie import JOINT_NAMES, MOTOR_NAMES, SIDES
 from aslip.estimation import FAULTS
+from aslip.robot import JOINT_NAMES, MOTOR_NAMES, SIDES
 
 FORMAT: Final = "2"
 """Version of this layout. Readers refuse others, and name the version of aslip, and its commit,

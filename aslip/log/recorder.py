@@ -19,20 +19,19 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
 import aslip
-from aslip.assets import asset_path
-from aslip.cassie import PHYSICS_TIMESTEP, SUBSTEPS
-from aslip.envs import CassieEnv
+from aslip.envs import CassieEnv, CassieTransformedEnv, described, observed
 from aslip.errors import AslipError, ConfigurationError
-from aslip.ghost import Footholds
+from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
 from aslip.log import messages
 from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
+from aslip.log.rates import JointRate
 from aslip.log.session import Session
 from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
-from aslip.provenance import commit, versions
-from aslip.settings import JointRate
-from aslip.stack import CassieTransformedEnv, described, observed
+from aslip.robot import PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.show.ghost import Footholds
+from aslip.training.provenance import commit, versions
 
 CONFIG_FILE = "config.json"
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from aslip.cassie import POLICY_PERIOD
 from aslip.errors import FileDamagedError
 from aslip.log.frozen_model import LONGEST_MEMORY, MODEL_FILE, SETTINGS_FILE, thaw_model
 from aslip.log.messages import MEMORY
 from aslip.log.reader import Recording, Series
+from aslip.robot import POLICY_PERIOD
 from aslip.sim import DYNAMICS, Dynamics, Simulations
 from aslip.sim.dynamics import with_memory_of
 

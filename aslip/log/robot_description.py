@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from aslip.cassie.model import APPEARANCE_GROUP, geom_color
-from aslip.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
 from aslip.log.messages import ROM_FRAMES, WORLD_FRAME
+from aslip.robot.model import APPEARANCE_GROUP, geom_color
+from aslip.show.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
 
 # feet larger than the model's, since nothing is drawn between them and the body
 _ROM_RADII = (BODY_RADIUS, 0.03, 0.03)
@@ -28,7 +28,7 @@ def robot_description(model: mujoco.MjModel, poses: np.ndarray) -> str:
     """URDF of the robot and of the reduced-order model's body and feet.
 
     Args:
-        model: the robot with what is looked at, `aslip.cassie.model.load_model()`.
+        model: the robot with what is looked at, `aslip.robot.model.load_model()`.
         poses: (b, 7) where the model's bodies but the world, then `ROM_FRAMES`, are at the log's
             first instant: positions [m] and quaternions (xyzw). Viewers that take a joint's origin
             for a transform of its own show it beside the first one of `/tf`.

@@ -9,17 +9,17 @@ import mujoco
 import numpy as np
 from tensordict import TensorDictBase
 
-from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SIDES, SUBSTEPS
-from aslip.cassie.model import load_model
 from aslip.envs import CassieEnv
-from aslip.ghost import Footholds, Ghost
 from aslip.log import messages
 from aslip.log.kinematics import LoggedKinematics
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
 from aslip.log.robot_description import robot_description
 from aslip.log.template import Marks, Template, joints_template, state_template, transforms_template
 from aslip.log.writer import LogWriter
-from aslip.metrics.contact import CONTACT_FORCE
+from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SIDES, SUBSTEPS
+from aslip.robot.model import load_model
+from aslip.show.ghost import Footholds, Ghost
+from aslip.walking.metrics.contact import CONTACT_FORCE
 
 _SUBSTEP_NS = round(PHYSICS_TIMESTEP * 1e9)
 _STEP_NS = SUBSTEPS * _SUBSTEP_NS

@@ -21,7 +21,7 @@ from mcap.writer import CompressionType, Writer
 
 import aslip
 from aslip.errors import ConfigurationError
-from aslip.files import commit
+from aslip.files.writing import commit
 from aslip.log.messages import MessageType
 from aslip.log.records import METADATA_HASH, metadata_hash
 

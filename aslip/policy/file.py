@@ -14,9 +14,9 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor, nn
 from torchrl.modules import ProbabilisticActor
 
-from aslip.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.assets import asset_path
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
+from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.files.assets import asset_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 
@@ -45,14 +45,14 @@ def save_policy(
 ) -> None:
     """Write a policy that `load_policy` reads: an archive of plain arrays, nothing pickled.
 
-    What `aslip.stack.interface_of(env)` returns goes into the last three arguments.
+    What `aslip.envs.interface_of(env)` returns goes into the last three arguments.
 
     Args:
         path: the file; replaced as a whole.
         actor: from `make_actor`.
         shape: what it was made with.
         made_by: settings and versions of what made it, of JSON types.
-        stack: name of the stack that it acts on, one of `aslip.stack.STACKS`; None for another.
+        stack: name of the stack that it acts on, one of `aslip.envs.STACKS`; None for another.
         observation: keys of the entries that its observation is made of, in order.
         baseline: key of the angles that its action is added to; None for an action of another kind.
 
@@ -126,7 +126,7 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: the stack it was trained on, one of `aslip.stack.STACKS`, gives another
+        ConfigurationError: the stack it was trained on, one of `aslip.envs.STACKS`, gives another
             observation in this version of the package.
     """
     path = find_policy(name_or_path)
@@ -172,7 +172,7 @@ def _weights(entries: Mapping[str, bytes], shape: PolicyShape) -> dict[str, Tens
 
 
 def policy_stack(name_or_path: str | Path) -> str:
-    """Name of the stack that a policy acts on, one of `aslip.stack.STACKS`.
+    """Name of the stack that a policy acts on, one of `aslip.envs.STACKS`.
 
     Raises:
         AssetError: there is no such policy.

@@ -29,7 +29,7 @@ from torchrl.modules import (
 )
 
 from aslip.errors import ConfigurationError
-from aslip.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
+from aslip.policy.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
 
 # normalised inputs further out than this are cut off: a fall must not shout down the rest

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from aslip.cassie import (
+from aslip.robot import (
     GEAR,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_TORQUE_LIMIT,

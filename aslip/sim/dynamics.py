@@ -17,9 +17,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aslip.cassie import PHYSICS_TIMESTEP, SUBSTEPS
-from aslip.cassie.model import load_model
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.robot import PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.robot.model import load_model
 
 
 @dataclass(frozen=True)
@@ -234,7 +234,7 @@ def with_longer_memory(model: mujoco.MjModel, delay: float, *, visual: bool) -> 
     """The same robot with a memory of commands that is doubled until it is long enough.
 
     Args:
-        model: as `aslip.cassie.model.load_model` made it, or this.
+        model: as `aslip.robot.model.load_model` made it, or this.
         delay: torque delay that it must be long enough for [s].
         visual: what it was made with.
     """

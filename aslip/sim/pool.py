@@ -17,8 +17,8 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import mujoco
 import numpy as np
 
-from aslip.cassie.model import CassieIndices, load_model
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot.model import CassieIndices, load_model
 from aslip.sim.checks import check_count, check_ids, check_states
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot

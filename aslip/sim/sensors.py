@@ -28,15 +28,15 @@ import numpy as np
 from numba import njit
 from scipy.signal import lfilter, lfilter_zi
 
-from aslip.cassie import (
+from aslip.robot import (
     GEAR,
     JOINT_ENCODER_BITS,
     MOTOR_ENCODER_BITS,
     PHYSICS_TIMESTEP,
     SUBSTEPS,
 )
-from aslip.cassie.model import CassieIndices
-from aslip.cassie.sensing import PACKET_SIZES, PACKET_SUBSTEPS, SENSOR_WINDOW
+from aslip.robot.model import CassieIndices
+from aslip.robot.sensing import PACKET_SIZES, PACKET_SUBSTEPS, SENSOR_WINDOW
 
 MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
 """Taps on a motor's counts, newest first; the sum is in counts a step times pi (simulator)."""

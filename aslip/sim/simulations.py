@@ -21,9 +21,9 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from aslip.cassie import PHYSICS_TIMESTEP, SUBSTEPS
-from aslip.cassie.model import CassieIndices, check_timestep, load_model
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.robot.model import CassieIndices, check_timestep, load_model
 from aslip.sim.checks import check_count, check_ids, check_states
 from aslip.sim.drive import Drive
 from aslip.sim.dynamics import DERIVING_FIELDS
@@ -47,7 +47,7 @@ class Simulations:
 
     Raises:
         ConfigurationError: `num` or `num_threads` is not a count, or the model's timestep none of
-            `aslip.cassie.model.TIMESTEPS`.
+            `aslip.robot.model.TIMESTEPS`.
     """
 
     def __init__(

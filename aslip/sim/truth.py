@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from aslip.cassie.model import CassieIndices
+from aslip.robot.model import CassieIndices
 
 
 @dataclass(frozen=True)

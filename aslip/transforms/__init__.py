@@ -5,7 +5,7 @@ resets, several processes and replay need no care. Those that draw random number
 and follow `env.set_seed`.
 """
 
-from aslip.cassie.sensing import SENSOR_NOISE, NoiseLevel
+from aslip.robot.sensing import SENSOR_NOISE, NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
 from aslip.transforms.base import CassieTransform
 from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand

@@ -11,8 +11,8 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.data import Bounded, Composite
 
-from aslip.cassie import MOTOR_NAMES
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import MOTOR_NAMES
 from aslip.transforms.base import CassieTransform, extend_spec
 
 

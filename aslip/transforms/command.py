@@ -12,9 +12,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.cassie import POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.robot import POLICY_PERIOD
 from aslip.transforms.base import (
     CassieTransform,
     check_number,

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.errors import ConfigurationError
-from aslip.task import FALL_HEIGHT
+from aslip.robot import FALL_HEIGHT
 from aslip.transforms.base import CassieTransform, check_number
 
 

@@ -12,8 +12,6 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
-from aslip.cassie import SIDES
-from aslip.cassie.sensing import PACKET_SIZES
 from aslip.estimation import (
     FAULTS,
     TRACKING_SIZE,
@@ -21,6 +19,8 @@ from aslip.estimation import (
     StateEstimator,
     Tracking,
 )
+from aslip.robot import SIDES
+from aslip.robot.sensing import PACKET_SIZES
 from aslip.transforms.base import CassieTransform, extend_spec, require_keys
 
 ESTIMATE_SIZES: Final = MappingProxyType(

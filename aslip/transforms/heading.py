@@ -10,10 +10,10 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.cassie import SIDES
-from aslip.rewards import rotate_inverse, yaw_angle
+from aslip.robot import SIDES
 from aslip.transforms.base import CassieTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
+from aslip.transforms.rewards import rotate_inverse, yaw_angle
 
 _GROUP = "true_odometry"
 _ORIGIN = (_GROUP, "origin")

@@ -13,9 +13,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.cassie import POLICY_PERIOD
-from aslip.cassie.sensing import NOISE_CHANNELS, SENSOR_NOISE, NoiseLevel
 from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.robot import POLICY_PERIOD
+from aslip.robot.sensing import NOISE_CHANNELS, SENSOR_NOISE, NoiseLevel
 from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in NOISE_CHANNELS)
@@ -40,7 +40,7 @@ class ObservationNoise(CassieTransform):
     makes up a tensordict must carry it on.
 
     Args:
-        levels: sensor -> level, in place of those in `aslip.cassie.sensing.SENSOR_NOISE`.
+        levels: sensor -> level, in place of those in `aslip.robot.sensing.SENSOR_NOISE`.
         scale: factor on all levels; 0 is a robot without noise.
         bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
 

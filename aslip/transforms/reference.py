@@ -11,9 +11,9 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.cassie import MOTOR_NAMES, PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, Reference
+from aslip.robot import MOTOR_NAMES, PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
 from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
 
 _MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))

@@ -17,7 +17,7 @@ TermFunction = Callable[..., Tensor]
 
 
 class RewardTerm(CassieTransform):
-    """One named term of the reward, computed by a pure function; see `aslip.rewards`.
+    """One named term of the reward, computed by a pure function; see `aslip.transforms.rewards`.
 
     TorchRL counts terms among the observations: what is in the specs of rewards are rewards to its
     transforms, and many take one only.

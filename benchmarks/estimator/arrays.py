@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
-from aslip.cassie.sensing import PACKET_SIZES
+from aslip.robot.sensing import PACKET_SIZES
 
 
 def packets(td: TensorDictBase) -> np.ndarray:

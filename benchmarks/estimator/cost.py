@@ -12,13 +12,12 @@ import numpy as np
 from tensordict import TensorDictBase
 
 import aslip
-from aslip.cassie.model import CassieIndices
-from aslip.envs import BatchCassieEnv
+from aslip.envs import ON_TRUTH, BatchCassieEnv, CassieTransformedEnv
 from aslip.estimation import StateEstimator
 from aslip.policy import policy_stack
+from aslip.robot.model import CassieIndices
 from aslip.sim import Sensors
-from aslip.stack import ON_TRUTH, CassieTransformedEnv
-from aslip.tables import markdown
+from aslip.walking.tables import markdown
 from benchmarks.estimator.arrays import packets
 from benchmarks.estimator.config import Config
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.cassie import POLICY_PERIOD
+from aslip.robot import POLICY_PERIOD
 from benchmarks.estimator.walks import SPEEDS, EstimateErrors
 
 

@@ -10,9 +10,9 @@ import torch
 from tensordict import TensorDictBase
 
 import aslip
+from aslip.envs import CassieTransformedEnv
 from aslip.policy import policy_stack
-from aslip.stack import CassieTransformedEnv
-from aslip.tables import markdown
+from aslip.walking.tables import markdown
 from benchmarks.estimator.arrays import array
 from benchmarks.estimator.config import Config
 

@@ -14,12 +14,11 @@ from tensordict import TensorDict
 from torchrl.envs.utils import step_mdp
 
 import aslip
+from aslip.envs import EPISODE_ENDS, FALL_HEIGHT, CassieTransformedEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.policy import policy_stack
-from aslip.stack import EPISODE_ENDS, CassieTransformedEnv
-from aslip.tables import markdown
-from aslip.task import FALL_HEIGHT
+from aslip.walking.tables import markdown
 from benchmarks.estimator.arrays import array, packets
 from benchmarks.estimator.config import Config
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from aslip.cli import command_line
 from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
 from benchmarks.faults.config import Config
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ import io
 import zipfile
 from collections.abc import Mapping
 
-from aslip.archive import SUMS, sums
+from aslip.files.archive import SUMS, sums
 
 
 def unzipped(data: bytes) -> dict[str, bytes]:

@@ -13,10 +13,10 @@ from unittest import mock
 import numpy as np
 from tqdm import tqdm
 
-from aslip import run as run_module
-from aslip.checkpoint import load_checkpoint, save_checkpoint
 from aslip.errors import FileDamagedError
-from aslip.run import TrainingRun
+from aslip.training import run as run_module
+from aslip.training.checkpoint import load_checkpoint, save_checkpoint
+from aslip.training.run import TrainingRun
 from benchmarks.faults.trainings import TINY, Holder, quiet, same, train, undisturbed
 from recipes import ppo_aslip
 

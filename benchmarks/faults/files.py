@@ -13,8 +13,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.cli import command_line
 from aslip.errors import AslipError, one_line_errors
+from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -47,8 +47,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from aslip.run import peak_memory
-from aslip.tables import markdown
+from aslip.training.run import peak_memory
+from aslip.walking.tables import markdown
 from benchmarks.faults.archives import forged, unzipped, zipped
 from benchmarks.faults.kinds import KINDS, Kind
 

@@ -16,11 +16,11 @@ import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.archive import as_json
-from aslip.checkpoint import load_checkpoint, save_checkpoint
+from aslip.files.archive import as_json
 from aslip.library import GaitLibrary
 from aslip.library.file import GaitTable, read_made_by, write_library
 from aslip.policy import CARD, PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
+from aslip.training.checkpoint import load_checkpoint, save_checkpoint
 from benchmarks.faults.archives import forged, unzipped
 from benchmarks.faults.logs import FORGED_LOGS, load_log, write_log
 from benchmarks.faults.trainings import Holder, same

@@ -20,12 +20,12 @@ from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Meta
 from mcap.stream_reader import StreamReader
 
 import aslip
+from aslip.envs import default_stack
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, Series, check, read, recover, replay
 from aslip.log.frozen_model import MODEL_FILE, SETTINGS_FILE
 from aslip.log.writer import HASH_KEY, METADATA, add_metadata, open_writer
-from aslip.stack import default_stack
 
 _STEPS = 36
 _TRUE: dict[str, Series] = {}

@@ -18,7 +18,7 @@ from torchrl.collectors import Collector
 import aslip
 from aslip.envs import BatchCassieEnv
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
-from aslip.run import TrainingStoppedError
+from aslip.training.run import TrainingStoppedError
 from benchmarks.faults.trainings import PATIENCE, TINY, killed, resumed, train, undisturbed
 
 

@@ -17,8 +17,8 @@ from torchrl.envs.utils import step_mdp
 from tqdm import tqdm
 
 import aslip
-from aslip.run import peak_memory
-from aslip.stack import CassieTransformedEnv
+from aslip.envs import CassieTransformedEnv
+from aslip.training.run import peak_memory
 
 _BAD = (np.nan, np.inf, -np.inf, 1e300)
 

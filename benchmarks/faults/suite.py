@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from aslip.run import write_text
-from aslip.tables import markdown
+from aslip.training.run import write_text
+from aslip.walking.tables import markdown
 from benchmarks.faults.checkpoints import checkpoint_cost, cuts, flips, full_disks, losses
 from benchmarks.faults.config import Config
 from benchmarks.faults.files import damaged

@@ -20,9 +20,9 @@ from unittest import mock
 import torch
 from torchrl import torchrl_logger
 
-from aslip.checkpoint import load_checkpoint
-from aslip.evaluation import evaluate
-from aslip.run import read_progress
+from aslip.training.checkpoint import load_checkpoint
+from aslip.training.run import read_progress
+from aslip.walking.evaluation import evaluate
 from recipes import ppo_aslip
 
 TINY = ppo_aslip.Config(

@@ -11,12 +11,12 @@ from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
 import aslip
-from aslip.cassie import POLICY_PERIOD
-from aslip.ghost import heading
-from aslip.stack import CassieTransformedEnv
-from aslip.tables import markdown
+from aslip.envs import CassieTransformedEnv
+from aslip.robot import POLICY_PERIOD
+from aslip.show.ghost import heading
 from aslip.transforms import PhaseClock
-from aslip.walker import policy_steps
+from aslip.walking.tables import markdown
+from aslip.walking.walker import policy_steps
 from benchmarks.common import Interval, environment
 from benchmarks.perturbation.config import SIDES, Config
 from benchmarks.perturbation.walking import reset, walk

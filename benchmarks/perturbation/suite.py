@@ -8,7 +8,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
-from aslip.cassie import POLICY_PERIOD
+from aslip.robot import POLICY_PERIOD
 from benchmarks.common import write_report
 from benchmarks.perturbation.config import Config
 from benchmarks.perturbation.picture import picture

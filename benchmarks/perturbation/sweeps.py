@@ -11,8 +11,8 @@ from scipy import stats
 from tqdm import tqdm
 
 import aslip
-from aslip.cassie import POLICY_PERIOD
-from aslip.tables import markdown
+from aslip.robot import POLICY_PERIOD
+from aslip.walking.tables import markdown
 from benchmarks.common import CONFIDENCE, Interval, environment
 from benchmarks.perturbation.config import SWEEPS, Config
 from benchmarks.perturbation.walking import reset, walk

@@ -9,7 +9,7 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import step_mdp
 from tqdm import tqdm
 
-from aslip.stack import CassieTransformedEnv
+from aslip.envs import CassieTransformedEnv
 
 
 def walk(

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.archive import SUMS
 from aslip.errors import AslipError, FileDamagedError
-from aslip.files import commit, replacing
+from aslip.files.archive import SUMS
+from aslip.files.writing import commit, replacing
 from benchmarks.faults.archives import forged, unzipped, zipped
 from benchmarks.faults.files import damages
 from benchmarks.faults.kinds import KINDS, Kind

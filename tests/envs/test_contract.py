@@ -13,14 +13,20 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.cassie import GEAR, MOTOR_TORQUE_LIMIT, POLICY_PERIOD, TORQUE_DELAY, TOTAL_MASS
-from aslip.cassie.model import TIMESTEPS, load_model
 from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.evaluation import evaluate
 from aslip.library import GaitLibrary
-from aslip.task import FALL_HEIGHT
+from aslip.robot import (
+    FALL_HEIGHT,
+    GEAR,
+    MOTOR_TORQUE_LIMIT,
+    POLICY_PERIOD,
+    TORQUE_DELAY,
+    TOTAL_MASS,
+)
+from aslip.robot.model import TIMESTEPS, load_model
 from aslip.transforms import Fall
+from aslip.walking.evaluation import evaluate
 from tests.helpers import MakeEnv, differing, leaves
 
 BACKENDS = ("batch", "dm_control")

@@ -8,10 +8,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from aslip.cassie.model import load_model
+from aslip.envs import default_stack, insert_before
 from aslip.errors import AslipError, ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.stack import default_stack, insert_before
+from aslip.robot.model import load_model
 from aslip.transforms import RandomDynamics
 from tests.helpers import MakeEnv
 

@@ -13,13 +13,13 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import step_mdp
 
 import aslip
-from aslip.cassie.model import CassieIndices, load_model
-from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SIZES, SENSOR_WINDOW
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import FAULTS, PACKET_SIZE, TRACKING_SIZE, StateEstimator, Tracking
 from aslip.estimation.estimator import _DOUBT, _standing
 from aslip.estimation.filter import FilterNoise, P, V
 from aslip.estimation.packets import SLICES, join
+from aslip.robot.model import CassieIndices, load_model
+from aslip.robot.sensing import PACKET_PERIOD, PACKET_SIZES, SENSOR_WINDOW
 from aslip.transforms import TrueState
 
 STEPS, ROBOTS = 50, 3

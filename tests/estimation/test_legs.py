@@ -12,10 +12,10 @@ import torch
 from numba.core.dispatcher import Dispatcher
 
 from aslip import GaitLibrary
-from aslip.cassie import SIDES, TOTAL_MASS
-from aslip.cassie.model import CassieIndices, load_model
 from aslip.estimation.compiled import compiled
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
+from aslip.robot import SIDES, TOTAL_MASS
+from aslip.robot.model import CassieIndices, load_model
 from aslip.sim import Simulations
 
 

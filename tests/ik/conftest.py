@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.cassie.model import load_model
 from aslip.ik import BodyTarget, CassieKinematics
+from aslip.robot.model import load_model
 
 Targets = tuple[BodyTarget, BodyTarget, BodyTarget]
 

@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.cassie import SIDES
-from aslip.cassie.model import CassieIndices
 from aslip.errors import ShapeError
 from aslip.ik import CassieKinematics
 from aslip.ik.mjcf import DRAWN, joint_references
+from aslip.robot import SIDES
+from aslip.robot.model import CassieIndices
 
 
 def _mujoco_states(model: mujoco.MjModel, qpos: np.ndarray):
@@ -74,7 +74,7 @@ def test_joint_limits_are_mujocos(kinematics, mujoco_model):
 
 
 def test_joint_references_and_drawn_pose_are_mujocos(kinematics, mujoco_model):
-    from aslip.assets import asset_path
+    from aslip.files.assets import asset_path
 
     for name, value in joint_references(asset_path("cassie.xml")).items():
         slot = mujoco_model.joint(name).qposadr[0]

@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.cassie import MOTOR_NAMES, SPRING_NAMES
 from aslip.ik import BodyTarget, IkSolution, solve
 from aslip.ik.leg import JOINTS
 from aslip.ik.newton import MAX_ITERATIONS, guess, solve_legs
 from aslip.ik.target import FootMotion, Motion
+from aslip.robot import MOTOR_NAMES, SPRING_NAMES
 
 
 @pytest.fixture(scope="module")

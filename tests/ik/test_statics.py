@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aslip.cassie import SIDES, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.errors import ShapeError
 from aslip.ik import CassieKinematics, standing_pose, static_torque
 from aslip.library import GaitLibrary
+from aslip.robot import SIDES, STANDARD_GRAVITY, TOTAL_MASS
 
 
 @pytest.mark.parametrize("row", [0, 7, 20])

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aslip.archive import npy
-from aslip.assets import asset_path
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError, ShapeError
+from aslip.files.archive import npy
+from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary, build_library
 from aslip.library.file import GaitTable, read_library, read_made_by
 from aslip.rom import Gait

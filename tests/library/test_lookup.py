@@ -15,9 +15,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from aslip.cassie.model import CassieIndices, load_model
 from aslip.errors import ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary, Reference
+from aslip.robot.model import CassieIndices, load_model
 
 NAMES = [field.name for field in fields(Reference)]
 FEET = ("left_foot", "right_foot")

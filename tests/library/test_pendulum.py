@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.cassie import STANDARD_GRAVITY
 from aslip.errors import ConfigurationError
 from aslip.ik import CassieKinematics, static_torque
 from aslip.library import (
@@ -16,6 +15,7 @@ from aslip.library import (
     single_reference_library,
 )
 from aslip.library.pendulum import pendulum_motion
+from aslip.robot import STANDARD_GRAVITY
 from aslip.rom import SlipParameters
 
 WALK = PendulumWalk(speed=0.8, stride=0.8, height=0.9, width=0.24)

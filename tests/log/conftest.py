@@ -11,10 +11,10 @@ from tensordict import TensorDict
 from torchrl.envs.transforms import StepCounter
 
 import aslip
-from aslip.cassie import PHYSICS_TIMESTEP
+from aslip.envs import default_stack, randomised
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read
-from aslip.stack import default_stack, randomised
+from aslip.robot import PHYSICS_TIMESTEP
 from tests.log.helpers import MakeRecorded, run
 
 

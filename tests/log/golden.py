@@ -11,8 +11,8 @@ import torch
 from tensordict import TensorDict
 
 import aslip
+from aslip.envs import default_stack
 from aslip.log import Recorder
-from aslip.stack import default_stack
 
 GOLDEN = Path(__file__).parents[1] / "data" / "golden.mcap"
 

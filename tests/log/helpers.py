@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from tensordict import TensorDict
 
-from aslip.stack import CassieTransformedEnv
+from aslip.envs import CassieTransformedEnv
 
 MakeRecorded = Callable[..., CassieTransformedEnv]
 

@@ -16,19 +16,19 @@ from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
 import aslip
-from aslip.assets import asset_path
-from aslip.cassie import JOINT_NAMES, MOTOR_NAMES, POLICY_PERIOD, SIDES
-from aslip.cassie.model import load_model
-from aslip.cassie.sensing import PACKET_SIZES
+from aslip.envs import default_stack
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.estimation import FAULTS
-from aslip.ghost import Footholds, Ghost
+from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary, single_reference_library
 from aslip.log import Recorder, Recording, check, read, replay
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
-from aslip.provenance import commit
-from aslip.rewards import PAPER_WEIGHTS
-from aslip.stack import default_stack
+from aslip.robot import JOINT_NAMES, MOTOR_NAMES, POLICY_PERIOD, SIDES
+from aslip.robot.model import load_model
+from aslip.robot.sensing import PACKET_SIZES
+from aslip.show.ghost import Footholds, Ghost
+from aslip.training.provenance import commit
+from aslip.transforms.rewards import PAPER_WEIGHTS
 from tests.log.helpers import MakeRecorded, run
 
 Walk = tuple[Path, list[TensorDict]]

@@ -15,7 +15,7 @@ from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.log import Recording, read, replay
 from aslip.log import replay as package
 from aslip.log.__main__ import main
-from aslip.log.replay import low_level_differs
+from aslip.log.playback import low_level_differs
 from aslip.sim import Drive
 from tests.log.helpers import MakeRecorded, run
 
@@ -226,7 +226,7 @@ def test_verifying_fails_when_the_simulation_differs(
     """As it would after a change of the drive, which is then named."""
     from aslip.log import replay as _  # noqa: F401
 
-    module, torque = sys.modules["aslip.log.replay"], Drive.torque
+    module, torque = sys.modules["aslip.log.playback"], Drive.torque
 
     def stronger(drive: Drive, *args: np.ndarray, out: np.ndarray) -> np.ndarray:
         torque(drive, *args, out=out)

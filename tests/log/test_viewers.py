@@ -15,11 +15,11 @@ import pytest
 from mcap.reader import make_reader
 from tensordict import TensorDict
 
-from aslip.assets import asset_path
-from aslip.cassie import MOTOR_NAMES
+from aslip.files.assets import asset_path
 from aslip.log import Recording
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
-from aslip.rewards import PAPER_WEIGHTS
+from aslip.robot import MOTOR_NAMES
+from aslip.transforms.rewards import PAPER_WEIGHTS
 
 Walk = tuple[Path, list[TensorDict]]
 

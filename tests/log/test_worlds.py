@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.assets import asset_path
-from aslip.cassie.model import TIMESTEPS, load_model
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.files.assets import asset_path
 from aslip.log import Recording, check, read, replay
+from aslip.robot.model import TIMESTEPS, load_model
 from aslip.sim import DYNAMICS
 from tests.log.helpers import MakeRecorded, run
 

@@ -20,10 +20,10 @@ from mcap.reader import make_reader
 from torchrl.envs.transforms import StepCounter
 
 import aslip
+from aslip.envs import default_stack, insert_before
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, check, read, recover, replay
-from aslip.stack import default_stack, insert_before
 from tests.log.helpers import MakeRecorded, run
 
 
@@ -103,7 +103,7 @@ _SCRIPT = """
 import sys
 import aslip
 from aslip.log import Recorder
-from aslip.stack import default_stack
+from aslip.envs import default_stack
 env = aslip.make_env(stack={**default_stack(), "recorder": lambda: Recorder(sys.argv[1])})
 env.rollout(3)
 if len(sys.argv) > 2:

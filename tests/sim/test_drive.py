@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aslip.cassie import (
+from aslip.robot import (
     GEAR,
     MOTOR_NO_LOAD_SPEED,
     MOTOR_TORQUE_LIMIT,

@@ -13,10 +13,10 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from aslip.cassie import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
-from aslip.cassie.model import load_model
 from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
+from aslip.robot.model import load_model
 from aslip.sim import DYNAMICS
 
 BACKENDS = ("batch", "dm_control")

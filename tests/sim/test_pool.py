@@ -11,9 +11,9 @@ from multiprocessing.connection import Connection
 import numpy as np
 import pytest
 
-from aslip.cassie import POLICY_PERIOD
-from aslip.cassie.model import load_model
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import POLICY_PERIOD
+from aslip.robot.model import load_model
 from aslip.sim import SimulationPool, Simulations
 
 # more than one part of the largest size, and a remainder

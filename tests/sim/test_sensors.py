@@ -12,17 +12,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from aslip.assets import asset_path
-from aslip.cassie import GEAR, PHYSICS_TIMESTEP, SUBSTEPS
-from aslip.cassie.model import load_model
-from aslip.cassie.sensing import PACKET_PERIOD, PACKET_SUBSTEPS, SENSOR_WINDOW
+from aslip.envs import CassiePhysics
+from aslip.files.assets import asset_path
+from aslip.robot import GEAR, PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.robot.model import load_model
+from aslip.robot.sensing import PACKET_PERIOD, PACKET_SUBSTEPS, SENSOR_WINDOW
 from aslip.sim import SimulationPool, Simulations, motor_torque
 from aslip.sim.sensors import (
     JOINT_VELOCITY_FILTER,
     MOTOR_VELOCITY_TAPS,
     Sensors,
 )
-from aslip.task import CassiePhysics
 
 RATE = 1 / PHYSICS_TIMESTEP
 # radians of one count, at the joint: hip roll, hip yaw, hip pitch, knee, foot

@@ -12,9 +12,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.cassie import GEAR, PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
-from aslip.cassie.model import TIMESTEPS, CassieIndices, load_model
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import GEAR, PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
+from aslip.robot.model import TIMESTEPS, CassieIndices, load_model
 from aslip.sim import Simulations, motor_torque
 
 WEIGHT = TOTAL_MASS * 9.81

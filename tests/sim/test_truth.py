@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.cassie.model import CassieIndices, load_model
+from aslip.robot.model import CassieIndices, load_model
 from aslip.sim import Simulations, Snapshot, true_state
 from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, upper_hemisphere
 

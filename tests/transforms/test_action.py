@@ -11,8 +11,8 @@ import torch
 from torchrl.data import Bounded
 from torchrl.envs.utils import check_env_specs, step_mdp
 
+from aslip.envs import CassieTransformedEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.stack import CassieTransformedEnv
 from aslip.transforms import ActionDelta
 from tests.helpers import MakeEnv
 

@@ -7,10 +7,10 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from aslip.cassie import POLICY_PERIOD
+from aslip.envs import CassieTransformedEnv
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
-from aslip.stack import CassieTransformedEnv
+from aslip.robot import POLICY_PERIOD
 from aslip.transforms import SpeedCommand
 from tests.helpers import MakeEnv, leaves
 

@@ -10,8 +10,8 @@ from ppo_aslip import training_env
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import StepCounter
 
+from aslip.envs import CassieTransformedEnv
 from aslip.errors import ConfigurationError
-from aslip.stack import CassieTransformedEnv
 from aslip.transforms import StaggeredEnds
 from tests.helpers import MakeEnv
 

@@ -14,16 +14,16 @@ from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
 import aslip
-from aslip import evaluation
-from aslip.cassie.sensing import PACKET_SIZES
+from aslip.envs import EPISODE_ENDS, CassieTransformedEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
 from aslip.library import single_reference_library
-from aslip.stack import EPISODE_ENDS, CassieTransformedEnv
-from aslip.symmetry import observation_mirror
+from aslip.policy.symmetry import observation_mirror
+from aslip.robot.sensing import PACKET_SIZES
 from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, TrueState
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
-from aslip.walks import record_walks
+from aslip.walking import evaluation
+from aslip.walking.walks import record_walks
 
 DEGREES = (0.0, 57.0, 90.0, 172.0, -135.0)
 ANGLES = torch.deg2rad(torch.tensor(DEGREES, dtype=torch.float64))[:, None]

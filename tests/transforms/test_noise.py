@@ -19,9 +19,9 @@ from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from aslip.cassie import POLICY_PERIOD
-from aslip.cassie.sensing import NOISE_CHANNELS, PACKET_SUBSTEPS
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.robot import POLICY_PERIOD
+from aslip.robot.sensing import NOISE_CHANNELS, PACKET_SUBSTEPS
 from aslip.sim.sensors import JOINT_VELOCITY_FILTER
 from aslip.transforms import SENSOR_NOISE, NoiseLevel, ObservationNoise
 from tests.helpers import differing, leaves

@@ -12,10 +12,10 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import SerialEnv
 from torchrl.envs.utils import check_env_specs
 
+from aslip.envs import CassieTransformedEnv, Stack, default_stack, insert_before
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.sim import DYNAMICS
-from aslip.stack import CassieTransformedEnv, Stack, default_stack, insert_before
 from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics, RandomNoise
 from tests.helpers import MakeEnv, differing
 

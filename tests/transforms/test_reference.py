@@ -10,11 +10,10 @@ from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose
 
-from aslip.cassie import PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
-from aslip.envs import BatchCassieEnv
+from aslip.envs import BatchCassieEnv, default_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
-from aslip.stack import default_stack
+from aslip.robot import PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
 from aslip.transforms import (
     PhaseClock,
     ReferenceInjection,

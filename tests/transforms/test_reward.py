@@ -12,12 +12,11 @@ from torchrl.envs.transforms import RewardSum, StepCounter
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip import rewards
-from aslip.cassie import POLICY_PERIOD
+from aslip.envs import default_stack
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.stack import default_stack
-from aslip.transforms import LowReward, RewardTerm, SpeedCommand, WeightedReward
+from aslip.robot import POLICY_PERIOD
+from aslip.transforms import LowReward, RewardTerm, SpeedCommand, WeightedReward, rewards
 from tests.helpers import MakeEnv
 
 TERMS = list(rewards.PAPER_WEIGHTS)

@@ -1,0 +1,197 @@
+"""What an environment is to a policy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass
+from functools import partial
+from pathlib import Path
+from types import FunctionType, MethodType
+from typing import Any, TypeVar
+
+import torch
+from tensordict.utils import NestedKey, unravel_key
+from torchrl.envs.transforms import Transform
+
+from aslip.envs.code_hash import function_text
+from aslip.envs.environment import CassieTransformedEnv
+from aslip.envs.stacks import STACKS
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.policy import entry_names, observation_difference, read_card
+from aslip.transforms import ActionDelta, AssembleObservation, ReferenceInjection, SpeedCommand
+
+
+def interface_of(env: CassieTransformedEnv) -> dict[str, Any]:
+    """Interface of an environment to a policy, as arguments of `aslip.policy.save_policy`.
+
+    Raises:
+        ConfigurationError: no `AssembleObservation` makes an observation.
+    """
+    return {"stack": acts_on(env), "observation": observed(env), "baseline": baseline(env)}
+
+
+def acts_on(env: CassieTransformedEnv) -> str | None:
+    """Name of the stack in `STACKS` that is the same to a policy; None if no stack is.
+
+    The entries of the observation and their order, what the action is added to, and the motion of
+    the reference make a difference; rewards, ends of episodes, robots, sensors, and transforms that
+    write anything else do not.
+    """
+    keys = _observation_keys(env.transforms), baseline(env)
+    if None in keys:
+        return None
+    for name, make in STACKS.items():
+        stack = make()
+        named = [stack[part]() for part in ("observation", "action", "reference")]
+        same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
+        if same_keys and _motion(env.transforms) == _motion(named):
+            return name
+    return None
+
+
+def baseline(env: CassieTransformedEnv) -> NestedKey | None:
+    """Key of the angles that the action is added to.
+
+    None if there is no `ActionDelta`, or another transform changes actions as well.
+    """
+    acting = [t for t in env.transforms if _changes_actions(t)]
+    return _baseline_key(acting[0]) if len(acting) == 1 else None
+
+
+def check_fits(policy: str | Path, env: CassieTransformedEnv) -> None:
+    """Check that an environment shows a policy what it was trained on, and adds its action to that.
+
+    Args:
+        policy: what `aslip.load_policy` takes.
+        env: the environment.
+
+    Raises:
+        AssetError: there is no such policy.
+        FileDamagedError: it is truncated, altered, or no policy.
+        ConfigurationError: the order of the observation's entries, or what the action is added to,
+            is another.
+    """
+    card = read_card(policy)
+    shown, key = entry_names(observed(env)), baseline(env)
+    if card["observation"] != shown:
+        difference = observation_difference(card["observation"], shown)
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} does not fit the environment: {difference}"
+        )
+    added_to = None if key is None else entry_names([key])[0]
+    if card["baseline"] != added_to:
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} does not fit the environment: its action is to be added to"
+            f" {card['baseline']!r}, the environment adds it to {added_to!r}"
+        )
+
+
+def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] | None:
+    """Keys of the observation's entries; None if not one `AssembleObservation` alone writes it."""
+    writing = [t for t in transforms if "observation" in t.out_keys]
+    if len(writing) != 1 or not isinstance(writing[0], AssembleObservation):
+        return None
+    return tuple(writing[0].in_keys)
+
+
+def _changes_actions(transform: Transform) -> bool:
+    """Whether a transform stands between the policy's action and the robot."""
+    keys = {*map(str, transform.in_keys_inv), *map(str, transform.out_keys_inv)}
+    if keys & {"action", "motor_target"}:
+        return True
+    # TorchRL's own name the keys that they change; others need not
+    owner = next(kind for kind in type(transform).__mro__ if "_inv_call" in vars(kind))
+    return not owner.__module__.startswith("torchrl.")
+
+
+def _baseline_key(transform: Transform) -> NestedKey | None:
+    return unravel_key(transform.baseline_key) if isinstance(transform, ActionDelta) else None
+
+
+def observed(env: CassieTransformedEnv) -> list[NestedKey]:
+    """Keys of the entries of an environment's observation, in order.
+
+    Raises:
+        ConfigurationError: no `AssembleObservation` makes one.
+    """
+    return list(_only(env, AssembleObservation).in_keys)
+
+
+def commanded(env: CassieTransformedEnv) -> list[float]:
+    """Speeds that an environment may command [m/s], each once.
+
+    Raises:
+        ConfigurationError: no `SpeedCommand` commands any.
+    """
+    speeds = _only(env, SpeedCommand).speeds.tolist()
+    return list(dict.fromkeys(round(speed, 6) for speed in speeds))
+
+
+def described(env: CassieTransformedEnv) -> dict[str, str]:
+    """What an environment is made of: name of a transform -> its class, and what it was told.
+
+    Functions are told by name and a hash of their code (`function_text`), and whatever else has no
+    short text by its class.
+    """
+    return {
+        name: f"{type(t).__name__}({', '.join(_told(t))})"
+        for name, t in zip(env.transform_names, env.transforms, strict=True)
+    }
+
+
+def _told(transform: Transform) -> list[str]:
+    """Public attributes of a transform that TorchRL does not give to all."""
+    usual = vars(Transform())
+    keys = {key: getattr(transform, key) for key in ("in_keys", "out_keys")}
+    own = {
+        name: value
+        for name, value in {**vars(transform), **dict(transform.named_buffers())}.items()
+        if not name.startswith("_") and name not in usual and name not in _LEFT_OUT
+    }
+    return [f"{name}={_text(value)}" for name, value in sorted({**keys, **own}.items())]
+
+
+# what follows from others, or changes while a training goes on
+_LEFT_OUT = ("generator", "next_keys", "root_keys")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, torch.Tensor):
+        return str([round(number, 6) for number in value.flatten().tolist()])
+    if isinstance(value, Mapping):
+        return str({str(key): _text(item) for key, item in value.items()})
+    if isinstance(value, GaitLibrary):
+        return f"{len(value.speeds)} motions from {value.speeds[0]:g} to {value.speeds[-1]:g} m/s"
+    if isinstance(value, tuple | list):
+        return f"({', '.join(map(_text, value))})"
+    if isinstance(value, str | int | float | None) or is_dataclass(value):
+        return str(value)
+    if isinstance(value, FunctionType | MethodType | partial):
+        return function_text(value, _text)
+    return getattr(value, "__qualname__", type(value).__name__)
+
+
+Kind = TypeVar("Kind", bound=Transform)
+
+
+def _only(env: CassieTransformedEnv, kind: type[Kind]) -> Kind:
+    """The transform of a kind."""
+    for transform in env.transforms:
+        if isinstance(transform, kind):
+            return transform
+    raise ConfigurationError(
+        f"the stack lacks a {kind.__name__}, or a subclass; it has {list(env.transform_names)}"
+    )
+
+
+def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
+    """Numbers that tell the reference's motion from others, at some points of the stride."""
+    libraries = [t.library for t in transforms if isinstance(t, ReferenceInjection)]
+    if not libraries:
+        return []
+    library = libraries[0]
+    lowest, *_, highest = library.speeds.tolist()
+    points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
+    motion = library.lookup(points[:, :1], points[:, 1:])
+    return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()

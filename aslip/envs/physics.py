@@ -1,0 +1,205 @@
+"""Cassie with questions a walking task asks."""
+
+from __future__ import annotations
+
+import warnings
+from copy import deepcopy
+
+import mujoco as mj
+import numpy as np
+
+with warnings.catch_warnings():
+    # dm_control looks for a display on import; its absence matters only to those who render
+    warnings.filterwarnings("ignore", module="glfw")
+    from dm_control import mujoco
+    from dm_control.mujoco.wrapper import MjData
+
+from aslip.errors import ShapeError
+from aslip.files.assets import asset_path
+from aslip.robot import MOTOR_NAMES, SIDES, SUBSTEPS, Side
+from aslip.robot.model import DEFAULT_FLOOR_FRICTION, CassieIndices, set_floor_friction
+from aslip.sim import Drive, Sensors, Snapshot
+from aslip.sim.checks import check_states
+from aslip.sim.simulations import watched_size
+from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, true_state
+
+_VERTICAL = 8  # zz entry of a row-major rotation matrix
+_INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
+
+
+class CassiePhysics(mujoco.Physics):
+    """The robot under motor position targets; every answer is a copy.
+
+    The control signal is what the drive tracks: ten joint angles [rad]. Each substep of `step`
+    runs the PD loop and the motor limits of `aslip.sim`, as on the robot.
+    """
+
+    @classmethod
+    def load(cls, floor_friction: float = DEFAULT_FLOOR_FRICTION) -> CassiePhysics:
+        """Physics of `assets/cassie.xml`, standing."""
+        physics = cls.from_xml_path(str(asset_path("cassie.xml")))
+        set_floor_friction(physics.model.ptr, floor_friction)
+        with physics.reset_context():
+            physics.stand()
+        return physics
+
+    def _reload_from_data(self, data: MjData) -> None:
+        """Set up indices and drive; dm_control calls this from every constructor."""
+        self.indices = CassieIndices.from_model(data.model.ptr)
+        self._drive = Drive(1)
+        self.sensors = Sensors(1, data.model.ptr)
+        self.watched: np.ndarray | None = None
+        """(60, 83) every substep of the last policy period, as `aslip.sim.Simulations.watched`,
+        once `watch` was called."""
+        # ends with after_reset(), which reads the above
+        super()._reload_from_data(data)
+
+    def copy(self, share_model: bool = False) -> CassiePhysics:
+        """A physics in the same state, with the same motor target; see dm_control."""
+        other = super().copy(share_model)
+        # MuJoCo's data are copied; a new physics has set the rest as after a reset
+        other._motor_target = self._motor_target.copy()
+        other._ground_force = self._ground_force.copy()
+        other.sensors, other._substep = deepcopy(self.sensors), self._substep
+        return other
+
+    # ------------------------------------------------------------------ time
+
+    def set_control(self, control: np.ndarray) -> None:
+        """Set the joint angles [rad] the drive tracks, (10,)."""
+        control = np.asarray(control, dtype=np.float64)
+        if control.shape != self._motor_target.shape:
+            expected = self._motor_target.shape
+            raise ShapeError(f"motor target must have shape {expected}, got {control.shape}")
+        self._motor_target = control
+
+    def push(self, force: np.ndarray) -> None:
+        """Push the pelvis' origin with a force (3,) [N, world], until told otherwise."""
+        self.data.xfrc_applied[self.indices.pelvis_body, :3] = force
+
+    def watch(self, watched: bool = True) -> None:
+        """Keep every substep in `watched` from now on, or no more."""
+        shape = (SUBSTEPS, watched_size(self.model.ptr))
+        self.watched = np.zeros(shape) if watched else None
+
+    def step(self, nstep: int = 1) -> None:
+        """Advance by substeps of PD control, motor limits and physics.
+
+        Raises:
+            PhysicsError: the simulation diverged.
+        """
+        self._ground_force = np.zeros_like(self._ground_force)
+        sensors = self.sensors
+        for _ in range(nstep):
+            # the PD loop has the readings of the step before
+            torque = self._drive.torque(
+                self._motor_target[None], sensors.motor_position, sensors.motor_velocity
+            )
+            np.copyto(self.data.ctrl, torque[0])
+            sensors.read(self._substep, self.data.qpos[None], self.data.qvel[None])
+            super().step()
+            sensors.feel(self._substep, self.data.qacc[None])
+            if self.watched is not None:
+                torque = self.data.qfrc_actuator[self.indices.motor_qvel]
+                force = self.data.sensordata[self.indices.ground_force.ravel()]
+                self.watched[self._substep] = np.concatenate(
+                    [self.data.qpos, self.data.qvel, torque, force]
+                )
+            self._substep = (self._substep + 1) % SUBSTEPS
+            if self._substep == 0:
+                sensors.finish()
+            self._ground_force += self.data.sensordata[self.indices.ground_force]
+        self._ground_force /= nstep
+
+    def stand(self) -> None:
+        """Write the standing keyframe; call inside `reset_context`."""
+        mj.mj_resetDataKeyframe(self.model.ptr, self.data.ptr, self.model.ptr.key("standing").id)
+
+    def after_reset(self) -> None:
+        """Recompute what follows from the state."""
+        super().after_reset()
+        self._motor_target = self.motor_position()
+        self._ground_force = self.data.sensordata[self.indices.ground_force]
+        state = (self.data.qpos, self.data.qvel, self.data.qacc)
+        self.sensors.reset(np.zeros(1, dtype=int), *(array[None] for array in state))
+        self._substep = 0
+
+    # ------------------------------------------------------------- questions
+
+    def snapshot(self) -> Snapshot:
+        """Copies of the arrays that `aslip.sim.true_state` reads."""
+        return Snapshot(
+            np.array(self.data.qpos),
+            np.array(self.data.qvel),
+            np.array(self.data.qacc),
+            np.array(self.data.site_xpos),
+            np.array(self.data.site_xmat),
+            np.array(self.data.sensordata),
+            self._ground_force.copy(),
+            np.array(self.data.qfrc_actuator),
+        )
+
+    def full_state(self) -> np.ndarray:
+        """(k,) all that the future depends on between policy periods; see `Simulations.states`."""
+        physics = np.empty(mj.mj_stateSize(self.model.ptr, _INTEGRATION))
+        mj.mj_getState(self.model.ptr, self.data.ptr, physics, _INTEGRATION)
+        return np.concatenate([physics, self.sensors.memory()[0]])
+
+    def set_full_state(self, state: np.ndarray) -> None:
+        """Write what `full_state` returned, of this or another physics of the same model.
+
+        Raises:
+            ShapeError: the state is of another model; nothing has been written then.
+        """
+        size = mj.mj_stateSize(self.model.ptr, _INTEGRATION)
+        state = check_states(state, (size + self.sensors.memory_size,))
+        mj.mj_setState(self.model.ptr, self.data.ptr, state[:size], _INTEGRATION)
+        # dm_control's step begins with what the one before has computed of positions, velocities
+        mj.mj_step1(self.model.ptr, self.data.ptr)
+        self.sensors.set_memory(state[None, size:])
+        self._substep = 0
+
+    def packets(self) -> dict[str, np.ndarray]:
+        """Packets of the sensors of the last whole policy period, (`SENSOR_WINDOW`, k) each."""
+        return {name: window[0].copy() for name, window in self.sensors.packets().items()}
+
+    def true_state(self) -> dict[str, np.ndarray]:
+        """All named quantities of `aslip.sim.true_state`."""
+        return true_state(self.snapshot(), self.indices)
+
+    def pelvis_height(self) -> float:
+        """Height of the pelvis origin above the floor [m]."""
+        return float(self.data.qpos[2])
+
+    def pelvis_upright(self) -> float:
+        """Projection of the pelvis' z axis on the vertical, in [-1, 1]."""
+        return float(self.named.data.xmat["pelvis"][_VERTICAL])
+
+    def pelvis_velocity(self) -> np.ndarray:
+        """Velocity of the pelvis in the pelvis frame, (3,) [m/s]."""
+        return rotate_inverse(np.array(self.data.qpos[3:7]), np.array(self.data.qvel[:3]))
+
+    def motor_position(self) -> np.ndarray:
+        """Angles of the ten driven joints, (10,) [rad]."""
+        return np.array(self.data.qpos[self.indices.motor_qpos])
+
+    def motor_velocity(self) -> np.ndarray:
+        """Velocities of the ten driven joints, (10,) [rad/s]."""
+        return np.array(self.data.qvel[self.indices.motor_qvel])
+
+    def motor_range(self) -> np.ndarray:
+        """Limits of the ten driven joints, (10, 2) [rad]."""
+        return np.stack([self.named.model.jnt_range[name] for name in MOTOR_NAMES])
+
+    def foot_position(self, side: Side) -> np.ndarray:
+        """Sole centre in the world, (3,) [m]."""
+        return np.array(self.data.site_xpos[self.indices.foot_site[SIDES.index(side)]])
+
+    def foot_orientation(self, side: Side) -> np.ndarray:
+        """Sole-to-world rotation, (4,) wxyz; identity when level with the toes along x."""
+        site = self.indices.foot_site[SIDES.index(side)]
+        return quaternion_from_matrix(np.array(self.data.site_xmat[site]))
+
+    def ground_force(self, side: Side) -> np.ndarray:
+        """Force of the floor on one foot in the world, mean over the last step call, (3,) [N]."""
+        return self._ground_force[SIDES.index(side)].copy()

@@ -1,0 +1,215 @@
+"""Stacks by name: the default, the paper's own, and the paper's baseline."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from functools import partial
+from types import MappingProxyType
+from typing import Any, Final
+
+from tensordict.utils import NestedKey
+from torchrl.envs.transforms import StepCounter, Transform
+
+from aslip.envs.choices import RewardSource
+from aslip.library import GaitLibrary, single_reference_library
+from aslip.library.build import PAPER_SPEEDS
+from aslip.transforms import (
+    SINGLE_REFERENCE_TABLE,
+    ActionDelta,
+    AssembleObservation,
+    ClockInput,
+    EpisodeSum,
+    EstimatedState,
+    Fall,
+    Feedforward,
+    FirstStep,
+    HeadingFrame,
+    LastAction,
+    LowReward,
+    ObservationNoise,
+    PhaseClock,
+    ReferenceDistance,
+    ReferenceInjection,
+    ReferenceStart,
+    RewardTerm,
+    SpeedCommand,
+    TrueState,
+    WeightedReward,
+    rewards,
+    single_reference,
+)
+from aslip.transforms.rewards import PAPER_WEIGHTS
+from aslip.transforms.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
+
+# entries of one name in one frame, the robot's heading frame
+_REWARD_SOURCES: Final[Mapping[RewardSource, str]] = MappingProxyType(
+    {"truth": "true_odometry", "estimate": "odometry"}
+)
+
+Stack = dict[str, Callable[[], Transform]]
+"""Name -> what makes a transform, first to last."""
+
+MAX_EPISODE_STEPS = 400
+"""Policy steps of an episode, 12 s (Sec. IV-B)."""
+
+EPISODE_ENDS: Final = ("low_reward", "step_limit")
+"""Transforms that end training episodes though nobody fell; to watch a robot, leave them out."""
+
+ON_TRUTH: Final[Mapping[str, Any]] = MappingProxyType(
+    {"drop": ("noise",), "replace": {"estimator": TrueState}}
+)
+"""What to tell `make_env` for a policy that sees the simulator's truth instead of an estimate."""
+
+
+def reward_terms(reward_on: RewardSource = "truth") -> Stack:
+    """The paper's five reward terms, by their names there (Sec. IV-B).
+
+    Args:
+        reward_on: where pelvis and feet are taken from, the simulator's truth or the odometry of
+            the state estimator.
+    """
+    source = _REWARD_SOURCES[reward_on]
+
+    def body(*names: str) -> list[NestedKey]:
+        return [(source, name) for name in names]
+
+    def goal(*names: str) -> list[NestedKey]:
+        return [("goal", name) for name in names]
+
+    feet = ("left_foot_position", "right_foot_position")
+    reads = {
+        rewards.com_vel: (body("pelvis_orientation", "pelvis_velocity"), goal("body_velocity")),
+        rewards.foot_pos: (body("pelvis_orientation", "pelvis_position", *feet), goal(*feet)),
+        rewards.straight_diff: (body("pelvis_position"), ()),
+        rewards.foot_orient: (body("left_foot_orientation", "right_foot_orientation"), ()),
+    }
+    terms: Stack = {
+        function.__name__: partial(RewardTerm, function.__name__, function, *keys)
+        for function, keys in reads.items()
+    }
+    terms["action_diff"] = lambda: RewardTerm(
+        "action_diff", rewards.action_diff, [], root_keys=["action", "last_action"]
+    )
+    return terms
+
+
+def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
+    """The default stack in order: name -> what makes the transform.
+
+    The paper's, but for motor targets that make up for load and damping (`Feedforward`), with which
+    learning to walk takes a fraction of the samples; see `paper_stack`.
+
+    The policy never sees the truth: its input is what a state estimator makes of noisy sensors.
+    A collector's `max_frames_per_traj` counts on its own; with it, drop `step_limit`.
+
+    Rewards read the truth, as usual when training in simulation, where the simulator knows what a
+    robot could only guess; with `reward_on="estimate"` they read the estimator's odometry instead.
+
+    Args:
+        library: the gaits; the shipped ones by default.
+        reward_on: what pelvis and feet are taken from.
+    """
+    library = _shipped() if library is None else library
+    return {
+        "start": lambda: ReferenceStart(library),
+        "command": lambda: SpeedCommand(library),
+        "clock": lambda: PhaseClock(library),
+        "reference": lambda: ReferenceInjection(library),
+        "feedforward": Feedforward,
+        "heading": HeadingFrame,
+        "noise": ObservationNoise,
+        "estimator": EstimatedState,
+        "observation": AssembleObservation,
+        "action": lambda: ActionDelta(("reference", "motor_target")),
+        "last_action": LastAction,
+        **reward_terms(reward_on),
+        "reward": lambda: WeightedReward(PAPER_WEIGHTS),
+        "fall": Fall,
+        "low_reward": LowReward,
+        "step_limit": lambda: StepCounter(MAX_EPISODE_STEPS),
+        "first_step": FirstStep,
+        "episode_sum": EpisodeSum,
+    }
+
+
+def paper_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
+    """The paper's own stack: actions are added to the reference's angles as they are."""
+    stack = default_stack(library, reward_on)
+    del stack["feedforward"]
+    # the delta also makes up for how far PD loops lag behind: 1.8 rad with the shipped baseline
+    stack["action"] = lambda: ActionDelta(limit=2.0)
+    return stack
+
+
+def single_reference_stack(
+    library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
+) -> Stack:
+    """The paper's baseline in order: the method of Xie et al. 2018 on our robot and sensors.
+
+    One motion in joint space is the reference at every speed, only its forward way is stretched by
+    the command; the policy sees clock and speed instead of a reduced-order model.
+
+    Args:
+        library: of one motion, see `single_reference_library`; that of a pendulum by default.
+        reward_on: as for the default stack; joints and springs are always the truth's.
+    """
+    library = _pendulum() if library is None else library
+    source = _REWARD_SOURCES[reward_on]
+    feet = ("left_foot_velocity", "right_foot_velocity")
+    terms: Stack = {
+        "joints": lambda: RewardTerm(
+            "joints",
+            single_reference.joints,
+            [("truth", "qpos")],
+            # motor angles are read a policy step ahead: those of the past step are due now
+            root_keys=[("reference", "motor_position")],
+        ),
+        "pelvis": lambda: RewardTerm(
+            "pelvis",
+            single_reference.pelvis,
+            [(source, "pelvis_position")],
+            root_keys=[("goal", "body_position"), ("goal", "distance")],
+        ),
+        "upright": lambda: RewardTerm(
+            "upright", single_reference.upright, [(source, "pelvis_orientation")]
+        ),
+        "springs": lambda: RewardTerm(
+            "springs",
+            single_reference.springs,
+            [("truth", "qpos")],
+            root_keys=[("goal", foot) for foot in feet],
+        ),
+    }
+    stack: Stack = {}
+    for name, make in paper_stack(library, reward_on).items():
+        if name == "observation":
+            stack["clock_input"], stack["reference_distance"] = ClockInput, ReferenceDistance
+        if name == "reward":
+            stack |= terms
+        if name not in PAPER_WEIGHTS:
+            stack[name] = make
+    stack["observation"] = lambda: AssembleObservation(SINGLE_REFERENCE_TABLE)
+    stack["reward"] = lambda: WeightedReward(SINGLE_REFERENCE_WEIGHTS)
+    stack["fall"] = lambda: Fall(KNEELING_HEIGHT)
+    # the library has a row for each end of the range only
+    stack["command"] = lambda: SpeedCommand(library, PAPER_SPEEDS)
+    return stack
+
+
+@functools.cache
+def _shipped() -> GaitLibrary:
+    return GaitLibrary.load()
+
+
+@functools.cache
+def _pendulum() -> GaitLibrary:
+    return single_reference_library()
+
+
+STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
+    "aslip": default_stack,
+    "paper": paper_stack,
+    "single_reference": single_reference_stack,
+}
+"""Stacks by name: a function of gait library and `reward_on`."""

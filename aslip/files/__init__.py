@@ -1,0 +1,1 @@
+"""Files: those that ship with the package, archives of arrays, and writing without halves."""

@@ -1,0 +1,233 @@
+"""Simulate a log again, from the file alone, and compare every state it has."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.log.frozen_model import low_level_digest, model_digest
+from aslip.log.reader import Recording, Series, read
+from aslip.robot import MOTOR_NAMES, POLICY_PERIOD
+
+if TYPE_CHECKING:
+    from aslip.log.replayed_robot import ReplayedRobot
+
+TOPICS = ("/step", "/state", "/dynamics")
+"""Topics that a replay reads."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What a replay has come to."""
+
+    start: float
+    """Log time of the state it began from [s]."""
+    steps: int
+    """Policy steps that were simulated."""
+    state_time: np.ndarray
+    """(k,) log time of each state of the log that was compared [s]."""
+    drift: np.ndarray
+    """(k,) largest difference of each of them from the replay; 0 if equal bit for bit."""
+    qpos_drift: np.ndarray
+    """(k,) the same of the configuration alone [m, rad]."""
+    doubts: tuple[str, ...]
+    """Why the simulation may differ: other versions, or another model."""
+    time: np.ndarray = field(repr=False)
+    """(m,) log time of each step's end [s]."""
+    qpos: np.ndarray = field(repr=False)
+    """(m, 35) configurations."""
+    qvel: np.ndarray = field(repr=False)
+    """(m, 32) velocities."""
+
+    @property
+    def compared(self) -> int:
+        """States of the log that were compared."""
+        return len(self.state_time)
+
+    @property
+    def equal(self) -> bool:
+        """Whether the replay is the log's simulation, bit for bit."""
+        return self.diverged_at is None
+
+    @property
+    def diverged_at(self) -> float | None:
+        """Log time of the first state that differed [s]; None if all were equal, bit for bit."""
+        differ = np.flatnonzero(self.drift)
+        return float(self.state_time[differ[0]]) if len(differ) else None
+
+    @property
+    def largest_difference(self) -> float:
+        """Largest difference of a number of any state."""
+        return float(self.drift.max(initial=0.0))
+
+
+def replay(log: str | Path | Recording, start: float = 0.0, *, strict: bool = True) -> Replay:
+    """Run the simulation of a log again with its motor targets and pushes.
+
+    Every episode begins from the log's own state; so does what follows a gap of a recovered log.
+
+    Args:
+        log: the log, or its path.
+        start: begin from the last state that the log has at or before this time [s].
+        strict: refuse what cannot be equal bit for bit, and stop at the first state that differs.
+            Otherwise `Replay.doubts` says why states may differ, and all of them are compared.
+
+    Raises:
+        FileDamagedError: the log is damaged, or has no states or steps.
+        ConfigurationError: it was made by another version of MuJoCo, or its model compiles to
+            something else here, and the replay is strict; or the log has no state at or before
+            `start`, or no policy step after that.
+    """
+    recording = log if isinstance(log, Recording) else read(log, TOPICS)
+    try:
+        return _replayed(recording, start, strict)
+    except AslipError as error:
+        raise type(error)(f"cannot replay {str(recording.path)!r}: {error}") from error
+
+
+def _replayed(recording: Recording, start: float, strict: bool) -> Replay:
+    from aslip.log.replayed_robot import ReplayedRobot  # takes a second, `info` needs it not
+
+    robot = ReplayedRobot(recording)
+    doubts = _doubts(recording, robot)
+    if strict and doubts:
+        raise ConfigurationError(
+            f"{doubts[0]}; how far its simulation drifts is told by replay(strict=False), or"
+            " python -m aslip.log replay --drift"
+        )
+    run = _Run(recording, robot, start)
+    for _ in run.steps():
+        if strict and run.drift and run.drift[-1] > 0:
+            break
+    return run.result(doubts)
+
+
+class _Run:
+    """A replay from one state of a log on."""
+
+    def __init__(self, recording: Recording, robot: ReplayedRobot, start: float) -> None:
+        self._robot, self._start = robot, start
+        states, steps = (_series(recording, topic) for topic in ("/state", "/step"))
+        self._rows = robot.rows(states)
+        self._ticks = _ticks(steps)
+        self._targets = np.stack([_column(steps, f"motor_target_{n}") for n in MOTOR_NAMES], axis=1)
+        self._pushes = np.stack([_column(steps, f"push_{axis}") for axis in "xyz"], axis=1)
+        before = np.flatnonzero(states.time <= start + 1e-9)
+        if len(before) == 0:
+            raise ConfigurationError(
+                f"the log begins at {states.time[0]:g} s, there is no state at {start:g} s"
+            )
+        self._known = {int(tick): i for i, tick in enumerate(_ticks(states)) if i >= before[-1]}
+        self._first = int(_ticks(states)[before[-1]])
+        self._path: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._compared: list[tuple[int, float]] = []
+        self.drift: list[float] = []
+
+    def steps(self) -> Iterator[None]:
+        """Simulate, one policy step after the other."""
+        robot, reached = self._robot, self._first
+        robot.set_state(self._rows[self._known[reached]])
+        for i in np.flatnonzero(self._ticks > self._first):
+            tick = int(self._ticks[i])
+            if tick - 1 != reached:  # an episode begins, or a recovered log has a gap
+                if tick - 1 not in self._known:
+                    continue
+                robot.set_state(self._rows[self._known[tick - 1]])
+            robot.change(tick - 1)
+            robot.advance(self._targets[i], self._pushes[i])
+            reached = tick
+            self._path.append((tick, robot.qpos, robot.qvel))
+            if tick in self._known:
+                self._compare(tick)
+            yield
+
+    def _compare(self, tick: int) -> None:
+        """Compare the state of an instant with the log's."""
+        row = self._rows[self._known[tick]]
+        state = self._robot.state(row)
+        difference = _difference(state, row)
+        nq = len(self._path[-1][1])
+        # `time` comes first in the state, then `qpos`
+        self._compared.append((tick, _difference(state[1 : 1 + nq], row[1 : 1 + nq])))
+        self.drift.append(difference)
+
+    def result(self, doubts: tuple[str, ...]) -> Replay:
+        """Result of the replay.
+
+        Raises:
+            ConfigurationError: there was no step.
+        """
+        if not self._path:
+            raise ConfigurationError(
+                f"nothing follows the state at {self._first * POLICY_PERIOD:g} s, the last of the"
+                f" log before {self._start:g} s"
+            )
+        return Replay(
+            start=self._first * POLICY_PERIOD,
+            steps=len(self._path),
+            state_time=np.array([tick * POLICY_PERIOD for tick, _ in self._compared]),
+            drift=np.array(self.drift),
+            qpos_drift=np.array([drift for _, drift in self._compared]),
+            doubts=doubts,
+            time=np.array([tick * POLICY_PERIOD for tick, _, _ in self._path]),
+            qpos=np.array([qpos for _, qpos, _ in self._path]),
+            qvel=np.array([qvel for _, _, qvel in self._path]),
+        )
+
+
+def _difference(one: np.ndarray, other: np.ndarray) -> float:
+    """Largest difference of two arrays; the smallest number that is not 0 if only bits differ."""
+    if one.tobytes() == other.tobytes():
+        return 0.0
+    return max(float(np.max(np.abs(one - other))), float(np.finfo(float).tiny))
+
+
+def low_level_differs(recording: Recording) -> bool:
+    """Whether drive, sensors or constants of this package have changed since the log was made."""
+    return recording.metadata.get("low_level_digest") != low_level_digest()
+
+
+def _doubts(recording: Recording, robot: ReplayedRobot) -> tuple[str, ...]:
+    """Why a simulation cannot be equal to the bit."""
+    doubts, metadata = [], recording.metadata
+    made, here = metadata.get("version/mujoco"), importlib.metadata.version("mujoco")
+    if made != here:
+        doubts.append(
+            f"the log was made with MuJoCo {made or '(unknown)'}, this is {here}; its simulation"
+            f" is repeated exactly with: pip install mujoco=={made}"
+        )
+    if model_digest(robot.model) != metadata.get("model_digest"):
+        doubts.append(
+            "the model in the log compiles to another one here than where the log was made"
+            f" (on {metadata.get('platform')})"
+        )
+    return tuple(doubts)
+
+
+def _series(recording: Recording, topic: str) -> Series:
+    if topic not in recording.series:
+        raise FileDamagedError(f"it has no {topic}: nothing to replay")
+    return recording[topic]
+
+
+def _ticks(series: Series) -> np.ndarray:
+    """(m,) policy steps since the log began; times of a log are whole ones."""
+    return np.rint(series.time / POLICY_PERIOD).astype(int)
+
+
+def _column(series: Series, name: str) -> np.ndarray:
+    """(m,) a column of numbers.
+
+    Raises:
+        FileDamagedError: it has something else.
+    """
+    column = series[name]
+    if column.dtype.kind != "f" or column.ndim != 1:
+        raise FileDamagedError(f"{series.topic} has no single numbers as {name!r}")
+    return column

@@ -1,0 +1,72 @@
+"""The walk in a log, as metrics read it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from aslip.log.reader import Recording, Series
+from aslip.robot import MOTOR_NAMES, POLICY_PERIOD, SIDES
+from aslip.transforms import ODOMETRY_SIZES
+from aslip.transforms.heading import in_heading_frame, start_of, true_heading
+from aslip.walking.walks import Walks
+
+_FEET = tuple(f"{side}_foot_position" for side in SIDES)
+
+
+def read_walk(recording: Recording) -> Walks:
+    """The first episode of a log, n = 1; ahead is where the pelvis pointed at its start.
+
+    Raises:
+        UnknownNameError: the log has no reference or no truth.
+    """
+    step, truth, reference = (recording[t] for t in ("/step", "/truth", "/reference"))
+    ticks, instants = (np.rint(series.time / POLICY_PERIOD).astype(int) for series in (step, truth))
+    # a reset takes the time of a step, in which there is no step
+    gaps = np.flatnonzero(np.diff(ticks) > 1)
+    count = int(gaps[0]) + 1 if len(gaps) else len(ticks)
+    rows = np.searchsorted(instants, ticks[:count])
+
+    def columns(series: Any, names: Sequence[str], at: Any) -> np.ndarray:
+        return np.stack([series[name][at] for name in names], axis=1)
+
+    def vectors(series: Any, names: Sequence[str], axes: str = "xyz") -> np.ndarray:
+        return np.stack([series.vector(name, axes)[rows] for name in names], axis=1)
+
+    body = _logged_odometry(truth)
+    alive = ~np.logical_or.accumulate(step["terminated"][:count] > 0)
+    forces = [[f"ground_force_{side}_{axis}" for axis in "xyz"] for side in SIDES]
+    arrays = {
+        "phase": reference["phase"][rows],
+        "reward": step["reward"][:count],
+        "action": columns(step, [f"action_{name}" for name in MOTOR_NAMES], slice(count)),
+        "pelvis_position": body["pelvis_position"][rows],
+        "pelvis_orientation": body["pelvis_orientation"][rows],
+        "pelvis_velocity": body["pelvis_velocity"][rows],
+        "foot_position": np.stack([body[name][rows] for name in _FEET], axis=1),
+        "ground_force": np.stack([columns(step, names, slice(count)) for names in forces], axis=1),
+        "body_position": reference.vector("body_position")[rows],
+        "body_velocity": reference.vector("body_velocity")[rows],
+        "body_to_foot": vectors(reference, _FEET),
+    }
+    # there is nothing to say of a walk after its fall, as in `record_walks`
+    arrays = {name: array.astype(np.float64) for name, array in arrays.items()}
+    for array in arrays.values():
+        array[~alive] = np.nan
+    arrays |= {"command": step["command"][:count], "alive": alive}
+    return Walks(**{name: array[:, None] for name, array in arrays.items()})
+
+
+def _logged_odometry(truth: Series) -> dict[str, np.ndarray]:
+    """Entries of `ODOMETRY_SIZES` at each instant of a log, as if it began with a reset."""
+    rows = {
+        name: torch.from_numpy(truth.vector(name, "wxyz" if size == 4 else "xyz"))
+        for name, size in ODOMETRY_SIZES.items()
+    }
+    rows["slope"] = torch.zeros_like(rows["pelvis_position"][:, :1])
+    first = {name: value[:1] for name, value in rows.items()}
+    turned = in_heading_frame(rows, true_heading(first), start_of(first))
+    return {name: value.numpy() for name, value in turned.items()}

@@ -1,0 +1,20 @@
+"""A page in the browser on which a person watches and steers one robot, in real time.
+
+    page = LivePage(Walker(), {"aslip": "aslip", "mine": "runs/ppo_aslip"})
+    page.serve()  # until Ctrl-C
+
+Needs viser: `pip install 'aslip[live]'`.
+"""
+
+from aslip.errors import ConfigurationError
+
+try:
+    import viser as _viser  # noqa: F401
+except ImportError as error:
+    raise ConfigurationError(
+        "the live page needs viser, which is not installed: pip install 'aslip[live]'"
+    ) from error
+
+from aslip.show.live.page import LivePage
+
+__all__ = ["LivePage"]

@@ -1,0 +1,140 @@
+"""What a person may do on the page.
+
+What is set (a slider, a choice) is read by the simulation when it is ready for it; what happens (a
+click) waits in a queue. Clicks come on the server's threads, and nothing is done there.
+"""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import viser
+
+from aslip.robot import POLICY_PERIOD
+from aslip.show.live.guard import Check, guard, number_within, one_of, switch
+from aslip.show.live.rom import ROM_PLACES, RomPlace
+
+Click = Literal["pause", "step", "reset", "push"]
+
+PUSH_DURATION = 4 * POLICY_PERIOD
+"""Duration of a push [s], in whole policy steps."""
+
+_SPEED_STEP = 0.05
+_PUSH_LIMIT, _PUSH_STEP, _PUSH_START = 300, 10, 120
+_TURN_STEP = 15
+
+_LEGEND = (
+    "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Blue is the left leg, red the"
+    " right, pale in swing. A disc is where the foot in swing should land.</div>"
+    # viser's boxes beside the sliders are too narrow for four digits
+    "<style>.mantine-NumberInput-root{width:4rem!important;flex:none}</style>"
+)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What is set at one moment."""
+
+    command: float
+    """Commanded speed [m/s]."""
+    policy: str
+    """Name of the policy that acts."""
+    rom: RomPlace
+    """Where the reduced-order model is seen."""
+    auto_reset: bool
+    """Whether the robot is put up again after a fall."""
+
+
+class Controls:
+    """Sliders, buttons and choices, the same for everyone who looks at the page.
+
+    Only valid values are taken from visitors; numbers out of range are clamped.
+
+    Args:
+        server: of the page.
+        speeds: lowest and highest command [m/s].
+        command: the first command [m/s].
+        policies: names to choose from; the first is chosen.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        *,
+        speeds: tuple[float, float],
+        command: float,
+        policies: Sequence[str],
+    ) -> None:
+        self._clicks: queue.SimpleQueue[Click] = queue.SimpleQueue()
+        gui = server.gui
+        self.command = gui.add_slider("command [m/s]", *speeds, _SPEED_STEP, command)
+        self.policy = gui.add_dropdown("policy", tuple(policies))
+        with gui.add_folder("Time"):
+            self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+            self.step = gui.add_button(
+                f"Step ({1000 * POLICY_PERIOD:.0f} ms)",
+                icon=viser.Icon.PLAYER_TRACK_NEXT,
+                disabled=True,
+            )
+            self.reset = gui.add_button("Reset", icon=viser.Icon.REFRESH)
+            self.auto_reset = gui.add_checkbox("reset after a fall", True)
+        with gui.add_folder("Push"):
+            self.push_direction = gui.add_slider(
+                "direction [°]", -180, 180, _TURN_STEP, 90, hint="0 is forward, 90 is to the left"
+            )
+            self.push_size = gui.add_slider("force [N]", 0, _PUSH_LIMIT, _PUSH_STEP, _PUSH_START)
+            self.push = gui.add_button(f"Push for {PUSH_DURATION:g} s")
+        with gui.add_folder("View"):
+            self.rom = gui.add_dropdown("spring-mass model", ROM_PLACES)
+            gui.add_html(_LEGEND)
+        buttons: dict[Click, viser.GuiButtonHandle] = {
+            "pause": self.pause,
+            "step": self.step,
+            "reset": self.reset,
+            "push": self.push,
+        }
+        for click, button in buttons.items():
+            button.on_click(lambda _, click=click: self._clicks.put(click))
+        self._guard(server, buttons.values())
+
+    def _guard(self, server: viser.ViserServer, buttons: Iterable[viser.GuiButtonHandle]) -> None:
+        """Have what visitors send checked."""
+        checks: dict[str, Check] = {}
+        checks |= {control._impl.uuid: switch for control in (*buttons, self.auto_reset)}
+        for slider in (self.command, self.push_direction, self.push_size):
+            checks[slider._impl.uuid] = number_within(slider.min, slider.max)
+        for choice in (self.policy, self.rom):
+            checks[choice._impl.uuid] = one_of(choice.options)
+        guard(server, checks)
+
+    def settings(self) -> Settings:
+        """What is set now."""
+        return Settings(
+            command=self.command.value,
+            policy=self.policy.value,
+            rom=self.rom.value,
+            auto_reset=self.auto_reset.value,
+        )
+
+    def clicks(self) -> Iterator[Click]:
+        """What has been clicked since the last call, in order."""
+        while True:
+            try:
+                yield self._clicks.get_nowait()
+            except queue.Empty:
+                return
+
+    def push_force(self) -> np.ndarray:
+        """(3,) force of a push [N, heading frame: x ahead, y to the left]."""
+        angle = np.deg2rad(self.push_direction.value)
+        return self.push_size.value * np.array([np.cos(angle), np.sin(angle), 0.0])
+
+    def show_paused(self, paused: bool) -> None:
+        """Say on the button what it does next; single steps are for while time stands still."""
+        self.pause.label = "Resume" if paused else "Pause"
+        self.step.disabled = not paused
+        self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE

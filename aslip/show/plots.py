@@ -1,0 +1,143 @@
+"""Pictures of gaits and of learning."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from mpl_toolkits.mplot3d.axes3d import Axes3D
+
+from aslip.rom import Gait, Mode
+from aslip.show.palette import LEFT, RIGHT
+
+MODE_COLORS = {Mode.LEFT: LEFT, Mode.RIGHT: RIGHT, Mode.DOUBLE: "tab:purple"}
+_PATHS: dict[str, dict[str, Any]] = {
+    "body": {"lw": 2.5},
+    "left_foot": {"lw": 1.5, "ls": "--"},
+    "right_foot": {"lw": 1.5, "ls": ":"},
+}
+_MODE_LABELS = {
+    Mode.LEFT: "left single stance",
+    Mode.RIGHT: "right single stance",
+    Mode.DOUBLE: "double stance",
+}
+
+
+def gait_figure(gait: Gait, strides: int = 2) -> Figure:
+    """Body and feet of a gait in space, all paths coloured by contact mode.
+
+    Args:
+        gait: the gait.
+        strides: how many strides to draw.
+    """
+    motion = gait.sample(np.linspace(0.0, strides, 400 * strides, endpoint=False))
+    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    axes = figure.add_subplot(projection="3d")
+    assert isinstance(axes, Axes3D)
+    for path, style in _PATHS.items():
+        for mode, points in _pieces(motion.mode, getattr(motion, f"{path}_position")):
+            axes.plot(*points.T, color=MODE_COLORS[mode], **style)
+    span = np.ptp(motion.body_position[:, 0])
+    axes.set_box_aspect((max(span, 0.5), 0.45, 1.0), zoom=1.25)  # pyright: ignore[reportArgumentType]
+    axes.set(xlabel="x [m]", zlim=(0, 1))
+    axes.set_ylabel("y [m]", labelpad=-2)
+    axes.set_yticks([-0.1, 0.1])
+    axes.set_zlabel("z [m]")
+    axes.view_init(elev=16, azim=-72)
+    figure.legend(handles=_gait_legend(), loc="center left", fontsize=8)
+    axes.set_title(f"Optimal actuated-SLIP gait at {round(gait.speed, 3)} m/s")
+    return figure
+
+
+def gait_sheet(gaits: Sequence[Gait]) -> Figure:
+    """All gaits on a sheet: body height, forward speed, leg forces and swing height over phase."""
+    quantities = ("body height [m]", "speed / mean", "leg force [N]", "foot height [m]")
+    figure = Figure(figsize=(8.5, 10), layout="constrained")
+    rows = figure.subplots(len(quantities), 1, sharex=True)
+    colors = mpl.colormaps["viridis"](np.linspace(0, 0.95, len(gaits)))
+    phase = np.linspace(0.0, 1.0, 400, endpoint=False)
+    for gait, color in zip(gaits, colors, strict=True):
+        motion = gait.sample(phase)
+        rows[0].plot(phase, motion.body_position[:, 2], color=color)
+        if gait.speed > 0:
+            rows[1].plot(phase, motion.body_velocity[:, 0] / gait.speed, color=color)
+        rows[2].plot(phase, motion.leg_force[:, 0], color=color)
+        rows[2].plot(phase, motion.leg_force[:, 1], color=color, ls=":")
+        rows[3].plot(phase, motion.left_foot_position[:, 2], color=color)
+        rows[3].plot(phase, motion.right_foot_position[:, 2], color=color, ls=":")
+    for axes, quantity in zip(rows, quantities, strict=True):
+        axes.set_ylabel(quantity)
+        axes.grid(alpha=0.3)
+        _shade_modes(axes, gaits[0])
+    rows[2].plot([], [], "k-", label="left leg")
+    rows[2].plot([], [], "k:", label="right leg")
+    # over the left leg's flight, between the humps of the right one
+    rows[2].legend(loc="upper center", bbox_to_anchor=(0.2, 1.0), fontsize=8)
+    rows[-1].set(xlabel="phase (0: left lift-off)", xlim=(0, 1))
+    scale = ScalarMappable(
+        Normalize(gaits[0].speed, gaits[-1].speed), ListedColormap([tuple(c) for c in colors])
+    )
+    figure.colorbar(scale, ax=rows, label="mean speed [m/s]", aspect=50)
+    rows[0].set_title(f"{len(gaits)} optimal gaits; double stance of the first one shaded")
+    return figure
+
+
+def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure:
+    """Episode length and return, and reward terms, over policy steps.
+
+    Args:
+        history: columns of a run's `progress.csv`.
+        title: of the figure.
+    """
+    steps = np.asarray(history["step"]) / 1e6
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    left.plot(steps, history["episode_length"], label="training episode length")
+    left.plot(steps, history["episode_return"], label="training return")
+    evaluated = ~np.isnan(history["eval_return"])
+    for name, label in (("eval_return", "evaluation return"), ("eval_length", "evaluation length")):
+        left.plot(steps[evaluated], np.asarray(history[name])[evaluated], "o-", ms=4, label=label)
+    left.set(xlabel="policy steps [million]", ylim=(0, 410), title=title)
+    left.legend(fontsize=8, loc="lower right")
+    for name, values in history.items():
+        if name.startswith("term_"):
+            right.plot(steps, values, label=name.removeprefix("term_"))
+    right.set(xlabel="policy steps [million]", ylim=(0, 1), title="mean reward terms in training")
+    right.legend(fontsize=8, loc="lower right")
+    for axes in (left, right):
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def _pieces(mode: np.ndarray, points: np.ndarray) -> list[tuple[Mode, np.ndarray]]:
+    """Runs of equal mode; each reaches to the first point of the next, so the path has no gaps."""
+    breaks = [0, *(np.flatnonzero(np.diff(mode)) + 1), len(mode)]
+    return [(Mode(mode[a]), points[a : b + 1]) for a, b in itertools.pairwise(breaks)]
+
+
+def _shade_modes(axes: Axes, gait: Gait) -> None:
+    single = gait.single_stance / gait.stride
+    for start in (single, 0.5 + single):
+        axes.axvspan(start, start + 0.5 - single, color="0.9", zorder=0)
+
+
+def _gait_legend() -> list[Line2D]:
+    handles = [Line2D([], [], color=MODE_COLORS[m], lw=2.5, label=_MODE_LABELS[m]) for m in Mode]
+    for path, style in _PATHS.items():
+        handles.append(Line2D([], [], color="0.3", label=path.replace("_", " "), **style))
+    return handles

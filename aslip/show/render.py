@@ -1,0 +1,299 @@
+"""Pictures of the robot, alone or with the reduced-order model that guides it.
+
+MuJoCo draws through OpenGL. Without a display, choose how before Python starts:
+`MUJOCO_GL=egl` on a graphics card, `MUJOCO_GL=osmesa` in software.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+
+import mujoco
+import numpy as np
+
+from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+from aslip.robot.model import APPEARANCE_GROUP, load_model
+from aslip.show.ghost import (
+    BODY_COLOR,
+    BODY_RADIUS,
+    FOOT_RADIUS,
+    LEG_COLORS,
+    SWING_FADE,
+    WIRE_RADIUS,
+    Ghost,
+)
+
+# groups of geoms in cassie.xml
+_COLLISION_GROUP = 3
+
+_COIL_RADIUS = 0.027
+_COILS = 7
+_SEGMENTS_PER_COIL = 12
+# share of a leg at each end that is a straight rod; the rest is the coil
+_ROD_SHARE = 0.2
+
+
+def render_robot(
+    qpos: np.ndarray,
+    *,
+    camera: str = "side",
+    width: int = 640,
+    height: int = 480,
+    model: mujoco.MjModel | None = None,
+    ghosts: Sequence[Ghost] | None = None,
+    robot: bool = True,
+    supersampling: int = 1,
+) -> np.ndarray:
+    """Draw the robot, one picture a configuration; the cameras follow it.
+
+    Args:
+        qpos: (n, 35) configurations, MuJoCo's conventions.
+        camera: camera of the model; `cassie.xml` has "side", "follow" and "front".
+        width: of a picture [pixels].
+        height: of a picture [pixels].
+        model: another model; `aslip.robot.model.load_model()` by default.
+        ghosts: n reduced-order models to draw as well, one a picture.
+        robot: whether the robot itself is seen.
+        supersampling: pixels are means over squares of this many pixels a side, for smooth edges.
+
+    Returns:
+        (n, height, width, 3) uint8, red, green, blue.
+
+    Raises:
+        ShapeError: `qpos` does not fit the model, or there is another number of ghosts.
+        UnknownNameError: the model has no such camera.
+        ConfigurationError: a size is less than 1, or exceeds the model's off-screen buffer.
+        RenderingError: no OpenGL works here.
+    """
+    frames = render_frames(
+        qpos,
+        camera=camera,
+        width=width,
+        height=height,
+        model=model,
+        ghosts=ghosts,
+        robot=robot,
+        supersampling=supersampling,
+    )
+    return np.stack(list(frames))
+
+
+def render_frames(
+    qpos: np.ndarray,
+    *,
+    camera: str = "side",
+    width: int = 640,
+    height: int = 480,
+    model: mujoco.MjModel | None = None,
+    ghosts: Sequence[Ghost] | None = None,
+    robot: bool = True,
+    supersampling: int = 1,
+) -> Iterator[np.ndarray]:
+    """The same as `render_robot`, a picture (height, width, 3) at a time: for films."""
+    model = load_model() if model is None else model
+    qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
+    _check(model, qpos, camera, (width, height, supersampling), ghosts)
+    return _frames(model, qpos, camera, (width, height, supersampling), ghosts, robot)
+
+
+def _frames(
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    camera: str,
+    sizes: tuple[int, int, int],
+    ghosts: Sequence[Ghost] | None,
+    robot: bool,
+) -> Iterator[np.ndarray]:
+    width, height, supersampling = sizes
+    data, option = mujoco.MjData(model), mujoco.MjvOption()
+    option.geomgroup[_COLLISION_GROUP] = False
+    option.geomgroup[APPEARANCE_GROUP] = robot
+    option.sitegroup[:] = False
+    with _renderer(model, width * supersampling, height * supersampling) as renderer:
+        for i, configuration in enumerate(qpos):
+            data.qpos[:] = configuration
+            mujoco.mj_forward(model, data)
+            renderer.update_scene(data, camera, option)
+            if ghosts is not None:
+                add_ghost(renderer.scene, ghosts[i])
+            yield _shrink(renderer.render(), supersampling)
+
+
+def strip(frames: np.ndarray) -> np.ndarray:
+    """Join (n, h, w, 3) frames side by side, the first on the left: (h, n * w, 3).
+
+    Raises:
+        ShapeError: the frames have another number of axes.
+    """
+    if np.ndim(frames) != 4:
+        raise ShapeError(f"frames must be (n, h, w, 3), got {np.shape(frames)}")
+    return np.concatenate(list(frames), axis=1)
+
+
+def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
+    """Add a reduced-order model to a scene: a sphere and two coil springs with round feet.
+
+    A leg in stance has its full colour (left blue, right red); in swing it is pale.
+
+    Args:
+        scene: what is about to be drawn; the next `update_scene` of a renderer clears it.
+        ghost: where body and feet are.
+    """
+    body = np.asarray(ghost.body, dtype=np.float64)
+    _add_sphere(scene, body, BODY_RADIUS, np.array(BODY_COLOR))
+    for foot, stance, color in (
+        (ghost.left, ghost.left_stance, LEG_COLORS["left"]),
+        (ghost.right, ghost.right_stance, LEG_COLORS["right"]),
+    ):
+        rgba = np.array(color)
+        if not stance:
+            rgba += SWING_FADE * (1.0 - rgba)
+        path = spring_path(body, np.asarray(foot, dtype=np.float64))
+        for start, end in itertools.pairwise(path):
+            _add_capsule(scene, start, end, rgba)
+        _add_sphere(scene, path[-1], FOOT_RADIUS, rgba)
+
+
+def spring_path(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Corners of a coil spring between two points, with a straight rod at each end.
+
+    The number of coils is fixed, so that a shorter leg looks compressed.
+
+    Args:
+        start: (3,) [m].
+        end: (3,) [m].
+
+    Returns:
+        (k, 3) points from `start` to `end` [m].
+    """
+    axis = end - start
+    length = float(np.linalg.norm(axis))
+    if length < 1e-9:
+        return np.stack([start, end])
+    # two normals to the leg; the world's y is never along a leg that walks forward
+    first = np.cross(axis / length, [0.0, 1.0, 0.0])
+    if np.linalg.norm(first) < 1e-6:
+        first = np.array([1.0, 0.0, 0.0])
+    first /= np.linalg.norm(first)
+    second = np.cross(axis / length, first)
+    turn = np.linspace(0.0, 2 * np.pi * _COILS, _COILS * _SEGMENTS_PER_COIL + 1)[:, None]
+    along = np.linspace(_ROD_SHARE, 1.0 - _ROD_SHARE, len(turn))[:, None]
+    coil = start + along * axis
+    coil += _COIL_RADIUS * (np.cos(turn) * first + np.sin(turn) * second)
+    rods = start + np.array([[0.0], [_ROD_SHARE], [1.0 - _ROD_SHARE], [1.0]]) * axis
+    return np.concatenate([rods[:2], coil, rods[2:]])
+
+
+def _check(
+    model: mujoco.MjModel,
+    qpos: np.ndarray,
+    camera: str,
+    sizes: tuple[int, int, int],
+    ghosts: Sequence[Ghost] | None,
+) -> None:
+    if qpos.ndim != 2 or qpos.shape[1] != model.nq:
+        raise ShapeError(f"qpos must be (n, {model.nq}), got {qpos.shape}")
+    if ghosts is not None and len(ghosts) != len(qpos):
+        raise ShapeError(f"{len(qpos)} configurations need as many ghosts, got {len(ghosts)}")
+    cameras = [model.camera(i).name for i in range(model.ncam)]
+    if camera not in cameras:
+        raise UnknownNameError(f"no camera {camera!r}; the model has {cameras}")
+    width, height, supersampling = sizes
+    limits = model.vis.global_.offwidth, model.vis.global_.offheight
+    if min(sizes) < 1 or width * supersampling > limits[0] or height * supersampling > limits[1]:
+        raise ConfigurationError(
+            f"{width} x {height} pixels at supersampling {supersampling}: each must be 1 or more,"
+            f" and pictures times supersampling at most {limits[0]} x {limits[1]}"
+        )
+
+
+@contextlib.contextmanager
+def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
+    try:
+        _check_display()
+        with _buffer(model, width, height):
+            renderer = mujoco.Renderer(model, height, width)
+    except Exception as error:  # every backend has its own way to say that it is not there
+        chosen = os.environ.get("MUJOCO_GL")
+        raise RenderingError(
+            f"MuJoCo has no working OpenGL ({type(error).__name__}: {error}); MUJOCO_GL is"
+            f" {chosen!r}. Set the environment variable before Python starts: MUJOCO_GL=egl with a"
+            " graphics card, MUJOCO_GL=osmesa in software (Debian: libosmesa6), MUJOCO_GL=glfw with"
+            " a display"
+        ) from error
+    try:
+        yield renderer
+    finally:
+        renderer.close()
+
+
+@contextlib.contextmanager
+def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
+    """Have an off-screen buffer made no larger than the picture: in software it takes its time."""
+    limits, whole = model.vis.global_, (model.vis.global_.offwidth, model.vis.global_.offheight)
+    limits.offwidth, limits.offheight = width, height
+    try:
+        yield
+    finally:
+        limits.offwidth, limits.offheight = whole
+
+
+def _check_display() -> None:
+    """Refuse to go on without an OpenGL context.
+
+    MuJoCo reports that once; the third time, its own report ends the process.
+    """
+    context = getattr(mujoco, "GLContext", None)
+    if context is None:
+        raise RuntimeError("OpenGL is disabled")
+    if context.__module__ == "mujoco.glfw":
+        import glfw
+
+        with warnings.catch_warnings(record=True) as reasons:
+            warnings.simplefilter("always")
+            if not glfw.init():
+                raise RuntimeError("; ".join(str(reason.message) for reason in reasons))
+
+
+def _shrink(image: np.ndarray, factor: int) -> np.ndarray:
+    """Means over squares of pixels."""
+    if factor == 1:
+        return image
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    blocks = image.reshape(height, factor, width, factor, 3).mean(axis=(1, 3))
+    return np.rint(blocks).astype(np.uint8)
+
+
+def _add_sphere(
+    scene: mujoco.MjvScene, center: np.ndarray, radius: float, rgba: np.ndarray
+) -> None:
+    _next_geom(scene, mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), center, rgba)
+
+
+def _add_capsule(
+    scene: mujoco.MjvScene, start: np.ndarray, end: np.ndarray, rgba: np.ndarray
+) -> None:
+    kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+    geom = _next_geom(scene, kind, np.zeros(3), np.zeros(3), rgba)
+    mujoco.mjv_connector(geom, kind, WIRE_RADIUS, start, end)
+
+
+def _next_geom(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    size: np.ndarray,
+    position: np.ndarray,
+    rgba: np.ndarray,
+) -> mujoco.MjvGeom:
+    if scene.ngeom >= scene.maxgeom:
+        raise ConfigurationError(f"the scene is full: it holds {scene.maxgeom} geoms")
+    geom = scene.geoms[scene.ngeom]
+    mujoco.mjv_initGeom(geom, kind, size, position, np.eye(3).ravel(), rgba.astype(np.float32))
+    # decoration, what initGeom makes, casts no shadow
+    geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
+    scene.ngeom += 1
+    return geom

@@ -1,0 +1,116 @@
+"""Samples from robots in actors of Ray, on this machine or on a cluster."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from torchrl.collectors import BaseCollector, Collector
+
+from aslip.errors import ConfigurationError
+from aslip.sim.pool import processors
+from aslip.training.collect.base import SETTINGS
+from aslip.training.collect.remote import ENDLESS, RemoteCollectors, sent
+
+# of Ray's store of objects [byte]; a batch of 2048 samples has 1.3 MB
+_STORE = 2**29
+
+
+class RayCollectors(RemoteCollectors):
+    """Robots in actors of Ray, by TorchRL's `RayCollector`."""
+
+    _collector: BaseCollector | None = None
+    _ours = False
+
+    def _start(self) -> BaseCollector:
+        ray = importlib.import_module("ray")
+        if not ray.is_initialized():
+            self._ours = True
+            with _signals_kept():
+                _join_ray(ray, self._num)
+        free = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
+        threads = threads_each(free, self._num)
+        self._collector = Collector(
+            self._robots(threads),
+            self._actor,
+            frames_per_batch=self._samples,
+            total_frames=ENDLESS,
+            backend="ray",
+            sync=True,
+            backend_options={
+                "collector_kwargs": {**SETTINGS, "postproc": sent},
+                "remote_configs": {"num_cpus": threads, "scheduling_strategy": "SPREAD"},
+            },
+        )
+        return self._collector
+
+    def shutdown(self) -> None:
+        """End the actors, and Ray, if it began with them."""
+        if self._collector is not None:
+            self._collector.shutdown()
+            self._collector = None
+        if self._ours:
+            importlib.import_module("ray").shutdown()
+            self._ours = False
+
+
+def _join_ray(ray: Any, num_collectors: int) -> None:
+    """Join the cluster of `RAY_ADDRESS`, or begin a Ray here.
+
+    Raises:
+        ConfigurationError: the cluster does not let us in.
+    """
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    address = os.environ.get("RAY_ADDRESS")
+    if address:
+        try:
+            ray.init(address=address, log_to_driver=False)
+        except Exception as error:  # connection, token, version: Ray has one for each
+            raise ConfigurationError(
+                f"the Ray cluster at RAY_ADDRESS = {address!r} cannot be joined"
+                f" ({type(error).__name__}: {error}); does it run, and are RAY_AUTH_MODE and"
+                " RAY_AUTH_TOKEN those of its head?"
+            ) from error
+        return
+    ray.init(
+        address="local",
+        num_cpus=max(processors(), num_collectors),
+        object_store_memory=_STORE,
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level="warning",
+        _node_ip_address="127.0.0.1",
+    )
+
+
+@contextmanager
+def _signals_kept() -> Iterator[None]:
+    """Let the body, Ray, not take over what SIGTERM does to a training."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def threads_each(processors: list[int], num_collectors: int) -> int:
+    """The most physics threads a collector may have, with machines of so many processors.
+
+    Raises:
+        ConfigurationError: there are fewer processors than collectors, which Ray would wait for.
+    """
+    for threads in range(max(processors, default=0), 0, -1):
+        if sum(number // threads for number in processors) >= num_collectors:
+            return threads
+    raise ConfigurationError(
+        f"num_collectors must be at most {sum(processors)}, the processors of the Ray cluster, got"
+        f" {num_collectors}"
+    )

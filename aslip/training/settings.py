@@ -1,0 +1,87 @@
+"""Settings of trainings and programs: choices, checks and the file they are kept in.
+
+Imports nothing heavy, so that a command line is parsed before PyTorch is imported.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+from aslip.errors import ConfigurationError, FileDamagedError
+
+CollectorKind = Literal["single", "distributed", "ray"]
+"""Kinds of processes that simulate a training's robots."""
+
+SETTINGS_FILE = "config.json"
+"""File of a run's settings, in its folder."""
+
+_TRANSFORMS = "transforms"
+
+
+def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
+    """Settings of the run in a folder, and what its environment is made of.
+
+    Raises:
+        ConfigurationError: the folder holds no run.
+        FileDamagedError: the file cannot be read.
+    """
+    path = folder / SETTINGS_FILE
+    if not path.exists():
+        raise ConfigurationError(
+            f"{str(folder)!r} holds no run to resume; start one without --resume, or name the"
+            " folder of a run with --out"
+        )
+    try:
+        settings = dict(json.loads(path.read_text()))
+        transforms = dict(settings.pop(_TRANSFORMS, {}))
+    except (ValueError, TypeError) as error:
+        raise FileDamagedError(f"{str(path)!r} is damaged ({error})") from error
+    return settings, transforms
+
+
+def settings_text(settings: dict[str, Any], transforms: dict[str, str]) -> str:
+    """Content of the file that `read_settings` reads."""
+    about = settings | ({_TRANSFORMS: transforms} if transforms else {})
+    return json.dumps(about, indent=1) + "\n"
+
+
+def check_types(config: Any) -> None:
+    """Check that each setting of a dataclass is of its type; whole numbers do for floats.
+
+    Raises:
+        ConfigurationError: one is not, or is a float that is not finite.
+    """
+    for name, kind in get_type_hints(type(config)).items():
+        value = getattr(config, name)
+        if get_origin(kind) is Literal:
+            fits, wanted = isinstance(value, str) and value in get_args(kind), f"{get_args(kind)}"
+        elif kind is float:
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            fits = number and abs(value) <= sys.float_info.max
+            wanted = "a finite number"
+        else:
+            fits = isinstance(value, kind) and isinstance(value, bool) == (kind is bool)
+            wanted = {int: "a whole number", bool: "True or False"}.get(kind, f"a {kind.__name__}")
+        if not fits:
+            raise ConfigurationError(f"{name} must be {wanted}, got {value!r}")
+
+
+def check_shares(num_envs: int, samples: int, num_collectors: int) -> None:
+    """Check that each collector gets as many robots, and each robot as many samples.
+
+    Raises:
+        ConfigurationError: it does not.
+    """
+    if num_collectors < 1:
+        raise ConfigurationError(f"num_collectors must be 1 or more, got {num_collectors}")
+    if num_envs % num_collectors:
+        raise ConfigurationError(
+            f"num_envs must be a multiple of num_collectors = {num_collectors}, got {num_envs}"
+        )
+    if samples % num_envs:
+        raise ConfigurationError(
+            f"samples must be a multiple of num_envs = {num_envs}, got {samples}"
+        )

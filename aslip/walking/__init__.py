@@ -1,0 +1,1 @@
+"""Walks of a policy: recorded, evaluated, measured."""

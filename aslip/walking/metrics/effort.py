@@ -1,0 +1,53 @@
+"""What a walk costs, and how smooth it is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aslip.robot import STANDARD_GRAVITY, TOTAL_MASS
+
+
+def cost_of_transport(
+    torque: np.ndarray,
+    velocity: np.ndarray,
+    distance: float,
+    period: float,
+    *,
+    mass: float = TOTAL_MASS,
+) -> float:
+    r"""Mechanical cost of transport.
+
+    .. math:: \frac{\int \sum_i |\tau_i \omega_i|\,dt}{m g d}
+
+    Absolute power: motors that brake get nothing back. NaN for a walk that gets nowhere.
+
+    Args:
+        torque: (m, 10) at the joints [N m].
+        velocity: (m, 10) of the joints [rad/s].
+        distance: covered [m].
+        period: between samples [s].
+        mass: [kg].
+    """
+    work = float(np.abs(torque * velocity).sum() * period)
+    return work / (mass * STANDARD_GRAVITY * distance) if distance > 0 else float("nan")
+
+
+def action_roughness(action: np.ndarray) -> float:
+    """Root mean square of the change of action from one policy step to the next [rad].
+
+    The norm over motors is what the paper's `action_diff` reward is made of.
+
+    Args:
+        action: (m, 10) [rad].
+    """
+    return float(np.sqrt(np.mean(np.sum(np.diff(action, axis=0) ** 2, axis=1))))
+
+
+def jerk(velocity: np.ndarray, period: float) -> float:
+    """Root mean square of the second difference of a velocity over time squared [m/s^3].
+
+    Args:
+        velocity: (m, ...) with time first [m/s].
+        period: between samples [s].
+    """
+    return float(np.sqrt(np.mean(np.square(np.diff(velocity, n=2, axis=0)))) / period**2)

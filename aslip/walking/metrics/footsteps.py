@@ -1,0 +1,100 @@
+"""Where feet come down, and where the reduced-order model would have put them (Sec. V-A)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from aslip.errors import ShapeError
+from aslip.robot import SIDES
+from aslip.walking.metrics.contact import SHORTEST_SWING, stances
+
+# the place of a foot is its mean over so much of the middle of its stance [s]
+_MIDDLE = 0.03
+
+
+@dataclass(frozen=True)
+class Footsteps:
+    """Footsteps of both feet in the order in which they touch down, k of them."""
+
+    side: np.ndarray
+    """(k,) 0 for left, 1 for right."""
+    time: np.ndarray
+    """(k,) of touchdown [s]."""
+    position: np.ndarray
+    """(k, 2) of the foot in the middle of its stance [m, world]."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """How far footsteps are from where they should be, j of them."""
+
+    side: np.ndarray
+    """(j,) 0 for left, 1 for right."""
+    offset: np.ndarray
+    """(j, 2) actual minus ideal place, forward and left [m]."""
+    width: np.ndarray
+    """(j,) sideways distance from the footstep before [m]."""
+
+    @property
+    def error(self) -> np.ndarray:
+        """(j,) distances [m]."""
+        return np.linalg.norm(self.offset, axis=1)
+
+    @property
+    def outward(self) -> np.ndarray:
+        """(j,) how much further out than ideal [m]: to the left for left feet."""
+        return np.where(self.side == SIDES.index("left"), 1.0, -1.0) * self.offset[:, 1]
+
+
+def footsteps(
+    force: np.ndarray, foot: np.ndarray, period: float, swing: float = SHORTEST_SWING
+) -> Footsteps:
+    """Find the footsteps of a walk.
+
+    Args:
+        force: (m, 2) vertical ground force, left and right [N].
+        foot: (m, 2, 3) sole centres [m, world], or at least their x and y.
+        period: between samples [s].
+        swing: the shortest [s].
+
+    Raises:
+        ShapeError: the arrays do not fit.
+    """
+    if force.ndim != 2 or force.shape[1] != 2 or foot.shape[:2] != force.shape:
+        raise ShapeError(
+            f"force must be (m, 2) and foot (m, 2, 3), got {force.shape}, {foot.shape}"
+        )
+    side, first, places = [], [], []
+    half = max(round(_MIDDLE / period), 1) / 2
+    for i in range(2):
+        for start, stop in stances(force[:, i], period, swing=swing):
+            middle = (start + stop) / 2
+            low, high = int(np.ceil(middle - half)), int(np.floor(middle + half))
+            side.append(i)
+            first.append(start)
+            places.append(foot[low : max(high, low + 1), i, :2].mean(axis=0))
+    order = np.argsort(first, kind="stable")
+    return Footsteps(
+        np.array(side, dtype=int)[order],
+        np.array(first, dtype=float)[order] * period,
+        np.array(places, dtype=float).reshape(-1, 2)[order],
+    )
+
+
+def placement(steps: Footsteps, ideal_step: np.ndarray) -> Placement:
+    """Compare footsteps with the reduced-order model's.
+
+    The ideal place is the actual place of the foot before plus the step of the reduced-order model
+    at the commanded speed. Only footsteps that follow one of the other foot count.
+
+    Args:
+        steps: of a walk at one speed, along x.
+        ideal_step: (2, 2) step of the left and of the right foot from the other, forward and left
+            [m]; see `aslip.show.ghost.Footholds.step`.
+    """
+    follows = np.flatnonzero(np.diff(steps.side) != 0) + 1
+    side = steps.side[follows]
+    step = steps.position[follows] - steps.position[follows - 1]
+    return Placement(side, step - np.asarray(ideal_step)[side], np.abs(step[:, 1]))

@@ -1,0 +1,124 @@
+"""The ground force over a stance: one hump or two."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+from scipy.signal import find_peaks
+
+from aslip.walking.metrics.contact import stances
+
+SMOOTHING = 0.03
+"""Length of the moving average that is applied twice before humps are counted [s]."""
+
+PROMINENCE = 25.0
+"""How far a hump rises above the dips beside it [N]."""
+
+
+@dataclass(frozen=True)
+class ForceProfile:
+    """Vertical force of one foot over its stances, means over them."""
+
+    humps: float
+    """How many."""
+    dip_ratio: float
+    """The lowest force between the outer humps over the lower of them; 1 where there is one."""
+    duration: float
+    """Of a stance [s]."""
+    impulse: float
+    """[N s]."""
+    peak: float
+    """Largest force, unsmoothed: the impact [N]."""
+    stances: int
+    """How many were averaged over."""
+
+
+def force_profile(force: np.ndarray, period: float) -> ForceProfile:
+    """Describe the ground force of one foot.
+
+    Args:
+        force: (m,) vertical ground force [N], at 200 Hz or more.
+        period: between samples [s].
+    """
+    rows = []
+    for start, stop in stances(force, period):
+        part = force[start:stop]
+        found = humps(part, period)
+        rows.append(
+            (
+                len(found),
+                dip_ratio(part, period),
+                (stop - start) * period,
+                part.sum() * period,
+                part.max(),
+            )
+        )
+    means = np.mean(rows, axis=0) if rows else np.full(5, np.nan)
+    return ForceProfile(*map(float, means), stances=len(rows))
+
+
+def humps(force: np.ndarray, period: float) -> np.ndarray:
+    """(k,) samples of the humps of one stance.
+
+    Local maxima with a prominence of at least 25 N after two passes of a moving average of 30 ms,
+    which leaves nothing of the impact. Outside the stance the force counts as zero.
+
+    Args:
+        force: (m,) vertical ground force of a stance [N].
+        period: between samples [s].
+    """
+    smooth, margin = _smoothed(force, period)
+    return find_peaks(smooth, prominence=PROMINENCE)[0] - margin
+
+
+def dip_ratio(force: np.ndarray, period: float) -> float:
+    """How deep the valley of a stance's force is: its lowest force over that of the lower hump.
+
+    Between the first and the last hump; 0 where the foot is without load in between, 1 if there is
+    only one hump.
+
+    Args:
+        force: (m,) vertical ground force of a stance [N].
+        period: between samples [s].
+    """
+    smooth, _ = _smoothed(force, period)
+    peaks = find_peaks(smooth, prominence=PROMINENCE)[0]
+    if len(peaks) < 2:
+        return 1.0
+    outer = smooth[peaks[[0, -1]]].min()
+    return float(smooth[peaks[0] : peaks[-1] + 1].min() / outer)
+
+
+def mean_over_strides(
+    force: np.ndarray, starts: np.ndarray, samples: int = 200
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation over strides, each stretched to the same length.
+
+    Args:
+        force: (m, ...) any signal.
+        starts: (k,) sample at which each stride begins; the last only ends the one before.
+        samples: to resample a stride to.
+
+    Returns:
+        (samples, ...) each.
+    """
+    strides = []
+    for start, stop in itertools.pairwise(starts):
+        at = start + (stop - start) * np.arange(samples) / samples
+        low = np.floor(at).astype(int)
+        high = np.minimum(low + 1, len(force) - 1)
+        share = (at - low).reshape(-1, *[1] * (force.ndim - 1))
+        strides.append((1 - share) * force[low] + share * force[high])
+    return np.mean(strides, axis=0), np.std(strides, axis=0)
+
+
+def _smoothed(force: np.ndarray, period: float) -> tuple[np.ndarray, int]:
+    """The stance with nothing before and after it, smoothed; and how much was put before."""
+    length = max(round(SMOOTHING / period), 1)
+    padded = np.pad(np.asarray(force, dtype=np.float64), 2 * length)
+    for _ in range(2):
+        padded = uniform_filter1d(padded, length, mode="constant")
+    return padded, 2 * length

@@ -1,0 +1,79 @@
+"""Benchmarks leave no environment open, also where a robot falls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aslip.envs import CassieTransformedEnv
+from aslip.library import GaitLibrary
+from aslip.walking.walker import Walker
+from benchmarks import film_strip, ground_reaction, throughput
+from benchmarks.estimator import cost, recovery, walks
+from benchmarks.estimator.config import Config as EstimatorConfig
+from benchmarks.faults import simulations
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Each environment that a test makes must be closed in the end."""
+    envs: list[CassieTransformedEnv] = []
+    closed: list[CassieTransformedEnv] = []
+    construct, close = CassieTransformedEnv.__init__, CassieTransformedEnv.close
+
+    def constructing(self: CassieTransformedEnv, *arguments: Any) -> None:
+        construct(self, *arguments)
+        envs.append(self)
+
+    def closing(self: CassieTransformedEnv, **settings: Any) -> None:
+        closed.append(self)
+        close(self, **settings)
+
+    monkeypatch.setattr(CassieTransformedEnv, "__init__", constructing)
+    monkeypatch.setattr(CassieTransformedEnv, "close", closing)
+    yield
+    assert envs
+    assert {id(env) for env in envs} == {id(env) for env in closed}
+
+
+@pytest.fixture
+def falling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let each walker fall in its third step."""
+    step = Walker.step
+
+    def stumbling(self: Walker) -> Any:
+        td = step(self)
+        self.fallen = self.steps >= 3
+        return td
+
+    monkeypatch.setattr(Walker, "step", stumbling)
+
+
+@pytest.mark.usefixtures("made", "falling")
+def test_ground_reaction_of_a_robot_that_falls(library: GaitLibrary) -> None:
+    config = ground_reaction.Config()
+    assert ground_reaction.vertical_forces(config, library, "aslip", 1.0) is None
+
+
+@pytest.mark.usefixtures("made", "falling")
+def test_a_film_strip_of_a_robot_that_falls(tmp_path: Path) -> None:
+    with pytest.raises(Exception, match="the robot fell"):
+        film_strip.main(film_strip.Config(out=tmp_path / "strip.png"))
+
+
+@pytest.mark.usefixtures("made")
+@pytest.mark.parametrize("part", [cost.throughput, cost.packet_time, recovery.recovery, walks.walk])
+def test_parts_of_the_estimators_benchmark(part: Any) -> None:
+    config = EstimatorConfig(repeats=1, steps=2, falls=2, num_envs=2, rounds=1)
+    part(config)
+
+
+@pytest.mark.usefixtures("made")
+def test_measures_of_memory() -> None:
+    throughput.memory_of(1)
+    simulations.random_walk(4, 0, num_envs=2)
+    assert np.isfinite(simulations.resident())

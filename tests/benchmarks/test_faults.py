@@ -1,0 +1,173 @@
+"""What goes wrong on purpose, a few times each; `benchmarks.faults` does it many times."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import aslip
+from aslip.envs import BatchCassieEnv
+from aslip.errors import AslipError, ConfigurationError
+from aslip.training.run import read_progress
+from aslip.training.settings import check_types
+from benchmarks.faults import (
+    checkpoints,
+    files,
+    processes,
+    simulations,
+    strangers,
+    suite,
+    trainings,
+)
+from benchmarks.faults import settings as bad_settings
+from benchmarks.faults.kinds import KINDS
+from benchmarks.faults.trainings import TINY
+from recipes import ppo_aslip
+
+FEW: dict[suite.Inject, int] = {
+    simulations.bad_numbers: 20,
+    processes.raises: 1,
+    checkpoints.cuts: 5,
+    checkpoints.flips: 5,
+    checkpoints.losses: 2,
+    checkpoints.full_disks: 3,
+    strangers.strangers: 24,
+    bad_settings.settings: 300,
+    simulations.steps: 500,
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One for all, as a training in it is what several spoil copies of."""
+    return tmp_path_factory.mktemp("faults")
+
+
+def _survived(inject: suite.Inject, count: int, folder: Path) -> int:
+    return inject(count, np.random.default_rng(0), folder)
+
+
+@pytest.mark.parametrize("inject", FEW, ids=lambda inject: inject.__name__)
+def test_faults_are_survived(inject: suite.Inject, folder: Path) -> None:
+    """Each is described at the function."""
+    assert _survived(inject, FEW[inject], folder) == FEW[inject]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("inject", [processes.kills, processes.workers], ids=lambda f: f.__name__)
+def test_killed_processes_are_survived(inject: suite.Inject, tmp_path: Path) -> None:
+    assert _survived(inject, 2, tmp_path) == 2
+
+
+def test_damaged_files_are_survived(folder: Path) -> None:
+    """One of each damage to a checkpoint; what is read of other content is told from it."""
+    kind = KINDS["checkpoint"]
+    count = len(files.damages(kind))
+    assert files.damaged("checkpoint", count, np.random.default_rng(0), folder) == count
+    kind.write(folder / "whole")
+    whole = kind.load(folder / "whole")
+    assert files.outcome(kind, folder / "whole", whole) == "same content"
+    assert files.outcome(kind, folder / "whole", {**whole, "actor": {}}) == "other content"
+    (folder / "whole").write_bytes(b"")
+    assert files.outcome(kind, folder / "whole", whole) == "refused"
+    broken = replace(kind, load=lambda path: [][len(str(path))])
+    assert files.outcome(broken, folder / "whole", whole) == "IndexError"
+
+
+def _say_nothing(*args: object, **kwargs: object) -> None:
+    """In place of a check or a warning."""
+
+
+@pytest.mark.parametrize(
+    ("inject", "count", "target"),
+    [
+        (bad_settings.settings, 100, "aslip.training.ppo_settings.check_types"),
+        (checkpoints.cuts, 2, "aslip.training.run.torchrl_logger.warning"),
+        (checkpoints.full_disks, 2, "aslip.training.run.torchrl_logger.warning"),
+    ],
+)
+def test_faults_that_are_not_survived_are_not_counted(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, inject: suite.Inject, count: int, target: str
+) -> None:
+    monkeypatch.setattr(target, _say_nothing)
+    assert _survived(inject, count, folder) < count
+
+
+def test_simulations_that_diverge_do_not_stop_a_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NaN in one robot's state, three times: three divergences, and numbers everywhere."""
+    advance, taken = BatchCassieEnv._advance, [0]
+
+    def spoil(env: BatchCassieEnv, *args: Any) -> np.ndarray:
+        taken[0] += env.num_envs == TINY.num_envs
+        if env.num_envs == TINY.num_envs and taken[0] in (9, 13, 20):
+            states = env.states()
+            states[taken[0] % env.num_envs, 3] = math.nan
+            env.set_states(states)
+        return advance(env, *args)
+
+    monkeypatch.setattr(BatchCassieEnv, "_advance", spoil)
+    config = replace(TINY, out=tmp_path / "run", total_steps=128)
+    trainings.train(config)
+    progress = read_progress(config.out)
+    assert progress["divergences"] == [2, 3]
+    for name, column in progress.items():
+        assert "eval" in name or all(map(math.isfinite, column)), name
+
+
+# ---------------------------------------------------------------------- settings
+
+
+@pytest.mark.parametrize("field", fields(ppo_aslip.Config), ids=lambda field: field.name)
+def test_a_setting_of_a_wrong_type_is_named(field: Any) -> None:
+    rng = np.random.default_rng(len(field.name))
+    for _ in range(20):
+        value = bad_settings.bad_value(field.name, rng)
+        with pytest.raises(ConfigurationError, match=field.name):
+            replace(TINY, **{field.name: value})
+
+
+def test_settings_of_the_right_types_are_accepted() -> None:
+    for preset in ppo_aslip.PRESETS.values():
+        check_types(preset)
+    check_types(replace(TINY, gamma=1, learning_rate=np.float64(1e-3), out=Path()))
+
+
+@pytest.mark.parametrize("name", ["num_envs", "seed", "num_threads", "backend", "reward_on"])
+def test_an_environment_refuses_what_is_no_setting(name: str) -> None:
+    settings: dict[str, Any] = {}
+    for settings[name] in (None, "", "8", b"8", [], {}, 2.5, -1, math.nan, math.inf, object()):
+        with pytest.raises(AslipError, match=name):
+            aslip.make_env(**settings)
+
+
+# -------------------------------------------------------------------------- tools
+
+
+def test_equal_states_are_told_from_others() -> None:
+    """The comparison that the other tests rest on."""
+    state = trainings.Holder({"a": (1, [2.0]), "t": np.float64(3)}).state_dict()
+    assert trainings.same(state, {"a": (1, [2.0]), "t": 3.0})
+    for other in ({"a": (1, [2.5]), "t": 3.0}, {"a": (1, [2.0])}, {"a": (1, []), "t": 3.0}):
+        assert not trainings.same(state, other)
+
+
+def test_the_benchmark_prints_a_table_and_writes_numbers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    none: dict[str, Any] = {
+        field.name: 0 for field in fields(suite.Config) if isinstance(field.default, int)
+    }
+    config = suite.Config(**{**none, "numbers": 2, "settings": 5, "report": tmp_path / "f.json"})
+    table = suite.main(config)
+    assert table["setting of wrong type or range"] == {"injected": 5, "survived": 5}
+    assert len(table) == 2
+    assert "| 5 | 5 |" in capsys.readouterr().out
+    assert json.loads((tmp_path / "f.json").read_text()) == {"seed": 0, "faults": table}

@@ -1,0 +1,182 @@
+"""A policy is shipped with a card that is true of it."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import ppo_single_reference
+import pytest
+import torch
+
+import aslip
+import aslip.training.provenance
+from aslip.errors import AssetError, ConfigurationError
+from aslip.policy import (
+    PolicyShape,
+    RunningNormalizer,
+    make_actor,
+    read_card,
+    save_policy,
+)
+from aslip.training.provenance import provenance
+from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from benchmarks import policy_card
+from benchmarks.faults.trainings import TINY, train
+from benchmarks.policy_card import Config
+from recipes import ppo_aslip
+
+
+def _card(run_folder: Path, assets: Path, **settings: bool) -> str:
+    config = Config(run_folder, "mine", assets, assets / "out", **{"measure": False, **settings})
+    return policy_card.main(config).read_text()
+
+
+def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) -> Path:
+    size = {"single_reference": 49}.get(stack, 64)
+    actor = make_actor(RunningNormalizer(size), PolicyShape(size), table)
+    folder.mkdir()
+    key = "motor_target" if stack == "aslip" else "motor_position"
+    names = {"stack": stack, "observation": list(table), "baseline": ("reference", key)}
+    save_policy(folder / "policy.zip", actor, PolicyShape(size), made_by, **names)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stack", "table", "baseline"),
+    [
+        ("aslip", OBSERVATION_TABLE, "reference/motor_target"),
+        ("paper", OBSERVATION_TABLE, "reference/motor_position"),
+        ("single_reference", SINGLE_REFERENCE_TABLE, "reference/motor_position"),
+    ],
+)
+def test_the_contract_is_that_of_the_stack(
+    tmp_path: Path, stack: str, table: tuple, baseline: str
+) -> None:
+    text = _card(_saved(tmp_path / "run", stack, table), tmp_path / "assets")
+    rows = re.findall(r"^\| (\d+)(?:-(\d+))? \| (\S+) \|", text, re.MULTILINE)
+    ends = [int(last or first) for first, last, _ in rows]
+    size = 64 if table is OBSERVATION_TABLE else 49
+    assert [int(first) for first, *_ in rows] == [0, *(end + 1 for end in ends[:-1])]
+    assert ends[-1] == size - 1
+    assert [name for *_, name in rows] == [
+        name if isinstance(name, str) else "/".join(name) for name in table
+    ]
+    assert f"It observes {size} numbers" in text
+    assert baseline in text
+    assert "| left_knee | 96 | 9.6 | 195.2 |" in text
+
+
+def test_a_training_says_how_it_was_made(tmp_path: Path) -> None:
+    config = TINY.__class__(**{**vars(TINY), "out": tmp_path / "run", "total_steps": 64})
+    train(config)
+    text = _card(config.out, tmp_path / "assets")
+    made = read_card(config.out / "policy.zip")["made_by"]
+    assert made["commit"] == provenance()["commit"]
+    assert f"| commit | {made['commit'] or 'not recorded'} |" in text
+    assert f"mujoco {made['versions']['mujoco']}" in text
+    assert "| policy steps | 64 |" in text
+    assert "num_envs 8" in text
+    assert "![Learning curve](mine.png)" in text
+    assert (tmp_path / "assets" / "mine.png").read_bytes().startswith(b"\x89PNG")
+    aslip.load_policy(tmp_path / "assets" / "mine.zip")
+
+
+def test_what_is_no_run_is_not_shipped(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="neither a file"):
+        _card(tmp_path / "nothing", tmp_path / "assets")
+    with pytest.raises(ConfigurationError, match=r"\.\./mine"):
+        Config(tmp_path, "../mine")
+
+
+def test_limits_are_the_worst_that_was_measured() -> None:
+    cells = [{"phase": 0.0, "mean": 9.0}, {"phase": 0.5, "mean": 4.0}]
+    sweep = {"parameter": "payload", "by_speed": {}}
+    numbers = {
+        "speed": 1.0,
+        "push_duration": 0.21,
+        "pushes": [
+            {"direction_deg": 0.0, "phases": cells[:1]},
+            {"direction_deg": 90.0, "phases": cells},
+        ],
+        "sweeps": [
+            {**sweep, "value": 0.0, "mean": 1.0},
+            {**sweep, "value": 8.0, "mean": 0.5},
+            {**sweep, "parameter": "slope", "value": -3.0, "mean": 1.0},
+            {**sweep, "parameter": "slope", "value": 3.0, "mean": 1.0},
+        ],
+    }
+    text = policy_card.limits(numbers)
+    assert "of more than 4.0 N s, where it is weakest: at phase 0.5, at 90°" in text
+    assert "payload [kg]: some speeds fail at 8." in text
+    assert "slope [deg]: none from -3 to 3." in text
+
+
+def test_policy_and_card_do_not_say_where_the_run_lay(tmp_path: Path) -> None:
+    command = "python recipes/ppo_aslip.py --out ../runs/mine --seed 3 --resume"
+    folder = _saved(tmp_path / "run", "aslip", OBSERVATION_TABLE, {"command": command})
+    text = _card(folder, tmp_path / "assets")
+    assert "`python recipes/ppo_aslip.py --seed 3`" in text
+    files = folder / "policy.zip", tmp_path / "assets" / "mine.zip"
+    old, new = (read_card(file) for file in files)
+    assert new["made_by"].pop("command") == "python recipes/ppo_aslip.py --seed 3"
+    assert old["made_by"].pop("command") == command
+    assert new == old
+    weights = [aslip.load_policy(file).state_dict() for file in files]
+    assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
+
+
+def test_the_card_says_what_it_was_trained_on() -> None:
+    made: dict[str, dict] = {"settings": {}}
+    assert "level ground" in policy_card.training_ground({"made_by": made})
+    made["settings"] = {"randomise": True}
+    assert "floor_friction 0.4 to 1.1" in policy_card.training_ground({"made_by": made})
+
+
+def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a plus where files but documents have changed; None outside a checkout."""
+    if shutil.which("git") is None:
+        pytest.skip("needs git")
+    monkeypatch.setattr(
+        aslip.training.provenance, "__file__", str(tmp_path / "aslip" / "provenance.py")
+    )
+    assert provenance()["commit"] is None
+    (tmp_path / "docs").mkdir()
+    file, *documents = (tmp_path / name for name in ("file", "docs/record.csv", "README.md"))
+    for path in (file, *documents):
+        path.write_text("one")
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b.c"]
+    for words in (["init", "-q"], ["add", "."], [*identity, "commit", "-qm", "one"]):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    commit = provenance()["commit"]
+    assert re.fullmatch("[0-9a-f]{12}", commit)
+    for path in documents:
+        path.write_text("two")
+    assert provenance()["commit"] == commit
+    file.write_text("two")
+    assert provenance()["commit"] == f"{commit}+"
+    assert json.dumps(provenance())
+    assert np.all([provenance()["versions"][name] for name in ("torch", "mujoco")])
+
+
+@pytest.mark.parametrize(
+    ("name", "recipe", "other"),
+    [
+        ("aslip", ppo_aslip, set()),
+        ("robust", ppo_aslip, {"randomise"}),
+        ("single_reference", ppo_single_reference, {"preset"}),
+    ],
+)
+def test_shipped_policies_have_the_settings_of_their_recipes(
+    name: str, recipe: Any, other: set[str]
+) -> None:
+    """Whoever runs the recipe trains such a policy."""
+    made = read_card(name)["made_by"]["settings"]
+    default = asdict(recipe.PRESETS["default"])
+    assert {key for key in made if made[key] != default[key]} == other

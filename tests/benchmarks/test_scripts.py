@@ -1,0 +1,318 @@
+"""Recipes and benchmarks run from start to end on small settings."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aslip import GaitLibrary
+from aslip.errors import (
+    ConfigurationError,
+    FileDamagedError,
+    RenderingError,
+    SpeedOutOfRangeError,
+    one_line_errors,
+)
+from aslip.library.file import read_made_by
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.training.run import steps_done
+from benchmarks import black_box, collectors, film_strip, learning_curves, throughput
+from benchmarks.estimator import suite as estimator
+from benchmarks.faults.trainings import TINY
+from recipes import gait_library, ppo_aslip
+
+
+@pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])
+def test_what_a_user_can_mend_is_told_in_one_line(kind: type[Exception]) -> None:
+    with pytest.raises(SystemExit, match="error: no such thing"), one_line_errors():
+        raise kind("no such thing")
+    with pytest.raises(ZeroDivisionError), one_line_errors():
+        raise ZeroDivisionError
+
+
+def test_every_script_tells_it_so() -> None:
+    root = Path(__file__).parents[2]
+    scripts = [p.read_text() for d in ("recipes", "benchmarks") for p in (root / d).rglob("*.py")]
+    programs = [text for text in scripts if "if __name__ ==" in text]
+    assert len(programs) >= 20
+    assert all("with one_line_errors():" in text for text in programs)
+
+
+def test_a_library_of_other_speeds_can_be_built(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = gait_library.Config(
+        out=tmp_path / "mine.npz", speeds=(0.5, 0.75), samples=32, pictures=tmp_path
+    )
+    gait_library.main(config)
+    library = GaitLibrary.load(tmp_path / "mine.npz")
+    assert library.speeds.tolist() == [0.5, 0.75]
+    assert read_made_by(tmp_path / "mine.npz")["command"].startswith("python recipes/")
+    for picture in ("gait.png", "gaits.png"):
+        assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
+    table = capsys.readouterr().out
+    assert "KKT" in table
+    assert " 0.8025 " in table
+
+
+def test_the_shipped_library_is_not_replaced_by_another() -> None:
+    with pytest.raises(ConfigurationError, match=r"give another file with --out"):
+        gait_library.Config(speeds=(0.5, 1.0))
+
+
+def test_a_library_of_impossible_speeds_leaves_no_file(tmp_path: Path) -> None:
+    config = gait_library.Config(out=tmp_path / "mine.npz", speeds=(0.5, 9.0), pictures=tmp_path)
+    with pytest.raises(SpeedOutOfRangeError, match="9"):
+        gait_library.main(config)
+    assert not list(tmp_path.iterdir())
+
+
+def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
+    config = throughput.Config(
+        num_envs=(2, 3), num_threads=(1,), rounds=1, robot_steps=1, single=2, updates=False
+    )
+    throughput.main(config)
+    rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
+    assert len(rows) == 9 + 7
+    assert all(row.endswith("% |") for row in rows)
+
+
+def test_collectors_are_measured_side_by_side(capsys: pytest.CaptureFixture[str]) -> None:
+    config = collectors.Config(kinds=("single", "distributed"), num_envs=4, samples=8, rounds=2)
+    collectors.main(config)
+    *_, one, other = capsys.readouterr().out.splitlines()
+    assert one.startswith("| `single` | ")
+    assert " | 100 % | " in one
+    assert float(other.split("|")[3].strip(" %")) > 0
+
+
+def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ppo_aslip, "PRESETS", {"tiny": TINY})
+    config = throughput.Config(num_envs=(2,), rounds=2)
+    row = throughput.update_table(config).splitlines()[-1]
+    assert row.startswith("| tiny | 64 | ")
+    *_, share, copied, saved, _ = row.split("|")
+    assert 0 < float(share.strip(" %")) < 100
+    assert math.isfinite(float(copied))
+    assert math.isfinite(float(saved))
+    assert 0.1 < float(throughput.memory_table(config).splitlines()[-1].split("|")[2]) < 8
+
+
+def test_the_estimator_is_measured_and_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = estimator.Config(
+        steps=12,
+        repeats=1,
+        falls=2,
+        num_envs=2,
+        rounds=1,
+        out=tmp_path,
+    )
+    estimator.main(config)
+    printed = capsys.readouterr().out
+    assert [line[:7] for line in printed.splitlines() if line[2:3] in "012"][:5] == [
+        f"| {speed:.1f} |" for speed in (0.0, 0.5, 1.0, 1.5, 2.0)
+    ]
+    assert "estimator and noise" in printed
+    numbers = json.loads((tmp_path / "estimator.json").read_text())
+    assert all(max(row["velocity"]) < 0.3 for row in numbers["walks"])
+    assert sum(row["samples"] for row in numbers["recovery"]) > 0
+    assert (tmp_path / "estimator.png").read_bytes().startswith(b"\x89PNG")
+
+
+def curves_of(folder: Path, walks_at: int, steps: int = 600, seed: int = 0) -> None:
+    """Progress of a run of so many thousand steps; the last row is being written."""
+    rng = np.random.default_rng(seed)
+    lines = [
+        "step,elapsed_s,episode_length,episode_return,divergences,kl,eval_return,eval_survived"
+    ]
+    for step in range(10, steps + 1, 10):
+        length = 395 if step >= walks_at + 100 else 360 if step >= walks_at else 20
+        evaluation = f"{step / 2:g},1" if step % 200 == 0 else "nan,nan"
+        lines.append(
+            f"{step}000,{6 * step},{length},{rng.uniform():.6g},{step // 250},0.01,{evaluation}"
+        )
+    folder.mkdir(parents=True)
+    (folder / "progress.csv").write_text("\n".join([*lines, f"{steps + 10}000,4"]))
+
+
+def curves_config(out: Path, **settings: Any) -> learning_curves.Config:
+    settings = {"total_steps": 600_000, "train": False, **settings}
+    return learning_curves.Config(out=out, picture=out / "curves.png", **settings)
+
+
+def test_learning_curves_are_reported_from_what_there_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    curves_of(tmp_path / "truth-0", walks_at=230)
+    curves_of(tmp_path / "default-0", walks_at=240)
+    curves_of(tmp_path / "default-2", walks_at=550)
+    learning_curves.main(curves_config(tmp_path))
+    truth, *default = capsys.readouterr().out.splitlines()[2:]
+    assert truth.startswith("| truth | 0 |  | 600 | 60 | 230 | 330 | 395 |")
+    assert truth.endswith("| 300 | 100 | 2 |")
+    assert default[0].startswith("| default | 0 |  | 600 | 60 | 240 | 340 | 395 |")
+    assert default[1].startswith("| default | 2 |  | 600 | 60 | 550 | not yet | 360 |")
+    # a mean over those that succeeded would hide the other
+    assert default[2].startswith("| default | 2 seeds |  | 600 | 60 | 395 [-1574, 2364] | 1 of 2 |")
+    assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_record_of_learning_curves_grows_over_machines_and_days(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    here, there, record = tmp_path / "here", tmp_path / "there", tmp_path / "curves.csv"
+    curves_of(here / "default-0", walks_at=213, seed=1)
+    curves_of(here / "paper-0", walks_at=300, steps=590)  # not done
+    curves_of(there / "default-1", walks_at=217, seed=2)
+    settings = {"variants": ("default", "paper"), "seeds": (0, 1), "record": record}
+    learning_curves.main(curves_config(here, **settings))
+    assert list(learning_curves.read_record(record)) == [("default", 0)]
+    shape = PolicyShape()
+    actor = make_actor(RunningNormalizer(shape.observation_size), shape)
+    save_policy(there / "default-1" / "policy.zip", actor, shape, {"commit": "0123456789ab+"})
+    learning_curves.main(curves_config(there, **settings))
+    assert list(learning_curves.read_record(record)) == [("default", 0), ("default", 1)]
+    assert "| default | 1 | 0123456+ | 600 |" in capsys.readouterr().out
+
+    # it says what the runs' own files say
+    curves_of(there / "default-0", walks_at=213, seed=1)
+    capsys.readouterr()
+    learning_curves.main(curves_config(there, **{**settings, "record": None}))
+    from_runs = capsys.readouterr().out
+    kept = record.read_bytes()
+    learning_curves.main(curves_config(tmp_path / "nothing", **settings))
+    assert capsys.readouterr().out == from_runs
+    assert record.read_bytes() == kept
+    assert len(kept.splitlines()) < 40
+    # and what it holds is not trained again
+    default = {**settings, "variants": ("default",), "train": True}
+    learning_curves.main(curves_config(tmp_path / "nothing", **default))
+    assert not list((tmp_path / "nothing").glob("default-*"))
+
+
+def test_a_longer_run_takes_the_place_of_a_recorded_one(tmp_path: Path) -> None:
+    record = tmp_path / "curves.csv"
+    settings = {"variants": ("default",), "seeds": (0,), "record": record}
+    for steps in (600, 900, 700):
+        folder = tmp_path / str(steps)
+        curves_of(folder / "default-0", walks_at=300, steps=steps)
+        learning_curves.main(curves_config(folder, **settings))
+    assert learning_curves.read_record(record)["default", 0].steps == 900_000
+
+
+def test_what_others_record_during_a_training_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    record = tmp_path / "curves.csv"
+    settings = {"variants": ("default",), "record": record}
+
+    def train(config: learning_curves.Config, recorded: object) -> None:
+        curves_of(tmp_path / "there" / "default-5", walks_at=300)
+        there = curves_config(tmp_path / "there", **settings, seeds=(5,))
+        learning_curves.main(there)
+        curves_of(config.out / "default-4", walks_at=300)
+
+    monkeypatch.setattr(learning_curves, "_train", train)
+    learning_curves.main(curves_config(tmp_path / "here", **settings, seeds=(4,), train=True))
+    assert list(learning_curves.read_record(record)) == [("default", 4), ("default", 5)]
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_a_training_that_was_begun_is_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
+) -> None:
+    """Also one that was killed before its first checkpoint, and has a curve."""
+    commands: list[list[str]] = []
+    monkeypatch.setattr(
+        learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)
+    )
+    if begun:
+        curves_of(tmp_path / "default-0", walks_at=300, steps=20)
+        (tmp_path / "default-0" / "config.json").write_text("{}")
+    learning_curves._start(curves_config(tmp_path), "default", 0, 0)
+    assert [command[-1] == "--resume" for command in commands] == [begun]
+
+
+def test_a_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    curves_of(tmp_path / "default-4", walks_at=300)
+    learning_curves.main(curves_config(tmp_path, variants=("default",), seeds=(4, 4)))
+    assert capsys.readouterr().out.count("| default |") == 1
+
+
+def test_trainings_at_once_are_one_or_more(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="jobs must be 1 or more, got 0"):
+        learning_curves.Config(jobs=0)
+
+
+def test_progress_without_what_is_reported_is_named(tmp_path: Path) -> None:
+    (tmp_path / "default-0").mkdir()
+    (tmp_path / "default-0" / "progress.csv").write_text("step,elapsed_s\n100,1\n")
+    with pytest.raises(FileDamagedError, match=r"default-0.*lacks.*episode_length"):
+        learning_curves.main(curves_config(tmp_path))
+
+
+def test_no_learning_curves_are_not_an_empty_table(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="there is no run"):
+        learning_curves.main(curves_config(tmp_path))
+
+
+def test_a_damaged_record_of_learning_curves_is_named(tmp_path: Path) -> None:
+    record = tmp_path / "curves.csv"
+    for damage in ("variant,seed,commit,step\n", "default,0,abc,1\n", "default,zero,abc,1,1,1\n"):
+        header = f"variant,seed,commit,{','.join(learning_curves.COLUMNS)}\n"
+        record.write_text(damage + "default,0,abc\n" if "variant" in damage else header + damage)
+        with pytest.raises(FileDamagedError, match=r"curves\.csv"):
+            learning_curves.main(curves_config(tmp_path, record=record))
+    rows = [f"{header}default,0,abc,nan,1,1,1,1,1,1\n", "notes of mine\n", ""]
+    for text in rows:
+        record.write_text(text)
+        with pytest.raises(FileDamagedError, match=r"curves\.csv"):
+            learning_curves.main(curves_config(tmp_path, record=record))
+        assert record.read_text() == text
+
+
+def test_logs_are_measured_killed_cut_and_replayed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(black_box, "_EPISODE", 40)
+    config = black_box.Config(
+        rounds=1, kills=1, cuts=4, replays=1, report=tmp_path / "black_box.json"
+    )
+    black_box.main(config)
+    printed = capsys.readouterr().out
+    assert "| joints at 2 kHz |" in printed
+    numbers = json.loads((tmp_path / "black_box.json").read_text())
+    assert numbers["kills"]["failures"] == 0
+    assert numbers["cuts"]["wrong"] == 0
+    assert numbers["replays"]["equal"] == 1
+    assert numbers["overhead"]["physics_bytes"] > numbers["overhead"]["policy_bytes"]
+
+
+def test_a_film_strip_is_drawn(tmp_path: Path) -> None:
+    small = {"frames": 3, "settle": 0.0, "width": 80, "height": 100}
+    for reference in (False, True):
+        out = tmp_path / f"{reference}.png"
+        try:
+            film_strip.main(film_strip.Config(out=out, reference=reference, **small))
+        except RenderingError as error:
+            pytest.skip(str(error))
+        assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_film_strip_of_a_fall_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="settle"):
+        film_strip.Config(settle=20.0)
+
+
+@pytest.mark.slow
+def test_learning_curves_train_what_is_missing_and_resume(tmp_path: Path) -> None:
+    settings = {"out": tmp_path, "seeds": (0,), "jobs": 2, "picture": tmp_path / "curves.png"}
+    for steps in (5120, 10240):
+        learning_curves.main(learning_curves.Config(total_steps=steps, **settings))
+        for variant in learning_curves.VARIANTS:
+            assert steps_done(tmp_path / f"{variant}-0") == steps

@@ -1,0 +1,177 @@
+"""Which policies and environments fit each other, and what is said if they do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.data import Composite
+from torchrl.envs.transforms import CatFrames, InitTracker, ObservationNorm, RewardScaling
+
+import aslip
+from aslip.envs import (
+    CassieTransformedEnv,
+    acts_on,
+    baseline,
+    check_fits,
+    default_stack,
+    insert_before,
+    interface_of,
+)
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
+from aslip.transforms import OBSERVATION_TABLE, ActionDelta, AssembleObservation, CassieTransform
+from aslip.transforms.base import extend_spec
+from aslip.walking.walker import Walker
+from benchmarks import velocity_tracking
+from benchmarks.common import Common, environment
+from tests.helpers import MakeEnv
+
+
+class AirTime(CassieTransform):
+    """A reward with memory: how long feet have been in the air, as rsl_rl has it."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=[("truth", "pelvis_position")], out_keys=["air_time"])
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset.set("air_time", torch.zeros(*tensordict_reset.batch_size, 1))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict.set("air_time", tensordict["air_time"] + 0.03)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        return extend_spec(observation_spec, {"air_time": 1})
+
+
+class Smooth(CassieTransform):
+    """Changes actions before they are added to the reference."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=[], out_keys=[])
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set("action", 0.5 * tensordict["action"])
+
+
+def _with(library: GaitLibrary, make: MakeEnv, *more: Any) -> CassieTransformedEnv:
+    """The default stack and transforms that stand last."""
+    stack = {**default_stack(library), **{f"more{i}": one for i, one in enumerate(more)}}
+    return make(stack=stack)
+
+
+def _saved(path: Path, env: CassieTransformedEnv, size: int = 64) -> Path:
+    """A policy as a recipe saves it after a training on an environment."""
+    interface = interface_of(env)
+    actor = make_actor(RunningNormalizer(size), PolicyShape(size), interface["observation"])
+    save_policy(path, actor, PolicyShape(size), **interface)
+    return path
+
+
+HARMLESS = {
+    "InitTracker": (InitTracker,),
+    "RewardScaling": (lambda: RewardScaling(loc=0.0, scale=0.1),),
+    "an own reward with memory": (AirTime,),
+    "all": (InitTracker, AirTime, lambda: RewardScaling(loc=0.0, scale=0.1)),
+}
+
+
+@pytest.mark.parametrize("more", HARMLESS.values(), ids=HARMLESS)
+def test_transforms_beside_observation_and_action_make_no_difference(
+    make: MakeEnv, library: GaitLibrary, tmp_path: Path, more: tuple
+) -> None:
+    env = _with(library, make, *more)
+    env.rollout(2)
+    assert acts_on(env) == "aslip"
+    path = _saved(tmp_path / "policy.zip", env)
+    assert read_card(path)["baseline"] == "reference/motor_target"
+    check_fits(path, env)
+    check_fits("aslip", env)
+    check_fits(path, make())
+    assert Walker(path).env.num_envs == 1
+
+
+def test_a_benchmark_takes_a_policy_that_was_trained_with_more_transforms(
+    make: MakeEnv, library: GaitLibrary, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = _saved(tmp_path / "policy.zip", _with(library, make, *HARMLESS["all"]))
+    config = velocity_tracking.Config(policy=(str(path),), out=tmp_path / "out")
+    env = environment(config, str(path), 2)
+    assert env.num_envs == 2
+    data = env.rollout(2, aslip.load_policy(path))
+    assert data["action"].isfinite().all()
+
+
+CHANGES = {
+    "frames": (lambda: CatFrames(3, dim=-1, in_keys=["observation"]), "observation"),
+    "norm": (lambda: ObservationNorm(0.0, 2.0, in_keys=["observation"]), "observation"),
+    "smooth": (Smooth, "action"),
+}
+
+
+@pytest.mark.parametrize(("change", "what"), CHANGES.values(), ids=CHANGES)
+def test_transforms_that_change_observation_or_action_make_one(
+    make: MakeEnv, library: GaitLibrary, tmp_path: Path, change: Any, what: str
+) -> None:
+    env = _with(library, make, change)
+    assert acts_on(env) is None
+    assert (baseline(env) is None) == (what == "action")
+
+
+def test_a_benchmark_says_how_a_policys_stack_is_another(
+    make: MakeEnv, library: GaitLibrary, tmp_path: Path
+) -> None:
+    entries = list(OBSERVATION_TABLE)
+    other_key = ActionDelta(("reference", "motor_velocity"))
+    stacks: dict[str, tuple[dict[str, Any], int, str]] = {
+        "order": (
+            {"replace": {"observation": AssembleObservation(entries[::-1])}},
+            64,
+            "its observation has another order",
+        ),
+        "fewer": (
+            {"replace": {"observation": AssembleObservation(entries[:-1])}},
+            61,
+            r"its observation lacks \['reference/right_foot_velocity'\]",
+        ),
+        "baseline": ({"replace": {"action": other_key}}, 64, "to 'reference/motor_velocity'"),
+        "action": (
+            {"stack": insert_before(default_stack(library), "action", smooth=Smooth)},
+            64,
+            "not only, an `ActionDelta`",
+        ),
+    }
+    for name, (settings, size, message) in stacks.items():
+        path = _saved(tmp_path / f"{name}.zip", make(**settings), size)
+        with pytest.raises(ConfigurationError, match=rf"{name}\.zip.*{message}"):
+            environment(Common(), str(path), 1)
+        with pytest.raises(ConfigurationError, match=f"{name}.zip.*does not fit"):
+            check_fits(path, make())
+        assert aslip.load_policy(path)
+
+
+def test_what_the_action_is_added_to_must_be_the_same(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match=r"to 'reference/motor_target'.*it to 'ref"):
+        check_fits("aslip", make(stack="paper"))
+    with pytest.raises(ConfigurationError, match="does not fit"):
+        Walker("aslip", make(stack="paper"))
+
+
+def test_a_file_whose_stack_is_not_what_it_was_trained_on_is_not_measured(
+    make: MakeEnv, tmp_path: Path
+) -> None:
+    """A stack may have changed since the policy named it."""
+    path = tmp_path / "policy.zip"
+    interface = {**interface_of(make()), "stack": "paper"}
+    save_policy(path, make_actor(RunningNormalizer(64)), PolicyShape(), **interface)
+    with pytest.raises(ConfigurationError, match="does not fit the environment: its action"):
+        environment(Common(), str(path), 1)

@@ -1,0 +1,255 @@
+"""An environment is what TorchRL's own transforms, losses and collectors take it for."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from functools import partial
+from typing import Any
+
+import pytest
+import torch
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.collectors import Collector
+from torchrl.data import Bounded
+from torchrl.envs import ParallelEnv, SerialEnv, TransformedEnv
+from torchrl.envs.transforms import (
+    ActionDiscretizer,
+    ActionScaling,
+    ExcludeTransform,
+    FrameSkipTransform,
+    InitTracker,
+    NoopResetEnv,
+    RenameTransform,
+    RewardScaling,
+    TargetReturn,
+    Transform,
+)
+from torchrl.envs.utils import check_env_specs
+from torchrl.modules import (
+    MLP,
+    NormalParamExtractor,
+    ProbabilisticActor,
+    TanhNormal,
+    ValueOperator,
+)
+from torchrl.objectives import SACLoss, TD3Loss
+
+from aslip import load_policy
+from aslip.envs import STACKS, default_stack, make_env
+from aslip.errors import ConfigurationError
+from aslip.transforms import LowReward
+from tests.helpers import MakeEnv
+
+# no target networks are updated here
+_NO_UPDATER = pytest.mark.filterwarnings("ignore:No target network updater")
+
+
+@pytest.mark.parametrize("stack", list(STACKS))
+def test_there_is_one_reward_and_terms_are_observations(make: MakeEnv, stack: str) -> None:
+    env = make(num_envs=2, stack=stack, library=None)
+    assert env.reward_keys == ["reward"]
+    assert env.reward_key == "reward"
+    start = env.reset()
+    terms = start["reward_terms"]
+    assert terms.keys()
+    assert all((term == 0).all() for term in terms.values())
+    after = env.step(start.set("action", torch.zeros(2, 10)))["next"]
+    assert after["reward_terms"].keys() == terms.keys()
+    assert all((term > 0).all() for term in after["reward_terms"].values())
+
+
+def test_random_actions_may_precede_an_episode(make: MakeEnv) -> None:
+    env = make(drop=["low_reward", "fall"])
+    env.append_transform(NoopResetEnv(3, random=False))
+    assert env.reset()["step_count"].item() == 3
+    assert env.rollout(3)["next", "step_count"].flatten().tolist() == [4, 5, 6]
+
+
+def test_the_return_still_to_come_can_be_asked_for(make: MakeEnv) -> None:
+    env = TransformedEnv(make(num_envs=2), TargetReturn(10.0))
+    data = env.rollout(3, lambda td: td.set("action", torch.zeros(2, 10)))
+    left = 10.0 - data["next", "reward"].cumsum(1)
+    torch.testing.assert_close(data["next", "target_return"], left)
+
+
+@pytest.mark.parametrize(
+    ("policy", "stack"),
+    [("aslip", "aslip"), ("robust", "aslip"), ("single_reference", "single_reference")],
+)
+def test_shipped_policies_act_within_the_action_spec(
+    make: MakeEnv, policy: str, stack: str
+) -> None:
+    env = make(num_envs=5, stack=stack, library=None, seed=1)
+    data = env.rollout(60, load_policy(policy))
+    assert data["action"].abs().amax() > 0.2
+    assert env.action_spec.is_in(data["action"].transpose(0, 1))
+
+
+def test_random_actions_stay_within_the_action_spec(make: MakeEnv) -> None:
+    env = make(num_envs=64)
+    action = env.rand_action()["action"]
+    assert env.action_spec.is_in(action)
+    assert action.abs().amax() > 0.9 * env.action_spec.high.max()
+
+
+def test_actions_can_be_scaled(make: MakeEnv) -> None:
+    """An action of one is the largest delta of the spec."""
+    plain, scaled = make(num_envs=2), make(num_envs=2)
+    high = plain.action_spec.high
+    scaled.append_transform(ActionScaling())
+    check_env_specs(scaled)
+    seen = []
+    for env, action in ((plain, 0.2 * high), (scaled, torch.full((2, 10), 0.2))):
+        env.set_seed(1)
+        seen.append(env.step(env.reset().set("action", action))["next", "last_action"])
+    torch.testing.assert_close(seen[0], seen[1])
+    assert scaled.action_spec.is_in(torch.ones(2, 10))
+    assert not scaled.action_spec.is_in(torch.full((2, 10), 1.1))
+
+
+def test_actions_can_be_discretised(make: MakeEnv) -> None:
+    env = make(num_envs=2)
+    env.append_transform(ActionDiscretizer(3))
+    check_env_specs(env)
+    data = env.rollout(3, break_when_any_done=False)
+    high = float(make().action_spec.high.max())
+    values = data["next", "last_action"].unique()
+    assert values.abs().max() <= high
+    assert len(values) <= 3
+
+
+def _rename() -> Transform:
+    return RenameTransform([], [], in_keys_inv=["action"], out_keys_inv=["delta"])
+
+
+@pytest.mark.parametrize("transform", [ActionScaling, lambda: ActionDiscretizer(3), _rename])
+def test_an_environment_around_it_may_change_actions(make: MakeEnv, transform: Any) -> None:
+    env = TransformedEnv(make(num_envs=2), transform())
+    data = env.rollout(3, break_when_any_done=False)
+    assert data.shape == (2, 3)
+    check_env_specs(env)
+
+
+def test_an_action_spec_that_would_be_lost_is_refused(make: MakeEnv) -> None:
+    env = make(num_envs=2)
+    with pytest.raises(ConfigurationError, match=r"ActionDelta\(limit="):
+        env.action_spec = Bounded(-1.0, 1.0, torch.Size((2, 10)))
+    before = env.action_spec
+    env.append_transform(RewardScaling(0.0, 2.0))
+    assert env.action_spec == before
+
+
+class _Quality(nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.net = MLP(in_features=74, out_features=1, num_cells=[8])
+
+    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
+        return self.net(torch.cat([observation, action], dim=-1))
+
+
+def _critic() -> ValueOperator:
+    return ValueOperator(_Quality(), in_keys=["observation", "action"])
+
+
+@_NO_UPDATER
+def test_soft_actor_critic_knows_the_range_of_one_robot(make: MakeEnv) -> None:
+    env = make(num_envs=3)
+    spec = env.action_spec_unbatched
+    net = nn.Sequential(MLP(in_features=64, out_features=20, num_cells=[8]), NormalParamExtractor())
+    actor = ProbabilisticActor(
+        TensorDictModule(net, ["observation"], ["loc", "scale"]),
+        in_keys=["loc", "scale"],
+        out_keys=["action"],
+        distribution_class=TanhNormal,
+        distribution_kwargs={"low": spec.low, "high": spec.high},
+        return_log_prob=True,
+    )
+    loss = SACLoss(actor, _critic(), action_spec=spec)
+    assert loss.target_entropy.item() == -10.0
+    data = env.rollout(3, actor, break_when_any_done=False)
+    assert env.action_spec.is_in(data["action"].transpose(0, 1))
+    assert data["action_log_prob"].isfinite().all()
+    assert all(value.isfinite().all() for value in loss(data.reshape(-1)).values())
+
+
+@_NO_UPDATER
+def test_twin_delayed_gradients_know_the_range(make: MakeEnv) -> None:
+    env = make(num_envs=3)
+    net = nn.Sequential(MLP(in_features=64, out_features=10, num_cells=[8]), nn.Tanh())
+    actor = TensorDictModule(net, ["observation"], ["action"])
+    loss = TD3Loss(actor, _critic(), action_spec=env.action_spec_unbatched)
+    data = env.rollout(3, actor, break_when_any_done=False)
+    assert loss(data.reshape(-1))["loss_qvalue"].isfinite()
+
+
+def test_a_shipped_policy_collects_without_a_warning(
+    make: MakeEnv, recwarn: pytest.WarningsRecorder
+) -> None:
+    collector = Collector(make(num_envs=2), load_policy("aslip"), frames_per_batch=8)
+    data = next(iter(collector))
+    collector.shutdown()
+    assert [str(w.message) for w in recwarn if "transforms required" in str(w.message)] == []
+    assert data["is_init"][:, 0].all()
+    assert not data["is_init"][:, 1:].any()
+
+
+def test_the_first_step_is_marked_as_torchrl_does(make: MakeEnv) -> None:
+    env = make(num_envs=3, replace={"low_reward": LowReward(0.7)})
+    env.append_transform(InitTracker("torchrl_is_init"))
+    torch.manual_seed(0)
+    data = env.rollout(30, break_when_any_done=False)
+    done = data["next", "done"][..., 0]
+    assert (done.any(0) & ~done.all(0)).any()  # some robots began again while others went on
+    for level in (data, data["next"]):
+        assert torch.equal(level["is_init"], level["torchrl_is_init"])
+
+
+def test_a_collector_may_limit_episodes_in_place_of_the_stack(make: MakeEnv) -> None:
+    env = make(num_envs=2, drop=["step_limit", "low_reward"])
+    policy = load_policy("aslip")
+    collector = Collector(env, policy, frames_per_batch=12, max_frames_per_traj=3)
+    data = next(iter(collector))
+    collector.shutdown()
+    assert data["next", "truncated"][..., 0].tolist() == 2 * [2 * [False, False, True]]
+
+
+@pytest.mark.parametrize("how", [pickle.dumps, copy.deepcopy, copy.copy])
+@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+def test_a_copy_is_refused_and_the_way_is_named(make: MakeEnv, backend: str, how: Any) -> None:
+    env = make(backend, num_envs=2)
+    for thing in (env, env.base_env):
+        with pytest.raises(ConfigurationError, match=r"partial\(aslip.make_env, num_envs=2\)"):
+            how(thing)
+
+
+@pytest.mark.parametrize("several", [SerialEnv, pytest.param(ParallelEnv, marks=pytest.mark.slow)])
+def test_several_environments_are_made_from_what_makes_one(several: Any) -> None:
+    env = several(2, partial(make_env, num_envs=2, num_threads=1))
+    try:
+        assert env.rollout(3)["next", "reward"].shape == (2, 2, 3, 1)
+    finally:
+        env.close()
+
+
+def test_a_group_that_cannot_be_left_out_names_its_entries(make: MakeEnv) -> None:
+    env = make(num_envs=2)
+    with pytest.raises(ConfigurationError, match=r"'sensors' is a group.*\('sensors', ") as info:
+        env.append_transform(ExcludeTransform("sensors"))
+    with pytest.raises(ConfigurationError, match="'truth' is a group"):
+        env.insert_transform(len(env.transforms), ExcludeTransform("observation", "truth"))
+    with pytest.raises(ConfigurationError, match="'truth' is a group"):
+        make(stack={**default_stack(), "slim": lambda: ExcludeTransform("truth")})
+    advice = str(info.value).partition("for all of them: ")[2]
+    env.append_transform(eval(advice))
+    check_env_specs(env)
+    assert not env.rollout(2)["sensors"].keys()
+
+
+def test_steps_that_would_move_the_robot_but_not_the_clock_are_refused(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match="clock and estimator one"):
+        make().append_transform(FrameSkipTransform(2))
+    with pytest.raises(ConfigurationError, match="clock and estimator one"):
+        make(stack={**default_stack(), "skip": lambda: FrameSkipTransform(2)})

@@ -1,0 +1,302 @@
+"""The walking task keeps dm_control's contract, and its physics answers truthfully."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is a compiled module without complete type stubs
+
+from __future__ import annotations
+
+import dm_env
+import mujoco
+import numpy as np
+import pytest
+from absl.testing import absltest
+from dm_control.rl import control
+from dm_env import test_utils
+
+from aslip.envs import CassiePhysics, Walk, walk_environment
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import FALL_HEIGHT, SIDES, Side
+from aslip.robot.model import load_model
+from aslip.sim import Simulations, true_state
+
+
+def _actions(environment: control.Environment, count: int, seed: int) -> np.ndarray:
+    """Targets around the standing pose."""
+    rng = np.random.default_rng(seed)
+    standing = environment.physics.motor_position()
+    return standing + rng.uniform(-0.3, 0.3, (count, 10))
+
+
+class TestEnvironmentContract(test_utils.EnvironmentTestMixin, absltest.TestCase):
+    """dm_env's own test of environments, over more than one episode."""
+
+    def make_object_under_test(self) -> dm_env.Environment:
+        return walk_environment(time_limit=0.3, random=0)
+
+    def make_action_sequence(self):
+        return iter(_actions(walk_environment(), 25, 0))
+
+
+# ------------------------------------------------------ the suite's contract
+
+
+def _episode(seed: int, count: int = 15) -> list[dm_env.TimeStep]:
+    environment = walk_environment(random=seed)
+    steps = [environment.reset()]
+    for action in _actions(walk_environment(), count, 0):
+        steps.append(environment.step(action))
+    return steps
+
+
+def test_observations_match_their_specs_and_are_finite() -> None:
+    environment = walk_environment(random=0)
+    spec = environment.observation_spec()
+    for step in _episode(0):
+        assert step.observation.keys() == spec.keys()
+        for name, value in step.observation.items():
+            spec[name].validate(value)
+            assert np.isfinite(value).all(), name
+
+
+def test_same_seed_and_actions_give_the_same_trajectory() -> None:
+    for a, b in zip(_episode(3), _episode(3), strict=True):
+        assert a.reward == b.reward
+        for name in a.observation:
+            np.testing.assert_array_equal(a.observation[name], b.observation[name])
+
+
+def test_initial_states_differ_between_episodes_and_seeds() -> None:
+    environment = walk_environment(random=0)
+    starts = [environment.reset().observation["pelvis_velocity"] for _ in range(2)]
+    starts.append(_episode(1, 0)[0].observation["pelvis_velocity"])
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        assert not np.array_equal(starts[i], starts[j])
+
+
+def test_consecutive_observations_share_no_memory() -> None:
+    environment = walk_environment(random=0)
+    before = environment.reset().observation
+    copies = {name: np.copy(value) for name, value in before.items()}
+    after = environment.step(environment.physics.motor_position()).observation
+    for name in before:
+        assert not np.shares_memory(before[name], after[name]), name
+        np.testing.assert_array_equal(before[name], copies[name])
+
+
+def test_no_element_of_the_observation_is_constant() -> None:
+    steps = _episode(0, 20)
+    for name in steps[0].observation:
+        values = np.stack([step.observation[name] for step in steps])
+        assert (np.ptp(values, axis=0) > 0).all(), name
+
+
+def test_reward_is_between_zero_and_one() -> None:
+    rewards = [step.reward for step in _episode(0, 25)[1:]]
+    assert min(rewards) >= 0
+    assert max(rewards) <= 1
+    assert max(rewards) - min(rewards) > 0.05
+
+
+def test_reward_is_full_when_upright_high_and_at_speed() -> None:
+    physics = CassiePhysics.load()
+    task = Walk(speed=1.2)
+    with physics.reset_context():
+        physics.stand()
+        physics.data.qvel[0] = 1.2
+    assert task.get_reward(physics) == pytest.approx(1.0)
+    with physics.reset_context():
+        physics.data.qvel[0] = 1.7  # off by the margin
+    assert task.get_reward(physics) == pytest.approx(0.1, abs=1e-6)
+    with physics.reset_context():
+        physics.data.qvel[0] = 1.2
+        physics.data.qpos[3:7] = [0, 1, 0, 0]  # head down
+        physics.data.qvel[:3] = [1.2, 0, 0]
+    assert task.get_reward(physics) == pytest.approx(0.0, abs=1e-6)
+
+
+def _lay_down(environment: control.Environment) -> None:
+    """Just above the floor on the belly."""
+    with environment.physics.reset_context():
+        environment.physics.data.qpos[2] = FALL_HEIGHT - 0.05
+        environment.physics.data.qpos[3:7] = np.array([1, 0, 1, 0]) / np.sqrt(2)
+
+
+def test_the_episode_ends_after_a_fall_without_discount() -> None:
+    environment = walk_environment(random=0)
+    environment.reset()
+    _lay_down(environment)
+    step = environment.step(environment.physics.motor_position())
+    assert step.last()
+    assert step.discount == 0.0
+
+
+def test_falls_may_go_on() -> None:
+    environment = walk_environment(terminate_on_fall=False, random=0)
+    environment.reset()
+    _lay_down(environment)
+    assert environment.step(environment.physics.motor_position()).mid()
+
+
+def test_the_time_limit_keeps_the_discount() -> None:
+    environment = walk_environment(time_limit=0.06, random=0)
+    environment.reset()
+    steps = [environment.step(environment.physics.motor_position()) for _ in range(2)]
+    assert [step.last() for step in steps] == [False, True]
+    assert steps[1].discount == 1.0
+
+
+def test_a_policy_step_is_thirty_milliseconds() -> None:
+    environment = walk_environment(random=0)
+    environment.reset()
+    before = environment.physics.time()
+    environment.step(environment.physics.motor_position())
+    assert environment.physics.time() - before == pytest.approx(0.030)
+    assert environment.control_timestep() == pytest.approx(0.030)
+
+
+def test_a_speed_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="speed"):
+        Walk(speed=float("nan"))
+
+
+# --------------------------------------------------------------- the physics
+
+
+@pytest.fixture
+def physics() -> CassiePhysics:
+    """The robot after two policy steps of a fall."""
+    physics = CassiePhysics.load()
+    with physics.reset_context():
+        physics.stand()
+        physics.data.qvel[:6] = [0.5, 0.2, 0.1, 0.3, -0.2, 0.4]
+    physics.set_control(physics.motor_position() + 0.1)
+    physics.step(120)
+    return physics
+
+
+def test_the_physics_equals_the_simulations_bit_for_bit() -> None:
+    physics, simulations = CassiePhysics.load(), Simulations(1, num_threads=1)
+    for target in _actions(walk_environment(), 5, 1):
+        physics.set_control(target)
+        physics.step(60)
+        simulations.advance(target[None])
+        truth = true_state(simulations.snapshot(), simulations.indices)
+        for name, value in physics.true_state().items():
+            np.testing.assert_array_equal(value, truth[name][0], err_msg=name)
+
+
+def test_questions_agree_with_mujoco(physics: CassiePhysics) -> None:
+    data = physics.data.ptr
+    pelvis = data.body("pelvis")
+    assert physics.pelvis_height() == pelvis.xpos[2]
+    assert physics.pelvis_upright() == pelvis.xmat[8]
+    velocity = np.zeros(6)
+    mujoco.mj_objectVelocity(
+        physics.model.ptr, data, mujoco.mjtObj.mjOBJ_XBODY, pelvis.id, velocity, 1
+    )
+    np.testing.assert_allclose(physics.pelvis_velocity(), velocity[3:], atol=1e-12)
+    for i, name in ((0, "left_hip_roll"), (3, "left_knee"), (9, "right_foot")):
+        assert physics.motor_position()[i] == data.joint(name).qpos[0]
+        assert physics.motor_velocity()[i] == data.joint(name).qvel[0]
+        np.testing.assert_array_equal(physics.motor_range()[i], physics.model.ptr.joint(name).range)
+    for side in SIDES:
+        site = data.site(f"{side}_foot")
+        np.testing.assert_array_equal(physics.foot_position(side), site.xpos)
+        matrix = np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, physics.foot_orientation(side))
+        np.testing.assert_allclose(matrix, site.xmat, atol=1e-14)
+
+
+def test_answers_are_copies(physics: CassiePhysics) -> None:
+    side: Side = "left"
+    before = physics.get_state().copy()
+    for answer in (
+        physics.motor_position(),
+        physics.motor_velocity(),
+        physics.motor_range(),
+        physics.pelvis_velocity(),
+        physics.foot_position(side),
+        physics.foot_orientation(side),
+        physics.ground_force(side),
+        *physics.true_state().values(),
+    ):
+        answer += 1.0
+    np.testing.assert_array_equal(physics.get_state(), before)
+    assert (physics.motor_range() == CassiePhysics.load().motor_range()).all()
+
+
+def test_ground_force_is_the_mean_over_the_last_step_call(physics: CassiePhysics) -> None:
+    forces = []
+    twin = physics.copy(share_model=True)
+    twin.set_control(physics.motor_position())
+    physics.set_control(physics.motor_position())
+    for _ in range(30):
+        twin.step()
+        forces.append([twin.ground_force(side) for side in SIDES])
+    physics.step(30)
+    found = [physics.ground_force(side) for side in SIDES]
+    np.testing.assert_allclose(found, np.mean(forces, axis=0), atol=1e-9)
+    assert np.abs(found).max() > 10
+
+
+@pytest.mark.parametrize("share_model", [False, True])
+def test_a_copy_goes_its_own_way_from_the_same_state(
+    physics: CassiePhysics, share_model: bool
+) -> None:
+    twin = physics.copy(share_model=share_model)
+    assert isinstance(twin, CassiePhysics)
+    np.testing.assert_array_equal(twin.get_state(), physics.get_state())
+    before = physics.get_state().copy()
+    twin.set_control(twin.motor_position() + 0.2)
+    twin.step(10)
+    np.testing.assert_array_equal(physics.get_state(), before)
+    assert not np.array_equal(twin.get_state(), before)
+
+
+def test_a_copy_tracks_the_same_target(physics: CassiePhysics) -> None:
+    """What a copy does next, without a new command, is what the original does next."""
+    twin = physics.copy()
+    physics.step(20)
+    twin.step(20)
+    np.testing.assert_allclose(twin.data.qpos, physics.data.qpos, atol=1e-6)
+
+
+@pytest.mark.parametrize("share_model", [False, True])
+def test_a_copy_has_all_that_the_future_depends_on(
+    physics: CassiePhysics, share_model: bool
+) -> None:
+    """Bit for bit: the push, the solver's warm start, delayed torques, the sensors' memory."""
+    push = np.array([0.0, 60.0, 5.0])
+    physics.push(push)
+    physics.set_control(physics.motor_position() + 0.1)
+    physics.step(60)
+    assert physics.data.qacc_warmstart.any()
+    twin = physics.copy(share_model=share_model)
+    np.testing.assert_array_equal(twin.full_state(), physics.full_state())
+    np.testing.assert_array_equal(twin.data.xfrc_applied[twin.indices.pelvis_body, :3], push)
+    physics.step(60)
+    twin.step(60)
+    np.testing.assert_allclose(twin.data.qpos, physics.data.qpos, atol=1e-9)
+
+
+def test_a_reset_ends_pushes_and_starts_the_solver_cold(physics: CassiePhysics) -> None:
+    physics.push(np.array([0.0, 60.0, 5.0]))
+    physics.step(60)
+    with physics.reset_context():
+        physics.stand()
+    assert not physics.data.qacc_warmstart.any()
+    np.testing.assert_array_equal(physics.full_state(), CassiePhysics.load().full_state())
+
+
+@pytest.mark.parametrize("shape", [(9,), (11,), (1, 10), ()])
+def test_targets_of_another_shape_are_refused(
+    physics: CassiePhysics, shape: tuple[int, ...]
+) -> None:
+    with pytest.raises(ShapeError, match=r"\(10,\)"):
+        physics.set_control(np.zeros(shape))
+
+
+def test_the_floor_has_the_friction_asked_for() -> None:
+    environment = walk_environment(floor_friction=0.4)
+    assert environment.physics.model.ptr.geom("floor").friction[0] == 0.4
+    assert load_model().geom("floor").friction[0] == 1.0

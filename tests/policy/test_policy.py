@@ -1,0 +1,401 @@
+"""The policy: what it computes, and that its file is whole, safe and fitting."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import GRUModule, ProbabilisticActor
+
+import aslip
+from aslip.errors import AssetError, ConfigurationError, FileDamagedError, ShapeError
+from aslip.files.archive import as_json, npy
+from aslip.policy import (
+    CARD,
+    PolicyShape,
+    RunningNormalizer,
+    make_actor,
+    make_critic,
+    policy_stack,
+    save_policy,
+)
+from benchmarks.faults.archives import forged, unzipped
+from tests.helpers import MakeEnv
+
+
+def _observations(num: int, seed: int = 0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    scale, shift = 10 ** torch.linspace(-2, 3, 64), torch.linspace(-50, 50, 64)
+    return shift + scale * torch.randn(num, 64, generator=generator)
+
+
+# -------------------------------------------------------------- normaliser
+
+
+def test_statistics_equal_numpys_over_several_updates() -> None:
+    normalizer = RunningNormalizer(64)
+    batches = [_observations(num, seed) for seed, num in enumerate((1, 7, 500, 2, 64))]
+    for batch in batches:
+        normalizer.update(batch)
+    everything = torch.cat(batches).double().numpy()
+    assert normalizer.count == len(everything)
+    np.testing.assert_allclose(normalizer.mean, everything.mean(axis=0), rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(normalizer.variance, everything.var(axis=0), rtol=1e-9)
+    normalised = normalizer(torch.cat(batches)).numpy()
+    expected = (everything - everything.mean(axis=0)) / everything.std(axis=0)
+    np.testing.assert_allclose(normalised, expected.clip(-10, 10), atol=0.01)
+
+
+def test_batch_dimensions_do_not_matter() -> None:
+    flat, shaped = RunningNormalizer(64), RunningNormalizer(64)
+    values = _observations(60)
+    flat.update(values)
+    shaped.update(values.reshape(3, 20, 64))
+    torch.testing.assert_close(flat.mean, shaped.mean)
+    torch.testing.assert_close(flat(values).reshape(3, 20, 64), shaped(values.reshape(3, 20, 64)))
+
+
+def test_a_constant_input_is_zero_and_harms_nothing() -> None:
+    normalizer = RunningNormalizer(3)
+    values = torch.tensor([[0.95, 0.0, -1234.567]]).expand(1000, 3)
+    for _ in range(5):
+        normalizer.update(values)
+    assert torch.isfinite(normalizer(values)).all()
+    torch.testing.assert_close(normalizer(values), torch.zeros(1000, 3), atol=1e-3, rtol=0)
+    far = normalizer(values + 1e6)
+    assert torch.isfinite(far).all()
+    assert far.abs().max() <= 10
+
+
+def test_a_constant_input_that_moves_a_little_stays_little() -> None:
+    normalizer = RunningNormalizer(2)
+    values = torch.stack([torch.full((1000,), 0.95), torch.randn(1000)], dim=-1)
+    normalizer.update(values)
+    moved = normalizer(values + torch.tensor([1e-3, 0.0])) - normalizer(values)
+    assert moved.abs().max() < 1.1e-3
+    loaded = RunningNormalizer(2)
+    loaded.load_state_dict(normalizer.state_dict())
+    torch.testing.assert_close(loaded(values), normalizer(values), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "constant"), [("aslip", [56, 62]), ("robust", [56, 62]), ("single_reference", [])]
+)
+def test_an_entry_that_was_constant_in_training_has_no_power(
+    name: str, constant: list[int]
+) -> None:
+    """A reference whose feet move sideways by 1 mm/s must not turn the actions of a policy."""
+    policy = aslip.load_policy(name)
+    normalizer = next(m for m in policy.modules() if isinstance(m, RunningNormalizer))
+    assert (normalizer.variance < 1e-8).nonzero()[:, 0].tolist() == constant
+    observation = normalizer.mean.float().repeat(1 + len(constant), 1)
+    for row, entry in enumerate(constant, 1):
+        observation[row, entry] += 1e-3
+    action = policy(TensorDict(observation=observation, batch_size=len(observation)))["action"]
+    assert ((action - action[0]).abs() < 1e-2).all()
+
+
+def test_before_any_update_inputs_pass_through() -> None:
+    values = torch.randn(5, 64).clamp(-3, 3)
+    torch.testing.assert_close(RunningNormalizer(64)(values), values, rtol=0, atol=0)
+
+
+def test_the_normaliser_is_not_trained() -> None:
+    assert list(RunningNormalizer(64).parameters()) == []
+
+
+# ------------------------------------------------------------- actor, critic
+
+
+@pytest.fixture
+def actor() -> ProbabilisticActor:
+    """A policy that has seen something and gives actions well away from zero."""
+    torch.manual_seed(0)
+    normalizer = RunningNormalizer(64)
+    normalizer.update(_observations(100))
+    actor = make_actor(normalizer)
+    with torch.no_grad():
+        for parameter in actor.parameters():
+            parameter.add_(0.05 * torch.randn_like(parameter))
+    return actor
+
+
+def _input(num: int = 20) -> TensorDict:
+    return TensorDict(observation=_observations(num, seed=9), batch_size=num)
+
+
+def test_the_actor_is_deterministic_unless_asked_to_explore(
+    actor: ProbabilisticActor,
+) -> None:
+    first, second = actor(_input())["action"], actor(_input())["action"]
+    torch.testing.assert_close(first, second, rtol=0, atol=0)
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        torch.testing.assert_close(actor(_input())["action"], first, rtol=0, atol=0)
+    with set_exploration_type(ExplorationType.RANDOM):
+        sampled, again = actor(_input())["action"], actor(_input())["action"]
+    assert not torch.equal(sampled, again)
+
+
+def test_exploration_has_the_fixed_standard_deviation(
+    actor: ProbabilisticActor,
+) -> None:
+    """exp(-2), about 0.135 rad, whatever the input."""
+    assert PolicyShape().std == pytest.approx(math.exp(-2))
+    td = TensorDict(observation=_observations(1).expand(4000, 64), batch_size=4000)
+    with torch.no_grad():
+        mean = actor(td.clone())["action"][0]
+        with set_exploration_type(ExplorationType.RANDOM):
+            data = actor(td)
+    np.testing.assert_allclose(data["scale"], math.exp(-2), rtol=1e-6)
+    deviation = data["action"] - mean
+    np.testing.assert_allclose(deviation.std(dim=0), math.exp(-2), rtol=0.05)
+    np.testing.assert_allclose(deviation.mean(dim=0), 0, atol=0.01)
+    expected = torch.distributions.Normal(mean, math.exp(-2)).log_prob(data["action"]).sum(-1)
+    torch.testing.assert_close(data["action_log_prob"], expected, rtol=1e-4, atol=1e-4)
+
+
+def test_training_starts_near_the_reference() -> None:
+    torch.manual_seed(1)
+    action = make_actor(RunningNormalizer(64))(_input())["action"]
+    assert 0 < action.abs().max() < 0.05
+
+
+def test_the_critic_gives_one_value() -> None:
+    critic = make_critic(RunningNormalizer(64))
+    assert critic(_input())["state_value"].shape == (20, 1)
+
+
+def test_actor_and_critic_share_the_normaliser_and_nothing_else() -> None:
+    normalizer = RunningNormalizer(64)
+    actor, critic = make_actor(normalizer), make_critic(normalizer)
+    assert sum(module is normalizer for module in actor.modules()) == 1
+    assert sum(module is normalizer for module in critic.modules()) == 1
+    assert not {id(p) for p in actor.parameters()} & {id(p) for p in critic.parameters()}
+
+
+def test_an_action_does_not_depend_on_the_rest_of_the_batch(
+    actor: ProbabilisticActor,
+) -> None:
+    together = actor(_input())["action"]
+    alone = torch.stack([actor(td)["action"] for td in _input()])
+    torch.testing.assert_close(alone, together, rtol=1e-4, atol=1e-5)
+
+
+# ---------------------------------------------------------------- the file
+
+
+@pytest.fixture
+def file(actor: ProbabilisticActor, tmp_path: Path) -> Path:
+    path = tmp_path / "policy.zip"
+    save_policy(path, actor, PolicyShape(), {"seed": 3})
+    return path
+
+
+def test_a_loaded_policy_gives_the_same_actions_bit_for_bit(
+    actor: ProbabilisticActor, file: Path
+) -> None:
+    loaded = aslip.load_policy(file)
+    torch.testing.assert_close(
+        loaded(_input())["action"], actor(_input())["action"], rtol=0, atol=0
+    )
+    assert not loaded.training
+    with set_exploration_type(ExplorationType.RANDOM):
+        assert torch.allclose(loaded(_input())["scale"], torch.tensor(math.exp(-2)))
+
+
+def test_a_policy_is_found_in_the_folder_of_its_run(file: Path) -> None:
+    for where in (file.parent, str(file), str(file.parent)):
+        aslip.load_policy(where)
+
+
+def test_another_shape_is_rebuilt_from_the_file(tmp_path: Path) -> None:
+    shape = PolicyShape(hidden=(32, 16), std=0.5)
+    actor = make_actor(RunningNormalizer(64), shape)
+    save_policy(tmp_path / "policy.zip", actor, shape)
+    loaded = aslip.load_policy(tmp_path)
+    torch.testing.assert_close(loaded(_input())["loc"], actor(_input())["loc"], rtol=0, atol=0)
+    torch.testing.assert_close(loaded(_input())["scale"], torch.full((20, 10), 0.5))
+
+
+def test_a_loaded_policy_drives_the_environment(make: MakeEnv, file: Path) -> None:
+    env = make(num_envs=2)
+    data = env.rollout(3, aslip.load_policy(file), break_when_any_done=False)
+    assert torch.isfinite(data["action"]).all()
+
+
+def test_an_unknown_name_is_refused(tmp_path: Path) -> None:
+    for name in ("no_such_policy", tmp_path, str(tmp_path / "gone.zip")):
+        with pytest.raises(AssetError, match="neither a file, nor the folder of a run"):
+            aslip.load_policy(name)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"std": 0},
+        {"std": "a"},
+        {"hidden": [-1, 256]},
+        {"hidden": "ab"},
+        {"observation_size": "64"},
+        None,
+    ],
+)
+def test_a_card_that_makes_no_network_is_refused(file: Path, change: dict | None) -> None:
+    parts = unzipped(file.read_bytes())
+    card = json.loads(parts[CARD])
+    card["shape"] = None if change is None else card["shape"] | change
+    file.write_bytes(forged({**parts, CARD: as_json(card)}))
+    with pytest.raises(FileDamagedError, match=r"policy\.zip"):
+        aslip.load_policy(file)
+    with pytest.raises(FileDamagedError, match=r"policy\.zip"):
+        policy_stack(file)
+
+
+def test_a_policy_for_another_observation_is_refused(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aslip.policy.file.OBSERVATION_TABLE", (("estimate", "height"), "new"))
+    with pytest.raises(ConfigurationError, match=r"lacks \['new'\].*has \['estimate/orientation"):
+        aslip.load_policy(file)
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        ({"hidden": [10**9, 10**9]}, "describes a network of 10000000"),
+        ({"hidden": [1] * 10**5}, "in 100000 hidden layers, and it has"),
+        ({"observation_size": 10**9}, "describes a network of 256000"),
+        ({"hidden": [255, 256]}, r"float32 of shape \(256, 64\) instead of .*\(255, 64\)"),
+        ({"hidden": [256]}, "it has 'module.0.module.1.4.bias'"),
+    ],
+)
+def test_a_card_of_another_network_is_refused_before_it_is_made(
+    file: Path, shape: dict, message: str
+) -> None:
+    parts = unzipped(file.read_bytes())
+    card = json.loads(parts[CARD])
+    card["shape"] |= shape
+    file.write_bytes(forged({**parts, CARD: as_json(card)}))
+    with pytest.raises(FileDamagedError, match=message):
+        aslip.load_policy(file)
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_weights_that_are_not_finite_are_neither_written_nor_read(
+    actor: ProbabilisticActor, file: Path, number: float
+) -> None:
+    parts, before = unzipped(file.read_bytes()), file.read_bytes()
+    name = next(name for name, value in actor.named_parameters() if value.ndim == 2)
+    weights = actor.state_dict()[name]
+    weights[3, 4] = number
+    with pytest.raises(ConfigurationError, match=rf"{name}' is not finite"):
+        save_policy(file, actor, PolicyShape())
+    assert file.read_bytes() == before
+    file.write_bytes(forged({**parts, f"weights/{name}.npy": npy(weights.numpy())}))
+    with pytest.raises(FileDamagedError, match=rf"{name}' is not finite"):
+        aslip.load_policy(file)
+
+
+def _recurrent() -> nn.Module:
+    keys = {"in_keys": ["observation", "state", "is_init"], "out_keys": ["loc", ("next", "state")]}
+    return GRUModule(input_size=64, hidden_size=10, **keys)
+
+
+def _other_activation() -> nn.Module:
+    """An actor with equal names and weights that computes another function."""
+    actor = make_actor(RunningNormalizer(64))
+    net = next(m for m in actor.modules() if isinstance(m, nn.ReLU))
+    net.forward = torch.tanh
+    return actor
+
+
+@pytest.mark.parametrize(
+    ("make_one", "shape", "message"),
+    [
+        (_recurrent, PolicyShape(), "it has 'gru.bias_hh_l0'.*make_actor"),
+        (lambda: nn.Linear(64, 10), PolicyShape(), "it has 'bias'"),
+        (
+            lambda: make_actor(RunningNormalizer(64)),
+            PolicyShape(hidden=(256, 128)),
+            r"of shape \(256, 256\) instead of float32 of shape \(128, 256\)",
+        ),
+        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(hidden=(256,)), "it has"),
+        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(symmetric=True), "it has"),
+        (lambda: make_actor(RunningNormalizer(64)).double(), PolicyShape(), "is float64"),
+        (_other_activation, PolicyShape(), "its actions are not those"),
+    ],
+)
+def test_an_actor_that_could_not_be_loaded_is_not_saved(
+    file: Path, make_one: Any, shape: PolicyShape, message: str
+) -> None:
+    before = file.read_bytes()
+    with pytest.raises(ConfigurationError, match=message):
+        save_policy(file, make_one(), shape)
+    assert file.read_bytes() == before
+
+
+def test_saving_draws_no_random_numbers(actor: ProbabilisticActor, tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    expected = torch.rand(4)
+    torch.manual_seed(3)
+    save_policy(tmp_path / "policy.zip", actor, PolicyShape())
+    assert torch.equal(torch.rand(4), expected)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"observation_size": 0}, {"hidden": (256, 2.5)}, {"std": 0.0}, {"std": math.nan}],
+)
+def test_a_shape_of_no_policy_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match=next(iter(wrong))):
+        PolicyShape(**wrong)
+
+
+def test_rollouts_carry_no_graph(make: MakeEnv) -> None:
+    """Memory would grow with every step."""
+    policy, env = aslip.load_policy("aslip"), make(num_envs=2)
+    data = env.rollout(3, policy)
+    assert not any(leaf.requires_grad for leaf in data.values(True, True))
+    # nor while a policy is trained
+    data = env.rollout(3, policy.requires_grad_(True))
+    assert data["action"].requires_grad
+    assert not data["next", "reward"].requires_grad
+    assert not data["next", "last_action"].requires_grad
+
+
+def test_a_policy_of_a_stack_without_a_name_is_said_to_be_one(tmp_path: Path) -> None:
+    shape = PolicyShape(64)
+    path = tmp_path / "own.zip"
+    save_policy(path, make_actor(RunningNormalizer(64), shape), shape, stack=None)
+    with pytest.raises(ConfigurationError, match="a stack of its own"):
+        policy_stack(path)
+    assert aslip.load_policy(path)
+
+
+def test_a_policy_says_when_it_is_shown_something_else(make: MakeEnv) -> None:
+    with pytest.raises(ShapeError, match="reads 64 numbers was shown 49"):
+        make(stack="single_reference").rollout(2, aslip.load_policy("aslip"))
+    with pytest.raises(ShapeError, match="reads 49 numbers was shown 64"):
+        make().rollout(2, aslip.load_policy("single_reference"))
+
+
+def test_a_symmetric_policy_must_know_all_that_it_observes() -> None:
+    """Frames stacked by another transform, for one."""
+    shape = PolicyShape(192, symmetric=True)
+    for make_net in (make_actor, make_critic):
+        with pytest.raises(ConfigurationError, match=r"192.*have 64.*no-symmetric"):
+            make_net(RunningNormalizer(192), shape)
+    make_actor(RunningNormalizer(192), PolicyShape(192))
+
+
+def test_a_misspelt_policy_is_answered_with_the_nearest() -> None:
+    with pytest.raises(AssetError, match=r"did you mean 'aslip'.*'robust'"):
+        aslip.load_policy("asslip")

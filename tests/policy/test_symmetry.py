@@ -1,0 +1,102 @@
+"""The mirror image of a walk is a walk."""
+
+from typing import Any
+
+import pytest
+import torch
+
+from aslip import GaitLibrary, make_env
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.policy.symmetry import Symmetrised, action_mirror, observation_mirror
+from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
+
+
+def test_mirroring_twice_changes_nothing() -> None:
+    for mirror, size in ((observation_mirror(), 64), (action_mirror(), 10)):
+        values = torch.randn(3, size)
+        assert not torch.equal(mirror(values), values)
+        assert torch.equal(mirror(mirror(values)), values)
+
+
+def test_mirrored_actions_lead_to_mirrored_observations(library: GaitLibrary) -> None:
+    """Half a stride later the reference is the mirror image, so robot 1 starts there.
+
+    The pelvis itself is not quite symmetric (its centre of mass is 0.3 mm off), so the images part
+    slowly: they agree to a thousandth after four policy steps.
+    """
+    # the noise of sensors has no mirror image
+    perfect = {"start": ReferenceStart(library), "estimator": TrueState()}
+    env = make_env(num_envs=2, library=library, drop=["noise"], replace=perfect)
+    phase = torch.tensor([[0.2], [0.7]])
+    start = env.reset().empty()
+    start["command"], start["phase"] = torch.full((2, 1), 1.0), phase
+    td = env.reset(start)
+    mirror, mirror_action = observation_mirror(), action_mirror()
+    generator = torch.Generator().manual_seed(0)
+    # what contacts and the stiff loops make of the pelvis' asymmetry is largest in accelerations
+    slow = torch.ones(64, dtype=torch.bool)
+    slow[8:14] = slow[24:34] = slow[40:46] = False
+    for _ in range(4):
+        images = mirror(td["observation"][1]), td["observation"][0]
+        torch.testing.assert_close(images[0][slow], images[1][slow], atol=2e-3, rtol=0)
+        action = 0.1 * torch.randn(10, generator=generator)
+        td["action"] = torch.stack([action, mirror_action(action)])
+        after = env.step(td)["next"]
+        for name, term in after["reward_terms"].items():
+            torch.testing.assert_close(term[0], term[1], atol=5e-3, rtol=0, msg=name)
+        td = after
+
+
+def test_an_entry_without_a_mirror_image_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="temperature"):
+        observation_mirror([("estimate", "temperature")])
+
+
+def test_a_symmetrised_net_mirrors_its_answers() -> None:
+    inputs, outputs = observation_mirror(), action_mirror()
+    net = torch.nn.Sequential(torch.nn.Linear(64, 32), torch.nn.ReLU(), torch.nn.Linear(32, 10))
+    values = torch.randn(5, 3, 64)
+    policy = Symmetrised(net, inputs, outputs)
+    torch.testing.assert_close(policy(inputs(values)), outputs(policy(values)))
+    assert not torch.allclose(net(inputs(values)), outputs(net(values)))
+    value = Symmetrised(torch.nn.Linear(64, 1), inputs)
+    torch.testing.assert_close(value(inputs(values)), value(values))
+
+
+def test_clock_and_command_have_mirror_images() -> None:
+    """Half a stride later, the clock's sine and cosine have turned their signs."""
+    mirror = observation_mirror(SINGLE_REFERENCE_TABLE)
+    image = mirror(torch.arange(49.0))
+    assert image[46:].tolist() == [-46.0, -47.0, 48.0]
+
+
+def test_entries_of_two_sources_may_have_the_same_name() -> None:
+    table = (*OBSERVATION_TABLE, ("reference", "motor_position"))
+    mirror = observation_mirror(table)
+    values = torch.randn(74)
+    torch.testing.assert_close(mirror(mirror(values)), values)
+    # motors are at 14 of the estimate, and last
+    assert mirror.index[14:24].tolist() == [*range(19, 24), *range(14, 19)]
+    assert mirror.index[64:].tolist() == [*range(69, 74), *range(64, 69)]
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (["command", "command"], "twice"),
+        ([("reference", "left_foot_position")], "there is no .*right_foot_position"),
+    ],
+)
+def test_tables_without_a_mirror_image_are_refused(table: list[Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        observation_mirror(table)
+
+
+def test_an_observation_of_another_size_is_told_of() -> None:
+    with pytest.raises(ShapeError, match="reads 64 numbers was shown 49"):
+        observation_mirror()(torch.zeros(49))
+
+
+def test_rates_and_accelerations_have_mirror_images() -> None:
+    image = observation_mirror()(torch.arange(64.0))
+    assert image[8:14].tolist() == [-8.0, 9.0, -10.0, 11.0, -12.0, 13.0]

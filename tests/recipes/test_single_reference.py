@@ -1,0 +1,214 @@
+"""The baseline: its rewards by hand, its inputs, and that it stands on the same robot."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import ppo_aslip
+import ppo_single_reference
+import pytest
+import torch
+
+import aslip
+from aslip.envs import STACKS, single_reference_stack
+from aslip.errors import UnknownNameError
+from aslip.library import single_reference_library
+from aslip.policy import policy_stack
+from aslip.robot import MOTOR_NAMES, POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
+from aslip.robot.model import CassieIndices, load_model
+from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall, SpeedCommand
+from aslip.transforms import single_reference as terms
+from aslip.walking.evaluation import evaluate
+from aslip.walking.walker import Walker
+from tests.helpers import MakeEnv
+
+STILL, SWINGING = torch.zeros(3), torch.tensor([1.0, 0.0, 0.5])
+
+
+@pytest.fixture(scope="module")
+def qpos() -> torch.Tensor:
+    return torch.tensor(load_model().key("standing").qpos)
+
+
+def test_weights_sum_to_one() -> None:
+    assert sum(terms.SINGLE_REFERENCE_WEIGHTS.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("motor", "weight"), [("left_hip_roll", 0.15), ("right_knee", 0.05)])
+def test_joints_count_by_their_weights(qpos: torch.Tensor, motor: str, weight: float) -> None:
+    reference = qpos[list(CassieIndices.from_model(load_model()).motor_qpos)]
+    assert terms.joints(qpos, reference).item() == 1.0
+    reference[MOTOR_NAMES.index(motor)] += 0.2
+    assert terms.joints(qpos, reference).item() == pytest.approx(math.exp(-30 * weight * 0.04))
+
+
+def test_the_pelvis_is_where_the_reference_has_gone() -> None:
+    body = torch.tensor([0.02, -0.01, 0.9])
+    distance = torch.tensor([3.0])
+    assert terms.pelvis(torch.tensor([3.02, -0.01, 0.9]), body, distance).item() == 1.0
+    off = terms.pelvis(torch.tensor([3.32, -0.01, 0.5]), body, distance).item()
+    assert off == pytest.approx(math.exp(-(0.09 + 0.16)), rel=1e-5)
+
+
+def test_upright_is_one_whichever_sign_the_quaternion_has() -> None:
+    level = torch.tensor([1.0, 0.0, 0.0, 0.0])
+    assert terms.upright(level).item() == terms.upright(-level).item() == 1.0
+    tilted = torch.tensor([math.cos(0.1), 0.0, math.sin(0.1), 0.0])
+    assert terms.upright(tilted).item() == pytest.approx(math.exp(-(math.sin(0.1) ** 2)))
+
+
+def test_springs_carry_the_weight_in_stance(qpos: torch.Tensor) -> None:
+    shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
+    loaded = terms.SHIN_COMPLIANCE * TOTAL_MASS * STANDARD_GRAVITY
+    single, both = qpos.clone(), qpos.clone()
+    single[shins] = torch.tensor([loaded, 0.0], dtype=qpos.dtype)
+    both[shins] = loaded / 2
+    assert terms.springs(single, STILL, SWINGING).item() == pytest.approx(1.0)
+    assert terms.springs(both, STILL, STILL).item() == pytest.approx(1.0)
+    wrong = terms.springs(single, SWINGING, STILL).item()
+    assert wrong == pytest.approx(math.exp(-2000 * loaded**2), rel=1e-4)
+
+
+def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
+    """Springs carry nothing where neither foot of the reference stands."""
+    shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
+    free, loaded = qpos.clone(), qpos.clone()
+    free[shins], loaded[shins] = 0.0, -0.02
+    assert terms.springs(free, SWINGING, SWINGING).item() == 1.0
+    expected = math.exp(-1000 * 2 * 0.02**2)
+    assert terms.springs(loaded, SWINGING, SWINGING).item() == pytest.approx(expected)
+
+
+def test_the_compliance_is_the_robots() -> None:
+    """Deflection and force of the shipped policy's robot fit the line that the reward assumes."""
+    walker = Walker("aslip", speed=0.5)
+    shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
+    deflections, forces = [], []
+    for _ in range(100):
+        walker.step()
+        truth = walker.td["truth"]
+        deflections.append(truth["qpos"][0, shins].numpy())  # pyright: ignore
+        forces.append(truth["ground_force"][0, :, 2].numpy())  # pyright: ignore
+    slope = np.polyfit(np.ravel(forces), np.ravel(deflections), 1)[0]
+    assert slope == pytest.approx(terms.SHIN_COMPLIANCE, rel=0.1)
+
+
+def test_the_policy_sees_estimate_clock_and_speed(make: MakeEnv) -> None:
+    env = make(num_envs=3, stack="single_reference", library=None)
+    td = env.rollout(4)[:, -1]["next"]
+    observation = td["observation"]
+    assert observation.shape == (3, 49)
+    angle = 2 * math.pi * td["phase"]
+    torch.testing.assert_close(observation[:, 46:47], torch.sin(angle))
+    torch.testing.assert_close(observation[:, 47:48], torch.cos(angle))
+    assert torch.equal(observation[:, 48:], td["command"])
+    estimate = torch.cat([td[key] for key in SINGLE_REFERENCE_TABLE[:-3]], dim=-1)
+    assert torch.equal(observation[:, :46], estimate)
+
+
+def test_the_odometer_counts_from_each_reset(make: MakeEnv) -> None:
+    env = make(num_envs=2, stack="single_reference", library=None, drop=["low_reward", "fall"])
+    td = env.reset()
+    assert (td["reference", "distance"] == 0).all()
+    rollout = env.rollout(5, auto_reset=False, tensordict=td)
+    expected = 5 * POLICY_PERIOD * rollout["command"][:, 0]
+    torch.testing.assert_close(rollout["next", "reference", "distance"][:, -1], expected)
+    mask = torch.tensor([[True], [False]])
+    again = env.reset(rollout[:, -1]["next"].clone().set("_reset", mask))
+    assert again["reference", "distance"][0] == 0
+    torch.testing.assert_close(again["reference", "distance"][1], expected[1])
+
+
+def test_the_odometer_counts_at_the_speed_of_each_step(make: MakeEnv) -> None:
+    """Whenever commands change: it goes where the step's command goes, and the goal was there."""
+    library = single_reference_library()
+    restless = SpeedCommand(library, [0.0, 1.0, 2.0], interval=POLICY_PERIOD)
+    env = make(
+        num_envs=8,
+        stack="single_reference",
+        library=library,
+        drop=["low_reward", "fall"],
+        replace={"command": restless},
+    )
+    walk = env.rollout(6, break_when_any_done=False)
+    assert (walk["command"] != walk["next", "command"]).any()
+    way = walk["next", "reference", "distance"] - walk["reference", "distance"]
+    torch.testing.assert_close(way, POLICY_PERIOD * walk["command"], atol=1e-6, rtol=0)
+    reached = walk["next", "reference", "distance"]
+    torch.testing.assert_close(walk["goal", "distance"], reached, atol=0, rtol=0)
+
+
+def test_rewards_sum_by_weight_and_know_the_reference(make: MakeEnv) -> None:
+    env = make(num_envs=4, stack="single_reference", library=None)
+    first = env.step(env.reset().set("action", torch.zeros(4, 10)))["next"]
+    weighed = sum(
+        weight * first["reward_terms", name]
+        for name, weight in terms.SINGLE_REFERENCE_WEIGHTS.items()
+    )
+    torch.testing.assert_close(first["reward"], weighed)
+    # a robot that has just left the reference has hardly strayed
+    assert (first["reward_terms", "pelvis"] > 0.9).all()
+    assert (first["reward_terms", "upright"] > 0.99).all()
+
+
+def test_a_robot_on_its_shins_has_fallen(make: MakeEnv) -> None:
+    """The height lies between a kneeling robot's and the lowest of the reference."""
+    env = make(stack="single_reference", num_envs=2)
+    fall = next(t for t in env.transforms if isinstance(t, Fall))
+    td = env.rand_step(env.reset())
+    for height, over in ((0.65, True), (0.85, False)):
+        td["next", "truth", "pelvis_position"][:, 2] = height
+        for key in ("terminated", "done"):
+            td["next", key] = torch.zeros(2, 1, dtype=torch.bool)
+        after = fall._step(td, td["next"])
+        assert (after["terminated"] == over).all()
+        assert (after["done"] == over).all()
+
+
+def test_commands_are_all_speeds(make: MakeEnv) -> None:
+    command = make(stack="single_reference", num_envs=200).reset()["command"]
+    assert command.unique().numel() == 21
+
+
+def test_stacks_have_names() -> None:
+    assert set(STACKS) == {"aslip", "paper", "single_reference"}
+    assert list(single_reference_stack())[-1] == "episode_sum"
+    with pytest.raises(UnknownNameError, match="single_reference"):
+        aslip.make_env(stack="other")
+
+
+def test_the_recipe_trains_a_policy_that_knows_its_stack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ppo_aslip, "evaluate", partial(evaluate, num_steps=5))
+    tiny = {"num_envs": 4, "samples": 32, "total_steps": 32, "minibatch": 16}
+    for config in ppo_single_reference.PRESETS.values():
+        assert config.command_interval == 0
+        ppo_aslip.main(replace(config, out=tmp_path / config.preset, **tiny))
+        assert policy_stack(tmp_path / config.preset) == "single_reference"
+        walker = Walker(tmp_path / config.preset, speed=1.0)
+        assert walker.step()["observation"].shape == (1, 49)
+
+
+def test_single_reference_terms_read_what_they_say(make: MakeEnv) -> None:
+    env = make(num_envs=16, stack="single_reference", library=None)
+    td = env.reset()
+    data = env.step(td.set("action", torch.full((16, 10), 0.05)))
+    truth, reference = data["next", "truth"], data["next", "reference"]
+    feet = [reference[f"{side}_foot_velocity"] for side in ("left", "right")]
+    expected = {
+        "joints": terms.joints(truth["qpos"], data["reference", "motor_position"]),
+        "pelvis": terms.pelvis(
+            truth["pelvis_position"], reference["body_position"], reference["distance"]
+        ),
+        "upright": terms.upright(truth["pelvis_orientation"]),
+        "springs": terms.springs(truth["qpos"], *feet),
+    }
+    for name, value in expected.items():
+        torch.testing.assert_close(
+            data["next", "reward_terms", name], value.float(), rtol=0, atol=1e-6, msg=name
+        )

@@ -1,0 +1,292 @@
+"""The recipe that plays a policy: to a table, a log, a film."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from aslip.errors import (
+    AslipError,
+    AssetError,
+    ConfigurationError,
+    RenderingError,
+    SpeedOutOfRangeError,
+    UnknownNameError,
+)
+from aslip.log import read, replay
+from aslip.log.__main__ import main as log_main
+from aslip.robot import POLICY_PERIOD
+from aslip.show.render import render_robot
+from aslip.show.video import write_video
+from recipes import walk
+from recipes.walk import Config
+from tests.helpers import started
+
+
+def test_it_walks_the_schedule_and_logs_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "walk.mcap"
+    walk.main(
+        Config(command="0:0.5,0.9:1.0", duration=1.8, push=("0.3:0,30,0:0.06",), log=path, seed=3)
+    )
+    table = capsys.readouterr().out
+    assert "| 0 | 0.50 |" in table
+    assert "| 0.9 | 1.00 |" in table
+    log = read(path)
+    assert "the robot did not fall in 1.80 s" in table
+    told = re.findall(
+        r"push at 0.3 s of \(0.0, 30.0, 0.0\) N for 0.06 s: .* and (.*) m/s in y", table
+    )
+    # 30 N on 33 kg for 0.06 s, less what the legs take of it
+    velocity = log["/truth"]["pelvis_velocity_y"]
+    assert float(told[0]) == pytest.approx(velocity[12] - velocity[10], abs=0.006)
+    assert f"wrote {path}" in table
+    assert f"python -m aslip.log replay --verify {path}" in table
+    assert len(log["/step"]) == 60
+    np.testing.assert_array_equal(log["/step"]["command"], [0.5] * 30 + [1.0] * 30)
+    np.testing.assert_array_equal(np.flatnonzero(log["/step"]["push_y"]), [10, 11])
+    assert '"command": "0:0.5,0.9:1.0"' in log.attachments["config.json"].decode()
+    assert "policy.zip" in log.attachments
+    assert log_main(["replay", "--verify", str(path)]) == 0
+
+
+def test_both_backends_and_the_truth_can_walk(tmp_path: Path) -> None:
+    for name, settings in {"dm": {"backend": "dm_control"}, "truth": {"truth": True}}.items():
+        path = tmp_path / f"{name}.mcap"
+        walk.main(Config(command="0.5", duration=0.3, log=path, **settings))  # pyright: ignore
+        assert replay(path).equal
+    estimate, truth = (read(tmp_path / "truth.mcap")[topic] for topic in ("/estimate", "/truth"))
+    np.testing.assert_array_equal(estimate["height"], truth["pelvis_position_z"])
+
+
+def test_a_fall_ends_the_walk_and_the_log_is_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "fall.mcap"
+    walk.main(Config(command="0.5", push=("0.2:0,2500,0:0.3",), log=path))
+    told = capsys.readouterr().out
+    assert f"the robot fell after {0.03 * len(read(path)['/step']):.2f} s" in told
+    assert f"wrote {path}" in told
+    assert "terminated" in read(path)["/log"]["msg"][-1]
+    assert replay(path).equal
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "names"),
+    [
+        ({"policy": "nobody"}, AssetError, "nobody"),
+        ({"command": "0:3.0"}, SpeedOutOfRangeError, "speed 3 m/s"),
+        ({"command": "4:1.0"}, ConfigurationError, "from 0"),
+        ({"push": ("1",)}, ConfigurationError, "push is"),
+        ({"duration": -1.0}, ConfigurationError, "duration"),
+        ({"push": ("9:0,5,0",), "duration": 2.0}, ConfigurationError, "from 0 to 2 s.* at 9 s"),
+        ({"push": ("-1:0,5,0",)}, ConfigurationError, "no push at -1 s"),
+        (
+            {"push": ("1.05:0,5,0", "1:5,0,0")},
+            ConfigurationError,
+            "1.05 s begins before.*1.14 s",
+        ),
+        ({"live": True, "viewer": True}, ConfigurationError, "--live"),
+        ({"steps_per_frame": 0}, ConfigurationError, "steps per frame.* 0"),
+        ({"log": Path(".")}, ConfigurationError, "--log"),
+        # told with or without OpenGL
+        ({"video": Path("walk.mp4"), "camera": "nose"}, UnknownNameError, "nose.*side"),
+        ({"video": Path("walk.mp4"), "width": 10**5}, ConfigurationError, "100000"),
+    ],
+)
+def test_mistakes_are_named_before_anything_is_written(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    settings: dict,
+    error: type[AslipError],
+    names: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=names):
+        walk.main(Config(**{"log": Path("walk.mcap"), **settings}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_walk_that_is_not_kept_says_how_to_keep_it(capsys: pytest.CaptureFixture[str]) -> None:
+    walk.main(Config(command="0.5", duration=0.3, push=("0:50,0,0",)))
+    told = capsys.readouterr().out
+    assert "push at 0 s of (50.0, 0.0, 0.0) N for 0.12 s" in told
+    assert "nothing was written; add --log" in told
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_walk_that_is_stopped_leaves_a_whole_log(
+    tmp_path: Path, number: signal.Signals, status: int
+) -> None:
+    path = tmp_path / "walk.mcap"
+    root = Path(walk.__file__).parents[1]
+    command = [sys.executable, "recipes/walk.py", "--command", "0.5", "--duration", "100000"]
+    part = path.with_name("walk.mcap.part")
+    with started([*command, "--log", str(path)], cwd=root) as process:
+        wait_until(lambda: part.exists() and part.stat().st_size > 500_000, process)
+        process.send_signal(number)
+        told = process.communicate(timeout=60)[0]
+    assert process.returncode == status
+    assert "stopped after" in told
+    assert f"wrote {path}" in told
+    assert not part.exists()
+    assert log_main(["check", str(path)]) == 0
+
+
+def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
+    """Wait until a condition is true, while a process runs; for two minutes at most."""
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None, "the process has ended"
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_a_viewer_is_shown_every_step_in_the_time_of_the_clock(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown, waits = [], []
+
+    class Window(contextlib.nullcontext):
+        cam, user_scn = SimpleNamespace(), None
+        lock = contextlib.nullcontext
+        is_running = staticmethod(lambda: True)
+        sync = staticmethod(lambda: shown.append(1))
+
+    class Pacer:
+        def __init__(self, period: float) -> None:
+            assert period == POLICY_PERIOD
+
+        def wait(self) -> None:
+            waits.append(len(shown))
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    viewer = SimpleNamespace(launch_passive=lambda *_, **__: Window())
+    monkeypatch.setitem(sys.modules, "mujoco.viewer", viewer)
+    monkeypatch.setattr("mujoco.viewer", viewer, raising=False)
+    monkeypatch.setattr(walk, "Pacer", Pacer)
+    walk.main(Config(command="0.5", duration=0.3, viewer=True))
+    assert waits == list(range(1, 11))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="how to tell is another matter elsewhere")
+def test_a_viewer_without_a_display_is_told_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(RenderingError, match="use --video"):
+        walk.main(Config(duration=0.3, viewer=True))
+
+
+# ---------------------------------------------------------------------- films
+
+
+@pytest.fixture
+def frames() -> Callable[[int], list[np.ndarray]]:
+    """Frames that get brighter."""
+
+    def make(count: int) -> list[np.ndarray]:
+        return [np.full((48, 64, 3), 20 * i, dtype=np.uint8) for i in range(count)]
+
+    return make
+
+
+def _decoded(path: Path) -> tuple[dict, np.ndarray]:
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    stream = ffmpeg.read_frames(str(path))
+    about = next(stream)
+    width, height = about["size"]
+    return about, np.array([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in stream])
+
+
+# imageio-ffmpeg leaves its pipes to the garbage collector
+leaves_pipes = pytest.mark.filterwarnings(
+    "ignore:unclosed file:ResourceWarning",
+    "ignore::pytest.PytestUnraisableExceptionWarning",
+)
+
+
+@leaves_pipes
+def test_a_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.ndarray]]) -> None:
+    write_video(tmp_path / "film.mp4", frames(10), 100 / 3, (64, 48))
+    about, decoded = _decoded(tmp_path / "film.mp4")
+    assert about["size"] == (64, 48)
+    assert about["fps"] == pytest.approx(33.33, abs=0.01)
+    np.testing.assert_allclose(decoded.mean(axis=(1, 2, 3)), 20 * np.arange(10), atol=6)
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_a_film_that_fails_leaves_no_file(
+    tmp_path: Path, frames: Callable[[int], list[np.ndarray]]
+) -> None:
+    def broken():
+        yield from frames(2)
+        raise RuntimeError("the renderer died")
+
+    with pytest.raises(RuntimeError, match="renderer"):
+        write_video(tmp_path / "film.mp4", broken(), 30, (64, 48))
+    assert not list(tmp_path.iterdir())
+
+
+def test_films_of_other_kinds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"\.mp4"):
+        write_video(tmp_path / "film.gif", [], 30, (64, 48))
+    with pytest.raises(ConfigurationError, match="even"):
+        write_video(tmp_path / "film.mp4", [], 30, (63, 48))
+
+
+def test_a_film_is_announced_with_its_frames_and_time(capsys: pytest.CaptureFixture[str]) -> None:
+    walk.announce_film(Config(), 0.5, 12.0)
+    assert "drawing 401 frames after the walk will take about 3 min, 0.50 s each" in (
+        capsys.readouterr().out
+    )
+    walk.announce_film(Config(steps_per_frame=4), 0.5, 12.0)
+    assert "drawing 101 frames after the walk will take about 50 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("steps", "count"), [(1, 11), (2, 6), (3, 4)])
+def test_only_the_frames_of_a_film_are_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: int, count: int
+) -> None:
+    drawn, written = [], {}
+
+    def render_frames(qpos, **look):
+        for configuration in qpos:
+            drawn.append(configuration)
+            yield np.zeros((look["height"], look["width"], 3), dtype=np.uint8)
+
+    def write_video(path, frames, rate, size):
+        written.update(frames=len(list(frames)), rate=rate, size=size)
+
+    monkeypatch.setattr("aslip.show.render.render_frames", render_frames)
+    monkeypatch.setattr("aslip.show.video.write_video", write_video)
+    monkeypatch.setattr(walk, "check_rendering", lambda _: 0.1)
+    path = tmp_path / "walk.mp4"
+    walk.main(Config(command="1.0", duration=0.3, video=path, steps_per_frame=steps, width=160))
+    assert len(drawn) == written["frames"] == count
+    assert written["rate"] * steps == pytest.approx(1 / POLICY_PERIOD)
+    assert written["size"] == (160, 480)
+
+
+@leaves_pipes
+def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
+    try:
+        render_robot(np.zeros((1, 35)), width=16, height=16)
+    except RenderingError as error:
+        pytest.skip(str(error))
+    path = tmp_path / "walk.mp4"
+    walk.main(Config(command="1.0", duration=0.15, video=path, width=160, height=120))
+    about, decoded = _decoded(path)
+    assert about["size"] == (160, 120)
+    assert len(decoded) == 6
+    assert decoded.std() > 10  # something is seen

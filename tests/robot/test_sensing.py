@@ -1,0 +1,216 @@
+"""The policy never sees the truth, and rewards can do without it."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey
+from torchrl.envs.utils import check_env_specs, step_mdp
+
+import aslip
+from aslip.envs import CassieTransformedEnv, default_stack, insert_before
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.transforms import (
+    OBSERVATION_TABLE,
+    CassieTransform,
+    EstimatedState,
+    ObservationNoise,
+    TrueState,
+)
+from tests.helpers import MakeEnv
+
+# what ends episodes and rewards robots may look at the truth
+JUDGES = ["low_reward", "fall", "step_limit"]
+
+
+class Liar(CassieTransform):
+    """Puts nonsense in the place of all that is true, but for the heading that a robot is told."""
+
+    def __init__(self) -> None:
+        groups: list[NestedKey] = ["truth", "true_odometry"]
+        super().__init__(in_keys=groups, out_keys=groups)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        for group in self.in_keys:
+            for key, value in cast("TensorDict", next_tensordict[group]).items():
+                wrong = float("nan") if value.is_floating_point() else True
+                next_tensordict.set((group, key), torch.full_like(value, wrong))
+        return next_tensordict
+
+
+def _walk(env: CassieTransformedEnv, steps: int = 40) -> list[TensorDictBase]:
+    """The same actions in the same robots, one of which is reset in between."""
+    generator = torch.Generator().manual_seed(0)
+    td = cast("TensorDictBase", env.reset())
+    seen = [td.clone()]
+    for step in range(steps):
+        td["action"] = 0.1 * torch.randn(td.batch_size[0], 10, generator=generator)
+        td = step_mdp(env.step(td))
+        if step == steps // 2:
+            td["_reset"] = torch.tensor([[False], [True], [False]])
+            td = cast("TensorDictBase", env.reset(td))
+        seen.append(td.clone())
+    return seen
+
+
+def _envs(make: MakeEnv, library: GaitLibrary, **edit: object) -> list[CassieTransformedEnv]:
+    stack = default_stack(library)
+    lying = insert_before(stack, "noise", liar=Liar)
+    settings = {"num_envs": 3, "seed": 4, "drop": JUDGES, **edit}
+    return [make(stack=stack, **settings), make(stack=lying, **settings)]
+
+
+def test_nothing_true_reaches_the_observation(make: MakeEnv, library: GaitLibrary) -> None:
+    """With NaN for everything under `truth` the policy's input is the same, bit for bit."""
+    honest, lied_to = (_walk(env) for env in _envs(make, library))
+    for ours, theirs in zip(honest, lied_to, strict=True):
+        assert not torch.isfinite(theirs["truth", "qpos"]).any()
+        assert torch.equal(ours["observation"], theirs["observation"])
+        assert torch.isfinite(ours["observation"]).all()
+
+
+def test_the_lie_would_be_noticed(make: MakeEnv, library: GaitLibrary) -> None:
+    """With the truth in place of the estimate it does reach the observation."""
+    edit = {"replace": {"estimator": TrueState}}
+    honest, lied_to = (_walk(env, 1) for env in _envs(make, library, **edit))
+    assert torch.isfinite(honest[0]["observation"]).all()
+    assert torch.isnan(lied_to[0]["observation"]).any()
+
+
+def test_the_observation_is_its_table_entry_by_entry(make: MakeEnv) -> None:
+    env = make(num_envs=2, seed=1)
+    td = env.rollout(3)[:, -1]["next"]
+    assert {key[0] for key in OBSERVATION_TABLE} == {"estimate", "reference"}
+    row = 0
+    for key in OBSERVATION_TABLE:
+        entry = td[key]
+        assert torch.equal(td["observation"][:, row : row + entry.shape[-1]], entry), key
+        row += entry.shape[-1]
+    assert row == td["observation"].shape[-1] == 64
+
+
+def test_sensors_and_estimator_are_the_default(make: MakeEnv) -> None:
+    env = make()
+    kinds = dict(zip(env.transform_names, map(type, env.transforms), strict=True))
+    assert kinds["noise"] is ObservationNoise
+    assert kinds["estimator"] is EstimatedState
+    assert env.transform_names.index("noise") < env.transform_names.index("estimator")
+
+
+# ----------------------------------------------------------------------- estimates
+
+
+def test_a_reset_starts_that_robots_estimate_afresh_and_no_others(make: MakeEnv) -> None:
+    envs = [make(num_envs=3, seed=2, drop=JUDGES) for _ in range(2)]
+    td = [cast("TensorDictBase", env.reset()) for env in envs]
+    for step in range(12):
+        for i, env in enumerate(envs):
+            td[i]["action"] = torch.full((3, 10), 0.05)
+            td[i] = step_mdp(env.step(td[i]))
+        if step == 5:
+            td[0]["_reset"] = torch.tensor([[False], [True], [False]])
+            td[0] = cast("TensorDictBase", envs[0].reset(td[0]))
+            position = td[0]["odometry", "pelvis_position"]
+            torch.testing.assert_close(position[1, :2], torch.zeros(2), atol=1e-6, rtol=0)
+            height = td[0]["truth", "pelvis_position"][1, 2]
+            torch.testing.assert_close(position[1, 2], height, atol=2e-3, rtol=0)
+        for key in (("estimator", "memory"), "observation"):
+            assert torch.equal(td[0][key][[0, 2]], td[1][key][[0, 2]])
+    assert not torch.equal(td[0]["observation"][1], td[1]["observation"][1])
+
+
+def test_a_walking_robot_knows_how_it_moves(make: MakeEnv) -> None:
+    """The shipped policy with noisy sensors, after half a second."""
+    env = make(num_envs=4, seed=0, drop=JUDGES)
+    policy = aslip.load_policy("aslip")
+    speeds = torch.tensor([[0.0], [0.5], [1.0], [2.0]])
+    start = {"command": speeds, "phase": torch.zeros(4, 1)}
+    td = cast("TensorDictBase", env.reset(TensorDict(start, batch_size=[4])))
+    errors = []
+    with torch.no_grad():
+        for _ in range(60):
+            td = step_mdp(env.step(policy(td)))
+            errors.append(td["odometry", "pelvis_velocity"] - td["truth", "pelvis_velocity"])
+    rms = torch.stack(errors[15:]).square().mean((0, 1)).sqrt()
+    assert (rms < torch.tensor([0.05, 0.05, 0.08])).all()
+    height = td["estimate", "height"] - td["truth", "pelvis_position"][:, 2:]
+    assert (height.abs() < 0.01).all()
+    for side in ("left", "right"):
+        for what, most in (("position", 0.15), ("orientation", 0.02)):
+            name = f"{side}_foot_{what}"
+            error = td["odometry", name] - td["truth", name]
+            assert (error.abs() < most).all(), name
+
+
+def test_a_broken_sensor_of_one_robot_is_told_and_touches_no_other(make: MakeEnv) -> None:
+    class Broken(CassieTransform):
+        """A NaN from one encoder of robot 1."""
+
+        def __init__(self) -> None:
+            super().__init__(in_keys=[("sensors", "joint_position")], out_keys=[])
+
+        def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+            next_tensordict["sensors", "joint_position"][1, 3:6, 2] = torch.nan
+            return next_tensordict
+
+    stack = default_stack(GaitLibrary.load())
+    settings = {"num_envs": 3, "seed": 3, "drop": JUDGES}
+    whole = _walk(make(stack=stack, **settings), 10)
+    broken = _walk(make(stack=insert_before(stack, "estimator", broken=Broken), **settings), 10)
+    for ours, theirs in zip(whole, broken, strict=True):
+        assert torch.isfinite(theirs["observation"]).all()
+        assert torch.equal(ours["observation"][[0, 2]], theirs["observation"][[0, 2]])
+        assert not ours["estimator", "faults"].any()
+        assert not theirs["estimator", "faults"][[0, 2]].any()
+    assert broken[4]["estimator", "faults"][1].tolist() == [True, False, False, False]
+
+
+# ------------------------------------------------------------------------- rewards
+
+
+def test_rewards_can_be_given_on_the_estimate(make: MakeEnv, library: GaitLibrary) -> None:
+    """Then they are those of the truth but for the estimator's errors, and never look at it."""
+    envs = [make(num_envs=3, seed=4, drop=JUDGES, reward_on=on) for on in ("truth", "estimate")]
+    check_env_specs(envs[1])
+    envs[1] = make(num_envs=3, seed=4, drop=JUDGES, reward_on="estimate")
+    policy = aslip.load_policy("aslip")
+    with torch.no_grad():
+        walks = [env.rollout(40, policy, break_when_any_done=False) for env in envs]
+    seen, believed = (walk["next", "reward"][:, 15:] for walk in walks)
+    assert (seen - believed).abs().mean() < 0.02
+    assert not torch.equal(seen, believed)
+    lying = insert_before(default_stack(library, "estimate"), "noise", liar=Liar)
+    lied_to = make(stack=lying, num_envs=3, seed=4, drop=[*JUDGES, "reward", "episode_sum"])
+    # a robot that diverged earns nothing: that, too, is the truth
+    terms = lied_to.rollout(2, break_when_any_done=False)["next", "reward_terms"]
+    assert all(torch.isfinite(term).all() for term in terms.values())
+
+
+def test_rewards_on_anything_else_are_refused(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match=r"'sensors'.*truth.*estimate|truth.*'sensors'"):
+        make(reward_on="sensors")
+
+
+def test_feet_are_on_the_ground_and_contact_is_the_loaded_foots(make: MakeEnv) -> None:
+    env = make(num_envs=4, seed=0, drop=["noise", "low_reward", "fall", "step_limit"])
+    policy = aslip.load_policy("aslip")
+    td = env.reset()
+    same, apart = [], []
+    with torch.no_grad():
+        for _ in range(60):
+            td = step_mdp(env.step(policy(td)))
+            loaded = td["truth", "ground_force"][..., 2] > 60
+            clear = loaded[:, 0] != loaded[:, 1]
+            same.append((td["estimator", "contact"] == loaded).all(-1)[clear])
+            for side in ("left", "right"):
+                seen, true = (
+                    td[g, f"{side}_foot_position"] - td[g, "pelvis_position"]
+                    for g in ("odometry", "truth")
+                )
+                apart.append((seen - true).abs().amax(0))
+    assert torch.cat(same).float().mean() > 0.8
+    assert torch.stack(apart).max() < 0.01

@@ -1,0 +1,186 @@
+"""A person at the page: a browser without a screen moves and clicks, and the robot must follow."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tensordict import TensorDictBase
+
+from aslip.show.live import LivePage
+from aslip.walking.walker import Walker
+from tests.helpers import limp
+from tests.show.live.helpers import PATIENCE, served, wait_for
+
+playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+
+_NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+# the scene is drawn without a graphics card: few pixels, since every one takes its time
+_ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
+_ARGUMENTS += ["--enable-unsafe-swiftshader"]
+_SIZE = {"viewport": {"width": 860, "height": 480}, "device_scale_factor": 0.5}
+
+
+@dataclass
+class Desk:
+    """A page that is being served, and a browser that looks at it."""
+
+    live: LivePage
+    browser: Any
+    view: Any
+    steps: list[TensorDictBase]
+
+    def open(self) -> Any:
+        """Another tab with the page, once it is there."""
+        view = self.browser.new_page(**_SIZE)
+        view.set_default_timeout(1000 * PATIENCE)
+        view.goto(self.live.url)
+        view.get_by_role("button", name="Reset").wait_for()
+        return view
+
+    def come_back(self) -> None:
+        """Look at the page again after having left."""
+        self.view.goto(self.live.url)
+        self.view.get_by_role("button", name="Reset").wait_for()
+
+    def click(self, name: str) -> None:
+        self.view.get_by_role("button", name=name).click()
+
+    def speeds(self, axis: int) -> list[float]:
+        """Of the pelvis after every step so far [m/s]."""
+        return [float(td["next", "truth", "pelvis_velocity"][0, axis]) for td in self.steps]
+
+    def pause(self) -> int:
+        """Stop time with a click; the number of steps by then."""
+        self.click("Pause")
+        self.view.get_by_role("button", name="Resume").wait_for()
+        return len(self.steps)
+
+
+@pytest.fixture(scope="module")
+def opened(library) -> Iterator[Desk]:
+    steps: list[TensorDictBase] = []
+    live = LivePage(
+        Walker(library=library),
+        {"aslip": "aslip", "limp": limp()},
+        port=0,
+        on_step=steps.append,
+    )
+    with playwright_api.sync_playwright() as playwright, served(live):
+        own = playwright.chromium.executable_path
+        found = [path for name in _NAMES if (path := shutil.which(name))]
+        if Path(own).is_file():
+            found.append(own)
+        if not found:
+            pytest.skip(f"no chromium among {_NAMES}, nor playwright's own")
+        browser = playwright.chromium.launch(executable_path=found[0], args=_ARGUMENTS)
+        desk = Desk(live, browser, None, steps)
+        desk.view = desk.open()
+        yield desk
+        browser.close()
+
+
+@pytest.fixture
+def desk(opened: Desk) -> Desk:
+    """Whatever was done before, the robot stands at the start and time runs."""
+    controls = opened.live.controls
+    controls.command.value, controls.policy.value = 0.0, "aslip"
+    if opened.live.paused:
+        controls.pause.value = True
+    controls.reset.value = True
+    wait_for(lambda: not opened.live.paused and opened.live.walker.steps < 20)
+    opened.view.get_by_role("button", name="Pause").wait_for()
+    return opened
+
+
+def test_moving_the_slider_changes_the_robots_speed(desk):
+    wait_for(lambda: desk.live.walker.steps > 15)
+    standing = desk.speeds(0)[-10:]
+    # in the middle between 0 and 2 m/s
+    desk.view.locator(".mantine-Slider-trackContainer").first.click()
+    wait_for(lambda: desk.live.walker.command == pytest.approx(1.0, abs=0.06))
+    wait_for(lambda: sum(desk.speeds(0)[-15:]) / 15 > 0.7)
+    assert sum(standing) / 10 < 0.4
+
+
+def test_pause_stops_time_and_a_click_goes_on(desk):
+    count = desk.pause()
+    assert desk.live.paused
+    desk.view.wait_for_timeout(500)
+    assert len(desk.steps) == count
+    desk.click("Resume")
+    wait_for(lambda: len(desk.steps) > count + 5)
+
+
+def test_a_single_step_is_exactly_one(desk):
+    count = desk.pause()
+    desk.click("Step")
+    wait_for(lambda: len(desk.steps) > count)
+    desk.view.wait_for_timeout(500)
+    assert len(desk.steps) == count + 1
+    assert desk.live.walker.time == pytest.approx(0.03 * desk.live.walker.steps)
+
+
+def test_a_push_throws_the_robot_to_its_left(desk):
+    count = desk.pause()
+    desk.view.get_by_role("slider").nth(2).press("End")
+    desk.click("Push")
+    for _ in range(4):
+        desk.click("Step")
+    wait_for(lambda: len(desk.steps) == count + 4)
+    assert desk.live.controls.push_size.value == 300
+    # 300 N on 33 kg for 0.12 s
+    assert desk.speeds(1)[-1] - desk.speeds(1)[count - 1] > 0.5
+
+
+def test_another_policy_is_chosen_falls_and_starts_again(desk):
+    falls, before = desk.live.falls, desk.live.walker.policy
+    desk.view.locator("input[role=combobox]:visible").first.click()
+    desk.view.get_by_role("option", name="limp", exact=True).click()
+    wait_for(lambda: desk.live.walker.policy is not before)
+    desk.live.controls.command.value = 1.0
+    desk.view.get_by_text("Cassie has fallen").wait_for()
+    assert desk.live.falls > falls
+    wait_for(lambda: not desk.live.walker.fallen)
+
+
+def test_two_who_look_see_the_same_and_one_may_leave_and_come_back(desk):
+    other = desk.open()
+    desk.pause()
+    other.get_by_role("button", name="Resume").wait_for()
+    desk.view.goto("about:blank")
+    desk.live.controls.command.value = 0.65
+    other.close()
+    desk.come_back()
+    desk.view.get_by_role("button", name="Resume").wait_for()
+    assert desk.view.get_by_role("slider").first.get_attribute("aria-valuenow") == "0.65"
+
+
+def test_the_page_shows_numbers_bars_and_the_robot(desk):
+    wait_for(lambda: desk.live.walker.steps > 20)
+    desk.pause()
+    text = desk.view.locator("body").inner_text()
+    for part in ("pelvis height", "m ahead", "com_vel", "action_diff", "spring-mass model"):
+        assert part in text, part
+    colors = desk.view.evaluate(
+        """() => {
+            const canvas = [...document.querySelectorAll('canvas')].sort(
+                (a, b) => b.width * b.height - a.width * a.height)[0];
+            const copy = document.createElement('canvas');
+            [copy.width, copy.height] = [canvas.width, canvas.height];
+            const context = copy.getContext('2d');
+            context.drawImage(canvas, 0, 0);
+            const data = context.getImageData(0, 0, copy.width, copy.height).data;
+            let [dark, orange] = [0, 0];
+            for (let i = 0; i < data.length; i += 4) {
+                if (data[i + 3] && data[i] + data[i + 1] + data[i + 2] < 150) dark++;
+                if (data[i + 3] && data[i] > 150 && data[i + 2] < 90) orange++;
+            }
+            return [dark, orange];
+        }"""
+    )
+    assert min(colors) > 20, colors

@@ -1,0 +1,313 @@
+"""What people ask for reaches the robot, turn by turn, without a browser."""
+
+import urllib.request
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.errors import AssetError, ConfigurationError
+from aslip.robot import POLICY_PERIOD
+from aslip.show.live import LivePage
+from aslip.walking.walker import Walker
+from recipes.walk import Config
+from tests.helpers import limp
+from tests.show.live.helpers import served, wait_for
+from tests.show.live.visitor import visit
+
+
+def walk(page: LivePage, turns: int) -> None:
+    for _ in range(turns):
+        page.turn()
+
+
+def click(button) -> None:
+    """As a click in a browser does."""
+    button.value = True
+
+
+def test_the_slider_begins_with_the_robots_command_and_sets_it(open_page):
+    page = open_page(speed=0.5)
+    assert page.controls.command.value == 0.5
+    page.controls.command.value = 1.25
+    page.turn()
+    assert page.walker.command == 1.25
+    assert float(page.walker.td["command"]) == 1.25
+
+
+def test_a_command_acts_on_the_very_next_step(open_page):
+    steps = []
+    page = open_page(on_step=steps.append)
+    page.turn()
+    page.controls.command.value = 1.0
+    page.turn()
+    assert [float(td["command"]) for td in steps] == [0.0, 1.0]
+
+
+def test_pause_stops_time_and_a_click_steps_once(open_page):
+    page = open_page()
+    walk(page, 3)
+    click(page.controls.pause)
+    walk(page, 3)
+    assert page.paused
+    assert page.walker.steps == 3
+    click(page.controls.step)
+    click(page.controls.step)
+    walk(page, 1)
+    assert page.walker.steps == 4
+    walk(page, 5)
+    assert page.walker.steps == 5
+    assert page.controls.pause.label == "Resume"
+    assert not page.controls.step.disabled
+    click(page.controls.pause)
+    walk(page, 2)
+    assert page.walker.steps == 7
+    assert page.controls.pause.label == "Pause"
+
+
+def test_a_single_step_is_not_for_a_robot_that_walks(open_page):
+    page = open_page()
+    assert page.controls.step.disabled
+    # from a page that was drawn before
+    click(page.controls.step)
+    walk(page, 2)
+    assert page.walker.steps == 2
+    assert not page.paused
+    click(page.controls.pause)
+    walk(page, 3)
+    assert page.walker.steps == 2
+
+
+def test_the_push_says_how_long_it_acts(open_page):
+    steps = []
+    page = open_page(on_step=steps.append)
+    click(page.controls.push)
+    walk(page, 6)
+    acted = sum("push" in td and bool(td["push"].any()) for td in steps) * POLICY_PERIOD
+    assert page.controls.push.label == f"Push for {acted:g} s" == "Push for 0.12 s"
+
+
+def test_a_reset_drops_single_steps_that_wait(open_page):
+    page = open_page()
+    click(page.controls.pause)
+    page.turn()
+    for button in (page.controls.step, page.controls.step, page.controls.step):
+        click(button)
+    page.turn()
+    assert page.walker.steps == 1
+    click(page.controls.reset)
+    walk(page, 4)
+    assert page.walker.steps == 0
+
+
+def test_a_complaint_goes_with_the_next_click(open_page):
+    page = open_page(speed=0.5)
+    page.controls.command.value = 7.0
+    page.turn()
+    assert "7" in page.message
+    click(page.controls.pause)
+    page.turn()
+    assert page.message == ""
+
+
+def test_the_page_is_for_this_machine_alone_unless_opened(open_page):
+    page = open_page()
+    assert page._server.get_host() == "127.0.0.1"
+    assert page.url.startswith("http://127.0.0.1:")
+    assert Config().host == "127.0.0.1"
+
+
+def test_visitors_are_sent_where_robot_and_model_are_now(open_page):
+    page = open_page(speed=1.0)
+    for _ in range(2):
+        walk(page, 7)
+        with visit(page) as visitor:
+            places = {
+                name: visitor.messages("SetPositionMessage", lambda m, name=name: m["name"] == name)
+                for name in ("/floor", "/robot/pelvis", "/rom/body")
+            }
+        height = float(page.walker.td["truth", "pelvis_position"][0, 2])
+        assert places["/robot/pelvis"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
+        x = float(page.walker.td["truth", "qpos"][0, 0])
+        assert places["/floor"][-1]["position"][0] == pytest.approx(-x % 1.0, abs=1e-4)
+        height = float(page.walker.td["reference", "body_position"][0, 2])
+        assert places["/rom/body"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
+
+
+def test_the_plot_is_built_anew_when_a_visitor_comes(open_page, monkeypatch):
+    page, redrawn = open_page(), []
+    monkeypatch.setattr(page._readouts, "redraw", lambda: redrawn.append(1))
+    with visit(page):
+        wait_for(lambda: redrawn)
+    assert redrawn == [1]
+
+
+@pytest.mark.parametrize(("degrees", "ahead", "left"), [(0, 1, 0), (90, 0, 1), (-135, -1, -1)])
+def test_a_push_has_its_direction_size_and_duration(open_page, degrees, ahead, left):
+    steps = []
+    page = open_page(on_step=steps.append)
+    walk(page, 1)
+    page.controls.push_direction.value = degrees
+    page.controls.push_size.value = 150
+    click(page.controls.push)
+    walk(page, 6)
+    pushed = [td["push"][0].numpy() for td in steps if "push" in td and td["push"].any()]
+    assert len(pushed) * POLICY_PERIOD == pytest.approx(0.12)
+    direction = np.array([ahead, left, 0]) / np.hypot(ahead, left)
+    # the robot looks straight ahead to within a degree or two here
+    np.testing.assert_allclose(pushed[0], 150 * direction, atol=6)
+    assert np.linalg.norm(pushed[0]) == pytest.approx(150, rel=1e-5)
+
+
+def test_a_push_turns_with_the_robot(open_page):
+    page = open_page()
+    orientation = page.walker.td["truth", "pelvis_orientation"]
+    orientation[:] = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5])
+    page.controls.push_direction.value = 0
+    page.controls.push_size.value = 100
+    click(page.controls.push)
+    pushes = []
+    page.walker.push = lambda force, duration: pushes.append(force)
+    page.turn()
+    np.testing.assert_allclose(pushes, [[0, 100, 0]], atol=1e-4)
+
+
+def test_policies_are_switched_without_a_restart(open_page):
+    still = limp()
+    page = open_page({"aslip": "aslip", "limp": still})
+    walk(page, 3)
+    assert page.walker.policy is not still
+    page.controls.policy.value = "limp"
+    walk(page, 1)
+    assert page.walker.policy is still
+    assert page.walker.steps == 4
+
+
+def test_every_fall_is_told_and_ends_with_a_reset_a_second_later(open_page):
+    page = open_page({"limp": limp()}, speed=1.0)
+    fell_after = []
+    for falls in (1, 2):
+        while not page.walker.fallen:
+            page.turn()
+        fell_after.append(page.walker.steps)
+        assert page.falls == falls
+        assert "fallen" in page.message
+        turns = 0
+        while page.walker.fallen:
+            page.turn()
+            turns += 1
+        assert turns * POLICY_PERIOD == pytest.approx(1.0, abs=POLICY_PERIOD)
+        assert page.message == ""
+        assert page.walker.command == 1.0
+    assert fell_after[0] == fell_after[1] > 5
+
+
+def test_a_fallen_robot_lies_while_time_stands_still(open_page):
+    page = open_page({"limp": limp()}, speed=1.0)
+    while not page.walker.fallen:
+        page.turn()
+    click(page.controls.pause)
+    walk(page, 50)
+    assert page.walker.fallen
+    assert page.falls == 1
+
+
+def test_without_automatic_reset_the_robot_lies_until_the_button(open_page):
+    page = open_page({"limp": limp()}, speed=1.0)
+    page.controls.auto_reset.value = False
+    while not page.walker.fallen:
+        page.turn()
+    steps = page.walker.steps
+    walk(page, 50)
+    assert page.walker.fallen
+    assert page.walker.steps == steps
+    assert page.falls == 1
+    assert "Reset" in page.message
+    click(page.controls.reset)
+    walk(page, 2)
+    assert not page.walker.fallen
+    assert page.walker.steps == 2
+
+
+def test_a_setting_that_cannot_be_is_told_and_the_robot_goes_on(open_page):
+    page = open_page(speed=0.5)
+    page.controls.command.value = 7.0
+    walk(page, 3)
+    assert "7" in page.message
+    assert page.walker.command == 0.5
+    assert page.walker.steps == 3
+    page.controls.command.value = 0.7
+    page.turn()
+    assert page.message == ""
+    assert page.walker.command == pytest.approx(0.7)
+
+
+def test_watching_changes_nothing(open_page, library):
+    page = open_page(speed=1.0)
+    alone = Walker(library=library, speed=1.0)
+    walk(page, 10)
+    for _ in range(10):
+        alone.step()
+    np.testing.assert_array_equal(page.walker.td["truth", "qpos"], alone.td["truth", "qpos"])
+
+
+def test_without_policies_the_walkers_own_walks(library):
+    still = limp()
+    page = LivePage(Walker(still, library=library), port=0)
+    try:
+        assert page.walker.policy is still
+    finally:
+        page.stop()
+
+
+def test_policies_that_are_not_there_are_named_before_anything_is_served(open_page, monkeypatch):
+    monkeypatch.setattr("aslip.show.live.page.start_server", lambda *_: pytest.fail("served"))
+    with pytest.raises(AssetError, match="nobody"):
+        open_page({"aslip": "aslip", "other": "nobody"})
+    with pytest.raises(ConfigurationError, match="empty"):
+        open_page({})
+
+
+def test_serving_ends_with_stop_and_the_page_is_gone(open_page):
+    page = open_page()
+    with served(page):
+        wait_for(lambda: page.walker.steps > 3)
+        with pytest.raises(ConfigurationError, match="already"):
+            page.serve()
+        assert urllib.request.urlopen(page.url).status == 200
+    steps = page.walker.steps
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(page.url)
+    with pytest.raises(ConfigurationError, match="stopped"):
+        page.serve()
+    assert page.walker.steps == steps
+    page.stop()
+
+
+def test_ctrl_c_ends_serving_in_peace(open_page):
+    def interrupt(td):
+        raise KeyboardInterrupt
+
+    page = open_page(on_step=interrupt)
+    page.serve()
+    assert page.walker.steps == 1
+
+
+def test_an_error_on_a_step_ends_serving_with_that_error(open_page):
+    def fail(td):
+        raise RuntimeError("the disk is full")
+
+    page = open_page(on_step=fail)
+    with pytest.raises(RuntimeError, match="disk"):
+        page.serve()
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(page.url)
+
+
+def test_what_viewers_are_sent_later_does_not_grow(open_page):
+    page = open_page(speed=1.0)
+    kept = []
+    for _ in range(2):
+        walk(page, 40)
+        kept.append(len(page._server._websock_server._broadcast_buffer.message_from_id))
+    assert kept[0] == kept[1]

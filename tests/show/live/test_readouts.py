@@ -1,0 +1,151 @@
+"""Numbers, bars and curves say what happened."""
+
+import re
+
+import numpy as np
+import pytest
+
+from aslip.robot import POLICY_PERIOD
+from aslip.show.live.readouts import _CURVES, PLOT_SPAN, Readouts, Status
+from aslip.transforms.rewards import PAPER_WEIGHTS
+from aslip.walking.walker import Walker
+
+STATUS = Status(
+    time=12.34,
+    speed=1.02,
+    height=0.871,
+    ahead=12.1,
+    left=-0.34,
+    falls=3,
+    factor=0.98,
+    message="<fallen>",
+)
+
+
+@pytest.fixture
+def readouts(server) -> Readouts:
+    return Readouts(server.gui)
+
+
+@pytest.fixture
+def shown(server, monkeypatch) -> dict:
+    """Everything that the readouts put on the page, by kind."""
+    made = {}
+    for kind in ("html", "uplot"):
+        add = getattr(server.gui, f"add_{kind}")
+
+        def keep(*args, add=add, kind=kind, **settings):
+            made.setdefault(kind, []).append(add(*args, **settings))
+            return made[kind][-1]
+
+        monkeypatch.setattr(server.gui, f"add_{kind}", keep)
+    return made
+
+
+def test_lines_tell_the_status_and_are_no_markup_of_others(shown, readouts):
+    readouts.show(STATUS)
+    text = re.sub("<.*?>", " ", shown["html"][0].content)
+    for part in ("12.34 s", "1.02 m/s", "0.871 m", "3 falls", "0.98", "&lt;fallen&gt;"):
+        assert part in text
+    assert "12.10 m ahead" in text
+    assert "-0.34 m left" in text
+    assert "mean 0.00 m/s" in text
+
+
+def test_the_mean_speed_shows_drift(shown, readouts, library):
+    walker = Walker(library=library)
+    for _ in range(40):
+        readouts.add(walker.step())
+    readouts.show(STATUS)
+    drift = float(walker.td["truth", "pelvis_position"][0, 0]) / walker.time
+    text = re.sub("<.*?>", " ", shown["html"][0].content)
+    assert float(re.findall(r"mean (-?[\d.]+) m/s", text)[0]) == pytest.approx(drift, abs=0.02)
+
+
+def test_bars_have_the_names_values_and_lengths_of_the_terms(shown, readouts, library):
+    td = Walker(library=library, speed=1.0).step()
+    readouts.add(td)
+    readouts.show(STATUS)
+    content = shown["html"][-1].content
+    rows = re.findall(r"<td.*?>(\w+)</td>.*?width:([\d.]+)%.*?>([\d.]+)</td>", content)
+    expected = {name: float(td["next", "reward_terms", name]) for name in PAPER_WEIGHTS}
+    expected["reward"] = float(td["next", "reward"])
+    assert [name for name, _, _ in rows] == list(expected)
+    for name, width, value in rows:
+        assert float(width) == pytest.approx(100 * expected[name], abs=0.06)
+        assert float(value) == pytest.approx(expected[name], abs=0.006)
+
+
+def test_curves_fill_the_time_axis_from_the_start(shown, readouts, library):
+    walker = Walker(library=library)
+    for steps in (0, 1, 5):
+        for _ in range(steps):
+            readouts.add(walker.step())
+        readouts.show(STATUS)
+        time, *curves = shown["uplot"][0].data
+        assert time[0] == pytest.approx(-PLOT_SPAN, abs=POLICY_PERIOD)
+        # uPlot draws no axis for a range that its data do not fill
+        assert shown["uplot"][0].scales["x"]["range"] == (time[0], time[-1]) == (time[0], 0.0)
+        for curve in curves:
+            assert np.isfinite(curve).sum() == walker.steps
+            assert np.isfinite(curve[len(curve) - walker.steps :]).all()
+
+
+def test_the_range_of_speeds_holds_the_curves_closely(shown, readouts, library):
+    for speed in (0.0, 1.0, 2.0):
+        readouts._history.clear()
+        walker = Walker(library=library, speed=speed)
+        for _ in range(20):
+            readouts.add(walker.step())
+        readouts.show(STATUS)
+        low, high = shown["uplot"][0].scales["y"]["range"]
+        speeds = np.array(shown["uplot"][0].data[1:])
+        assert low < np.nanmin(speeds) < low + 0.25
+        assert high - 0.25 < np.nanmax(speeds) < high
+
+
+def test_a_plot_is_built_anew_for_a_visitor_and_then_no_more(shown, readouts):
+    def ranges(count: int) -> list[tuple[float, float]]:
+        seen = []
+        for _ in range(count):
+            readouts.show(STATUS)
+            seen.append(shown["uplot"][0].scales["y"]["range"])
+        return seen
+
+    rest = ranges(1)[0]
+    readouts.redraw()
+    seen = ranges(20)
+    assert len(set(seen)) == 2
+    assert seen[0] != rest
+    assert seen[-5:] == [rest] * 5
+    np.testing.assert_allclose(seen, [rest] * 20, atol=1e-5)
+
+
+def test_the_legend_names_every_curve_with_its_line(shown, readouts):
+    legend = shown["html"][1].content
+    for curve in _CURVES:
+        color, label = curve.get("stroke"), curve.get("label")
+        assert re.search(rf"(solid|dashed) {color}'></span>{label}", legend)
+    assert shown["uplot"][0].legend == {"show": False}
+
+
+def test_curves_are_the_last_seconds_of_model_robot_and_command(shown, readouts, library):
+    walker = Walker(library=library, speed=0.5)
+    steps = [walker.step() for _ in range(3)]
+    walker.command = 1.0
+    steps.append(walker.step())
+    for td in steps:
+        readouts.add(td)
+    readouts.show(STATUS)
+    time, model, robot, command = shown["uplot"][0].data
+    np.testing.assert_allclose(time[-4:], POLICY_PERIOD * np.arange(-3, 1))
+    np.testing.assert_allclose(command[-4:], [0.5, 0.5, 0.5, 1.0])
+    for i, td in enumerate(steps, start=-4):
+        assert model[i] == float(td["next", "reference", "body_velocity"][0, 0])
+        assert robot[i] == float(td["next", "truth", "pelvis_velocity"][0, 0])
+    for _ in range(400):
+        readouts.add(steps[0])
+    readouts.show(STATUS)
+    data = shown["uplot"][0].data
+    assert {len(column) for column in data} == {round(PLOT_SPAN / POLICY_PERIOD) + 1}
+    assert np.isfinite(data).all()

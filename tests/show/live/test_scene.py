@@ -1,0 +1,186 @@
+"""Where things are drawn, read from the handles of a server that nobody looks at."""
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from aslip.robot.model import load_model
+from aslip.show.ghost import Footholds, Ghost
+from aslip.show.live.robot import RobotView
+from aslip.show.live.rom import RomView
+from aslip.show.live.scene import SceneView
+from aslip.walking.walker import Walker
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return load_model()
+
+
+@pytest.fixture
+def walker(library) -> Walker:
+    """A robot in the midst of a step, not straight ahead of the world's origin."""
+    walker = Walker(library=library, speed=1.0)
+    walker.push([0, 150, 0], 0.2)
+    for _ in range(20):
+        walker.step()
+    return walker
+
+
+def pose(scene, name: str) -> np.ndarray:
+    """(4, 4) of a scene node in the scene."""
+    whole, path = np.eye(4), ""
+    for part in name.strip("/").split("/"):
+        path += f"/{part}"
+        node = scene.get_handle_by_name(path)
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, node.wxyz)
+        local = np.eye(4)
+        local[:3, :3], local[:3, 3] = rotation.reshape(3, 3), node.position
+        whole = whole @ local
+    return whole
+
+
+def names(model: mujoco.MjModel) -> list[str]:
+    """Of the bodies in the scene, from the first."""
+    names = ["/robot"]
+    for body in range(1, model.nbody):
+        names.append(f"{names[model.body_parentid[body]]}/{model.body(body).name}")
+    return names[1:]
+
+
+def test_every_body_is_where_the_simulator_has_it(server, model, walker):
+    qpos = walker.td["truth", "qpos"][0].numpy()
+    RobotView(server.scene, model).update(qpos)
+    data = mujoco.MjData(model)
+    data.qpos[:] = qpos
+    mujoco.mj_kinematics(model, data)
+    assert np.abs(qpos[:2]).min() > 0.01
+    for body, name in enumerate(names(model), start=1):
+        place = pose(server.scene, name)
+        expected = data.xpos[body] - [*qpos[:2], 0.0]
+        # numbers that changed by less than 1e-5 are not sent
+        np.testing.assert_allclose(place[:3, 3], expected, atol=1e-4)
+        np.testing.assert_allclose(place[:3, :3].ravel(), data.xmat[body], atol=1e-4)
+
+
+def test_every_visible_shape_is_drawn(server, model):
+    RobotView(server.scene, model)
+    for name in names(model):
+        count = 0
+        while server.scene.get_handle_by_name(f"{name}/shape{count}") is not None:
+            count += 1
+        assert count == len(
+            {
+                model.geom_matid[g]
+                for g in range(model.ngeom)
+                if model.geom_group[g] == 1
+                and model.body(model.geom_bodyid[g]).name == name.split("/")[-1]
+            }
+        )
+
+
+def test_the_robot_fades_and_comes_back(server, model):
+    view = RobotView(server.scene, model)
+    shape = server.scene.get_handle_by_name("/robot/pelvis/shape0")
+    view.fade(0.3)
+    assert shape.opacity == 0.3
+    view.fade(None)
+    assert shape.opacity is None
+
+
+def test_springs_go_from_the_body_to_the_feet_of_the_model(server, library, walker):
+    RomView(server.scene, library).update(walker.td)
+    ghost = Ghost.of(walker.td)
+    origin = np.array([*ghost.body[:2], 0.0])
+    body = pose(server.scene, "/rom/body")[:3, 3]
+    np.testing.assert_allclose(body, ghost.body - origin, atol=1e-5)
+    for side, foot in (("left", ghost.left), ("right", ghost.right)):
+        leg = pose(server.scene, f"/rom/{side}")
+        spring = server.scene.get_handle_by_name(f"/rom/{side}/spring")
+        np.testing.assert_allclose(leg[:3, 3], foot - origin, atol=1e-5)
+        # the far end of the skin moves with the second bone, the near end with the first
+        end = leg @ [*spring.bones[1].position, 1.0]
+        np.testing.assert_allclose(end[:3], body, atol=1e-4)
+        np.testing.assert_array_equal(spring.bones[0].position, 0.0)
+        top = spring.vertices[:, 2].argmax()
+        weights = spring.skin_weights[top], spring.skin_indices[top]
+        assert weights[0][list(weights[1]).index(1)] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, library, walker):
+    view = RomView(server.scene, library)
+    while not (ghost := Ghost.of(walker.td)).right_stance or ghost.left_stance:
+        walker.step()
+    view.update(walker.td)
+    node = server.scene.get_handle_by_name
+    assert min(node("/rom/left/spring").color) > 100 > min(node("/rom/right/spring").color)
+    assert node("/footholds/left").visible
+    assert not node("/footholds/right").visible
+    truth = walker.td["truth"]
+    plan = Footholds(library).planned(
+        "left", 1.0, truth["right_foot_position"][0].numpy(), truth["pelvis_orientation"][0].numpy()
+    )
+    drawn = node("/footholds/left").position
+    np.testing.assert_allclose(drawn[:2], plan - ghost.body[:2], atol=1e-5)
+    # before the robot, and a little left of it
+    assert drawn[0] > 0.1
+    assert 0 < drawn[2] < 0.01
+
+
+def test_the_model_stands_beside_the_robot_or_in_it_or_is_hidden(server, library):
+    view = RomView(server.scene, library)
+    root = server.scene.get_handle_by_name("/rom")
+    view.place("beside")
+    assert root.visible
+    assert np.linalg.norm(root.position) > 0.5
+    view.place("hidden")
+    assert not root.visible
+    assert not server.scene.get_handle_by_name("/footholds").visible
+    view.place("through")
+    assert root.visible
+    np.testing.assert_array_equal(root.position, 0.0)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 90.0, -150.0])
+def test_beside_is_to_the_right_of_a_robot_that_has_turned(server, library, walker, degrees):
+    view = RomView(server.scene, library)
+    view.place("beside")
+    td, half = walker.td.clone(), np.radians(degrees) / 2
+    td["truth", "pelvis_orientation"][0] = torch.tensor([np.cos(half), 0, 0, np.sin(half)])
+    view.update(td)
+    place = server.scene.get_handle_by_name("/rom").position
+    right = [np.sin(2 * half), -np.cos(2 * half), 0.0]
+    np.testing.assert_allclose(place, 0.7 * np.array(right), atol=1e-6)
+    # shown again without a step in between
+    view.place("through")
+    np.testing.assert_array_equal(server.scene.get_handle_by_name("/rom").position, 0.0)
+    view.place("beside")
+    place = server.scene.get_handle_by_name("/rom").position
+    np.testing.assert_allclose(place, 0.7 * np.array(right), atol=1e-6)
+
+
+def test_the_floor_moves_under_the_robot(server, model, library, walker):
+    view = SceneView(server, model, library)
+    floor = server.scene.get_handle_by_name("/floor")
+    places = []
+    for x, y in ((0.2, 0.1), (0.45, 0.1), (3.2, -1.9)):
+        td = walker.td.clone()
+        td["truth", "qpos"][0, :2] = torch.tensor([x, y])
+        view.update(td)
+        places.append(np.array(floor.position))
+        # what is drawn of the robot stays where it is
+        assert server.scene.get_handle_by_name("/robot/pelvis").position[0] == 0.0
+    np.testing.assert_allclose(places[1] - places[0], [-0.25, 0, 0], atol=1e-12)
+    # whole squares away, the picture is the same
+    np.testing.assert_allclose(places[2], places[0], atol=1e-12)
+
+
+def test_the_robot_is_seen_through_where_the_model_is_in_its_place(server, model, library):
+    view = SceneView(server, model, library)
+    shape = server.scene.get_handle_by_name("/robot/pelvis/shape0")
+    view.place_rom("through")
+    assert shape.opacity is not None
+    view.place_rom("beside")
+    assert shape.opacity is None

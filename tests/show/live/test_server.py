@@ -1,0 +1,132 @@
+"""Addresses that cannot be had, and a library that is not there."""
+
+import ast
+import logging
+import socket
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+import aslip
+from aslip.errors import ConfigurationError
+from aslip.show.live.server import page_url, start_server
+
+
+def test_a_port_that_is_taken_is_an_error_that_names_it():
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        with pytest.raises(ConfigurationError, match=rf"port {port} .*taken"):
+            start_server("127.0.0.1", port)
+
+
+@pytest.mark.parametrize("port", [-1, 65536])
+def test_a_port_must_be_a_port(port):
+    with pytest.raises(ConfigurationError, match=str(port)):
+        start_server("127.0.0.1", port)
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "no such host", ""])
+def test_a_host_must_be_this_machine(host, monkeypatch):
+    monkeypatch.setattr("viser.ViserServer", lambda **_: pytest.fail("viser would hang"))
+    with pytest.raises(ConfigurationError, match=r"host|listen"):
+        start_server(host, 0)
+
+
+def test_a_port_that_viser_was_told_to_change_is_an_error(monkeypatch):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    monkeypatch.setenv("_VISER_PORT_OVERRIDE", "0")
+    with pytest.raises(ConfigurationError, match=f"not on {port}"):
+        start_server("127.0.0.1", port)
+
+
+def test_the_page_is_at_its_url_and_its_port_is_free_afterwards():
+    server = start_server("127.0.0.1", 0)
+    port = server.get_port()
+    try:
+        assert page_url(server) == f"http://127.0.0.1:{port}"
+        with urllib.request.urlopen(page_url(server)) as answer:
+            assert b"<html" in answer.read(2000).lower()
+    finally:
+        server.stop()
+    again = start_server("127.0.0.1", port)
+    assert again.get_port() == port
+    again.stop()
+
+
+@pytest.mark.parametrize("request_line", ["HEAD / HTTP/1.1", "POST / HTTP/1.1", "hello"])
+def test_requests_of_other_kinds_print_nothing_and_the_page_stays(request_line):
+    # in a process of its own: what viser does about its log, it does for a whole process
+    code = (
+        "import socket, urllib.request\n"
+        "from aslip.show.live.server import page_url, start_server\n"
+        "server = start_server('127.0.0.1', 0)\n"
+        "with socket.create_connection(('127.0.0.1', server.get_port())) as visitor:\n"
+        f"    visitor.sendall(b'{request_line}\\r\\nHost: x\\r\\n\\r\\n')\n"
+        "    while visitor.recv(1000):\n"
+        "        pass\n"
+        "print(urllib.request.urlopen(page_url(server)).status)\n"
+        "server.stop()\n"
+    )
+    root = Path(__file__).parents[3]
+    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
+    assert "\n200\n" in result.stdout, result
+    assert result.stderr == ""
+
+
+def test_a_handler_that_fails_is_reported_in_a_line(caplog):
+    server = start_server("127.0.0.1", 0)
+    log = logging.getLogger("websockets.server")
+    try:
+        raise ValueError("too large")
+    except ValueError:
+        log.error("connection handler failed", exc_info=True)
+    server.stop()
+    assert [r.getMessage() for r in caplog.records if r.name == log.name] == [
+        "connection handler failed: ValueError('too large')"
+    ]
+    assert "Traceback" not in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("host", "shown"), [("0.0.0.0", "localhost"), ("::", "localhost"), ("::1", "[::1]")]
+)
+def test_a_url_is_one_that_a_browser_takes(host, shown):
+    class Server:
+        get_host = staticmethod(lambda: host)
+        get_port = staticmethod(lambda: 8080)
+
+    assert page_url(Server()) == f"http://{shown}:8080"  # pyright: ignore
+
+
+def test_without_viser_the_error_says_what_to_install():
+    code = (
+        "import sys\n"
+        "sys.modules['viser'] = None\n"
+        "from aslip.errors import ConfigurationError\n"
+        "try:\n"
+        "    import aslip.show.live\n"
+        "except ConfigurationError as error:\n"
+        "    print(error)\n"
+    )
+    root = Path(__file__).parents[3]
+    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
+    assert "pip install 'aslip[live]'" in result.stdout, result
+
+
+def test_nothing_but_the_live_page_needs_viser():
+    package = Path(aslip.__file__).parent
+    users = {
+        path.relative_to(package).parts[0]
+        for path in package.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if (isinstance(node, ast.Import) and any(a.name.startswith("viser") for a in node.names))
+        or (isinstance(node, ast.ImportFrom) and (node.module or "").startswith("viser"))
+    }
+    assert users == {"live"}

@@ -1,0 +1,126 @@
+"""Surfaces: where they end, that they are closed, and which way they face."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from aslip.robot.model import load_model
+from aslip.show.live.robot import body_meshes, to_color
+from aslip.show.live.shapes import Mesh, geom_mesh, revolve, sphere, tube
+
+# a body with one geom of each type, none of them at the origin or straight
+XML = """
+<mujoco><worldbody><body>
+  <geom type="sphere" size=".2" {place}/>
+  <geom type="capsule" size=".1 .3" {place}/>
+  <geom type="ellipsoid" size=".1 .2 .3" {place}/>
+  <geom type="cylinder" size=".2 .3" {place}/>
+  <geom type="box" size=".1 .2 .3" {place}/>
+</body></worldbody></mujoco>
+"""
+# half sizes of the boxes around them, and volumes
+BOUNDS = [(0.2, 0.2, 0.2), (0.1, 0.1, 0.4), (0.1, 0.2, 0.3), (0.2, 0.2, 0.3), (0.1, 0.2, 0.3)]
+VOLUMES = [
+    4 / 3 * np.pi * 0.2**3,
+    4 / 3 * np.pi * 0.1**3 + np.pi * 0.1**2 * 0.6,
+    4 / 3 * np.pi * 0.1 * 0.2 * 0.3,
+    np.pi * 0.2**2 * 0.6,
+    8 * 0.1 * 0.2 * 0.3,
+]
+
+
+def compiled(place: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(XML.format(place=place))
+
+
+def volume(mesh: Mesh) -> float:
+    """Enclosed by a closed mesh; negative if its faces look inward."""
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return float((a * np.cross(b, c)).sum() / 6)
+
+
+def is_closed(mesh: Mesh) -> bool:
+    """Whether every edge is passed as often one way as the other; places count, not indices."""
+    _, corner = np.unique(mesh.vertices.round(9), axis=0, return_inverse=True)
+    faces = corner.reshape(-1)[mesh.faces]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    there, back = (np.unique(e, axis=0, return_counts=True) for e in (edges, edges[:, ::-1]))
+    return all(np.array_equal(a, b) for a, b in zip(there, back, strict=True))
+
+
+@pytest.mark.parametrize("geom", range(5))
+def test_a_shape_has_the_bounds_and_volume_of_its_geom(geom):
+    mesh = geom_mesh(compiled(""), geom)
+    np.testing.assert_allclose(mesh.vertices.max(0), BOUNDS[geom], atol=1e-12)
+    np.testing.assert_allclose(mesh.vertices.min(0), -np.array(BOUNDS[geom]), atol=1e-12)
+    # round shapes are cut by their facets
+    assert 0.93 * VOLUMES[geom] < volume(mesh) <= VOLUMES[geom] + 1e-12
+    assert is_closed(mesh)
+
+
+@pytest.mark.parametrize("geom", range(5))
+def test_a_shape_is_where_its_geom_is_in_the_body(geom):
+    place = 'pos="1 2 3" quat=".5 .5 .5 .5"'
+    straight, moved = geom_mesh(compiled(""), geom), geom_mesh(compiled(place), geom)
+    # this turn takes x to y, y to z and z to x
+    expected = np.roll(straight.vertices, 1, axis=1) + np.array([1.0, 2.0, 3.0])
+    np.testing.assert_allclose(moved.vertices, expected, atol=1e-12)
+
+
+def test_a_plane_is_refused():
+    with pytest.raises(ValueError, match="geom 0"):
+        geom_mesh(load_model(), 0)
+
+
+def test_faces_that_share_a_corner_are_nearly_level():
+    # or shading would round off what is sharp
+    for geom in range(5):
+        mesh = geom_mesh(compiled(""), geom)
+        a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+        normals = np.cross(b - a, c - a)
+        whole = np.linalg.norm(normals, axis=1) > 1e-12
+        normals = normals[whole] / np.linalg.norm(normals[whole], axis=1, keepdims=True)
+        total, count = np.zeros_like(mesh.vertices), np.zeros(len(mesh.vertices))
+        for i in range(3):
+            np.add.at(total, mesh.faces[whole, i], normals)
+            np.add.at(count, mesh.faces[whole, i], 1)
+        assert (np.linalg.norm(total, axis=1) >= 0.9 * count).all()
+
+
+def test_meshes_are_joined_with_their_faces():
+    one, two = sphere(0.1), revolve([np.array([[0.2, 0.0], [0.2, 1.0]])])
+    both = Mesh.join([one, two])
+    triangles = np.concatenate([one.vertices[one.faces], two.vertices[two.faces]])
+    np.testing.assert_array_equal(both.vertices[both.faces], triangles)
+
+
+def test_a_tube_goes_along_its_path():
+    turn = np.linspace(0, 4, 60)
+    path = np.stack([np.cos(turn), np.sin(turn), 0.3 * turn], axis=-1)
+    rings = tube(path, 0.02).vertices.reshape(60, -1, 3)
+    np.testing.assert_allclose(rings.mean(1), path, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(rings - path[:, None], axis=-1), 0.02, atol=1e-12)
+    across = np.einsum("nki,ni->nk", rings - path[:, None], np.gradient(path, axis=0))
+    np.testing.assert_allclose(across, 0, atol=1e-12)
+
+
+def test_what_is_seen_of_a_body_is_sorted_by_colour():
+    model = load_model()
+    body = model.body("left_foot").id
+    meshes = dict(body_meshes(model, body))
+    geoms = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+    seen = [g for g in geoms if model.geom_group[g] == 1]
+    assert 0 < len(seen) < len(geoms)
+    assert set(meshes) == {to_color(model.mat_rgba[model.geom_matid[g]]) for g in seen}
+    corners = np.concatenate([geom_mesh(model, g).vertices for g in seen])
+    drawn = np.concatenate([mesh.vertices for mesh in meshes.values()])
+    np.testing.assert_array_equal(np.unique(drawn, axis=0), np.unique(corners, axis=0))
+
+
+def test_a_geom_without_material_has_its_own_colour():
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><geom group="1" size=".1" rgba="1 .5 0 1"/></body></worldbody>'
+        "</mujoco>"
+    )
+    assert [color for color, _ in body_meshes(model, 1)] == [(255, 128, 0)]

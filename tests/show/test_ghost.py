@@ -1,0 +1,117 @@
+"""The reduced-order model beside the robot."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+from aslip.library import GaitLibrary
+from aslip.robot import SIDES
+from aslip.show.ghost import Footholds, Ghost, heading, yaw_rotation
+from tests.helpers import MakeEnv
+
+
+def _instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> TensorDict:
+    reference = library.lookup(torch.tensor([[phase]]), torch.tensor([[speed]])).to_tensordict()
+    turn = torch.tensor([[np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)]])
+    truth = TensorDict(
+        pelvis_position=torch.tensor([[3.0, 2.0, 0.7]]), pelvis_orientation=turn, batch_size=1
+    )
+    return TensorDict(reference=reference, truth=truth, batch_size=1)
+
+
+def test_the_body_goes_with_the_robot_at_the_references_height(library: GaitLibrary) -> None:
+    td = _instant(library, 0.2, 1.0, 0.0)
+    ghost = Ghost.of(td)
+    np.testing.assert_allclose(ghost.body[:2], [3.0, 2.0])
+    assert ghost.body[2] == pytest.approx(float(td["reference", "body_position"][0, 2]))  # pyright: ignore
+    np.testing.assert_allclose(
+        ghost.left - ghost.body, td["reference", "left_foot_position"][0], atol=1e-6
+    )
+
+
+def test_feet_turn_with_the_robot(library: GaitLibrary) -> None:
+    straight, turned = (Ghost.of(_instant(library, 0.2, 1.0, yaw)) for yaw in (0.0, np.pi / 2))
+    x, y, z = straight.left - straight.body
+    np.testing.assert_allclose(turned.left - turned.body, [-y, x, z], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("phase", "stance"), [(0.2, (False, True)), (0.44, (True, True)), (0.7, (True, False))]
+)
+def test_stance_is_known(library: GaitLibrary, phase: float, stance: tuple[bool, bool]) -> None:
+    """Of the stride: right, double, left, double."""
+    ghost = Ghost.of(_instant(library, phase, 1.0, 0.0))
+    assert (ghost.left_stance, ghost.right_stance) == stance
+
+
+def test_one_robot_of_many_is_chosen(make: MakeEnv) -> None:
+    td = make(num_envs=3).reset()
+    ghost = Ghost.of(td, 2)
+    np.testing.assert_allclose(ghost.body[0], td["truth", "pelvis_position"][2, 0])
+
+
+def test_what_a_ghost_is_made_of_stays_as_it_is(library: GaitLibrary) -> None:
+    """Also rows of double precision, as logs have them."""
+    groups = _instant(library, 0.2, 1.0, 0.5)
+    rows = [
+        {k: v[0].double().numpy() for k, v in groups[g].items()} for g in ("reference", "truth")
+    ]
+    before = [{name: value.copy() for name, value in group.items()} for group in rows]
+    Ghost.of_rows(*rows)
+    for group, kept in zip(rows, before, strict=True):
+        for name, value in kept.items():
+            np.testing.assert_array_equal(group[name], value, err_msg=name)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.65, 1.0, 2.0])
+def test_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) -> None:
+    """Two steps are a stride; sideways they cancel."""
+    footholds = Footholds(library)
+    left, right = (footholds.step(side, speed) for side in SIDES)
+    stride = float(library.stride(torch.tensor([[speed]], dtype=torch.float64))) * speed
+    np.testing.assert_allclose(left + right, [stride, 0.0], atol=2e-3)
+    np.testing.assert_allclose(left[1], 0.2, atol=1e-3)
+
+
+def test_steps_are_those_of_the_gaits(library: GaitLibrary) -> None:
+    """Where the swing foot of a gait is when it has come down, from the other foot."""
+    footholds, gait = Footholds(library), library.gaits[12]
+    for i, side in enumerate(SIDES):
+        phase = footholds.touchdown_phase(side, gait.speed)
+        k = int(np.searchsorted(gait.time, phase * gait.stride + 1e-9))
+        feet = gait.left_foot_position[k], gait.right_foot_position[k]
+        np.testing.assert_allclose(
+            footholds.step(side, gait.speed), (feet[i] - feet[1 - i])[:2], atol=1e-3
+        )
+    first, second = (footholds.touchdown_phase(side, 1.2) for side in SIDES)
+    assert second - first == pytest.approx(0.5)
+    assert 0.3 < first < 0.5
+
+
+def test_a_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None:
+    footholds = Footholds(library)
+    foot, level = np.array([5.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
+    step = footholds.step("left", 0.8)
+    np.testing.assert_allclose(footholds.planned("left", 0.8, foot, level), foot[:2] + step)
+    about = np.array([np.cos(0.5), 0.0, 0.0, np.sin(0.5)])  # a yaw of one radian
+    turned = footholds.planned("left", 0.8, foot, about) - foot[:2]
+    cosine, sine = np.cos(1.0), np.sin(1.0)
+    np.testing.assert_allclose(turned, np.array([[cosine, -sine], [sine, cosine]]) @ step)
+
+
+def test_yaw_is_what_an_orientation_turns_about_the_vertical() -> None:
+    yaw, pitch = 0.7, 0.4
+    half = np.array([yaw, pitch]) / 2
+    (cy, cp), (sy, sp) = np.cos(half), np.sin(half)
+    # first pitched, then turned
+    quaternion = np.array([cy * cp, -sy * sp, cy * sp, sy * cp])
+    np.testing.assert_allclose(yaw_rotation(quaternion)[:2, 0], [np.cos(yaw), np.sin(yaw)])
+
+
+def test_headings_of_many_orientations() -> None:
+    angle = np.array([0.0, 0.3, -2.0])
+    tilted = np.array([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)]).T
+    np.testing.assert_allclose(heading(tilted), angle)

@@ -1,0 +1,86 @@
+"""The pace of the loop, on a clock that the test moves."""
+
+import pytest
+
+from aslip.show.pacing import MOST_BEHIND, Pacer
+
+PERIOD = 0.03
+
+
+class Clock:
+    """Time passes while one works or sleeps, and a little more than was slept."""
+
+    def __init__(self) -> None:
+        self.time = 1e5
+        self.slept: list[float] = []
+
+    def work(self, seconds: float) -> None:
+        self.time += seconds
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.slept.append(seconds)
+        self.time += seconds + 0.0007
+
+    def pacer(self) -> Pacer:
+        return Pacer(PERIOD, clock=lambda: self.time, sleep=self.sleep)
+
+
+def test_late_sleeps_do_not_add_up():
+    clock = Clock()
+    pacer, start = clock.pacer(), clock.time
+    for i in range(1, 1001):
+        clock.work(0.002 * (i % 9))
+        pacer.wait()
+        assert clock.time - start == pytest.approx(i * PERIOD, abs=0.001)
+    assert pacer.factor == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_short_stall_is_caught_up():
+    clock = Clock()
+    pacer, start = clock.pacer(), clock.time
+    clock.work(0.1)
+    for _ in range(10):
+        pacer.wait()
+        clock.work(0.005)
+    assert clock.time - start == pytest.approx(10 * PERIOD + 0.005, abs=0.001)
+
+
+def test_of_a_long_stall_little_is_caught_up():
+    clock = Clock()
+    pacer = clock.pacer()
+    clock.work(10.0)
+    turns = 0
+    while not clock.slept:
+        pacer.wait()
+        turns += 1
+    assert turns == int(MOST_BEHIND / PERIOD) + 2
+
+
+def test_a_loop_that_is_too_slow_never_sleeps_and_says_so():
+    clock = Clock()
+    pacer = clock.pacer()
+    for _ in range(200):
+        clock.work(2 * PERIOD)
+        pacer.wait()
+    assert not clock.slept
+    assert pacer.factor == pytest.approx(0.5)
+
+
+def test_the_factor_forgets_what_was_long_ago():
+    clock = Clock()
+    pacer = clock.pacer()
+    clock.work(10.0)
+    for _ in range(100):
+        pacer.wait()
+    assert pacer.factor == pytest.approx(1.0, abs=1e-3)
+
+
+def test_nothing_is_caught_up_after_a_restart():
+    clock = Clock()
+    pacer = clock.pacer()
+    clock.work(10.0)
+    pacer.restart()
+    assert pacer.factor == 1.0
+    pacer.wait()
+    assert clock.slept == [pytest.approx(PERIOD)]

@@ -1,0 +1,172 @@
+"""Pictures: shapes, what is in them, and what is said where none can be made."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+from aslip.robot.model import load_model
+from aslip.show.ghost import Ghost
+from aslip.show.render import add_ghost, render_robot, spring_path, strip
+
+SIZE: dict[str, Any] = {"width": 96, "height": 72}
+
+
+@pytest.fixture(scope="module")
+def model() -> mujoco.MjModel:
+    return load_model()
+
+
+@pytest.fixture(scope="module")
+def standing(model: mujoco.MjModel) -> np.ndarray:
+    """(1, 35); the test is skipped where no OpenGL works."""
+    qpos = model.key("standing").qpos[None].copy()
+    try:
+        render_robot(qpos, model=model, width=8, height=8)
+    except RenderingError as error:
+        pytest.skip(str(error))
+    return qpos
+
+
+def ghost(qpos: np.ndarray, **stance: bool) -> Ghost:
+    x, y, z = qpos[0, :3]
+    return Ghost(np.array([x, y, z]), np.array([x, 0.13, 0]), np.array([x, -0.13, 0]), **stance)
+
+
+@pytest.mark.parametrize("camera", ["side", "follow", "front"])
+def test_robot_is_in_the_middle_of_every_camera(model, standing, camera):
+    frames = render_robot(standing, camera=camera, model=model, **SIZE)
+    empty = render_robot(standing, camera=camera, model=model, robot=False, **SIZE)
+    assert frames.shape == (1, 72, 96, 3)
+    assert frames.dtype == np.uint8
+    rows, columns = np.nonzero((frames[0].astype(int) - empty[0]).any(-1))
+    assert 2 < rows.min() < 36 < rows.max() < 70
+    assert columns.min() < 48 < columns.max()
+
+
+def test_cameras_follow_the_robot(model, standing):
+    far = standing.copy()
+    # whole squares of the floor, so that the same picture is expected
+    far[:, 0] += 10.0
+    near, away = render_robot(np.concatenate([standing, far]), model=model, **SIZE).astype(int)
+    assert np.abs(near - away).mean() < 2.0
+
+
+def test_collision_geoms_and_sites_are_hidden(standing):
+    garish = load_model()
+    visible = render_robot(standing, model=garish, **SIZE)
+    for i in range(garish.ngeom):
+        if garish.geom_group[i] == 3:
+            garish.geom_rgba[i] = 1, 0, 1, 1
+    garish.site_rgba[:] = 1, 0, 1, 1
+    np.testing.assert_array_equal(render_robot(standing, model=garish, **SIZE), visible)
+
+
+def test_ghosts_change_the_picture_and_stance_changes_the_ghost(model, standing):
+    alone = render_robot(standing, model=model, robot=False, **SIZE)
+    stance, swing = (
+        render_robot(standing, model=model, robot=False, ghosts=[g], **SIZE)
+        for g in (ghost(standing), ghost(standing, right_stance=False))
+    )
+    assert (stance != alone).any()
+    assert (stance != swing).any()
+
+
+def test_supersampling_keeps_the_size(model, standing):
+    one = render_robot(standing, model=model, **SIZE).astype(float)
+    two = render_robot(standing, model=model, supersampling=2, **SIZE)
+    assert two.shape == one.shape
+    assert np.abs(two - one).mean() < 6.0
+
+
+def test_strip_joins_from_left_to_right():
+    frames = np.arange(2 * 3 * 4 * 3, dtype=np.uint8).reshape(2, 3, 4, 3)
+    image = strip(frames)
+    assert image.shape == (3, 8, 3)
+    np.testing.assert_array_equal(image[:, :4], frames[0])
+    np.testing.assert_array_equal(image[:, 4:], frames[1])
+    with pytest.raises(ShapeError, match="frames"):
+        strip(frames[0])
+
+
+@pytest.mark.parametrize("end", [[0.2, 0.1, 0.0], [0.0, 0.0, 0.1], [0.0, 1.0, 0.9]])
+def test_spring_ends_where_it_should_and_stays_near_the_leg(end):
+    start, end = np.array([0.0, 0.0, 0.9]), np.array(end)
+    path = spring_path(start, end)
+    np.testing.assert_allclose(path[[0, -1]], [start, end], atol=1e-12)
+    axis = (end - start) / np.linalg.norm(end - start)
+    off = path - start
+    off -= (off @ axis)[:, None] * axis
+    assert np.linalg.norm(off, axis=1).max() == pytest.approx(0.027, abs=1e-9)
+
+
+def test_leg_of_no_length_is_drawn_as_a_point():
+    assert np.isfinite(spring_path(np.zeros(3), np.zeros(3))).all()
+
+
+def test_full_scene_is_refused(model):
+    scene = mujoco.MjvScene(model, maxgeom=5)
+    with pytest.raises(ConfigurationError, match="full"):
+        add_ghost(scene, Ghost(np.array([0, 0, 0.9]), np.zeros(3), np.ones(3)))
+
+
+def test_the_buffer_is_as_large_as_the_picture_only(model, monkeypatch):
+    whole = model.vis.global_.offwidth, model.vis.global_.offheight
+    buffers = []
+
+    class Renderer:
+        def __init__(self, model, height, width):
+            buffers.append((model.vis.global_.offwidth, model.vis.global_.offheight))
+            raise OSError("no OpenGL here")
+
+    monkeypatch.setattr(mujoco, "Renderer", Renderer)
+    monkeypatch.setattr("aslip.show.render._check_display", lambda: None)
+    with pytest.raises(RenderingError, match="no OpenGL here"):
+        render_robot(model.key("standing").qpos, model=model, supersampling=2, **SIZE)
+    assert buffers == [(192, 144)]
+    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == whole
+
+
+def test_wrong_arguments_are_named(model):
+    qpos = model.key("standing").qpos[None]
+    with pytest.raises(ShapeError, match=r"\(n, 35\)"):
+        render_robot(qpos[:, :34], model=model)
+    with pytest.raises(ShapeError, match="as many ghosts"):
+        render_robot(qpos, model=model, ghosts=[])
+    with pytest.raises(UnknownNameError, match=r"'top'.*side"):
+        render_robot(qpos, model=model, camera="top")
+    with pytest.raises(ConfigurationError, match="at most"):
+        render_robot(qpos, model=model, width=9999)
+    with pytest.raises(ConfigurationError, match="1 or more"):
+        render_robot(qpos, model=model, height=0)
+
+
+@pytest.mark.parametrize("backend", ["disable", "glfw"])
+def test_without_opengl_the_error_says_what_to_set(backend: str):
+    code = (
+        "from aslip.robot.model import load_model\n"
+        "from aslip.errors import RenderingError\n"
+        "from aslip.show.render import render_robot\n"
+        "for _ in range(4):\n"
+        "    try:\n"
+        "        render_robot(load_model().key('standing').qpos)\n"
+        "    except RenderingError as error:\n"
+        "        print(error)\n"
+    )
+    environment = os.environ | {"MUJOCO_GL": backend}
+    for display in ("DISPLAY", "WAYLAND_DISPLAY"):
+        environment.pop(display, None)
+    root = Path(__file__).parents[2]
+    result = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=root, capture_output=True, text=True
+    )
+    assert result.returncode == 0, result
+    for name in ("egl", "osmesa", "glfw"):
+        assert result.stdout.count(f"MUJOCO_GL={name}") == 4, result
+    assert result.stderr == ""

@@ -1,0 +1,271 @@
+"""A training that was stopped, however, goes on as if it had not been: bit for bit."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+from torchrl.checkpoint import GlobalRNGState
+from torchrl.collectors import Collector
+
+import aslip
+from aslip.envs import CassieEnv, default_stack, randomised
+from aslip.errors import ConfigurationError
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor
+from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
+from aslip.training.run import TrainingRun
+from aslip.transforms import TrueState
+from benchmarks.faults.trainings import TINY, Holder, killed, resumed, same, train, updates
+from recipes import ppo_aslip
+from tests.helpers import MakeEnv, differing
+
+ROBOTS, STEPS = 4, 8
+
+
+STACKS: dict[str, Callable[[], dict[str, Any]]] = {
+    "aslip": dict,
+    "truth": lambda: {"drop": ["noise"], "replace": {"estimator": TrueState}},
+    "paper": lambda: {"stack": "paper"},
+    "single_reference": lambda: {"stack": "single_reference"},
+    "reward on the estimate": lambda: {"reward_on": "estimate"},
+    "random robots": lambda: {"stack": randomised(default_stack())},
+    "dm_control": lambda: {"backend": "dm_control"},
+}
+
+
+def _collector(make: MakeEnv, seed: int = 0, **settings: Any) -> Collector:
+    """A collector whose policy, drawn by the seed, soon falls."""
+    torch.manual_seed(seed)
+    env = make(num_envs=ROBOTS, seed=seed, **settings)
+    size = env.observation_spec["observation"].shape[-1]
+    return Collector(
+        env,
+        make_actor(RunningNormalizer(size), PolicyShape(size, std=1.0)),
+        frames_per_batch=ROBOTS * STEPS,
+        total_frames=-1,
+        trust_policy=True,
+        auto_register_policy_transforms=False,
+    )
+
+
+def _components(collector: Collector) -> dict[str, Any]:
+    return {"rng": GlobalRNGState(), "collector": CollectorState(collector)}
+
+
+def _robots(collector: Collector) -> CassieEnv:
+    return cast("CassieEnv", collector.env.base_env)
+
+
+def _batches(collector: Collector, number: int) -> list[TensorDictBase]:
+    return [batch for batch, _ in zip(collector, range(number), strict=False)]
+
+
+# -------------------------------------------------------------------- collectors
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_a_collector_goes_on_bit_for_bit(make: MakeEnv, tmp_path: Path, name: str) -> None:
+    """From a file, in an environment of another seed that was elsewhere; through falls."""
+    path, first = tmp_path / "checkpoint", _collector(make, **STACKS[name]())
+    _batches(first, 2)
+    _robots(first).divergences += 3
+    save_checkpoint(path, snapshot(_components(first)), {})
+    expected = _batches(first, 2)
+    assert all(batch["next", "done"].any() for batch in expected)
+
+    second = _collector(make, seed=1, **STACKS[name]())
+    _batches(second, 1)
+    load_checkpoint(path, _components(second))
+    for batch, again in zip(expected, _batches(second, 2), strict=True):
+        assert differing(batch, again) == []
+    assert _robots(second).divergences == _robots(first).divergences
+
+
+@pytest.fixture(scope="module")
+def parts() -> dict[str, Any]:
+    """The state of a collector after two batches, as a dict of its parts."""
+    collector = _collector(partial(aslip.make_env, num_threads=1))
+    _batches(collector, 2)
+    return snapshot(_components(collector))["collector"]
+
+
+@pytest.mark.parametrize("part", ["torchrl", "carrier", "robots", "generators"])
+def test_every_part_of_the_state_matters(make: MakeEnv, parts: dict[str, Any], part: str) -> None:
+    """A batch differs where a part is that of another collector."""
+    first, other = _collector(make), _collector(make, seed=1)
+    _batches(other, 1)
+    foreign = snapshot(_components(other))["collector"]
+    batches = []
+    # the same twice, or what the collector did meanwhile would make the difference
+    for state in (parts, parts, {**parts, part: foreign[part]}):
+        torch.manual_seed(0)
+        CollectorState(first).load_state_dict(deepcopy(state))
+        batches += _batches(first, 1)
+    assert differing(batches[0], batches[1]) == []
+    assert differing(batches[0], batches[2])
+
+
+def test_a_snapshot_stays_what_it_was(make: MakeEnv) -> None:
+    collector, net = _collector(make), torch.nn.Linear(1, 1)
+    components = {**_components(collector), "net": net}
+    _batches(collector, 1)
+    kept = snapshot(components)
+    before = deepcopy(kept)
+    _batches(collector, 1)
+    torch.nn.init.constant_(net.weight, 3.0)
+    assert same(kept, before)
+    assert [n for n, state in snapshot(components).items() if same(state, kept[n])] == []
+
+
+def test_robots_keep_their_dynamics(make: MakeEnv) -> None:
+    """Also where they once remembered commands for longer than they need to now."""
+    given = {"mass": 1.2, "slope": 0.05, "torque_delay": 0.004}
+    first = _collector(make)
+    for values in ({"torque_delay": 0.02}, given):
+        _robots(first).set_dynamics(values, np.array([1, 3]))
+    _batches(first, 1)
+    kept = snapshot(_components(first))
+    expected = _batches(first, 1)[0]
+    second = _collector(make, seed=1)
+    for name, component in _components(second).items():
+        component.load_state_dict(kept[name])
+    for name, values in _robots(first).dynamics.items():
+        assert _robots(second).dynamics[name].tolist() == values.tolist()
+    assert differing(expected, _batches(second, 1)[0]) == []
+
+
+def test_the_state_of_another_environment_is_refused(make: MakeEnv, parts: dict[str, Any]) -> None:
+    state = CollectorState(_collector(make, drop=["noise"]))
+    with pytest.raises(ConfigurationError, match=r"another stack.*noise"):
+        state.load_state_dict(parts)
+    robots = {**parts["robots"], "dynamics": {}, "states": parts["robots"]["states"][:1]}
+    with pytest.raises(ConfigurationError, match=r"shape \(4, 600\), got \(1, 600\)"):
+        CollectorState(_collector(make)).load_state_dict({**parts, "robots": robots})
+
+
+# ------------------------------------------------------------------------- files
+
+
+def test_a_state_is_read_as_it_was_written(tmp_path: Path) -> None:
+    """Types and bits: NaN, keys that are numbers, nested tuples, nothing at all."""
+    state = {
+        "numbers": [1, 2.5, 1e-300, -0.0, True, None, "text", 10**30],
+        "nested": ({3: (), "x": [(1,), {}]},),
+        "tensors": {
+            "double": torch.tensor([1 / 3, -0.0, float("inf")], dtype=torch.float64),
+            "scalar": torch.tensor(7, dtype=torch.int32),
+            "flags": torch.tensor([[True], [False]]),
+            "bytes": torch.arange(5, dtype=torch.uint8),
+            "none": torch.zeros(0, 3),
+        },
+    }
+    holder = Holder()
+    save_checkpoint(tmp_path / "file", {"state": state, "empty": {}}, {"step": 3})
+    assert load_checkpoint(tmp_path / "file", {"state": holder}) == {"step": 3}
+    assert same(holder.state, state)
+    assert type(holder.state["nested"]) is tuple
+
+
+def test_what_is_no_plain_state_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="may not hold a Linear"):
+        save_checkpoint(tmp_path / "file", {"state": {"net": torch.nn.Linear(1, 1)}}, {})
+    assert list(tmp_path.iterdir()) == []
+
+
+# --------------------------------------------------------------------- trainings
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What a training leaves that nothing happened to."""
+    return train(replace(TINY, out=tmp_path_factory.mktemp("runs") / "undisturbed"))
+
+
+def test_a_training_killed_at_a_random_moment_goes_on(
+    undisturbed: dict[str, Any], tmp_path: Path
+) -> None:
+    """SIGKILL, which nothing can catch, somewhere in the first half."""
+    config = replace(TINY, out=tmp_path / "run")
+    entropy = int.from_bytes(os.urandom(2), "little")
+    killed(config.out, entropy % 4, 0.3 * entropy / 2**16)
+    before = updates(config.out)
+    assert resumed(config) == undisturbed, f"killed by {entropy} after {before} updates"
+
+
+def _interrupt() -> None:
+    raise KeyboardInterrupt
+
+
+def _terminate() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+@pytest.mark.parametrize("stop", [_interrupt, _terminate])
+def test_a_training_stopped_in_the_middle_of_an_update_goes_on(
+    undisturbed: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stop: Callable[[], None],
+) -> None:
+    """From the update before: nets half way through one are forgotten."""
+    config = replace(TINY, out=tmp_path / "run", checkpoint_minutes=1e6)
+    update, left = ppo_aslip.update, [5]
+
+    def stopped(*args: Any) -> Any:
+        losses = update(*args)
+        left[0] -= 1
+        if left[0] == 0:
+            stop()
+        return losses
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ppo_aslip, "update", stopped)
+        with pytest.raises((KeyboardInterrupt, SystemExit)) as info:
+            train(config)
+        if stop is _terminate:
+            assert cast("SystemExit", info.value).code == 128 + signal.SIGTERM
+        else:
+            assert info.type is KeyboardInterrupt
+    assert not (config.out / "policy.zip").exists()
+    newest = max((config.out / "checkpoints").iterdir())
+    assert newest.name == "checkpoint-000000000256.torchrl"
+    assert resumed(config) == undisturbed
+
+
+@pytest.fixture(scope="module")
+def two_updates(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[ppo_aslip.Config, dict[str, Any]]:
+    """The settings of a training of two updates, each evaluated, and what it leaves."""
+    folder = tmp_path_factory.mktemp("runs") / "two"
+    config = replace(TINY, out=folder, total_steps=128, eval_interval=64)
+    return config, train(config)
+
+
+def test_a_training_stopped_before_its_first_checkpoint_begins_anew(
+    two_updates: tuple[ppo_aslip.Config, dict[str, Any]], tmp_path: Path
+) -> None:
+    config = replace(two_updates[0], out=tmp_path / "run")
+    TrainingRun(config.out, config, resume=False).log(64, {"value": 1.0})
+    assert resumed(config) == two_updates[1]
+
+
+def test_a_finished_training_can_be_resumed_to_no_effect(
+    two_updates: tuple[ppo_aslip.Config, dict[str, Any]],
+) -> None:
+    """Evaluations meet the same noise every time."""
+    config, before = two_updates
+    summary = (config.out / "summary.md").read_text().rpartition("\n\n")[0]
+    assert "of 21 speeds" in summary
+    assert resumed(config) == before
+    assert (config.out / "summary.md").read_text().rpartition("\n\n")[0] == summary

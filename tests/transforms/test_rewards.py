@@ -1,0 +1,212 @@
+"""The reward terms against values computed by hand, and their symmetries."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from aslip.transforms import rewards
+
+LEVEL = torch.tensor([1.0, 0.0, 0.0, 0.0])
+ZERO = torch.zeros(3)
+
+
+def _about(axis: tuple[float, float, float], angle: float) -> Tensor:
+    unit = torch.tensor(axis) / math.hypot(*axis)
+    return torch.cat([torch.tensor([math.cos(angle / 2)]), math.sin(angle / 2) * unit])
+
+
+def _product(a: Tensor, b: Tensor) -> Tensor:
+    """Hamilton product of wxyz quaternions."""
+    (aw, au), (bw, bu) = (a[..., :1], a[..., 1:]), (b[..., :1], b[..., 1:])
+    w = aw * bw - (au * bu).sum(-1, keepdim=True)
+    return torch.cat([w, aw * bu + bw * au + torch.linalg.cross(au, bu)], dim=-1)
+
+
+def _rotate(quaternion: Tensor, vector: Tensor) -> Tensor:
+    conjugate = quaternion * torch.tensor([1.0, -1, -1, -1])
+    return rewards.rotate_inverse(conjugate, vector)
+
+
+def _random(seed: int, num: int = 500) -> dict[str, Tensor]:
+    """Inputs of all terms, of all sizes from tiny to huge."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def draw(size: int) -> Tensor:
+        scale = 10 ** (4 * torch.rand(num, 1, generator=generator) - 3)
+        return scale * torch.randn(num, size, generator=generator)
+
+    names = ("velocity", "body", "position", "left", "right", "left_ref", "right_ref")
+    inputs = {name: draw(3) for name in names}
+    for name in ("orientation", "left_q", "right_q"):
+        inputs[name] = torch.nn.functional.normalize(LEVEL + draw(4), dim=-1)
+    inputs["action"], inputs["last_action"] = draw(10), draw(10)
+    return inputs
+
+
+def _terms(x: dict[str, Tensor]) -> dict[str, Tensor]:
+    feet = (x["left"], x["right"], x["left_ref"], x["right_ref"])
+    return {
+        "com_vel": rewards.com_vel(x["orientation"], x["velocity"], x["body"]),
+        "foot_pos": rewards.foot_pos(x["orientation"], x["position"], *feet),
+        "straight_diff": rewards.straight_diff(x["position"]),
+        "foot_orient": rewards.foot_orient(x["left_q"], x["right_q"]),
+        "action_diff": rewards.action_diff(x["action"], x["last_action"]),
+    }
+
+
+# ----------------------------------------------------------------- by hand
+
+
+def test_com_vel_is_the_euclidean_distance() -> None:
+    """Errors of 0.3 and 0.4 m/s along two axes are 0.5 m/s, not 0.7."""
+    reward = rewards.com_vel(LEVEL, torch.tensor([1.3, 0.4, 0.0]), torch.tensor([1.0, 0.0, 0.0]))
+    assert reward.shape == (1,)
+    assert reward.item() == pytest.approx(math.exp(-0.5))
+
+
+def test_com_vel_is_compared_in_the_pelvis_frame() -> None:
+    """Facing left and walking left is walking forward; facing ahead it is walking sideways."""
+    left, forward = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 0.0])
+    facing_left = _about((0, 0, 1), math.pi / 2)
+    assert rewards.com_vel(facing_left, left, forward).item() == pytest.approx(1.0)
+    assert rewards.com_vel(LEVEL, left, forward).item() == pytest.approx(math.exp(-math.sqrt(2)))
+
+
+def test_foot_pos_adds_the_distances_of_both_feet() -> None:
+    left, right = torch.tensor([0.1, 0.1, -0.8]), torch.tensor([-0.1, -0.1, -0.9])
+    body = torch.tensor([5.0, 2.0, 0.9])
+    reward = rewards.foot_pos(
+        LEVEL, body, body + left + torch.tensor([0.03, 0.0, 0.04]),
+        body + right + torch.tensor([0.0, 0.1, 0.0]), left, right,
+    )  # fmt: skip
+    assert reward.item() == pytest.approx(math.exp(-0.05 - 0.10), rel=1e-5)
+
+
+def test_straight_diff_has_no_dead_zone() -> None:
+    for y in (0.0, 0.01, -0.04, 2.0):
+        reward = rewards.straight_diff(torch.tensor([9.0, y, 0.8]))
+        assert reward.item() == pytest.approx(math.exp(-abs(y)))
+
+
+def test_foot_orient_costs_nine_percent_at_ten_degrees() -> None:
+    """|q - 1| = 2 sin(angle / 4): 0.0872 for one foot at 10 degrees."""
+    tilted = _about((0, 1, 0), math.radians(10))
+    reward = rewards.foot_orient(tilted, LEVEL)
+    assert reward.item() == pytest.approx(math.exp(-2 * math.sin(math.radians(2.5))), rel=1e-5)
+    assert rewards.foot_orient(LEVEL, LEVEL).item() == 1.0
+    both = rewards.foot_orient(tilted, tilted)
+    assert both.item() == pytest.approx(reward.item() ** 2, rel=1e-5)
+
+
+def test_action_diff_is_the_euclidean_distance() -> None:
+    action, last = torch.zeros(10), torch.zeros(10)
+    action[0], last[9] = 0.3, 0.4
+    assert rewards.action_diff(action, last).item() == pytest.approx(math.exp(-0.5))
+    assert rewards.action_diff(action, action).item() == 1.0
+
+
+def test_paper_weights_sum_to_one() -> None:
+    assert sum(rewards.PAPER_WEIGHTS.values()) == pytest.approx(1.0)
+
+
+# ------------------------------------------------------------- properties
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_every_term_is_between_zero_and_one(seed: int) -> None:
+    for name, reward in _terms(_random(seed)).items():
+        assert reward.shape == (500, 1), name
+        assert ((reward >= 0) & (reward <= 1)).all(), name
+        assert reward.max() > 0.5, name  # the draw reaches good states
+        assert reward.min() < 0.1, name
+
+
+def test_terms_take_any_leading_shape() -> None:
+    inputs = {name: value.reshape(5, 100, -1) for name, value in _random(0).items()}
+    flat = _terms(_random(0))
+    for name, reward in _terms(inputs).items():
+        torch.testing.assert_close(reward.reshape(500, 1), flat[name])
+
+
+def _turned(x: dict[str, Tensor], angle: float, names: tuple[str, ...]) -> dict[str, Tensor]:
+    """The whole robot turned about the world's z axis."""
+    yaw = _about((0, 0, 1), angle).expand(500, 4)
+    turned = dict(x)
+    turned["orientation"] = _product(yaw, x["orientation"])
+    for name in names:
+        turned[name] = _rotate(yaw, x[name])
+    return turned
+
+
+@pytest.mark.parametrize("angle", [0.3, -2.0, math.pi])
+def test_com_vel_and_foot_pos_do_not_depend_on_the_heading(angle: float) -> None:
+    x = _random(4)
+    for name in ("velocity", "body", "position", "left", "right", "left_ref", "right_ref"):
+        x[name] = torch.nn.functional.normalize(x[name], dim=-1)
+    turned = _turned(x, angle, ("velocity", "position", "left", "right"))
+    for name in ("com_vel", "foot_pos"):
+        torch.testing.assert_close(_terms(turned)[name], _terms(x)[name], atol=1e-4, rtol=0)
+
+
+def test_foot_pos_does_not_depend_on_the_place_or_the_tilt() -> None:
+    """Feet are compared in the yaw-aligned frame: a pitch alone costs nothing."""
+    x = _random(5)
+    for name in ("position", "left", "right", "left_ref", "right_ref"):
+        x[name] = torch.nn.functional.normalize(x[name], dim=-1)
+    x["orientation"] = LEVEL.expand(500, 4)
+    moved = {**x, **{n: x[n] + torch.tensor([3.0, -2, 1]) for n in ("position", "left", "right")}}
+    torch.testing.assert_close(_terms(moved)["foot_pos"], _terms(x)["foot_pos"])
+    pitched = {**x, "orientation": _about((0, 1, 0), 0.4).expand(500, 4)}
+    torch.testing.assert_close(_terms(pitched)["foot_pos"], _terms(x)["foot_pos"])
+
+
+def _mirrored(x: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Everything seen in a mirror along y = 0, legs swapped."""
+    flip, turn = torch.tensor([1.0, -1, 1]), torch.tensor([1.0, -1, 1, -1])
+    swap = {"left": "right", "right": "left", "left_ref": "right_ref", "right_ref": "left_ref"}
+    swap |= {"left_q": "right_q", "right_q": "left_q"}
+    mirrored = {}
+    for name, value in x.items():
+        source = x[swap.get(name, name)]
+        if value.shape[-1] == 10:  # hip roll and yaw turn round
+            signs = torch.tensor([-1.0, -1, 1, 1, 1])
+            mirrored[name] = torch.cat([signs * source[:, 5:], signs * source[:, :5]], dim=-1)
+        else:
+            mirrored[name] = source * (turn if value.shape[-1] == 4 else flip)
+    return mirrored
+
+
+@pytest.mark.parametrize("name", list(rewards.PAPER_WEIGHTS))
+def test_every_term_is_the_same_in_the_mirror(name: str) -> None:
+    x = _random(6)
+    torch.testing.assert_close(_terms(_mirrored(x))[name], _terms(x)[name], atol=2e-5, rtol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["orientation", "left_q", "right_q"])
+def test_the_sign_of_a_quaternion_does_not_matter(name: str) -> None:
+    x = _random(7)
+    flipped = {**x, name: -x[name]}
+    for term, reward in _terms(x).items():
+        torch.testing.assert_close(_terms(flipped)[term], reward, atol=1e-4, rtol=1e-3)
+
+
+def test_rotate_inverse_undoes_a_rotation() -> None:
+    """A quarter turn about z takes x to y; its inverse takes y to x."""
+    quarter = _about((0, 0, 1), math.pi / 2)
+    found = rewards.rotate_inverse(quarter, torch.tensor([0.0, 1.0, 0.0]))
+    torch.testing.assert_close(found, torch.tensor([1.0, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.2, -2.5, 3.1])
+def test_yaw_quaternion_is_the_heading_of_the_x_axis(yaw: float) -> None:
+    tilted = _product(
+        _about((0, 0, 1), yaw), _product(_about((0, 1, 0), 0.5), _about((1, 0, 0), -0.7))
+    )
+    found = rewards.yaw_quaternion(tilted)
+    x = _rotate(found, torch.tensor([1.0, 0, 0]))
+    assert math.atan2(x[1].item(), x[0].item()) == pytest.approx(yaw, abs=1e-6)
+    assert x[2].item() == pytest.approx(0.0, abs=1e-6)

@@ -1,0 +1,95 @@
+"""Footsteps of a made-up walk."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aslip.errors import ShapeError
+from aslip.walking.metrics import Footsteps, Placement, footsteps, placement
+
+PERIOD = 0.03
+STRIDE = 0.8
+DUTY = 0.6
+
+
+def walk(
+    step: float, width: float, slip: float = 0.0, duration: float = 8.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Forces and feet of a walk with known steps; feet may slide forward while they stand [m/s]."""
+    time = np.arange(round(duration / PERIOD)) * PERIOD
+    force, foot = np.zeros((len(time), 2)), np.zeros((len(time), 2, 3))
+    for i in range(2):
+        phase = (time + 0.3 - i * STRIDE / 2) / STRIDE
+        number, share = np.floor(phase), phase % 1
+        standing = share < DUTY
+        force[:, i] = np.where(standing, 300.0, 0.0)
+        place = (2 * number + i) * step
+        middle = slip * (share - DUTY / 2) * STRIDE
+        swing = (share - DUTY) / (1 - DUTY)
+        foot[:, i, 0] = place + np.where(standing, middle, 2 * step * swing)
+        foot[:, i, 1] = (0.5 - i) * width
+        foot[:, i, 2] = np.where(standing, 0.0, 0.1)
+    return force, foot
+
+
+def test_footsteps_are_where_feet_stand_in_their_order() -> None:
+    steps = footsteps(*walk(0.4, 0.2), PERIOD)
+    assert (np.diff(steps.side) != 0).all()
+    np.testing.assert_allclose(np.diff(steps.position[:, 0]), 0.4, atol=1e-9)
+    np.testing.assert_allclose(steps.position[:, 1], np.where(steps.side == 0, 0.1, -0.1))
+    np.testing.assert_allclose(np.diff(steps.time), STRIDE / 2, atol=PERIOD)
+
+
+def test_a_sliding_foot_is_where_it_is_in_the_middle_of_its_stance() -> None:
+    steps = footsteps(*walk(0.4, 0.2, slip=0.2), PERIOD)
+    np.testing.assert_allclose(np.diff(steps.position[:, 0]), 0.4, atol=0.2 * PERIOD)
+    still = footsteps(*walk(0.4, 0.2), PERIOD)
+    np.testing.assert_allclose(steps.position, still.position, atol=0.2 * PERIOD)
+
+
+@pytest.mark.parametrize(("short", "wide"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.03), (-0.02, 0.04)])
+def test_errors_are_actual_minus_ideal(short: float, wide: float) -> None:
+    steps = footsteps(*walk(0.4 - short, 0.2 + wide), PERIOD)
+    found = placement(steps, np.array([[0.4, 0.2], [0.4, -0.2]]))
+    assert len(found.error) == len(steps.side) - 1
+    np.testing.assert_allclose(found.offset[:, 0], -short, atol=1e-9)
+    np.testing.assert_allclose(found.outward, wide, atol=1e-9)
+    np.testing.assert_allclose(found.width, 0.2 + wide, atol=1e-9)
+    np.testing.assert_allclose(found.error, np.hypot(short, wide), atol=1e-9)
+
+
+def test_each_foot_has_its_own_ideal_step() -> None:
+    """As in a curve, or when one leg is behind."""
+    steps = Footsteps(
+        np.array([0, 1, 0]), np.arange(3.0), np.array([[0, 0.1], [0.3, -0.1], [1, 0.1]])
+    )
+    found = placement(steps, np.array([[0.7, 0.2], [0.3, -0.2]]))
+    np.testing.assert_allclose(found.offset, 0.0, atol=1e-12)
+
+
+def test_two_stances_of_one_foot_in_a_row_are_no_step() -> None:
+    side = np.array([0, 1, 1, 0])
+    steps = Footsteps(side, np.arange(4.0), np.zeros((4, 2)))
+    assert placement(steps, np.zeros((2, 2))).side.tolist() == [1, 0]
+
+
+def test_the_published_errors_statistics_follow_from_their_steps() -> None:
+    """Mean foot biases of the paper's data at 1.0 m/s give its mean error (9.2 cm)."""
+    bias = np.array([[-0.104, 0.022], [-0.069, -0.037]])
+    found = Placement(np.array([0, 1]), bias, np.zeros(2))
+    assert found.error.mean() == pytest.approx(0.0922, abs=0.001)
+    np.testing.assert_allclose(found.outward, [0.022, 0.037])
+
+
+def test_arrays_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(ShapeError, match=r"\(5, 3\)"):
+        footsteps(np.zeros((5, 3)), np.zeros((5, 2, 3)), PERIOD)
+    with pytest.raises(ShapeError):
+        footsteps(np.zeros((5, 2)), np.zeros((4, 2, 3)), PERIOD)
+
+
+def test_a_robot_that_stands_has_no_footsteps() -> None:
+    steps = footsteps(np.full((50, 2), 160.0), np.zeros((50, 2, 3)), PERIOD)
+    assert len(steps.side) == 0
+    assert len(placement(steps, np.zeros((2, 2))).error) == 0

@@ -1,0 +1,127 @@
+"""Velocity, tracking and effort of made-up motions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from aslip.robot import STANDARD_GRAVITY, TOTAL_MASS
+from aslip.walking.metrics import (
+    action_roughness,
+    cost_of_transport,
+    jerk,
+    leg_length_correlation,
+    root_mean_square,
+    step_response,
+    stride_average,
+    touchdown_spike,
+)
+
+PERIOD = 0.03
+STRIDE = 0.8
+TIME = np.arange(0, 4, PERIOD)
+
+
+def test_a_strides_oscillation_averages_out() -> None:
+    swing = 0.9 + 0.1 * np.sin(2 * np.pi * TIME / (27 * PERIOD))
+    averaged = stride_average(swing, 27 * PERIOD, PERIOD)
+    np.testing.assert_allclose(averaged[20:-20], 0.9, atol=1e-12)
+
+
+@pytest.mark.parametrize("constant", [0.2, 0.4])
+def test_settling_of_a_first_order_lag_is_known(constant: float) -> None:
+    """It comes within 0.1 m/s of a step of 1 m/s after ln 10 time constants."""
+    speed = 1 - np.exp(-(TIME + PERIOD) / constant)
+    answer = step_response(speed, 0.0, 1.0, PERIOD, PERIOD)
+    assert answer.settling_time == pytest.approx(constant * math.log(10), abs=0.1 * PERIOD)
+    assert answer.overshoot == 0.0
+    assert answer.steady_error == pytest.approx(0.0, abs=1e-3)
+    # downwards the same
+    down = step_response(2 - speed, 2.0, 1.0, PERIOD, PERIOD)
+    assert down.settling_time == answer.settling_time
+    assert down.overshoot == 0.0
+
+
+def test_overshoot_is_measured_in_the_direction_of_the_change() -> None:
+    speed = 1 + 0.3 * np.exp(-TIME) * np.sin(5 * TIME)
+    up = step_response(speed, 0.0, 1.0, PERIOD, PERIOD)
+    assert up.overshoot == pytest.approx((speed - 1).max(), abs=1e-9)
+    down = step_response(speed, 2.0, 1.0, PERIOD, PERIOD)
+    assert down.overshoot == pytest.approx((1 - speed).max(), abs=1e-9)
+
+
+def test_the_oscillation_of_a_stride_does_not_unsettle() -> None:
+    speed = 1 + 0.3 * np.sin(2 * np.pi * TIME / STRIDE)
+    assert step_response(speed, 1.0, 1.0, STRIDE, PERIOD).settling_time == 0.0
+    assert step_response(speed, 1.0, 1.0, PERIOD, PERIOD).settling_time > 3.0
+
+
+def test_what_never_arrives_never_settles() -> None:
+    answer = step_response(np.full(100, 0.7), 0.0, 1.0, STRIDE, PERIOD)
+    assert answer.settling_time == math.inf
+    assert answer.steady_error == pytest.approx(-0.3)
+
+
+def test_what_arrives_less_than_a_stride_before_the_end_has_not_settled() -> None:
+    """It may be an oscillation on its way through."""
+    length = 27
+    # the mean over 27 samples is within 0.1 m/s once 25 of them are at the command
+    for within, settled in ((length - 1, False), (length, True)):
+        speed = np.concatenate([np.zeros(50), np.ones(24 + within)])
+        answer = step_response(speed, 0.0, 1.0, length * PERIOD, PERIOD)
+        assert math.isfinite(answer.settling_time) == settled
+
+
+def test_root_mean_square_is_over_time() -> None:
+    np.testing.assert_allclose(root_mean_square(np.array([[3.0, 0], [4, 0]])), [np.sqrt(12.5), 0])
+
+
+def test_legs_that_move_alike_correlate() -> None:
+    model = 0.9 + 0.05 * np.stack([np.sin(8 * TIME), np.cos(8 * TIME)], axis=1)
+    assert leg_length_correlation(2 * model + 0.1, model) == pytest.approx(1.0)
+    assert leg_length_correlation(-model, model) == pytest.approx(-1.0)
+    assert abs(leg_length_correlation(model[:, ::-1], model)) < 0.05
+    assert math.isnan(leg_length_correlation(np.ones_like(model), model))
+
+
+def test_spikes_are_ranges_around_touchdowns() -> None:
+    speed = np.ones(100)
+    speed[30:32] += 0.2
+    speed[60] -= 0.4
+    assert touchdown_spike(speed, np.array([30, 60]), 2) == pytest.approx(0.3)
+    assert touchdown_spike(speed, np.array([10]), 2) == 0.0
+    assert math.isnan(touchdown_spike(speed, np.array([1, 99]), 2))  # not in the record
+
+
+def test_cost_of_transport_is_work_over_weight_and_way() -> None:
+    torque, velocity = np.zeros((100, 10)), np.zeros((100, 10))
+    torque[:, 3], velocity[:, 3] = 50.0, 2.0
+    torque[:, 8], velocity[:, 8] = 10.0, -1.0  # brakes: counts as well
+    work = (100 + 10) * 100 * PERIOD
+    cost = cost_of_transport(torque, velocity, 3.0, PERIOD)
+    assert cost == pytest.approx(work / (TOTAL_MASS * STANDARD_GRAVITY * 3.0))
+    assert math.isnan(cost_of_transport(torque, velocity, 0.0, PERIOD))
+
+
+def test_cost_of_transport_is_by_the_weight_that_is_carried() -> None:
+    torque, velocity = np.full((10, 10), 2.0), np.ones((10, 10))
+    bare, loaded = (
+        cost_of_transport(torque, velocity, 1.0, PERIOD, mass=mass)
+        for mass in (TOTAL_MASS, 2 * TOTAL_MASS)
+    )
+    assert loaded == pytest.approx(bare / 2)
+    assert cost_of_transport(torque, velocity, 1.0, PERIOD) == bare
+
+
+def test_roughness_is_the_change_between_actions() -> None:
+    action = np.zeros((5, 10))
+    action[1::2, :4] = 0.5
+    assert action_roughness(action) == pytest.approx(1.0)
+    assert action_roughness(np.ones((5, 10))) == 0.0
+
+
+def test_jerk_of_a_parabola_is_its_second_derivative() -> None:
+    assert jerk(1.5 * TIME**2, PERIOD) == pytest.approx(3.0)
+    assert jerk(2 * TIME, PERIOD) == pytest.approx(0.0, abs=1e-9)

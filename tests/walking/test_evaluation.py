@@ -1,0 +1,128 @@
+"""Walks at many speeds: what is counted, and until when."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import aslip
+from aslip.envs import EPISODE_ENDS
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.robot import POLICY_PERIOD
+from aslip.transforms import SpeedCommand
+from aslip.walking.evaluation import WalkResult, evaluate, tracks, walk_table
+from tests.helpers import MakeEnv, limp
+
+SPEEDS = [0.0, 1.0, 2.0]
+
+
+def test_walks_equal_plain_episodes(make: MakeEnv) -> None:
+    """Steps, return, distance and terms, of each robot until its own end."""
+    results = evaluate(limp(), make(num_envs=3), SPEEDS, num_steps=40)
+    for i, (speed, result) in enumerate(zip(SPEEDS, results, strict=True)):
+        env = make(num_envs=1, seed=i + 7)
+        td = env.reset()
+        td = env.reset(
+            td.select().update({"command": torch.full((1, 1), speed), "phase": torch.zeros(1, 1)})
+        )
+        start = td["truth", "pelvis_position"][0, 0].item()
+        total, feet, after = 0.0, 0.0, td
+        steps = 0
+        while steps < 40:
+            steps += 1
+            after = env.step(after.set("action", torch.zeros(1, 10)))["next"]
+            total += after["reward"].item()
+            feet += after["reward_terms", "foot_pos"].item()
+            if after["terminated"].item():
+                break
+        assert result.speed == speed
+        assert result.steps == steps
+        assert result.survived == (not after["terminated"].item())
+        assert result.total == pytest.approx(total, rel=1e-5)
+        assert result.terms["foot_pos"] == pytest.approx(feet / steps, rel=1e-5)
+        x, y, _ = after["truth", "pelvis_position"][0].tolist()
+        assert result.mean_speed == pytest.approx((x - start) / (steps * POLICY_PERIOD), rel=1e-4)
+        assert result.lateral_drift == pytest.approx(abs(y), abs=1e-6)
+    assert len({result.steps for result in results}) > 1  # they do not end together
+
+
+def test_another_number_of_robots_is_refused(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match="3 speeds need an environment of as many robots"):
+        evaluate(limp(), make(num_envs=2), SPEEDS)
+
+
+def test_a_stack_without_terms_can_be_evaluated(make: MakeEnv) -> None:
+    """Rewards are the experiment's business."""
+    terms = ["com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"]
+    env = make(num_envs=3, drop=[*terms, "reward", "low_reward"])
+    results = evaluate(limp(), env, SPEEDS, num_steps=3)
+    assert [result.terms for result in results] == [{}, {}, {}]
+    assert "of 3 speeds 3 survived" in walk_table(results)
+
+
+def test_the_table_marks_who_fell(make: MakeEnv) -> None:
+    results = evaluate(limp(), make(num_envs=3), SPEEDS, num_steps=40)
+    table = walk_table(results)
+    assert table.count(" fell |") == sum(not result.survived for result in results) > 0
+
+
+def test_a_speed_is_kept_though_the_environment_would_change_it(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    policy, speeds = aslip.load_policy("aslip"), [0.0, 1.0, 2.0]
+    restless = SpeedCommand(library, interval=0.06)
+    found = [
+        evaluate(policy, make(num_envs=3, replace=edits), speeds, num_steps=20)
+        for edits in ({}, {"command": restless})
+    ]
+    assert found[0] == found[1]
+    assert restless.interval == 0.06
+
+
+def test_the_table_does_not_round_speeds_to_others() -> None:
+    result = WalkResult(0.25, 400, True, 1.0, 0.2, 0.0, 1.0, {})
+    assert "| 0.25 |" in walk_table([result])
+    assert "| 1.0 |" in walk_table([replace(result, speed=1.0)])
+
+
+def test_survived_on_feet_and_tracked_are_three_results() -> None:
+    walk = WalkResult(1.0, 400, True, 300.0, 1.1, 0.0, 0.99, {})
+    still = WalkResult(2.0, 400, True, 200.0, 0.0, 0.0, 1.0, {})
+    leaning, fallen = replace(walk, weight_ratio=0.8), replace(walk, survived=False)
+    walks = [walk, still, leaning, fallen]
+    assert [w.survived for w in walks] == [True, True, True, False]
+    assert [w.on_feet for w in walks] == [True, True, False, True]
+    assert [w.tracked for w in walks] == [True, False, True, True]
+    assert walk_table(walks).endswith(
+        "\n\nof 4 speeds 3 survived, 3 on the feet, 3 tracked within 0.2 m/s; mean return 275.0"
+    )
+    # in three policy steps momentum may carry it
+    assert replace(walk, steps=3, weight_ratio=0.8).on_feet
+
+
+@pytest.mark.parametrize("mean", [0.79, 1.21, float("nan")])
+def test_a_speed_off_by_more_than_the_tolerance_is_not_tracked(mean: float) -> None:
+    assert not tracks(1.0, mean)
+    assert tracks(1.0, 0.81)
+    assert tracks(1.0, 1.19)
+
+
+@pytest.mark.parametrize("changes", [{"mass": 0.85}, {"payload": 6.0}, {"slope": 0.1}])
+def test_weight_is_that_of_the_robot_as_it_is(make: MakeEnv, changes: dict[str, float]) -> None:
+    """Who is lighter and walks well is on its feet."""
+    env = make(num_envs=2, drop=EPISODE_ENDS)
+    env.base_env.set_dynamics(changes, np.array([1]))
+    results = evaluate(aslip.load_policy("aslip"), env, [0.5, 0.5], num_steps=150)
+    assert [result.weight_ratio for result in results] == pytest.approx([1.0, 1.0], abs=0.03)
+    assert all(result.on_feet and result.survived for result in results)
+
+
+@pytest.mark.parametrize("steps", [0, -1, 2.5, True])
+def test_walks_of_no_steps_are_refused(make: MakeEnv, steps: Any) -> None:
+    with pytest.raises(ConfigurationError, match=f"num_steps must be .* 1 or more, got {steps}"):
+        evaluate(limp(), make(), [1.0], num_steps=steps)

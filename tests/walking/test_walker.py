@@ -1,0 +1,173 @@
+"""One robot, steered by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import aslip
+from aslip.envs import MAX_EPISODE_STEPS, acts_on
+from aslip.errors import ConfigurationError, SpeedOutOfRangeError
+from aslip.library import GaitLibrary
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.robot import POLICY_PERIOD
+from aslip.transforms import SINGLE_REFERENCE_TABLE
+from aslip.walking.walker import Push, Schedule, Walker, policy_steps
+
+
+@pytest.fixture(scope="module")
+def walker(library: GaitLibrary) -> Walker:
+    return Walker(library=library)
+
+
+@pytest.fixture(autouse=True)
+def fresh(walker: Walker) -> None:
+    walker.env.set_seed(0)
+    walker.reset(0.5)
+
+
+def _velocity(walker: Walker) -> torch.Tensor:
+    return walker.td["truth", "pelvis_velocity"][0]  # pyright: ignore
+
+
+def test_it_walks_at_the_command(walker: Walker) -> None:
+    for speed in (0.5, 1.0):
+        walker.command = speed
+        for _ in range(60):
+            walker.step()
+        start = float(walker.td["truth", "pelvis_position"][0, 0])  # pyright: ignore
+        for _ in range(80):
+            td = walker.step()
+            assert float(td["next", "command"]) == speed  # pyright: ignore
+        way = float(walker.td["truth", "pelvis_position"][0, 0]) - start  # pyright: ignore
+        assert way / 2.4 == pytest.approx(speed, abs=0.15)
+    assert walker.time == pytest.approx(2 * 140 * 0.03)
+    assert not walker.fallen
+
+
+def test_a_push_lasts_its_time_and_moves_the_robot(walker: Walker) -> None:
+    twin = Walker(walker.policy, library=walker.library, speed=0.5)
+    walker.push((0.0, 60.0, 0.0), 0.1)  # four policy steps
+    pushed = [walker.step().get("push", None) is not None for _ in range(8)]
+    assert pushed == [True] * 4 + [False] * 4
+    for _ in range(8):
+        twin.step()
+    assert _velocity(walker)[1] > _velocity(twin)[1] + 0.05
+    # a reset takes it away
+    walker.push((0.0, 60.0, 0.0), 1.0)
+    walker.reset()
+    assert walker.step().get("push", None) is None
+
+
+def test_a_fall_ends_it_until_it_is_reset(walker: Walker) -> None:
+    walker.push((0.0, 3000.0, 0.0), 0.3)
+    while not walker.fallen:
+        walker.step()
+        assert walker.steps < 100
+    with pytest.raises(ConfigurationError, match="reset"):
+        walker.step()
+    walker.reset()
+    assert walker.command == 0.5
+    assert walker.steps == 0
+    for _ in range(20):
+        walker.step()
+    assert not walker.fallen
+
+
+def test_policies_can_be_changed_on_the_way(walker: Walker) -> None:
+    shipped = walker.policy
+    actions = []
+    for policy in (shipped, lambda td: td.set("action", torch.zeros(1, 10)), "aslip"):
+        walker.policy = policy  # pyright: ignore[reportAttributeAccessIssue]
+        actions.append(walker.step()["action"].abs().sum())  # pyright: ignore
+    walker.policy = shipped
+    assert actions[0] > 0
+    assert actions[1] == 0
+    assert actions[2] > 0
+
+
+def test_it_walks_on_for_longer_than_an_episode(walker: Walker) -> None:
+    walker.reset(0.5)
+    for _ in range(MAX_EPISODE_STEPS + 1):
+        walker.step()
+    assert not walker.fallen
+    assert walker.time == pytest.approx((MAX_EPISODE_STEPS + 1) * POLICY_PERIOD)
+
+
+def test_more_than_one_robot_are_refused(library: GaitLibrary) -> None:
+    with pytest.raises(ConfigurationError, match="one robot"):
+        Walker(env=aslip.make_env(num_envs=2, library=library))
+
+
+@pytest.mark.parametrize("speed", [-0.1, 2.5, float("nan")])
+def test_speeds_outside_the_library_are_refused(walker: Walker, speed: float) -> None:
+    with pytest.raises(SpeedOutOfRangeError):
+        walker.command = speed
+    with pytest.raises(SpeedOutOfRangeError):
+        walker.reset(speed)
+    assert walker.command == 0.5
+
+
+@pytest.mark.parametrize(
+    ("force", "duration"),
+    [((1, 2), 0.1), ((0, np.nan, 0), 0.1), ((0, 1, 0), 0.0), ((0, 1, 0), np.inf)],
+)
+def test_pushes_that_are_none_are_refused(
+    walker: Walker, force: tuple[float, ...], duration: float
+) -> None:
+    with pytest.raises(ConfigurationError, match="push"):
+        walker.push(force, duration)
+
+
+def test_a_schedule_holds_each_speed_until_the_next() -> None:
+    schedule = Schedule.parse("0:0.0,4:1.0,8:0.5")
+    assert schedule == Schedule((0.0, 4.0, 8.0), (0.0, 1.0, 0.5))
+    times = [0, 3.97, 4.0, 4 - 1e-9, 7.99, 8.0, 100]
+    assert [schedule.at(time) for time in times] == [0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.5]
+    assert Schedule.parse("1.5").at(3.0) == 1.5
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a", "0:1,", "1:0.5", "0:1,0:2", "0:1,3:1,2:1", "0:nan", "0:1:2"]
+)
+def test_a_schedule_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"schedule|times"):
+        Schedule.parse(text)
+
+
+@pytest.mark.parametrize("steps", range(1, 60))
+def test_a_time_of_whole_policy_steps_takes_no_step_more(steps: int) -> None:
+    """However it is rounded; a little longer takes one more."""
+    for time in (steps * POLICY_PERIOD, float(f"{steps * 0.03:.2f}")):
+        assert policy_steps(time) == steps
+    assert policy_steps(steps * POLICY_PERIOD + 1e-4) == steps + 1
+
+
+def test_pushes_are_read() -> None:
+    assert Push.parse("2:0,60,-5") == Push(2.0, (0.0, 60.0, -5.0))
+    assert Push.parse("2:0,60,-5:0.3") == Push(2.0, (0.0, 60.0, -5.0), 0.3)
+
+
+@pytest.mark.parametrize("text", ["", "1", "1:2", "1:1,2", "1:1,2,3:0", "1:1,2,nan", "1:1,2,3:1:1"])
+def test_a_push_that_cannot_be_read_is_refused(text: str) -> None:
+    with pytest.raises(ConfigurationError, match="push is"):
+        Push.parse(text)
+
+
+def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:
+    walker = Walker("aslip")
+    other = save_other_policy(tmp_path / "other.zip")
+    with pytest.raises(ConfigurationError, match=r"other.zip.*lacks \['reference/body"):
+        walker.policy = other
+    assert acts_on(Walker(other).env) == "single_reference"
+
+
+def save_other_policy(path: Path) -> Path:
+    shape = PolicyShape(49)
+    actor = make_actor(RunningNormalizer(49), shape)
+    names = {"observation": SINGLE_REFERENCE_TABLE, "baseline": ("reference", "motor_position")}
+    save_policy(path, actor, shape, stack="single_reference", **names)
+    return path

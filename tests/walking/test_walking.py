@@ -1,0 +1,29 @@
+"""The shipped policy walks, and physics agrees."""
+
+import pytest
+
+from aslip import GaitLibrary, load_policy, make_env
+from aslip.walking.evaluation import WalkResult, evaluate
+
+SPEEDS = [0.0, 0.5, 1.0, 1.5, 2.0]
+
+
+@pytest.fixture(scope="module")
+def walks(library: GaitLibrary) -> list[WalkResult]:
+    env = make_env(num_envs=len(SPEEDS), library=library)
+    return evaluate(load_policy("aslip"), env, SPEEDS)
+
+
+def test_the_shipped_policy_walks_an_episode_at_every_speed(walks: list[WalkResult]) -> None:
+    assert [walk.steps for walk in walks] == [400] * len(SPEEDS)
+
+
+def test_the_floor_carries_the_robots_weight(walks: list[WalkResult]) -> None:
+    """Over an episode the mean ground force equals the weight within 1 %."""
+    assert [walk.weight_ratio for walk in walks] == pytest.approx([1.0] * len(SPEEDS), abs=0.01)
+
+
+def test_faster_commands_make_faster_walks(walks: list[WalkResult]) -> None:
+    speeds = [walk.mean_speed for walk in walks]
+    assert speeds == sorted(speeds)
+    assert speeds == pytest.approx(SPEEDS, abs=0.3)

@@ -1,0 +1,117 @@
+"""Walks as arrays are the walks that happened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import aslip
+from aslip.envs import EPISODE_ENDS, default_stack
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.library import GaitLibrary
+from aslip.log import Recorder, read, read_walk
+from aslip.robot import POLICY_PERIOD
+from aslip.walking.walks import Walks, record_walks
+from tests.helpers import MakeEnv
+
+STEPS = 40
+
+
+def _command(*speeds: float) -> np.ndarray:
+    return np.tile(np.array(speeds), (STEPS, 1))
+
+
+@pytest.fixture(scope="module")
+def logged(library: GaitLibrary, tmp_path_factory: pytest.TempPathFactory) -> tuple[Walks, Path]:
+    """A walk of one robot, which was also logged."""
+    path = tmp_path_factory.mktemp("logs") / "walk.mcap"
+    stack = {**default_stack(library), "recorder": lambda: Recorder(path, library=library)}
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=3)
+    command = _command(0.5)
+    command[20:] = 1.0
+    walk = record_walks(aslip.load_policy("aslip"), env, command)
+    env.close()
+    return walk, path
+
+
+def test_a_log_gives_the_same_walk(logged: tuple[Walks, Path]) -> None:
+    walk, path = logged
+    read_back = read_walk(read(path))
+    for name, values in vars(walk).items():
+        np.testing.assert_array_equal(getattr(read_back, name), values, err_msg=name)
+
+
+def test_a_log_of_a_fall_gives_the_same_walk(library: GaitLibrary, tmp_path: Path) -> None:
+    """Also where a step after the divergence went well again."""
+    policy, path, count = aslip.load_policy("aslip"), tmp_path / "fall.mcap", 0
+
+    def fails(td):
+        nonlocal count
+        td, count = policy(td), count + 1
+        if count == 6:
+            td["action"][:] = np.nan
+        return td
+
+    stack = {**default_stack(library), "recorder": lambda: Recorder(path, library=library)}
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1)
+    walk = record_walks(fails, env, _command(0.5))  # pyright: ignore[reportArgumentType]
+    env.close()
+    read_back = read_walk(read(path))
+    assert read_back.survived.tolist() == [False]
+    for name, values in vars(walk).items():
+        np.testing.assert_array_equal(getattr(read_back, name), values, err_msg=name)
+
+
+def test_rows_are_instants_a_policy_step_apart(logged: tuple[Walks, Path]) -> None:
+    walk = logged[0]
+    velocity = np.diff(walk.pelvis_position[:, 0], axis=0) / POLICY_PERIOD
+    middle = (walk.pelvis_velocity[1:, 0] + walk.pelvis_velocity[:-1, 0]) / 2
+    np.testing.assert_allclose(velocity, middle, atol=0.12)
+    assert walk.command[[0, 19, 20, -1], 0].tolist() == [0.5, 0.5, 1.0, 1.0]
+    assert walk.survived.tolist() == [True]
+    # the model's feet do not go below the floor
+    assert (walk.body_position[:, 0, 2:] + walk.body_to_foot[:, 0, :, 2] > -2e-3).all()
+
+
+def test_what_comes_after_a_fall_is_no_number(make: MakeEnv) -> None:
+    """One robot does nothing sensible, the other walks; the fallen one stays in the record."""
+    policy = aslip.load_policy("aslip")
+
+    def clumsy(td):
+        td = policy(td)
+        td["action"][1] = 1.0
+        return td
+
+    env = make(num_envs=2, drop=EPISODE_ENDS)
+    walks = record_walks(clumsy, env, _command(0.5, 0.5))  # pyright: ignore[reportArgumentType]
+    assert walks.survived.tolist() == [True, False]
+    fell = int(np.flatnonzero(~walks.alive[:, 1])[0])
+    assert not walks.alive[fell:, 1].any()
+    assert np.isnan(walks.pelvis_position[fell:, 1]).all()
+    assert np.isfinite(walks.pelvis_position[:fell, 1]).all()
+    assert np.isfinite(walks.ground_force[:, 0]).all()
+
+
+def test_a_part_of_one_walk_can_be_taken(logged: tuple[Walks, Path]) -> None:
+    part = logged[0].one(0, 5, 15)
+    assert part.command.shape == (10, 1)
+    np.testing.assert_array_equal(part.foot_position, logged[0].foot_position[5:15])
+
+
+def test_commands_that_are_none_are_refused(make: MakeEnv) -> None:
+    env, policy = make(num_envs=2), aslip.load_policy("aslip")
+    with pytest.raises(ShapeError, match=r"\(m, 2\)"):
+        record_walks(policy, env, _command(0.5))
+    with pytest.raises(ShapeError, match=r"a row for each policy step, got \(0, 2\)"):
+        record_walks(policy, env, np.zeros((0, 2)))
+    with pytest.raises(ConfigurationError, match="finite"):
+        record_walks(policy, env, _command(0.5, np.nan))
+
+
+def test_arrays_must_fit_together(logged: tuple[Walks, Path]) -> None:
+    arrays = dict(vars(logged[0]))
+    arrays["reward"] = arrays["reward"][:-1]
+    with pytest.raises(ShapeError, match="reward"):
+        Walks(**arrays)
