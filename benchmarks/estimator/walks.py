@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import step_mdp
 
 import aslip
-from aslip.envs import EPISODE_ENDS, FALL_HEIGHT, CassieTransformedEnv
+from aslip.envs import EPISODE_ENDS, CassieTransformedEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.policy import policy_stack

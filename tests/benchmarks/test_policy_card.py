@@ -144,7 +144,9 @@ def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyP
     if shutil.which("git") is None:
         pytest.skip("needs git")
     monkeypatch.setattr(
-        aslip.training.provenance, "__file__", str(tmp_path / "aslip" / "provenance.py")
+        aslip.training.provenance,
+        "__file__",
+        str(tmp_path / "aslip" / "training" / "provenance.py"),
     )
     assert provenance()["commit"] is None
     (tmp_path / "docs").mkdir()

@@ -33,7 +33,8 @@ def test_an_installed_package_finds_its_own_files(tmp_path: Path) -> None:
     (tmp_path / "assets").mkdir()
     (tmp_path / "assets" / "own.txt").write_text("another's")
     (tmp_path / "pyproject.toml").touch()
-    copy = shutil.copy(aslip.files.assets.__file__, package)
+    (package / "files").mkdir()
+    copy = shutil.copy(aslip.files.assets.__file__, package / "files")
     spec = importlib.util.spec_from_file_location("installed_assets", copy)
     assert spec is not None
     assert spec.loader is not None
