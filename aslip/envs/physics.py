@@ -18,10 +18,11 @@ from aslip.errors import ShapeError
 from aslip.files.assets import asset_path
 from aslip.robot import MOTOR_NAMES, SIDES, SUBSTEPS, Side
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, CassieIndices, set_floor_friction
+from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse
 from aslip.sim import Drive, Sensors, Snapshot
 from aslip.sim.checks import check_states
 from aslip.sim.simulations import watched_size
-from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, true_state
+from aslip.sim.truth import true_state
 
 _VERTICAL = 8  # zz entry of a row-major rotation matrix
 _INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
@@ -198,7 +199,7 @@ class CassiePhysics(mujoco.Physics):
     def foot_orientation(self, side: Side) -> np.ndarray:
         """Sole-to-world rotation, (4,) wxyz; identity when level with the toes along x."""
         site = self.indices.foot_site[SIDES.index(side)]
-        return quaternion_from_matrix(np.array(self.data.site_xmat[site]))
+        return matrix_to_quaternion(np.array(self.data.site_xmat[site]).reshape(3, 3))
 
     def ground_force(self, side: Side) -> np.ndarray:
         """Force of the floor on one foot in the world, mean over the last step call, (3,) [N]."""

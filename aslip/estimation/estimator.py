@@ -18,12 +18,17 @@ from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.packets import PACKET_SIZE, SLICES, PacketMemory, Screen, Screened, join
 from aslip.robot import STANDARD_GRAVITY
 from aslip.robot.model import CassieIndices, load_model
+from aslip.robot.rotation import (
+    cross,
+    normalize,
+    orientation_to_heading,
+    vector_to_heading,
+    yaw,
+)
 from aslip.robot.sensing import PACKET_PERIOD
 
 # standard deviation [m/s^2] of the mean over 3 ms of an acceleration that had to be made up
 _DOUBT = 5.0
-# quaternions this close to unit length are unit ones in single precision
-_ROUNDING = 1e-6
 # [s] step to differentiate the legs' kinematics by
 _DIFFERENCE = 1e-5
 
@@ -134,7 +139,7 @@ class Estimate:
     @cached_property
     def up(self) -> np.ndarray:
         """(n, 2, 3) unit vectors out of the feet, opposite to the soles [heading frame]."""
-        return _cross(self.forward, self.left)
+        return cross(self.forward, self.left)
 
     @cached_property
     def foot_position(self) -> np.ndarray:
@@ -231,7 +236,11 @@ class StateEstimator:
         memory = PacketMemory.of(blind.reading)
         motions, geometry = self._interpret(memory.reading, np.zeros((num, 3)), _good(screened))
         belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
-        ahead = _yaw(memory.reading) if heading is None else _headings(heading, num)
+        ahead = (
+            yaw(memory.reading[:, SLICES["orientation"]])
+            if heading is None
+            else _headings(heading, num)
+        )
         tracking = Tracking(belief, memory, geometry.angular_acceleration, ahead)
         nothing, resting = np.full((num, 1, 2, 3), np.nan), np.zeros((num, 1, 2), dtype=bool)
         return tracking, self._describe(tracking, geometry, screened.faults, nothing, resting)
@@ -350,11 +359,13 @@ class StateEstimator:
         resting: np.ndarray,
     ) -> Estimate:
         mean, reading, heading = tracking.belief.mean, tracking.packets.reading, tracking.heading
-        position = _seen_along(heading, mean[..., P])
+        position = vector_to_heading(heading, mean[..., P])
         return Estimate(
             height=position[:, 2:],
-            orientation=_unit(_turned_back(heading, reading[:, SLICES["orientation"]])),
-            velocity=_seen_along(heading, mean[..., V]),
+            orientation=normalize(
+                orientation_to_heading(heading, reading[:, SLICES["orientation"]])
+            ),
+            velocity=vector_to_heading(heading, mean[..., V]),
             angular_velocity=reading[:, SLICES["gyro"]],
             acceleration=geometry.acceleration,
             motor_position=reading[:, SLICES["motor_position"]],
@@ -362,9 +373,9 @@ class StateEstimator:
             joint_position=reading[:, SLICES["joint_position"]],
             joint_velocity=reading[:, SLICES["joint_velocity"]],
             position=position,
-            sole=_seen_along(heading, geometry.sole),
-            forward=_seen_along(heading, geometry.half_sole) / self._legs.half_length,
-            left=_seen_along(heading, geometry.lateral),
+            sole=vector_to_heading(heading, geometry.sole),
+            forward=vector_to_heading(heading, geometry.half_sole) / self._legs.half_length,
+            left=vector_to_heading(heading, geometry.lateral),
             sole_radius=self._legs.sole_radius,
             contact=tracking.belief.loaded.copy(),
             innovation=innovation,
@@ -384,11 +395,6 @@ class _Geometry:
     angular_acceleration: np.ndarray
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Vector product along the last axis; NumPy's own takes ten times as long for one robot."""
-    return a[..., [1, 2, 0]] * b[..., [2, 0, 1]] - a[..., [2, 0, 1]] * b[..., [1, 2, 0]]
-
-
 def _headings(heading: ArrayLike, num: int) -> np.ndarray:
     """(num,) headings from one, (num,) or (num, 1)."""
     values = np.asarray(heading, dtype=np.float64)
@@ -397,35 +403,6 @@ def _headings(heading: ArrayLike, num: int) -> np.ndarray:
     if not np.isfinite(values).all():
         raise ConfigurationError(f"heading must be finite, got {values.tolist()}")
     return np.broadcast_to(values.reshape(-1), (num,)).copy()
-
-
-def _yaw(reading: np.ndarray) -> np.ndarray:
-    """(n,) yaw of the orientations in readings (n, 42) [rad]."""
-    w, x, y, z = reading[:, SLICES["orientation"]].T
-    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
-def _seen_along(heading: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """World vectors (n, ..., 3) in frames with x along headings (n,); copies."""
-    shape = (-1, *[1] * (vectors.ndim - 2))
-    cosine, sine = np.cos(heading).reshape(shape), np.sin(heading).reshape(shape)
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=-1)
-
-
-def _turned_back(heading: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """Orientations (n, 4) in frames with x along headings (n,)."""
-    cosine, sine = np.cos(heading / 2), np.sin(heading / 2)
-    w, x, y, z = quaternion.T
-    turned = (cosine * w + sine * z, cosine * x + sine * y, cosine * y - sine * x)
-    return np.stack([*turned, cosine * z - sine * w], axis=-1)
-
-
-def _unit(quaternion: np.ndarray) -> np.ndarray:
-    """Quaternions (n, 4) normalised, with w >= 0; unit ones keep their bits."""
-    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    unit = np.where(np.abs(length - 1) > _ROUNDING, quaternion / length, quaternion)
-    return np.where(unit[:, :1] < 0, -unit, unit)
 
 
 def _good(screened: Screened) -> Screened:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from aslip.robot.model import CassieIndices
+from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse, upper_hemisphere
 
 
 @dataclass(frozen=True)
@@ -87,54 +88,7 @@ def true_state(snapshot: Snapshot, indices: CassieIndices) -> dict[str, np.ndarr
         site = indices.foot_site[i]
         state[f"{foot}_position"] = snapshot.site_xpos[..., site, :]
         state[f"{foot}_velocity"] = sensors[..., indices.foot_velocity[i]]
-        state[f"{foot}_orientation"] = quaternion_from_matrix(snapshot.site_xmat[..., site, :])
+        state[f"{foot}_orientation"] = matrix_to_quaternion(
+            snapshot.site_xmat[..., site, :].reshape(*snapshot.site_xmat.shape[:-2], 3, 3)
+        )
     return state
-
-
-def upper_hemisphere(quaternion: np.ndarray) -> np.ndarray:
-    """The same rotation with w >= 0; (*b, 4) wxyz."""
-    return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
-
-
-def rotate_inverse(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Express a world vector in the frame whose frame-to-world rotation is given.
-
-    Args:
-        quaternion: (*b, 4) wxyz, unit.
-        vector: (3,) or (*b, 3).
-
-    Returns:
-        (*b, 3).
-    """
-    w, u = quaternion[..., :1], -quaternion[..., 1:]
-    t = 2.0 * np.cross(u, vector)
-    return vector + w * t + np.cross(u, t)
-
-
-def quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
-    """Unit quaternion of a rotation.
-
-    Built from the largest of the four candidates of each component, so it is accurate everywhere.
-
-    Args:
-        matrix: (*b, 9), row-major.
-
-    Returns:
-        (*b, 4) wxyz with w >= 0.
-    """
-    m = np.moveaxis(matrix.reshape(*matrix.shape[:-1], 3, 3), (-2, -1), (0, 1))
-    # 4 q q^T, symmetric: the row with the largest diagonal entry is the best conditioned
-    outer = np.empty((*matrix.shape[:-1], 4, 4))
-    outer[..., 0, 0] = 1 + m[0, 0] + m[1, 1] + m[2, 2]
-    outer[..., 1, 1] = 1 + m[0, 0] - m[1, 1] - m[2, 2]
-    outer[..., 2, 2] = 1 - m[0, 0] + m[1, 1] - m[2, 2]
-    outer[..., 3, 3] = 1 - m[0, 0] - m[1, 1] + m[2, 2]
-    outer[..., 0, 1] = outer[..., 1, 0] = m[2, 1] - m[1, 2]
-    outer[..., 0, 2] = outer[..., 2, 0] = m[0, 2] - m[2, 0]
-    outer[..., 0, 3] = outer[..., 3, 0] = m[1, 0] - m[0, 1]
-    outer[..., 1, 2] = outer[..., 2, 1] = m[0, 1] + m[1, 0]
-    outer[..., 1, 3] = outer[..., 3, 1] = m[0, 2] + m[2, 0]
-    outer[..., 2, 3] = outer[..., 3, 2] = m[1, 2] + m[2, 1]
-    best = np.diagonal(outer, axis1=-2, axis2=-1).argmax(-1)
-    row = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
-    return upper_hemisphere(row / np.linalg.norm(row, axis=-1, keepdims=True))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from aslip.robot.model import CassieIndices, load_model
+from aslip.robot.rotation import rotate_inverse, upper_hemisphere
 from aslip.sim import Simulations, Snapshot, true_state
-from aslip.sim.truth import quaternion_from_matrix, rotate_inverse, upper_hemisphere
 
 
 def _random_quaternions(count: int) -> np.ndarray:
@@ -24,51 +24,6 @@ def _matrices(quaternions: np.ndarray) -> np.ndarray:
     for matrix, quaternion in zip(matrices, quaternions, strict=True):
         mujoco.mju_quat2Mat(matrix, quaternion)
     return matrices
-
-
-HALF_TURNS = np.array([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 0.6, 0.8, 0], [1, 0, 0, 0]])
-
-
-@pytest.mark.parametrize("quaternions", [_random_quaternions(200), HALF_TURNS], ids=["any", "half"])
-def test_quaternion_from_matrix_equals_mujoco(quaternions: np.ndarray) -> None:
-    matrices = _matrices(quaternions)
-    found = quaternion_from_matrix(matrices)
-    assert (found[:, 0] >= 0).all()
-    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-15)
-    expected = np.zeros((len(quaternions), 4))
-    for quaternion, matrix in zip(expected, matrices, strict=True):
-        mujoco.mju_mat2Quat(quaternion, matrix)
-    same = np.abs((found * expected).sum(axis=1))
-    np.testing.assert_allclose(same, 1.0, atol=1e-14)
-    np.testing.assert_allclose(_matrices(found), matrices, atol=1e-14)
-
-
-def test_quaternion_from_matrix_takes_any_leading_shape() -> None:
-    quaternions = _random_quaternions(6)
-    matrices = _matrices(quaternions).reshape(2, 3, 9)
-    found = quaternion_from_matrix(matrices)
-    np.testing.assert_array_equal(
-        found.reshape(6, 4), quaternion_from_matrix(matrices.reshape(6, 9))
-    )
-
-
-def test_rotate_inverse_equals_mujoco() -> None:
-    quaternions = _random_quaternions(100)
-    vectors = np.random.default_rng(1).normal(size=(100, 3))
-    expected = np.zeros((100, 3))
-    for result, quaternion, vector in zip(expected, quaternions, vectors, strict=True):
-        inverse = np.zeros(4)
-        mujoco.mju_negQuat(inverse, quaternion)
-        mujoco.mju_rotVecQuat(result, vector, inverse)
-    np.testing.assert_allclose(rotate_inverse(quaternions, vectors), expected, atol=1e-14)
-
-
-def test_upper_hemisphere_is_the_same_rotation() -> None:
-    quaternions = _random_quaternions(50)
-    upper = upper_hemisphere(quaternions)
-    assert (upper[:, 0] >= 0).all()
-    assert (quaternions[:, 0] < 0).any()
-    np.testing.assert_allclose(_matrices(upper), _matrices(quaternions), atol=1e-15)
 
 
 @pytest.fixture(scope="module")

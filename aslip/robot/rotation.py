@@ -1,0 +1,139 @@
+"""Batched rotations in NumPy: unit quaternions (..., 4) are wxyz, matrices are (..., 3, 3).
+
+A rotation from a body to the world turns vectors written in the body's axes into the world's.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+# quaternions this close to unit length are unit ones in single precision
+_ROUNDING = 1e-6
+
+
+def rotate(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Matrix times vector, batched: (..., 3, 3) and (..., 3) -> (..., 3)."""
+    return np.matmul(matrix, vector[..., None])[..., 0]
+
+
+def rotate_back(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Transposed matrix times vector, batched: (..., 3, 3) and (..., 3) -> (..., 3)."""
+    return np.matmul(vector[..., None, :], matrix)[..., 0, :]
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Vector product over the last axis; `np.cross` spends most of its time on axis juggling."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar product over the last axis."""
+    return np.sum(a * b, axis=-1)
+
+
+def quaternion_to_matrix(quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def matrix_to_quaternion(matrix: np.ndarray) -> np.ndarray:
+    """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
+
+    Built from the row of 4 q q^T with the largest diagonal entry, which is the best conditioned.
+    """
+    m = np.moveaxis(matrix, (-2, -1), (0, 1))
+    outer = np.empty((*matrix.shape[:-2], 4, 4))
+    outer[..., 0, 0] = 1 + m[0, 0] + m[1, 1] + m[2, 2]
+    outer[..., 1, 1] = 1 + m[0, 0] - m[1, 1] - m[2, 2]
+    outer[..., 2, 2] = 1 - m[0, 0] + m[1, 1] - m[2, 2]
+    outer[..., 3, 3] = 1 - m[0, 0] - m[1, 1] + m[2, 2]
+    outer[..., 0, 1] = outer[..., 1, 0] = m[2, 1] - m[1, 2]
+    outer[..., 0, 2] = outer[..., 2, 0] = m[0, 2] - m[2, 0]
+    outer[..., 0, 3] = outer[..., 3, 0] = m[1, 0] - m[0, 1]
+    outer[..., 1, 2] = outer[..., 2, 1] = m[0, 1] + m[1, 0]
+    outer[..., 1, 3] = outer[..., 3, 1] = m[0, 2] + m[2, 0]
+    outer[..., 2, 3] = outer[..., 3, 2] = m[1, 2] + m[2, 1]
+    best = np.diagonal(outer, axis1=-2, axis2=-1).argmax(-1)
+    row = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    return upper_hemisphere(row / np.linalg.norm(row, axis=-1, keepdims=True))
+
+
+def upper_hemisphere(quaternion: np.ndarray) -> np.ndarray:
+    """Representation with w >= 0 of the same rotations (..., 4)."""
+    return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+
+
+def normalize(quaternion: np.ndarray) -> np.ndarray:
+    """Unit quaternions (..., 4) with w >= 0; those of unit length keep their bits."""
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    unit = np.where(np.abs(length - 1) > _ROUNDING, quaternion / length, quaternion)
+    return upper_hemisphere(unit)
+
+
+def rotate_inverse(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of the world in the axes of bodies with `quaternion` (..., 4) to the world.
+
+    `vector` is (..., 3), or one (3,) for all.
+    """
+    w, u = quaternion[..., :1], -quaternion[..., 1:]
+    t = 2.0 * cross(u, vector)
+    return vector + w * t + cross(u, t)
+
+
+def yaw(quaternion: np.ndarray) -> np.ndarray:
+    """Heading (...) of the x axis of bodies with `quaternion` (..., 4) to the world [rad]."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def vector_to_heading(heading: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors (n, ..., 3) of the world in frames with x along headings (n,); copies."""
+    shape = (-1, *[1] * (vector.ndim - 2))
+    cosine, sine = np.cos(heading).reshape(shape), np.sin(heading).reshape(shape)
+    x, y, z = np.moveaxis(vector, -1, 0)
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=-1)
+
+
+def orientation_to_heading(heading: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """Orientations (n, 4) to frames with x along headings (n,), from orientations to the world."""
+    cosine, sine = np.cos(heading / 2), np.sin(heading / 2)
+    w, x, y, z = quaternion.T
+    turned = (cosine * w + sine * z, cosine * x + sine * y, cosine * y - sine * x)
+    return np.stack([*turned, cosine * z - sine * w], axis=-1)
+
+
+def shortest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) that turn unit vectors `start` into `end` without twist."""
+    quaternion = np.concatenate((1 + dot(start, end)[..., None], cross(start, end)), axis=-1)
+    return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+
+
+def shortest_rotation_rate(start: np.ndarray, end: np.ndarray, end_rate: np.ndarray) -> np.ndarray:
+    r"""Angular velocity of `shortest_rotation(start, end)` while `end` moves, frame of `start`.
+
+    .. math:: \omega = b \times \dot b + \tau\,b
+
+    The twist rate :math:`\tau` keeps the quaternion's vector part v normal to :math:`a`: with
+    :math:`\dot v = (w\,\omega + \omega \times v) / 2`, it solves :math:`a \cdot \dot v = 0`.
+
+    Args:
+        start: (..., 3), unit vectors a, constant.
+        end: (..., 3), unit vectors b.
+        end_rate: (..., 3), their rates, normal to b [1/s].
+    """
+    scalar, vector = 1 + dot(start, end)[..., None], cross(start, end)
+
+    def vector_rate_along_start(omega: np.ndarray) -> np.ndarray:
+        return dot(start, scalar * omega + cross(omega, vector))
+
+    swing = cross(end, end_rate)
+    twist_rate = -vector_rate_along_start(swing) / vector_rate_along_start(end)
+    return swing + twist_rate[..., None] * end
