@@ -7,7 +7,7 @@ A library of optimal actuated-SLIP walking gaits guides a policy for the biped C
     library = aslip.GaitLibrary.load()            # 21 gaits, 0 to 2 m/s, with motor angles
     policy = aslip.load_policy("runs/my_run")     # tensordict in, `action` out
 
-Names are imported on first use, so `import aslip.rom` costs no more than CasADi.
+Names are imported on first use: `import aslip` loads no library, `import aslip.rom` only CasADi.
 """
 
 from __future__ import annotations

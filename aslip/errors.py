@@ -1,7 +1,7 @@
-"""Every way a user can be wrong, under one root.
+"""Exceptions of the package, under one root.
 
-Each message names the offending value and says what would be right. Classes also derive from the
-built-in exception a caller would expect, so `except ValueError` keeps working.
+Each message names the offending value and a valid one. Each class also derives from the built-in
+exception that a caller would expect, so `except ValueError` works, too.
 """
 
 from __future__ import annotations
@@ -12,35 +12,35 @@ from contextlib import contextmanager
 
 
 class AslipError(Exception):
-    """Root of all errors raised on purpose by this package."""
+    """Root of all exceptions that this package raises on purpose."""
 
 
 class AssetError(AslipError, FileNotFoundError):
-    """A file that ships with the package, or was named by the user, is not there."""
+    """Missing file, shipped with the package or named by the user."""
 
 
 class FileDamagedError(AslipError, ValueError):
-    """A file exists but is truncated, altered, or not of the kind it should be."""
+    """Truncated or altered file, or a file of another kind than expected."""
 
 
 class SpeedOutOfRangeError(AslipError, ValueError):
-    """A walking speed outside the range of the gait library."""
+    """Walking speed outside the range of the gait library."""
 
 
 class GaitOptimizationError(AslipError, RuntimeError):
-    """The gait optimiser stopped without an optimal gait."""
+    """Gait optimisation without a certified optimum."""
 
 
 class UnreachablePoseError(AslipError, ValueError):
-    """A foot or pelvis pose that the robot's legs cannot reach."""
+    """Foot or pelvis pose out of reach of the robot's legs."""
 
 
 class UnknownNameError(AslipError, KeyError):
-    """A joint, body, transform or policy name that does not exist."""
+    """Unknown name of a joint, body, transform, policy and so on."""
 
     @classmethod
     def among(cls, kind: str, name: object, known: Iterable[str]) -> UnknownNameError:
-        """Of a name that is none of the known, with the nearest of them."""
+        """Build the error of an unknown name; its message suggests the closest known one."""
         names = list(known)
         close = difflib.get_close_matches(str(name), names, n=1)
         hint = f", did you mean {close[0]!r}?" if close else ";"
@@ -52,26 +52,26 @@ class UnknownNameError(AslipError, KeyError):
 
 
 class ShapeError(AslipError, ValueError):
-    """An array of the wrong shape."""
+    """Array of the wrong shape."""
 
 
 class ConfigurationError(AslipError, ValueError):
-    """A setting of the wrong type or range, or a checkpoint that belongs to other settings."""
+    """Setting of the wrong type or range, or checkpoint of a run with other settings."""
 
 
 class RenderingError(AslipError, RuntimeError):
-    """Pictures are asked for where no OpenGL works."""
+    """Rendering on a machine without a working OpenGL."""
 
 
 class CollectorError(AslipError, RuntimeError):
-    """A process that collects samples for a training has failed, or was ended."""
+    """Failure or end of a process that collects samples for a training."""
 
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """End a program with one line instead of a traceback where the user can mend what is wrong.
+    """Turn errors that the user can fix into one line and an exit status, without a traceback.
 
-    Ctrl-C ends it with the usual exit status, 130.
+    Ctrl-C exits with the usual status, 130.
     """
     try:
         yield

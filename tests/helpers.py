@@ -1,4 +1,4 @@
-"""Comparisons, policies and settings that several test modules use."""
+"""Comparisons, policies and settings shared by several test modules."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}
 TINY = Config(
     num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000, checkpoint_minutes=0
 )
-"""A training of two updates."""
+"""Settings of a training of two updates."""
 
 
 def leaves(td: TensorDictBase) -> dict[tuple[str, ...], torch.Tensor]:
@@ -33,7 +33,7 @@ def leaves(td: TensorDictBase) -> dict[tuple[str, ...], torch.Tensor]:
 
 
 def differing(a: TensorDictBase, b: TensorDictBase) -> list[str]:
-    """Keys that only one has, or whose bits differ (NaN equals NaN)."""
+    """Keys of entries that only one has, or that differ in any bit (NaN equals NaN)."""
     left, right = leaves(a), leaves(b)
     odd = ["/".join(key) for key in left.keys() ^ right.keys()]
     return sorted(odd) + sorted(
@@ -45,7 +45,7 @@ def differing(a: TensorDictBase, b: TensorDictBase) -> list[str]:
 
 
 def limp() -> TensorDictModule:
-    """A policy that leaves the robot to the reference, on which it falls."""
+    """A policy of zero actions; the robot follows the reference alone, and falls."""
     return TensorDictModule(
         lambda observation: torch.zeros(*observation.shape[:-1], 10),
         in_keys=["observation"],
@@ -55,7 +55,7 @@ def limp() -> TensorDictModule:
 
 @contextmanager
 def started(command: Sequence[str], **settings: Any) -> Iterator[subprocess.Popen[str]]:
-    """A process whose output is read, and which does not outlive the test."""
+    """Start a process whose output is read and that is killed at the end."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, **settings) as process:
         try:
             yield process

@@ -1,1 +1,1 @@
-"""Files: those that ship with the package, archives of arrays, and writing without halves."""
+"""Shipped files, archives of arrays, and atomic writing."""

@@ -1,14 +1,14 @@
-"""Archives of which every byte is checked before any of it is used.
+"""Archives of arrays and text, checked in full before use.
 
     FORMAT = ArchiveFormat("policy", 2)
     FORMAT.write(path, {"weights/0.npy": npy(weights), "card.json": as_json(card)})
     entries = FORMAT.read(path)
 
 An archive is a ZIP file of arrays (`.npy`) and text, which NumPy reads as an `.npz`. Its entry
-SHA256SUMS has the SHA-256 of every other entry; `sha256sum --check` understands it.
+SHA256SUMS lists the SHA-256 of every other entry, in the format of `sha256sum --check`.
 
-Guarantees: nothing is unpickled; an entry that is changed, missing, added or swapped is refused;
-reading takes memory in proportion to the file's size, whatever sizes the file claims.
+Guarantees: nothing is unpickled; a changed, missing, added or swapped entry is refused; memory is
+proportional to the size of the file, whatever sizes the file claims.
 """
 
 from __future__ import annotations
@@ -29,35 +29,35 @@ from aslip.errors import FileDamagedError
 from aslip.files.writing import replacing
 
 SUMS = "SHA256SUMS"
-"""Entry with the hashes of all others."""
+"""Name of the entry with the hashes of all others."""
 
 _FORMAT = "format"
-# bytes of content per byte of file; compressed gaits have 2, a decompression bomb 1000
+# largest ratio of content to file size; compressed gaits have 2, a decompression bomb 1000
 _LARGEST_RATIO = 10
 
 
 @dataclass(frozen=True)
 class ArchiveFormat:
-    """A kind of file that is an archive."""
+    """Kind and version of an archive, and how it is written."""
 
     kind: str
-    """Name of this kind of file in messages."""
+    """Name of this kind of file, in messages and in the file."""
     version: int
-    """Files of other versions are refused."""
+    """Version of the format; files of other versions are refused."""
     advice: str = ""
-    """Advice to the owner of a file that is refused."""
+    """Advice at the end of error messages."""
     compressed: bool = False
-    """Whether entries are compressed."""
+    """Compress the entries."""
 
     def write(self, path: Path, entries: Mapping[str, bytes]) -> None:
-        """Write an archive as a whole or not at all; equal entries make equal files.
+        """Write an archive atomically; equal entries make equal files.
 
         Args:
-            path: the file; replaced if it is there.
-            entries: content by name.
+            path: file to create or replace.
+            entries: name -> content.
 
         Raises:
-            OSError: it cannot be written; a file that was there is as it was.
+            OSError: the file cannot be written; an old one is unchanged.
         """
         entries = {**entries, _FORMAT: self._name.encode()}
         method = zipfile.ZIP_DEFLATED if self.compressed else zipfile.ZIP_STORED
@@ -68,16 +68,17 @@ class ArchiveFormat:
                 archive.writestr(info, content, method)
 
     def read(self, path: Path) -> dict[str, bytes]:
-        """Entries of an archive whose hashes are right.
+        """Read an archive and check all hashes.
 
         Raises:
-            FileDamagedError: it is truncated, altered, of another kind or version, or unreadable.
+            FileDamagedError: the file is truncated, altered, of another kind or version, or
+                unreadable.
         """
         try:
             with zipfile.ZipFile(path) as archive:
                 entries = _entries(archive, path.stat().st_size)
             _check(entries)
-        except Exception as error:  # one cause, a bad file, has many exceptions
+        except Exception as error:  # zipfile has many exceptions for a bad file
             raise self.damaged(path, error) from error
         name = entries.pop(_FORMAT, b"").decode(errors="replace")
         if name != self._name:
@@ -85,11 +86,11 @@ class ArchiveFormat:
         return entries
 
     def damaged(self, path: Path, why: str | Exception) -> FileDamagedError:
-        """The error of a file that is not what it should be."""
+        """Build the error of a damaged file."""
         if isinstance(why, Exception):
             why = str(why) if type(why) is ValueError else f"{type(why).__name__}: {why}"
         advice = f"; {self.advice}" if self.advice else ""
-        return FileDamagedError(f"{str(path)!r} is no intact {self.kind} ({why}){advice}")
+        return FileDamagedError(f"{str(path)!r} is not an intact {self.kind} file ({why}){advice}")
 
     @property
     def _name(self) -> str:
@@ -97,33 +98,33 @@ class ArchiveFormat:
 
 
 def _entries(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
-    """Entries by name, of a file of so many bytes."""
+    """Read the entries of an archive of `size` bytes by name."""
     infos = archive.infolist()
     content = sum(info.file_size for info in infos)
     if content > _LARGEST_RATIO * size:
-        raise ValueError(f"its {size} bytes claim to hold {content}")
+        raise ValueError(f"a file of {size} bytes claims to hold {content} bytes")
     names = [info.filename for info in infos]
     if len(set(names)) < len(names):
-        raise ValueError("it has two entries of the same name")
+        raise ValueError("two entries have the same name")
     return {info.filename: archive.read(info) for info in infos}
 
 
 def _check(entries: dict[str, bytes]) -> None:
-    """Take the hashes out, and compare them.
+    """Remove the hashes from the entries and compare them.
 
     Raises:
-        ValueError: they are not those of the entries, or missing.
+        ValueError: a hash is missing or wrong.
     """
-    told = entries.pop(SUMS, None)
-    if told is None:
-        raise ValueError(f"it has no {SUMS}; files of earlier versions had none, and are not read")
-    if odd := set(told.splitlines()) ^ set(sums(entries).splitlines()):
+    lines = entries.pop(SUMS, None)
+    if lines is None:
+        raise ValueError(f"there is no {SUMS}, as in files of earlier versions, which are not read")
+    if odd := set(lines.splitlines()) ^ set(sums(entries).splitlines()):
         names = sorted({line.split(b"  ", 1)[-1].decode(errors="replace") for line in odd})
-        raise ValueError(f"the SHA-256 of {', '.join(names[:3])} is not as it should be")
+        raise ValueError(f"wrong SHA-256 of {', '.join(names[:3])}")
 
 
 def sums(entries: Mapping[str, bytes]) -> bytes:
-    """Content of SHA256SUMS: a line for each entry."""
+    """Content of SHA256SUMS: one line per entry."""
     lines = (f"{hashlib.sha256(data).hexdigest()}  {name}\n" for name, data in entries.items())
     return "".join(lines).encode()
 
@@ -132,10 +133,10 @@ def sums(entries: Mapping[str, bytes]) -> bytes:
 
 
 def npy(array: Any) -> bytes:
-    """An array in NumPy's own format, without pickle.
+    """Serialise an array in NumPy's own format, without pickle.
 
     Raises:
-        ValueError: it holds Python objects.
+        ValueError: the array holds Python objects.
     """
     buffer = io.BytesIO()
     np.lib.format.write_array(buffer, np.asanyarray(array), allow_pickle=False)
@@ -143,27 +144,27 @@ def npy(array: Any) -> bytes:
 
 
 def from_npy(data: bytes) -> np.ndarray:
-    """The array that `npy` made bytes of.
+    """Deserialise an array from the bytes that `npy` made.
 
     Raises:
-        ValueError: it is none, holds Python objects, or has not as many bytes as its shape says.
+        ValueError: the bytes are not an array, hold Python objects, or do not match its shape.
     """
     stream = io.BytesIO(data)
     version = np.lib.format.read_magic(stream)
     if version != (1, 0):
-        raise ValueError(f"an array of NumPy's format {version}, not (1, 0)")
+        raise ValueError(f"array in NumPy format {version}, expected (1, 0)")
     shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     expected, rest = math.prod(shape) * dtype.itemsize, len(data) - stream.tell()
-    # before NumPy allocates what the header asks for
+    # check before NumPy allocates memory for that shape
     if expected != rest:
-        raise ValueError(f"an array of shape {shape} has {rest} bytes in place of {expected}")
+        raise ValueError(f"array of shape {shape} has {rest} bytes, expected {expected}")
     return np.load(io.BytesIO(data), allow_pickle=False)
 
 
 def as_json(value: Any) -> bytes:
-    """A value of JSON types as text.
+    """Serialise a value as JSON text.
 
     Raises:
-        TypeError: it is of others.
+        TypeError: the value has other types than those of JSON.
     """
     return (json.dumps(value, indent=1) + "\n").encode()

@@ -1,4 +1,4 @@
-"""Files that ship with the package, found from a checkout and from an installed wheel alike."""
+"""Files that ship with the package, in a checkout or an installed wheel."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from pathlib import Path
 
 from aslip.errors import AssetError
 
-# a wheel carries the assets inside the package, a checkout beside it; a stray pyproject.toml beside
-# an installed package says nothing
+# a wheel has the assets inside the package, a checkout beside it
 _PACKAGE = Path(__file__).parents[1]
 _INSTALLED = _PACKAGE / "_assets"
 _ROOT = _INSTALLED if _INSTALLED.is_dir() else _PACKAGE.parent / "assets"
@@ -20,7 +19,7 @@ def asset_path(name: str) -> Path:
         name: path below `assets/`, such as `"cassie.xml"`.
 
     Raises:
-        AssetError: no such file; the message lists the files there are.
+        AssetError: there is no such file; the message lists those that ship.
     """
     if (_ROOT / name).is_file():
         return _ROOT / name

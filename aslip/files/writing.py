@@ -1,8 +1,7 @@
-"""Files that are whole or not there.
+"""Atomic writing: a file is complete or not there.
 
-A file is written under a temporary name, its bytes are brought to the disk, and only then does it
-take its name: neither a full disk, nor a killed process, nor a power cut leaves half a file, or
-loses the one that was there before.
+Content goes to a temporary file, is synced to the disk, and only then renamed. A full disk, a
+killed process or a power cut therefore leaves the old file as it was, and never half of a new one.
 """
 
 from __future__ import annotations
@@ -16,10 +15,10 @@ from typing import IO
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """Open a temporary file that takes the place of `path` if the body ends without an error.
+    """Open a temporary file that replaces `path` once the body has ended without an error.
 
     Args:
-        path: the file; a file that is there stays as it is until the body has ended.
+        path: file to create or replace; an old one stays as it is until the body has ended.
 
     Raises:
         OSError: the file cannot be written.
@@ -34,17 +33,17 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
 
 def commit(file: IO[bytes], path: Path) -> None:
-    """Bring an open temporary file to the disk, close it, and rename it to `path`.
+    """Sync an open temporary file to the disk, close it, and rename it to `path`.
 
     Args:
-        file: open for writing, with a name in the folder of `path`.
-        path: the file; replaced if it is there.
+        file: temporary file, open for writing, in the folder of `path`.
+        path: file to create or replace.
 
     Raises:
         OSError: the disk is full or failed; the temporary file is still there.
     """
     file.flush()
-    # some file systems write a rename to the disk before the content
+    # some file systems store the rename before the content
     os.fsync(file.fileno())
     file.close()
     os.replace(file.name, path)
@@ -52,7 +51,7 @@ def commit(file: IO[bytes], path: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk, where the system can."""
+    """Sync the names in a folder to the disk, where the system can."""
     if not hasattr(os, "O_DIRECTORY"):  # Windows
         return
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

@@ -1,4 +1,4 @@
-"""Files of every kind: written whole or not at all, read whole or refused."""
+"""Files of every kind: written atomically, read completely or refused."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ every_archive = pytest.mark.parametrize(
 
 @pytest.fixture
 def path(kind: Kind, tmp_path: Path) -> Path:
-    """A whole file, alone in its folder."""
+    """An intact file, alone in its folder."""
     folder = tmp_path / "folder"
     folder.mkdir()
     kind.write(folder / f"whole{kind.suffix}")
@@ -40,7 +40,7 @@ def path(kind: Kind, tmp_path: Path) -> Path:
 
 
 def _step(kind: Kind) -> int:
-    """Stride through places to damage: a log takes a second to read, check and recover."""
+    """Stride between damaged places: reading, checking and recovering a log takes a second."""
     return 1 if kind.archive else 10
 
 
@@ -48,12 +48,12 @@ def _step(kind: Kind) -> int:
 
 
 @every_kind
-def test_a_whole_file_loads_again_and_again(kind: Kind, path: Path) -> None:
+def test_an_intact_file_loads_twice_with_the_same_content(kind: Kind, path: Path) -> None:
     assert kind.same(kind.load(path), kind.load(path))
 
 
 @every_kind
-def test_a_cut_file_is_refused_wherever_it_ends(kind: Kind, path: Path) -> None:
+def test_a_truncated_file_is_refused_wherever_it_ends(kind: Kind, path: Path) -> None:
     data = path.read_bytes()
     ends = [int(share * len(data)) for share in np.linspace(0, 1, 41)[: -1 : _step(kind)]]
     for end in [*ends, *(len(data) - missing for missing in (1, 2, 21, 22, 23))]:
@@ -63,7 +63,7 @@ def test_a_cut_file_is_refused_wherever_it_ends(kind: Kind, path: Path) -> None:
 
 
 def _survives(kind: Kind, path: Path, data: bytes, whole: Any) -> str:
-    """Nothing if data is refused or has the whole content, else what happens."""
+    """Empty string if data is refused or loads with the intact content, else the outcome."""
     path.write_bytes(data)
     try:
         return "" if kind.same(kind.load(path), whole) else "other content"
@@ -75,7 +75,7 @@ def _survives(kind: Kind, path: Path, data: bytes, whole: Any) -> str:
 
 @every_kind
 def test_a_flipped_bit_is_refused_or_harmless(kind: Kind, path: Path) -> None:
-    """Anywhere, and everywhere in the last bytes, where formats keep their directories."""
+    """At random offsets, and at all of the last bytes, where formats keep their directories."""
     data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(0)
     offsets = set(rng.choice(len(data), 150).tolist()[:: _step(kind)])
     offsets |= set(range(len(data) - 70, len(data), _step(kind)))
@@ -91,8 +91,8 @@ def test_a_flipped_bit_is_refused_or_harmless(kind: Kind, path: Path) -> None:
 
 
 @every_kind
-def test_damage_of_every_sort_is_refused_or_harmless(kind: Kind, path: Path) -> None:
-    """A few of what `benchmarks.faults.files` does 1000 times; forged files may be in order."""
+def test_every_sort_of_damage_is_refused_or_harmless(kind: Kind, path: Path) -> None:
+    """A sample of `benchmarks.faults.files`; forged files with correct checksums may load."""
     data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(1)
     for name, damage in damages(kind).items():
         for _ in range(3 if kind.archive else 1):
@@ -140,14 +140,14 @@ def test_a_pickle_is_refused_and_not_run(kind: Kind, path: Path, tmp_path: Path)
 
 @every_archive
 def test_a_pickle_in_an_archive_is_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
-    """In the place of an array, or where other libraries would look for one; hashes are right."""
+    """In place of an array, or where other libraries would look for one; hashes are right."""
     mark, data = tmp_path / "ran", path.read_bytes()
     for content in programs(data, Program(mark)):
         path.write_bytes(content)
         with suppress(FileDamagedError):
             kind.load(path)
         assert not mark.exists()
-    # the marks of programs that do run can be seen
+    # a program that is run does leave its mark
     with suppress(Exception):
         torch.load(io.BytesIO(_saved(Program(mark))), weights_only=False)
     assert mark.exists()
@@ -161,7 +161,7 @@ def _saved(program: Program) -> bytes:
 
 @every_archive
 def test_no_entry_can_be_changed_removed_or_added(kind: Kind, path: Path) -> None:
-    """However right the archive's own checksums are."""
+    """Even if the checksums of the ZIP file are right."""
     parts = unzipped(path.read_bytes())
     rng = np.random.default_rng(0)
     names = sorted(parts.keys() - {SUMS})
@@ -192,40 +192,42 @@ def test_a_file_without_hashes_is_refused(kind: Kind, path: Path) -> None:
     """Archives of earlier versions had no hashes."""
     parts = unzipped(path.read_bytes())
     path.write_bytes(zipped({name: parts[name] for name in parts if name != SUMS}))
-    with pytest.raises(FileDamagedError, match=f"no {SUMS}; files of earlier versions"):
+    with pytest.raises(FileDamagedError, match=f"no {SUMS}, as in files of earlier versions"):
         kind.load(path)
 
 
 @every_archive
 def test_two_entries_of_a_name_are_refused(kind: Kind, path: Path) -> None:
-    """Readers differ in which of them they take."""
+    """Readers of ZIP files differ in which of the two they take."""
     with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr("format", archive.read("format"))
-    with pytest.raises(FileDamagedError, match="two entries of the same name"):
+    with pytest.raises(FileDamagedError, match="two entries have the same name"):
         kind.load(path)
 
 
 @every_archive
-def test_a_small_file_cannot_unfold_into_a_large_one(kind: Kind, path: Path) -> None:
+def test_a_decompression_bomb_is_refused(kind: Kind, path: Path) -> None:
     parts = unzipped(path.read_bytes())
     largest = max(parts, key=lambda name: len(parts[name]))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in {**parts, largest: bytes(30 * len(path.read_bytes() or b"x"))}.items():
             archive.writestr(name, content + bytes(10**7 if name == largest else 0))
-    with pytest.raises(FileDamagedError, match="claim to hold"):
+    with pytest.raises(FileDamagedError, match="claims to hold"):
         kind.load(path)
 
 
 @every_archive
-def test_an_array_that_claims_to_be_large_is_refused(kind: Kind, path: Path) -> None:
-    """Before its memory is taken; hashes are right."""
+def test_a_huge_shape_is_refused_before_memory_is_allocated(
+    kind: Kind, path: Path
+) -> None:
+    """The hashes are right."""
     parts = unzipped(path.read_bytes())
     name = next(name for name in parts if name.endswith(".npy"))
     buffer = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
     np.lib.format.write_array_header_1_0(buffer, header)
     path.write_bytes(forged({**parts, name: buffer.getvalue() + bytes(64)}))
-    with pytest.raises(FileDamagedError, match="has 64 bytes in place of"):
+    with pytest.raises(FileDamagedError, match="has 64 bytes, expected"):
         kind.load(path)
 
 
@@ -234,7 +236,7 @@ def test_an_array_that_claims_to_be_large_is_refused(kind: Kind, path: Path) -> 
 
 @contextmanager
 def _full_disk(room: int) -> Iterator[None]:
-    """Let files grow to so many bytes and no further: the system says so when they do."""
+    """Limit the size of files to `room` bytes; writing more is an error of the system."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
@@ -244,8 +246,8 @@ def _full_disk(room: int) -> Iterator[None]:
 
 
 @every_kind
-def test_a_full_disk_leaves_what_was_there(kind: Kind, path: Path) -> None:
-    """Full at any byte: an OSError, the old file, and nothing else in the folder."""
+def test_a_full_disk_leaves_the_old_file(kind: Kind, path: Path) -> None:
+    """Wherever the disk is full: an OSError, the old file, and nothing else in the folder."""
     size, old = path.stat().st_size, b"what was there"
     for share in (0, 0.01, 0.5, 0.99):
         path.write_bytes(old)
@@ -267,7 +269,7 @@ def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
 @pytest.mark.parametrize(
     "kind", [kind for kind in KINDS.values() if not kind.makes_folders], ids=lambda kind: kind.name
 )
-def test_writing_into_no_folder_is_an_os_error(kind: Kind, path: Path) -> None:
+def test_writing_into_a_missing_folder_is_an_os_error(kind: Kind, path: Path) -> None:
     with pytest.raises(OSError, match="nowhere"):
         kind.write(path.parent / "nowhere" / path.name)
 
@@ -293,8 +295,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @every_kind
-def test_content_is_on_the_disk_before_its_name(kind: Kind, path: Path, calls: list[str]) -> None:
-    """Or a power cut may leave an empty file in the place of the old one."""
+def test_content_is_synced_before_the_rename(kind: Kind, path: Path, calls: list[str]) -> None:
+    """Otherwise a power cut may replace the old file by an empty one."""
     kind.write(path)
     assert calls == [f"sync {path.stat().st_size} bytes", "rename", "sync folder"]
 
@@ -306,7 +308,7 @@ def test_replacing_syncs_renames_and_syncs_the_folder(tmp_path: Path, calls: lis
     assert (tmp_path / "file").read_bytes() == b"12345"
 
 
-def test_commit_syncs_what_is_still_in_the_buffer(tmp_path: Path, calls: list[str]) -> None:
+def test_commit_flushes_the_buffer_before_it_syncs(tmp_path: Path, calls: list[str]) -> None:
     file = (tmp_path / "temporary").open("wb")
     file.write(b"123")
     commit(file, tmp_path / "file")
@@ -315,9 +317,7 @@ def test_commit_syncs_what_is_still_in_the_buffer(tmp_path: Path, calls: list[st
 
 
 @pytest.mark.parametrize("error", [OSError("no space left"), KeyboardInterrupt()])
-def test_an_interrupted_write_leaves_the_file_that_was_there(
-    tmp_path: Path, error: BaseException
-) -> None:
+def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, error: BaseException) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"old")
     with pytest.raises(type(error)), replacing(path) as file:
