@@ -1,11 +1,19 @@
 """The robot's low level at 2 kHz: sensors, motor drive, delay, and N simulations side by side."""
 
-from aslip.sim.drive import Drive, motor_torque
-from aslip.sim.dynamics import DYNAMICS, Dynamics
-from aslip.sim.pool import SimulationPool
-from aslip.sim.sensors import Sensors
-from aslip.sim.simulations import Simulations
-from aslip.sim.truth import Snapshot, true_state
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from aslip.sim.drive import Drive, motor_torque
+    from aslip.sim.dynamics import Dynamics
+    from aslip.sim.parameters import DYNAMICS
+    from aslip.sim.pool import SimulationPool
+    from aslip.sim.sensors import Sensors
+    from aslip.sim.simulations import Simulations
+    from aslip.sim.truth import Snapshot, true_state
 
 __all__ = [
     "DYNAMICS",
@@ -18,3 +26,16 @@ __all__ = [
     "motor_torque",
     "true_state",
 ]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "drive": ["Drive", "motor_torque"],
+        "dynamics": ["Dynamics"],
+        "parameters": ["DYNAMICS"],
+        "pool": ["SimulationPool"],
+        "sensors": ["Sensors"],
+        "simulations": ["Simulations"],
+        "truth": ["Snapshot", "true_state"],
+    },
+)

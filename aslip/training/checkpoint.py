@@ -31,7 +31,8 @@ from torchrl.collectors import Collector
 from aslip.envs import CassieEnv, CassieTransformedEnv
 from aslip.errors import ConfigurationError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.sim.dynamics import DYNAMICS, longest_delay
+from aslip.sim.dynamics import longest_delay
+from aslip.sim.parameters import DYNAMICS
 
 
 class CollectorState:

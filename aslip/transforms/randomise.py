@@ -13,7 +13,7 @@ from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
-from aslip.sim.dynamics import parameter_named
+from aslip.sim.parameters import parameter_named
 from aslip.transforms.base import CassieTransform, extend_spec
 from aslip.transforms.noise import ObservationNoise
 
