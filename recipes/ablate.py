@@ -89,9 +89,9 @@ from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
     ActionDelta,
     AssembleObservation,
-    CassieTransform,
     ClockInput,
     RandomDynamics,
+    SeededTransform,
     WeightedReward,
 )
 from aslip.transforms.base import extend_spec
@@ -107,7 +107,7 @@ _NEVER = 10**12
 _TIMED_STEPS, _UPDATES_TOO = 4, 1.2
 
 
-class StandingBaseline(CassieTransform):
+class StandingBaseline(SeededTransform):
     """Write the motor angles of the standing robot under `("baseline", "motor_position")`."""
 
     def __init__(self) -> None:

@@ -17,7 +17,7 @@ from aslip.envs import CassieEnv
 from aslip.envs.base import requested
 from aslip.errors import ConfigurationError
 from aslip.sim.checks import check_count
-from aslip.transforms import CassieTransform
+from aslip.transforms import SeededTransform
 
 
 class CassieTransformedEnv(TransformedEnv):
@@ -126,7 +126,7 @@ class CassieTransformedEnv(TransformedEnv):
         if seed is not None:
             self.seed = seed = check_seed(seed)
             for name, transform in zip(self.transform_names, self.transforms, strict=True):
-                if isinstance(transform, CassieTransform):
+                if isinstance(transform, SeededTransform):
                     entropy = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
                     transform.set_seed(int(entropy.generate_state(1)[0]))
         return super().set_seed(seed, static_seed=static_seed)

@@ -7,7 +7,7 @@ and follow `env.set_seed`.
 
 from aslip.robot.sensing import SENSOR_NOISE, NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
-from aslip.transforms.base import CassieTransform
+from aslip.transforms.base import SeededTransform
 from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand
 from aslip.transforms.episode import Fall, FirstStep, LowReward, StaggeredEnds
 from aslip.transforms.estimate import ESTIMATE_SIZES, ODOMETRY_SIZES, EstimatedState, TrueState
@@ -36,7 +36,6 @@ __all__ = [
     "SINGLE_REFERENCE_TABLE",
     "ActionDelta",
     "AssembleObservation",
-    "CassieTransform",
     "ClockInput",
     "EpisodeSum",
     "EstimatedState",
@@ -55,6 +54,7 @@ __all__ = [
     "ReferenceInjection",
     "ReferenceStart",
     "RewardTerm",
+    "SeededTransform",
     "SpeedCommand",
     "StaggeredEnds",
     "TrueState",

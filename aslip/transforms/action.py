@@ -13,10 +13,10 @@ from torchrl.data import Bounded, Composite
 
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import MOTOR_NAMES
-from aslip.transforms.base import CassieTransform, extend_spec
+from aslip.transforms.base import SeededTransform, extend_spec
 
 
-class ActionDelta(CassieTransform):
+class ActionDelta(SeededTransform):
     r"""The policy's delta on the reference's motor angles: :math:`a = \hat a + \delta_a`.
 
     (Sec. III-B.) The delta is unbounded, unscaled and unfiltered, as in the paper. To act on
@@ -85,7 +85,7 @@ def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:
     return numbers[0] if len(numbers) == 1 else numbers
 
 
-class LastAction(CassieTransform):
+class LastAction(SeededTransform):
     """Remember the previous action under `last_action`; zero, no delta, after a reset."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from torchrl.envs.transforms import Transform
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 
 
-class CassieTransform(Transform):
+class SeededTransform(Transform):
     """A transform whose `_call` also runs at resets, and that can be seeded.
 
     TorchRL runs `_call` on steps only; a key it writes would be missing after a reset.

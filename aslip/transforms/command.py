@@ -16,7 +16,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import POLICY_PERIOD
 from aslip.transforms.base import (
-    CassieTransform,
+    SeededTransform,
     check_number,
     checked_column,
     extend_spec,
@@ -24,7 +24,7 @@ from aslip.transforms.base import (
 )
 
 
-class SpeedCommand(CassieTransform):
+class SpeedCommand(SeededTransform):
     """Forward speed to walk at: drawn at each reset, then held, or drawn anew now and then.
 
     To command from outside, write `td["command"]` between steps, or pass it to `env.reset`: a speed
@@ -112,7 +112,7 @@ class SpeedCommand(CassieTransform):
         return extend_spec(state_spec, {"command": 1})
 
 
-class PhaseClock(CassieTransform):
+class PhaseClock(SeededTransform):
     r"""Stride fraction in [0, 1): random at each reset, then advanced by time.
 
     .. math:: \phi \leftarrow (\phi + \Delta t / T(v)) \bmod 1
@@ -156,7 +156,7 @@ class PhaseClock(CassieTransform):
         return extend_spec(state_spec, {"phase": 1})
 
 
-class ClockInput(CassieTransform):
+class ClockInput(SeededTransform):
     """Write sine and cosine of the phase under `("clock", ...)`, as inputs of a policy."""
 
     def __init__(self) -> None:

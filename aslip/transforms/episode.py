@@ -11,10 +11,10 @@ from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.errors import ConfigurationError
 from aslip.robot import FALL_HEIGHT
-from aslip.transforms.base import CassieTransform, check_number
+from aslip.transforms.base import SeededTransform, check_number
 
 
-class FirstStep(CassieTransform):
+class FirstStep(SeededTransform):
     """Write whether the coming step is the first of its episode, `is_init` (n, 1) bool.
 
     Recurrent policies forget by it, and TorchRL's collectors ask for it whatever the policy. As
@@ -45,7 +45,7 @@ class FirstStep(CassieTransform):
         return observation_spec
 
 
-class _Termination(CassieTransform):
+class _Termination(SeededTransform):
     """End an episode, without bootstrap, where a condition holds after a step."""
 
     def __init__(self, in_keys: list) -> None:
@@ -113,7 +113,7 @@ class Fall(_Termination):
         return value[..., 2:] < self.height
 
 
-class StaggeredEnds(CassieTransform):
+class StaggeredEnds(SeededTransform):
     """End the first episodes of robots at different times, or those that never fall stay in step.
 
     When all robots are reset at once, each draws from 1 to `max_steps` policy steps after which its

@@ -21,7 +21,7 @@ from aslip.estimation import (
 )
 from aslip.robot import SIDES
 from aslip.robot.sensing import PACKET_SIZES
-from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 
 ESTIMATE_SIZES: Final = MappingProxyType(
     {
@@ -70,7 +70,7 @@ _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
 }
 
 
-class _Estimator(CassieTransform):
+class _Estimator(SeededTransform):
     """Writes `("estimate", ...)` and `("odometry", ...)`."""
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.robot import SIDES
-from aslip.transforms.base import CassieTransform, checked_column, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
 from aslip.transforms.rewards import rotate_inverse, yaw_angle
 
@@ -22,7 +22,7 @@ _BODIES = ("pelvis", *(f"{side}_foot" for side in SIDES))
 _SWAY: Final = 0.05
 
 
-class HeadingFrame(CassieTransform):
+class HeadingFrame(SeededTransform):
     """Write the truth as perfect odometry, `("true_odometry", ...)`: where the robot went since.
 
     Entries have the names and the frame of `("odometry", ...)`, see `ODOMETRY_SIZES`: z is up

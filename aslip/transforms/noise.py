@@ -16,13 +16,13 @@ from torchrl.data import Composite
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import POLICY_PERIOD
 from aslip.robot.sensing import NOISE_CHANNELS, SENSOR_NOISE, NoiseLevel
-from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in NOISE_CHANNELS)
 _BIAS_KEYS = tuple(("sensor_bias", name) for name in NOISE_CHANNELS)
 
 
-class ObservationNoise(CassieTransform):
+class ObservationNoise(SeededTransform):
     r"""Noise on the packets `("sensors", name)`, each (n, W, k).
 
     Every packet errs by its own white noise and by a bias that is one for the W packets of a policy

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.data import Composite
 
-from aslip.transforms.base import CassieTransform, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 from aslip.transforms.estimate import ESTIMATE_SIZES
 
 _REFERENCE_NAMES = (
@@ -37,7 +37,7 @@ SINGLE_REFERENCE_TABLE: Final[tuple[NestedKey, ...]] = (
 """The single-reference method's 49 numbers: the same estimate, then clock and speed [m/s]."""
 
 
-class AssembleObservation(CassieTransform):
+class AssembleObservation(SeededTransform):
     """Join estimate and reference into `observation`.
 
     | index | entry | unit, frame |

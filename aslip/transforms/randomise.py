@@ -14,7 +14,7 @@ from torchrl.data import Composite
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.parameters import parameter_named
-from aslip.transforms.base import CassieTransform, extend_spec
+from aslip.transforms.base import SeededTransform, extend_spec
 from aslip.transforms.noise import ObservationNoise
 
 DYNAMICS_RANGES: Final = MappingProxyType(
@@ -46,7 +46,7 @@ Opinions differ on how much is good: Xie et al. 2019 took policies to Cassie wit
 _FACTOR_KEY = ("dynamics", "sensor_noise")
 
 
-class RandomDynamics(CassieTransform):
+class RandomDynamics(SeededTransform):
     """Draw parameters of each robot's dynamics at each of its resets.
 
     Uniformly within their ranges, under `("dynamics", name)` (n, 1) of resets and steps alike, for

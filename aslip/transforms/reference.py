@@ -14,7 +14,7 @@ from torchrl.data import Composite
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import MOTOR_NAMES, PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
-from aslip.transforms.base import CassieTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
 
 _MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))
 _BODY = tuple(field.name for field in fields(Reference) if field.name not in _MOTORS)
@@ -23,7 +23,7 @@ _GOAL_DISTANCE = ("goal", "distance")
 InitialVelocity = Literal["reference", "rest"]
 
 
-class ReferenceInjection(CassieTransform):
+class ReferenceInjection(SeededTransform):
     """Write the library's motion under `("reference", ...)` and `("goal", ...)`.
 
     Both are of the present command. Body and feet under "reference" are those of the present phase.
@@ -83,7 +83,7 @@ class ReferenceInjection(CassieTransform):
         return extend_spec(observation_spec, sizes)
 
 
-class Feedforward(CassieTransform):
+class Feedforward(SeededTransform):
     r"""Write where PD loops must aim to follow the reference, ("reference", "motor_target").
 
     .. math:: \hat a = \hat q + K_p^{-1} (\hat\tau + K_d \dot{\hat q})
@@ -112,7 +112,7 @@ class Feedforward(CassieTransform):
         return extend_spec(observation_spec, {self.out_keys[0]: len(MOTOR_NAMES)})
 
 
-class ReferenceDistance(CassieTransform):
+class ReferenceDistance(SeededTransform):
     """Write how far the reference has gone since the reset under `("reference", "distance")` [m].
 
     The reference's own x is the deviation from uniform motion; added to this it is a place in the
@@ -143,7 +143,7 @@ class ReferenceDistance(CassieTransform):
         return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
 
 
-class ReferenceStart(CassieTransform):
+class ReferenceStart(SeededTransform):
     """Start each episode on the reference, at the drawn phase and command.
 
     To start elsewhere, pass `("initial", "qpos")`, `("initial", "qvel")` or both to `env.reset`;

@@ -11,12 +11,12 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.transforms.base import CassieTransform, check_number, extend_spec
+from aslip.transforms.base import SeededTransform, check_number, extend_spec
 
 TermFunction = Callable[..., Tensor]
 
 
-class RewardTerm(CassieTransform):
+class RewardTerm(SeededTransform):
     """One named term of the reward, computed by a pure function; see `aslip.transforms.rewards`.
 
     TorchRL counts terms among the observations: what is in the specs of rewards are rewards to its
@@ -82,7 +82,7 @@ class RewardTerm(CassieTransform):
         return extend_spec(observation_spec, {self.out_keys[0]: 1})
 
 
-class WeightedReward(CassieTransform):
+class WeightedReward(SeededTransform):
     """The reward: weighted sum of the terms there are.
 
     A term left out of the stack contributes nothing; a term of weight zero is still logged.
@@ -135,7 +135,7 @@ class WeightedReward(CassieTransform):
         return observation_spec
 
 
-class EpisodeSum(CassieTransform):
+class EpisodeSum(SeededTransform):
     """Sum of the rewards since the reset, `reward` -> `episode_reward` (n, 1).
 
     As TorchRL's `RewardSum`, which computes the specs of the whole stack again, twice, to find the

@@ -217,9 +217,7 @@ def test_a_decompression_bomb_is_refused(kind: Kind, path: Path) -> None:
 
 
 @every_archive
-def test_a_huge_shape_is_refused_before_memory_is_allocated(
-    kind: Kind, path: Path
-) -> None:
+def test_a_huge_shape_is_refused_before_memory_is_allocated(kind: Kind, path: Path) -> None:
     """The hashes are right."""
     parts = unzipped(path.read_bytes())
     name = next(name for name in parts if name.endswith(".npy"))

@@ -24,7 +24,7 @@ from aslip.envs import (
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
-from aslip.transforms import OBSERVATION_TABLE, ActionDelta, AssembleObservation, CassieTransform
+from aslip.transforms import OBSERVATION_TABLE, ActionDelta, AssembleObservation, SeededTransform
 from aslip.transforms.base import extend_spec
 from aslip.walking.walker import Walker
 from benchmarks import velocity_tracking
@@ -32,7 +32,7 @@ from benchmarks.common import Common, environment
 from tests.helpers import MakeEnv
 
 
-class AirTime(CassieTransform):
+class AirTime(SeededTransform):
     """A reward with memory: how long feet have been in the air, as rsl_rl has it."""
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class AirTime(CassieTransform):
         return extend_spec(observation_spec, {"air_time": 1})
 
 
-class Smooth(CassieTransform):
+class Smooth(SeededTransform):
     """Changes actions before they are added to the reference."""
 
     def __init__(self) -> None:

@@ -30,12 +30,12 @@ from aslip.library.pendulum import pendulum_library
 from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
-    CassieTransform,
     Fall,
     LowReward,
     ObservationNoise,
     RandomNoise,
     RewardTerm,
+    SeededTransform,
     SpeedCommand,
     WeightedReward,
 )
@@ -104,7 +104,7 @@ def test_steps_and_resets_build_no_specs(
     assert 30 < len(built) < 500
 
 
-class Unregistered(CassieTransform):
+class Unregistered(SeededTransform):
     """Writes a key that no spec has."""
 
     def __init__(self) -> None:
@@ -187,7 +187,7 @@ def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:
     drawn = []
     for seed in (0, 1):
         env.set_seed(seed)
-        transforms = [t for t in env.transforms if isinstance(t, CassieTransform)]
+        transforms = [t for t in env.transforms if isinstance(t, SeededTransform)]
         drawn += [tuple(torch.rand(4, generator=t.generator).tolist()) for t in transforms]
     assert len(set(drawn)) == len(drawn) == 2 * len(transforms)
 

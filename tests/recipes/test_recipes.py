@@ -30,10 +30,10 @@ from aslip.training.run import TrainingStoppedError
 from aslip.transforms import (
     OBSERVATION_TABLE,
     AssembleObservation,
-    CassieTransform,
     ObservationNoise,
     RandomNoise,
     RewardTerm,
+    SeededTransform,
     SpeedCommand,
     WeightedReward,
 )
@@ -427,7 +427,7 @@ def test_a_stack_without_what_the_recipe_needs_is_refused(tmp_path: Path, name: 
         ppo_aslip.main(replace(TINY, out=tmp_path), {"replace": {name: nothing}})
 
 
-class Named(CassieTransform):
+class Named(SeededTransform):
     """Writes a key of ones, at resets and at steps."""
 
     def __init__(self, name: str) -> None:

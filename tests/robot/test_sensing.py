@@ -16,9 +16,9 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
     OBSERVATION_TABLE,
-    CassieTransform,
     EstimatedState,
     ObservationNoise,
+    SeededTransform,
     TrueState,
 )
 from tests.helpers import MakeEnv
@@ -27,7 +27,7 @@ from tests.helpers import MakeEnv
 JUDGES = ["low_reward", "fall", "step_limit"]
 
 
-class Liar(CassieTransform):
+class Liar(SeededTransform):
     """Puts nonsense in the place of all that is true, but for the heading that a robot is told."""
 
     def __init__(self) -> None:
@@ -147,7 +147,7 @@ def test_a_walking_robot_knows_how_it_moves(make: MakeEnv) -> None:
 
 
 def test_a_broken_sensor_of_one_robot_is_told_and_touches_no_other(make: MakeEnv) -> None:
-    class Broken(CassieTransform):
+    class Broken(SeededTransform):
         """A NaN from one encoder of robot 1."""
 
         def __init__(self) -> None:
