@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 import aslip
-from aslip.envs import EPISODE_ENDS, ON_TRUTH, CassieTransformedEnv, check_fits
+from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits
 from aslip.library import GaitLibrary
 from aslip.policy import policy_stack
 from aslip.robot import POLICY_PERIOD
@@ -82,9 +82,7 @@ class Interval:
         return mean if self.low == self.high else f"{mean} [{low}, {high}]"
 
 
-def environment(
-    config: Common, policy: str, num_envs: int, **settings: Any
-) -> CassieTransformedEnv:
+def environment(config: Common, policy: str, num_envs: int, **settings: Any) -> StackEnv:
     """The stack of a policy without an end of episodes but falls."""
     edits = ON_TRUTH if config.truth else {}
     env = aslip.make_env(
@@ -95,7 +93,7 @@ def environment(
         replace=edits.get("replace"),
         **settings,
     )
-    check_fits(policy, env)
+    check_policy_fits(policy, env)
     return env
 
 

@@ -6,9 +6,9 @@
 
 Variants are trained one after the other with the same budget. What is done is kept: started again,
 the command goes on where it stopped, in the middle of a training, too, and adds what is new to the
-table. All are judged alike (`aslip.envs.judged`), whatever they were trained on: walks of one
-robot at 21 speeds, by the paper's reward on the truth and the actuated spring-mass model's motion.
-Each policy sees what it has learned to see.
+table. All are evaluated on the same task (`aslip.envs.evaluation_stack`), whatever they trained
+on: walks of one robot at 21 speeds, with the paper's reward on the truth and the actuated
+spring-mass model's motion. Each policy sees what it has learned to see.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ from tensordict import TensorDictBase
 from torchrl.data import Composite
 
 import aslip
-from aslip.envs import MAX_EPISODE_STEPS, Stack, commanded, default_stack, insert_before
+from aslip.envs import MAX_EPISODE_STEPS, Stack, command_speeds, default_stack, insert_before
 from aslip.library import pendulum_library
 from aslip.robot import MOTOR_NAMES
 from aslip.robot.model import CassieIndices, load_model
@@ -248,7 +248,7 @@ def estimated_seconds(config: Config) -> float:
     start = time.perf_counter()
     env.rollout(_TIMED_STEPS, break_when_any_done=False)
     seconds = (time.perf_counter() - start) / (_TIMED_STEPS * config.num_envs)
-    speeds = len(commanded(env))
+    speeds = len(command_speeds(env))
     env.close()
     return seconds * (_UPDATES_TOO * config.total_steps + 2 * speeds * MAX_EPISODE_STEPS)
 
@@ -258,7 +258,7 @@ def trained_on(variant: Variant) -> Stack:
     settings = {"stack": variant.settings.get("stack", "aslip"), **variant.edits()}
     stack, library = settings["stack"], settings.get("library")
     truth = aslip.envs.ON_TRUTH if variant.settings.get("truth") else {}
-    return aslip.envs.edited(
+    return aslip.envs.edit_stack(
         aslip.envs.STACKS[stack](library) if isinstance(stack, str) else stack,
         truth.get("drop", ()),
         {**settings.get("replace", {}), **truth.get("replace", {})},
@@ -268,7 +268,7 @@ def trained_on(variant: Variant) -> Stack:
 def judge(folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
     """Walks of a training's policy at all speeds, by the judge of all."""
     speeds = aslip.GaitLibrary.load().speeds.tolist()
-    stack = aslip.envs.judged(trained_on(variant))
+    stack = aslip.envs.evaluation_stack(trained_on(variant))
     with closing(aslip.make_env(num_envs=len(speeds), seed=seed, stack=stack)) as env:
         return ppo_aslip.evaluate(aslip.load_policy(folder), env, speeds)
 

@@ -51,12 +51,12 @@ import aslip
 from aslip.envs import (
     ON_TRUTH,
     STACKS,
-    CassieTransformedEnv,
-    commanded,
-    described,
-    interface_of,
-    observed,
-    randomised,
+    StackEnv,
+    command_speeds,
+    describe_transforms,
+    observation_keys,
+    policy_interface,
+    randomise_stack,
 )
 from aslip.policy import (
     PolicyShape,
@@ -97,14 +97,14 @@ def main(
         edits["replace"] = {**(edits.get("replace") or {}), **ON_TRUTH["replace"]}
     task = {"stack": config.stack, "seed": config.seed, "reward_on": config.reward_on, **edits}
     probe = aslip.make_env(**copy.deepcopy(task))
-    speeds, transforms = commanded(probe), described(probe)
+    speeds, transforms = command_speeds(probe), describe_transforms(probe)
     probe.close()
     run = TrainingRun(config.out, config, resume=config.resume, transforms=transforms, go_on=go_on)
     # a transform that was given as it is belongs to one environment only
     eval_env = aslip.make_env(num_envs=len(speeds), **copy.deepcopy(task))
 
     # ----------------------------------------------------------------- policy
-    observation = observed(eval_env)
+    observation = observation_keys(eval_env)
     size = eval_env.observation_spec["observation"].shape[-1]
     shape = PolicyShape(size, std=config.std, symmetric=config.symmetric)
     normalizer = RunningNormalizer(size)
@@ -231,7 +231,7 @@ def main(
         "seconds": round(time.perf_counter() - start),
         **provenance(),
     }
-    save_policy(run.policy_file, actor, shape, made_by, **interface_of(eval_env))
+    save_policy(run.policy_file, actor, shape, made_by, **policy_interface(eval_env))
     table = walk_table(results)
     minutes = (time.perf_counter() - start) / 60
     footer = f"{step} policy steps in {minutes:.1f} minutes, peak memory {peak_memory():.2f} GiB"
@@ -288,11 +288,11 @@ def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
         stack = task["stack"]
         if isinstance(stack, str):
             stack = STACKS[stack](task.get("library"), config.reward_on)
-        edits |= {"stack": randomised(stack), "library": None, "reward_on": "truth"}
+        edits |= {"stack": randomise_stack(stack), "library": None, "reward_on": "truth"}
     return edits
 
 
-def training_env(command_interval: float, **settings: Any) -> CassieTransformedEnv:
+def training_env(command_interval: float, **settings: Any) -> StackEnv:
     """An environment of staggered robots whose commands change; those that do so already stay."""
     env = aslip.make_env(**settings)
     limits = [t.max_steps for t in env.transforms if isinstance(t, StepCounter)]
@@ -356,7 +356,7 @@ def _falling(config: Config, step: int, first: float, last: float) -> float:
 
 
 def evaluated(
-    actor: ProbabilisticActor, env: CassieTransformedEnv, speeds: list[float], seed: int
+    actor: ProbabilisticActor, env: StackEnv, speeds: list[float], seed: int
 ) -> list[WalkResult]:
     """Walks at all speeds, with the same noise every time."""
     env.set_seed(seed)

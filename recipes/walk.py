@@ -16,7 +16,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.envs.choices import Backend
+from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.log.rates import JointRate
 from aslip.training.command_line import command_line

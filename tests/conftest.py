@@ -15,7 +15,7 @@ if "DISPLAY" not in os.environ and ctypes.util.find_library("OSMesa"):
     os.environ.setdefault("MUJOCO_GL", "osmesa")
 
 import aslip
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from tests.helpers import MakeEnv
 
@@ -48,7 +48,7 @@ def library() -> GaitLibrary:
 def make(library: GaitLibrary) -> MakeEnv:
     """`aslip.make_env` with the library at hand and one physics thread."""
 
-    def make(backend: str = "batch", **settings: Any) -> CassieTransformedEnv:
+    def make(backend: str = "batch", **settings: Any) -> StackEnv:
         defaults: dict[str, Any] = {"num_threads": 1}
         if isinstance(settings.get("stack", "aslip"), str):
             defaults["library"] = library

@@ -11,10 +11,10 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.training.ppo_settings import Config
 
-MakeEnv = Callable[..., CassieTransformedEnv]
+MakeEnv = Callable[..., StackEnv]
 
 MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}
 

@@ -9,7 +9,7 @@ An experiment is a stack that differs from the default one in a line or two:
     make_env(drop=["noise"])                                     # perfect sensors
     make_env(reward_on="estimate")                               # reward what the robot knows
     make_env(stack=insert_before(stack, "reward", my_term=...))  # one more term
-    make_env(stack=randomised(default_stack()))                  # robots that differ
+    make_env(stack=randomise_stack(default_stack()))             # robots that differ
     make_env(stack="paper")                                      # the paper to the letter
     make_env(stack="single_reference")                           # what the paper compares with
 
@@ -19,28 +19,26 @@ an environment, where TorchRL would keep stale specs; build another.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import lazy_loader
 
 if TYPE_CHECKING:
-    from aslip.envs.base import CassieEnv
-    from aslip.envs.batch import BatchCassieEnv
-    from aslip.envs.choices import Backend, RewardSource
-    from aslip.envs.dm_control import DmControlCassieEnv
-    from aslip.envs.edit import edited, insert_before, judged, randomised
-    from aslip.envs.environment import CassieTransformedEnv, check_seed
+    from aslip.envs.base import SimulatedEnv
+    from aslip.envs.batch import BatchEnv
+    from aslip.envs.dm_control import DmControlEnv, Walk, walk_environment
     from aslip.envs.interface import (
-        acts_on,
-        baseline,
-        check_fits,
-        commanded,
-        described,
-        interface_of,
-        observed,
+        baseline_key,
+        check_policy_fits,
+        command_speeds,
+        describe_transforms,
+        observation_keys,
+        policy_interface,
+        stack_name,
     )
     from aslip.envs.make import make_env
-    from aslip.envs.physics import CassiePhysics
+    from aslip.envs.physics import BipedPhysics
+    from aslip.envs.stack_env import StackEnv, check_seed
     from aslip.envs.stacks import (
         EPISODE_ENDS,
         MAX_EPISODE_STEPS,
@@ -48,11 +46,20 @@ if TYPE_CHECKING:
         STACKS,
         Stack,
         default_stack,
+        edit_stack,
+        evaluation_stack,
+        insert_before,
         paper_stack,
+        randomise_stack,
         reward_terms,
         single_reference_stack,
     )
-    from aslip.envs.walk_task import Walk, walk_environment
+
+Backend = Literal["batch", "dm_control"]
+"""Simulators."""
+
+RewardSource = Literal["truth", "estimate"]
+"""Sources of the state that rewards read."""
 
 __all__ = [
     "EPISODE_ENDS",
@@ -60,54 +67,52 @@ __all__ = [
     "ON_TRUTH",
     "STACKS",
     "Backend",
-    "BatchCassieEnv",
-    "CassieEnv",
-    "CassiePhysics",
-    "CassieTransformedEnv",
-    "DmControlCassieEnv",
+    "BatchEnv",
+    "BipedPhysics",
+    "DmControlEnv",
     "RewardSource",
+    "SimulatedEnv",
     "Stack",
+    "StackEnv",
     "Walk",
-    "acts_on",
-    "baseline",
-    "check_fits",
+    "baseline_key",
+    "check_policy_fits",
     "check_seed",
-    "commanded",
+    "command_speeds",
     "default_stack",
-    "described",
-    "edited",
+    "describe_transforms",
+    "edit_stack",
+    "evaluation_stack",
     "insert_before",
-    "interface_of",
-    "judged",
     "make_env",
-    "observed",
+    "observation_keys",
     "paper_stack",
-    "randomised",
+    "policy_interface",
+    "randomise_stack",
     "reward_terms",
     "single_reference_stack",
+    "stack_name",
     "walk_environment",
 ]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "base": ["CassieEnv"],
-        "batch": ["BatchCassieEnv"],
-        "choices": ["Backend", "RewardSource"],
-        "dm_control": ["DmControlCassieEnv"],
-        "edit": ["edited", "insert_before", "judged", "randomised"],
-        "environment": ["CassieTransformedEnv", "check_seed"],
+        "base": ["SimulatedEnv"],
+        "batch": ["BatchEnv"],
+        "dm_control": ["DmControlEnv", "Walk", "walk_environment"],
         "interface": [
-            "acts_on",
-            "baseline",
-            "check_fits",
-            "commanded",
-            "described",
-            "interface_of",
-            "observed",
+            "baseline_key",
+            "check_policy_fits",
+            "command_speeds",
+            "describe_transforms",
+            "observation_keys",
+            "policy_interface",
+            "stack_name",
         ],
         "make": ["make_env"],
-        "physics": ["CassiePhysics"],
+        "physics": ["BipedPhysics"],
+        "stack_env": ["StackEnv", "check_seed"],
         "stacks": [
             "EPISODE_ENDS",
             "MAX_EPISODE_STEPS",
@@ -115,10 +120,13 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "STACKS",
             "Stack",
             "default_stack",
+            "edit_stack",
+            "evaluation_stack",
+            "insert_before",
             "paper_stack",
+            "randomise_stack",
             "reward_terms",
             "single_reference_stack",
         ],
-        "walk_task": ["Walk", "walk_environment"],
     },
 )

@@ -52,7 +52,7 @@ from aslip.sim.dynamics import longest_delay, with_memory_of
 _DOUBLE = ("qpos", "qvel")
 
 
-class CassieEnv(EnvBase):
+class SimulatedEnv(EnvBase):
     """N Cassie robots under motor position targets.
 
     Args:
@@ -235,7 +235,7 @@ class CassieEnv(EnvBase):
         rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask.numpy())
         initial: list[np.ndarray | None] = [None, None]
         if tensordict is not None:
-            start = requested(tensordict, "initial")
+            start = reset_request(tensordict, "initial")
             for name in start.keys() - set(_DOUBLE):
                 raise UnknownNameError.among("initial state", name, _DOUBLE)
             for i, name in enumerate(_DOUBLE):
@@ -284,7 +284,7 @@ class CassieEnv(EnvBase):
         """
         expected = (*self.batch_size, 1)
         values = {}
-        for name, value in requested(tensordict, "dynamics").items():
+        for name, value in reset_request(tensordict, "dynamics").items():
             if tuple(value.shape) != expected:
                 raise ShapeError(f"{name} must have shape {expected}, got {tuple(value.shape)}")
             values[name] = value.detach().numpy()[rows, 0]
@@ -319,7 +319,7 @@ class CassieEnv(EnvBase):
         """The robots themselves draw nothing; transforms have their own generators."""
 
 
-def requested(tensordict: TensorDictBase, group: str) -> dict[str, Tensor]:
+def reset_request(tensordict: TensorDictBase, group: str) -> dict[str, Tensor]:
     """Entries of a reset's request under one key, "initial" or "dynamics", by their names.
 
     Raises:

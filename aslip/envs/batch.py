@@ -8,7 +8,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from aslip.envs.base import CassieEnv
+from aslip.envs.base import SimulatedEnv
 from aslip.robot import PHYSICS_TIMESTEP
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.sim import SimulationPool, Snapshot
@@ -20,8 +20,8 @@ MAX_BATCH_ENVS: Final = 65_536
 fill all memory before it failed."""
 
 
-class BatchCassieEnv(CassieEnv):
-    """N robots on `mujoco.batch`; see `CassieEnv` for the keys.
+class BatchEnv(SimulatedEnv):
+    """N robots on `mujoco.batch`; see `SimulatedEnv` for the keys.
 
     Args:
         num_envs: number of robots, at most `MAX_BATCH_ENVS`.
@@ -48,25 +48,25 @@ class BatchCassieEnv(CassieEnv):
 
     @property
     def model(self) -> mujoco.MjModel:
-        """See `CassieEnv.model`; without what is only looked at."""
+        """See `SimulatedEnv.model`; without what is only looked at."""
         return self.simulations.model
 
     def states(self) -> np.ndarray:
-        """See `CassieEnv.states`."""
+        """See `SimulatedEnv.states`."""
         return self.simulations.states()
 
     def set_states(self, states: np.ndarray) -> None:
-        """See `CassieEnv.set_states`."""
+        """See `SimulatedEnv.set_states`."""
         self.simulations.set_states(states)
 
     def watch(self, index: int | None) -> None:
-        """See `CassieEnv.watch`."""
+        """See `SimulatedEnv.watch`."""
         self.simulations.watch(index)
         self._watched_robot = index
 
     @property
     def watched(self) -> np.ndarray:
-        """See `CassieEnv.watched`."""
+        """See `SimulatedEnv.watched`."""
         return self.simulations.watched
 
     def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:

@@ -1,28 +1,34 @@
-"""The reference backend: dm_control environments of the walking task, one after another.
+"""The reference simulator: a dm_control task of walking, and environments of it.
 
-Its states equal the batched backend's bit for bit; use it for viewing, for comparison, and where
-dm_control's tools are wanted.
+`Walk` rewards walking at a speed with the body upright; it knows no gait library, so that any
+dm_control agent can use the robot. `DmControlEnv` runs it without its rewards and ends. Its states
+equal the batched simulator's bit for bit: it is for comparison and for dm_control's tools.
 """
 
 from __future__ import annotations
 
 import warnings
+from collections import OrderedDict
 from collections.abc import Mapping
 from copy import copy
 from typing import Final
 
 import mujoco
 import numpy as np
+from dm_env import specs
 
 with warnings.catch_warnings():
     # dm_control looks for a display on import; its absence matters only to those who render
     warnings.filterwarnings("ignore", module="glfw")
     from dm_control.mujoco.wrapper import MjModel
-    from dm_control.rl.control import PhysicsError
+    from dm_control.rl import control
+    from dm_control.suite import base
+    from dm_control.utils import rewards
 
-from aslip.envs import CassiePhysics, walk_environment
-from aslip.envs.base import CassieEnv
+from aslip.envs.base import SimulatedEnv
+from aslip.envs.physics import BipedPhysics
 from aslip.errors import ConfigurationError
+from aslip.robot import FALL_HEIGHT, PHYSICS_TIMESTEP, POLICY_PERIOD
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 from aslip.sim import Snapshot
 from aslip.sim.checks import check_count, check_states
@@ -31,9 +37,112 @@ from aslip.sim.dynamics import with_longer_memory, write_fields
 MAX_DM_CONTROL_ENVS: Final = 1_024
 """Most robots of one environment, each with a model of its own; for more take the batch backend."""
 
+# the body height [m] from which standing is rewarded in full; gaits of the library bob above it
+_STAND_HEIGHT = 0.75
+# a speed error [m/s] at which the reward has fallen to a tenth
+_SPEED_MARGIN = 0.5
+# PD targets may lie this far [rad] outside the joint range to ask for torque at the limit
+_TARGET_MARGIN = 1.0
 
-class DmControlCassieEnv(CassieEnv):
-    """N dm_control environments; see `CassieEnv` for the keys.
+
+class Walk(base.Task):
+    """Walk along x at a given speed, upright.
+
+    Args:
+        speed: forward speed to keep [m/s].
+        terminate_on_fall: end the episode, without bootstrap, when the robot has fallen.
+        random: `numpy.random.RandomState` or seed; the pelvis' initial velocity is drawn from it.
+    """
+
+    def __init__(
+        self,
+        speed: float = 1.0,
+        *,
+        terminate_on_fall: bool = True,
+        random: np.random.RandomState | int | None = None,
+    ) -> None:
+        if not np.isfinite(speed):
+            raise ConfigurationError(f"speed must be a finite number of m/s, got {speed!r}")
+        super().__init__(random=random)
+        self._speed = speed
+        self._terminate_on_fall = terminate_on_fall
+
+    def action_spec(self, physics: BipedPhysics) -> specs.BoundedArray:
+        """Ten joint angles [rad], within the joints' ranges and a margin."""
+        low, high = physics.motor_range().T
+        return specs.BoundedArray(
+            low.shape, np.float64, low - _TARGET_MARGIN, high + _TARGET_MARGIN, "motor_target"
+        )
+
+    def initialize_episode(self, physics: BipedPhysics) -> None:
+        """Stand, pushed a little in a random direction."""
+        physics.stand()
+        physics.data.qvel[:2] = self.random.uniform(-0.1, 0.1, size=2)
+        super().initialize_episode(physics)
+
+    def get_observation(self, physics: BipedPhysics) -> OrderedDict[str, np.ndarray]:
+        """The robot's true state but for its place on the floor."""
+        state = physics.true_state()
+        observation = OrderedDict(height=state["pelvis_position"][2:])
+        for name in (
+            "pelvis_orientation",
+            "pelvis_velocity",
+            "pelvis_angular_velocity",
+            "motor_position",
+            "motor_velocity",
+            "joint_position",
+            "joint_velocity",
+            "ground_force",
+        ):
+            observation[name] = state[name]
+        return observation
+
+    def get_reward(self, physics: BipedPhysics) -> float:
+        """Product of upright, high enough, and at speed; in [0, 1]."""
+        upright = (1 + physics.pelvis_upright()) / 2
+        high = rewards.tolerance(
+            physics.pelvis_height(), (_STAND_HEIGHT, float("inf")), margin=_STAND_HEIGHT / 2
+        )
+        at_speed = rewards.tolerance(
+            physics.pelvis_velocity()[0], (self._speed, self._speed), margin=_SPEED_MARGIN
+        )
+        return float(upright * high * at_speed)
+
+    def get_termination(self, physics: BipedPhysics) -> float | None:
+        """Discount 0 after a fall."""
+        fallen = self._terminate_on_fall and physics.pelvis_height() < FALL_HEIGHT
+        return 0.0 if fallen else None
+
+
+def walk_environment(
+    speed: float = 1.0,
+    *,
+    time_limit: float = 12.0,
+    terminate_on_fall: bool = True,
+    floor_friction: float = DEFAULT_FLOOR_FRICTION,
+    random: np.random.RandomState | int | None = None,
+) -> control.Environment:
+    """A dm_control environment of the `Walk` task at the policy rate of 33 Hz.
+
+    Args:
+        speed: forward speed to keep [m/s].
+        time_limit: length of an episode [s]; 12 s are the paper's 400 policy steps.
+        terminate_on_fall: end the episode when the robot has fallen.
+        floor_friction: sliding friction of the floor.
+        random: `numpy.random.RandomState` or seed.
+    """
+    physics = BipedPhysics.load(floor_friction)
+    assert physics.timestep() == PHYSICS_TIMESTEP
+    return control.Environment(
+        physics,
+        Walk(speed, terminate_on_fall=terminate_on_fall, random=random),
+        time_limit=time_limit,
+        control_timestep=POLICY_PERIOD,
+    )
+
+
+class DmControlEnv(SimulatedEnv):
+    """N dm_control environments; see `SimulatedEnv` for the keys.
 
     Args:
         num_envs: number of robots, simulated in turn; at most `MAX_DM_CONTROL_ENVS`.
@@ -57,27 +166,27 @@ class DmControlCassieEnv(CassieEnv):
         super().__init__(num_envs, self.physics[0].indices)
 
     @property
-    def physics(self) -> list[CassiePhysics]:
+    def physics(self) -> list[BipedPhysics]:
         """The robots' physics."""
         return [environment.physics for environment in self.environments]
 
     @property
     def model(self) -> mujoco.MjModel:
-        """See `CassieEnv.model`; all of it."""
+        """See `SimulatedEnv.model`; all of it."""
         return self._model
 
     def states(self) -> np.ndarray:
-        """See `CassieEnv.states`."""
+        """See `SimulatedEnv.states`."""
         return np.stack([physics.full_state() for physics in self.physics])
 
     def set_states(self, states: np.ndarray) -> None:
-        """See `CassieEnv.set_states`."""
+        """See `SimulatedEnv.set_states`."""
         states = check_states(states, self.states().shape)
         for physics, state in zip(self.physics, states, strict=True):
             physics.set_full_state(state)
 
     def watch(self, index: int | None) -> None:
-        """See `CassieEnv.watch`."""
+        """See `SimulatedEnv.watch`."""
         if index is not None and not 0 <= index < self.num_envs:
             raise ConfigurationError(f"no robot {index!r}; there are {self.num_envs}, from 0")
         for i, physics in enumerate(self.physics):
@@ -85,7 +194,7 @@ class DmControlCassieEnv(CassieEnv):
 
     @property
     def watched(self) -> np.ndarray:
-        """See `CassieEnv.watched`."""
+        """See `SimulatedEnv.watched`."""
         for physics in self.physics:
             if physics.watched is not None:
                 return physics.watched
@@ -111,7 +220,7 @@ class DmControlCassieEnv(CassieEnv):
             self.physics[i].push(np.zeros(3) if push is None else push[i])
             try:
                 environment.step(motor_target[i])
-            except PhysicsError:
+            except control.PhysicsError:
                 diverged[i] = True
         self._restart(np.flatnonzero(diverged), None, None)
         return diverged

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import partial
 from pathlib import Path
-from types import FunctionType, MethodType
+from types import CodeType, FunctionType, MethodType
 from typing import Any, TypeVar
 
 import torch
 from tensordict.utils import NestedKey, unravel_key
 from torchrl.envs.transforms import Transform
 
-from aslip.envs.code_hash import function_text
-from aslip.envs.environment import CassieTransformedEnv
+from aslip.envs.stack_env import StackEnv
 from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
@@ -22,23 +23,27 @@ from aslip.policy import entry_names, observation_difference, read_card
 from aslip.transforms import ActionDelta, AssembleObservation, ReferenceInjection, SpeedCommand
 
 
-def interface_of(env: CassieTransformedEnv) -> dict[str, Any]:
+def policy_interface(env: StackEnv) -> dict[str, Any]:
     """Interface of an environment to a policy, as arguments of `aslip.policy.save_policy`.
 
     Raises:
         ConfigurationError: no `AssembleObservation` makes an observation.
     """
-    return {"stack": acts_on(env), "observation": observed(env), "baseline": baseline(env)}
+    return {
+        "stack": stack_name(env),
+        "observation": observation_keys(env),
+        "baseline": baseline_key(env),
+    }
 
 
-def acts_on(env: CassieTransformedEnv) -> str | None:
+def stack_name(env: StackEnv) -> str | None:
     """Name of the stack in `STACKS` that is the same to a policy; None if no stack is.
 
     The entries of the observation and their order, what the action is added to, and the motion of
     the reference make a difference; rewards, ends of episodes, robots, sensors, and transforms that
     write anything else do not.
     """
-    keys = _observation_keys(env.transforms), baseline(env)
+    keys = _observation_keys(env.transforms), baseline_key(env)
     if None in keys:
         return None
     for name, make in STACKS.items():
@@ -50,7 +55,7 @@ def acts_on(env: CassieTransformedEnv) -> str | None:
     return None
 
 
-def baseline(env: CassieTransformedEnv) -> NestedKey | None:
+def baseline_key(env: StackEnv) -> NestedKey | None:
     """Key of the angles that the action is added to.
 
     None if there is no `ActionDelta`, or another transform changes actions as well.
@@ -59,7 +64,7 @@ def baseline(env: CassieTransformedEnv) -> NestedKey | None:
     return _baseline_key(acting[0]) if len(acting) == 1 else None
 
 
-def check_fits(policy: str | Path, env: CassieTransformedEnv) -> None:
+def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
     """Check that an environment shows a policy what it was trained on, and adds its action to that.
 
     Args:
@@ -73,7 +78,7 @@ def check_fits(policy: str | Path, env: CassieTransformedEnv) -> None:
             is another.
     """
     card = read_card(policy)
-    shown, key = entry_names(observed(env)), baseline(env)
+    shown, key = entry_names(observation_keys(env)), baseline_key(env)
     if card["observation"] != shown:
         difference = observation_difference(card["observation"], shown)
         raise ConfigurationError(
@@ -109,7 +114,7 @@ def _baseline_key(transform: Transform) -> NestedKey | None:
     return unravel_key(transform.baseline_key) if isinstance(transform, ActionDelta) else None
 
 
-def observed(env: CassieTransformedEnv) -> list[NestedKey]:
+def observation_keys(env: StackEnv) -> list[NestedKey]:
     """Keys of the entries of an environment's observation, in order.
 
     Raises:
@@ -118,7 +123,7 @@ def observed(env: CassieTransformedEnv) -> list[NestedKey]:
     return list(_only(env, AssembleObservation).in_keys)
 
 
-def commanded(env: CassieTransformedEnv) -> list[float]:
+def command_speeds(env: StackEnv) -> list[float]:
     """Speeds that an environment may command [m/s], each once.
 
     Raises:
@@ -128,7 +133,7 @@ def commanded(env: CassieTransformedEnv) -> list[float]:
     return list(dict.fromkeys(round(speed, 6) for speed in speeds))
 
 
-def described(env: CassieTransformedEnv) -> dict[str, str]:
+def describe_transforms(env: StackEnv) -> dict[str, str]:
     """What an environment is made of: name of a transform -> its class, and what it was told.
 
     Functions are told by name and a hash of their code (`function_text`), and whatever else has no
@@ -175,7 +180,7 @@ def _text(value: Any) -> str:
 Kind = TypeVar("Kind", bound=Transform)
 
 
-def _only(env: CassieTransformedEnv, kind: type[Kind]) -> Kind:
+def _only(env: StackEnv, kind: type[Kind]) -> Kind:
     """The transform of a kind."""
     for transform in env.transforms:
         if isinstance(transform, kind):
@@ -195,3 +200,61 @@ def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
     points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
     motion = library.lookup(points[:, :1], points[:, 1:])
     return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()
+
+
+def function_text(function: Callable[..., Any], text: Callable[[Any], str]) -> str:
+    """Name of a function and a hash of its code; the same in every process.
+
+    The hash covers the byte code, constants, names, default arguments and closure, but not the line
+    in the file. It differs between minor versions of Python, and does not follow calls: an edit of
+    a function that this one calls goes unnoticed.
+
+    Args:
+        function: a function, lambda, bound method or `functools.partial`.
+        text: tells what a bound value is, in the same words in every process.
+    """
+    if isinstance(function, partial):
+        given = ", ".join([*map(text, function.args), text(function.keywords)])
+        return f"partial({text(function.func)}, {given})"
+    if isinstance(function, MethodType):
+        return f"{text(function.__self__)}.{function_text(function.__func__, text)}"
+    assert isinstance(function, FunctionType)
+    return _named_hash(function, text, ())
+
+
+def _named_hash(
+    function: FunctionType, text: Callable[[Any], str], within: tuple[FunctionType, ...]
+) -> str:
+    """Name and hash of a function that is bound in those it is within, if in any."""
+    if function in within:
+        return function.__qualname__  # it refers to itself
+    bound = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items()]
+    told = [
+        _named_hash(value, text, (*within, function))
+        if isinstance(value, FunctionType)
+        else text(value)
+        for value in [*bound, *_closure(function)]
+    ]
+    digest = hashlib.sha256("\n".join([*_code_parts(function.__code__), *told]).encode())
+    return f"{function.__qualname__}#{digest.hexdigest()[:12]}"
+
+
+def _closure(function: FunctionType) -> Iterator[Any]:
+    """Values of a function's free variables; a variable not bound yet has none."""
+    for cell in function.__closure__ or ():
+        with contextlib.suppress(ValueError):
+            yield cell.cell_contents
+
+
+def _code_parts(code: CodeType) -> Iterator[str]:
+    yield code.co_code.hex()
+    yield repr([code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars])
+    yield repr([code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags])
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _code_parts(constant)
+        elif isinstance(constant, frozenset):
+            # its order is that of hashes, which differ between processes
+            yield repr(sorted(map(repr, constant)))
+        else:
+            yield repr(constant)

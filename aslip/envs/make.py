@@ -7,12 +7,9 @@ from typing import get_args
 
 from torchrl.envs.transforms import Transform
 
-from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
-from aslip.envs.choices import Backend, RewardSource
-from aslip.envs.edit import edited
-from aslip.envs.environment import CassieTransformedEnv, check_seed
-from aslip.envs.stacks import STACKS, Stack
-from aslip.envs.wiring import check_wiring
+from aslip.envs import Backend, BatchEnv, DmControlEnv, RewardSource, SimulatedEnv
+from aslip.envs.stack_env import StackEnv, check_seed, check_wiring
+from aslip.envs.stacks import STACKS, Stack, edit_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import PHYSICS_TIMESTEP
@@ -32,7 +29,7 @@ def make_env(
     num_threads: int = 0,
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
     timestep: float = PHYSICS_TIMESTEP,
-) -> CassieTransformedEnv:
+) -> StackEnv:
     """A TorchRL environment of n Cassies with the full stack of transforms.
 
     Losses that need the action's range take `env.action_spec_unbatched`, that of one robot. Given
@@ -76,10 +73,10 @@ def make_env(
             "library and reward_on are for a stack that is given by name; give them to what makes"
             " the stack, such as default_stack(library, reward_on)"
         )
-    chosen = edited(stack, drop, replace or {})
-    base: CassieEnv
+    chosen = edit_stack(stack, drop, replace or {})
+    base: SimulatedEnv
     if backend == "batch":
-        base = BatchCassieEnv(
+        base = BatchEnv(
             num_envs, num_threads=num_threads, floor_friction=floor_friction, timestep=timestep
         )
     else:
@@ -87,7 +84,7 @@ def make_env(
             raise ConfigurationError(
                 f"the dm_control backend has a timestep of {PHYSICS_TIMESTEP} s, got {timestep!r}"
             )
-        base = DmControlCassieEnv(num_envs, floor_friction=floor_friction)
+        base = DmControlEnv(num_envs, floor_friction=floor_friction)
     stack_of = {name: t if isinstance(t, Transform) else t() for name, t in chosen.items()}
     for name, transform in stack_of.items():
         if transform.container is not None:
@@ -95,7 +92,7 @@ def make_env(
                 f"the transform {name!r} belongs to another environment; for several, give what"
                 f" makes one: a class, or lambda: {type(transform).__name__}(...)"
             )
-    env = CassieTransformedEnv(base, stack_of)
+    env = StackEnv(base, stack_of)
     check_wiring(env)
     env.set_seed(seed)
     return env

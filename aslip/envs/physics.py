@@ -28,7 +28,7 @@ _VERTICAL = 8  # zz entry of a row-major rotation matrix
 _INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
 
 
-class CassiePhysics(mujoco.Physics):
+class BipedPhysics(mujoco.Physics):
     """The robot under motor position targets; every answer is a copy.
 
     The control signal is what the drive tracks: ten joint angles [rad]. Each substep of `step`
@@ -36,7 +36,7 @@ class CassiePhysics(mujoco.Physics):
     """
 
     @classmethod
-    def load(cls, floor_friction: float = DEFAULT_FLOOR_FRICTION) -> CassiePhysics:
+    def load(cls, floor_friction: float = DEFAULT_FLOOR_FRICTION) -> BipedPhysics:
         """Physics of `assets/cassie.xml`, standing."""
         physics = cls.from_xml_path(str(asset_path("cassie.xml")))
         set_floor_friction(physics.model.ptr, floor_friction)
@@ -55,7 +55,7 @@ class CassiePhysics(mujoco.Physics):
         # ends with after_reset(), which reads the above
         super()._reload_from_data(data)
 
-    def copy(self, share_model: bool = False) -> CassiePhysics:
+    def copy(self, share_model: bool = False) -> BipedPhysics:
         """A physics in the same state, with the same motor target; see dm_control."""
         other = super().copy(share_model)
         # MuJoCo's data are copied; a new physics has set the rest as after a reset

@@ -21,7 +21,7 @@ class LoggedKinematics:
         qpos = np.array([joint.qposadr[0] for joint in joints])
         qvel = np.array([joint.dofadr[0] for joint in joints])
         motors = np.arange(model.nu)
-        # columns of `CassieEnv.watched`
+        # columns of `SimulatedEnv.watched`
         self._columns = np.concatenate([qpos, model.nq + qvel, model.nq + model.nv + motors])
         self._rest = model.qpos_spring[qpos[len(motors) :]]
         self._springs = np.array([[joint.stiffness[0], joint.damping[0]] for joint in passive]).T
@@ -41,7 +41,7 @@ class LoggedKinematics:
         """Positions, velocities and efforts of `LOGGED_JOINTS`, from `qpos`, `qvel` and torques.
 
         Args:
-            rows: (*b, 77 or more) as `CassieEnv.watched` has them.
+            rows: (*b, 77 or more) as `SimulatedEnv.watched` has them.
 
         Returns:
             (*b, 48). The effort of a motor is its torque at the joint, of a spring what it and its

@@ -19,7 +19,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
 import aslip
-from aslip.envs import CassieEnv, CassieTransformedEnv, described, observed
+from aslip.envs import SimulatedEnv, StackEnv, describe_transforms, observation_keys
 from aslip.errors import AslipError, ConfigurationError
 from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
@@ -63,7 +63,7 @@ class Recorder(Transform):
     Raises:
         ConfigurationError: `joint_rate` is neither; there is a log of that name, or an unfinished
             one; a transform comes after this one; the environment has no such robot; or its model
-            has been changed otherwise than by `CassieEnv.set_dynamics`.
+            has been changed otherwise than by `SimulatedEnv.set_dynamics`.
         AssetError: there is no such policy.
     """
 
@@ -98,13 +98,13 @@ class Recorder(Transform):
         self._finish: weakref.finalize | None = None
 
     @property
-    def base_env(self) -> CassieEnv:
+    def base_env(self) -> SimulatedEnv:
         """The environment whose robots are simulated."""
         env: Any = self.container
-        while env is not None and not isinstance(env, CassieEnv):
+        while env is not None and not isinstance(env, SimulatedEnv):
             env = getattr(env, "base_env", None)
         if env is None:
-            raise ConfigurationError("a Recorder must be in the stack of a CassieEnv")
+            raise ConfigurationError("a Recorder must be in the stack of a SimulatedEnv")
         return env
 
     def _reset(
@@ -177,7 +177,7 @@ class Recorder(Transform):
             "num_envs": base.num_envs,
             "backend": type(base).__name__,
             "seed": getattr(env, "seed", None),
-            "stack": described(env),
+            "stack": describe_transforms(env),
             "settings": self._config,
         }
         files[CONFIG_FILE] = json.dumps(config, indent=1, default=str).encode()
@@ -202,10 +202,10 @@ def _finish(session: Session, process: int) -> None:
         session.finish()
 
 
-def _observed_names(env: CassieTransformedEnv, td: TensorDictBase) -> list[str] | None:
+def _observed_names(env: StackEnv, td: TensorDictBase) -> list[str] | None:
     """Names of the observation's numbers; none if it is not assembled of entries."""
     try:
-        keys = [key if isinstance(key, tuple) else (key,) for key in observed(env)]
+        keys = [key if isinstance(key, tuple) else (key,) for key in observation_keys(env)]
     except ConfigurationError:
         return None
     names = []

@@ -122,7 +122,7 @@ class ReplayedRobot:
         return row
 
     def _lengthen(self, memory: int) -> None:
-        """Go on in simulations that remember more commands, as `CassieEnv.set_dynamics` does."""
+        """Go on in simulations that remember more commands, as `SimulatedEnv.set_dynamics` does."""
         if memory <= self._memory:
             return
         states = self._converted(self._simulations.states(), self._memory, memory)

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from tensordict import TensorDictBase
 
-from aslip.envs import CassieEnv
+from aslip.envs import SimulatedEnv
 from aslip.log import messages
 from aslip.log.kinematics import LoggedKinematics
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
@@ -115,7 +115,7 @@ class Session:
     def __init__(
         self,
         writer: LogWriter,
-        base: CassieEnv,
+        base: SimulatedEnv,
         robot: int,
         fast: bool,
         footholds: Footholds,

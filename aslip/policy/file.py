@@ -45,7 +45,7 @@ def save_policy(
 ) -> None:
     """Write a policy that `load_policy` reads: an archive of plain arrays, nothing pickled.
 
-    What `aslip.envs.interface_of(env)` returns goes into the last three arguments.
+    What `aslip.envs.policy_interface(env)` returns goes into the last three arguments.
 
     Args:
         path: the file; replaced as a whole.

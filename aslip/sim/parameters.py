@@ -68,7 +68,7 @@ DYNAMICS: Final = MappingProxyType(
         ),
     }
 )
-"""What `CassieEnv.set_dynamics` takes.
+"""What `SimulatedEnv.set_dynamics` takes.
 
 Motor strength scales all that is delivered, not only its limit, as a wrong torque constant does. On
 a slope the floor stays the plane z = 0 and gravity leans back, so that heights above the floor,

@@ -28,7 +28,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
 
-from aslip.envs import CassieEnv, CassieTransformedEnv
+from aslip.envs import SimulatedEnv, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.sim.dynamics import longest_delay
@@ -80,8 +80,8 @@ class CollectorState:
         _set_carrier(self._collector, restored, state["torchrl"])
 
     @property
-    def _env(self) -> CassieTransformedEnv:
-        return cast("CassieTransformedEnv", self._collector.env)
+    def _env(self) -> StackEnv:
+        return cast("StackEnv", self._collector.env)
 
 
 def _carrier(collector: Collector) -> TensorDictBase:
@@ -101,7 +101,7 @@ def _set_carrier(collector: Collector, carrier: TensorDictBase, state: Mapping[s
         collector._traj_pool.load_state_dict(state["traj_pool"])
 
 
-def _robots(env: CassieEnv) -> dict[str, Any]:
+def _robots(env: SimulatedEnv) -> dict[str, Any]:
     """States and dynamics of an environment's robots."""
     return {
         "states": torch.from_numpy(env.states()),
@@ -112,7 +112,7 @@ def _robots(env: CassieEnv) -> dict[str, Any]:
     }
 
 
-def _set_robots(env: CassieEnv, robots: Mapping[str, Any]) -> None:
+def _set_robots(env: SimulatedEnv, robots: Mapping[str, Any]) -> None:
     """Write what `_robots` returned.
 
     Raises:
@@ -129,7 +129,7 @@ def _set_robots(env: CassieEnv, robots: Mapping[str, Any]) -> None:
     env.divergences = robots["divergences"]
 
 
-def _generators(env: CassieTransformedEnv) -> Iterator[tuple[str, torch.Generator]]:
+def _generators(env: StackEnv) -> Iterator[tuple[str, torch.Generator]]:
     """Every generator of the transforms, by the transform's name and where it is there."""
 
     def among(place: str, value: Any) -> Iterator[tuple[str, torch.Generator]]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from aslip.envs.choices import RewardSource
+from aslip.envs import RewardSource
 from aslip.errors import AslipError, ConfigurationError
 from aslip.robot import POLICY_PERIOD
 from aslip.training.command_line import command_line, program, usage_error

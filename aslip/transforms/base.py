@@ -82,7 +82,7 @@ class SeededTransform(Transform):
         """The request for a reset; an empty one when all is to be reset to whatever is drawn."""
         if tensordict is not None:
             return tensordict
-        # slow, TorchRL builds the environment below anew: CassieTransformedEnv never comes here
+        # slow, TorchRL builds the environment below anew: StackEnv never comes here
         parent = self.parent
         if parent is None:
             raise RuntimeError(f"{type(self).__name__} needs an environment; add it to one first")

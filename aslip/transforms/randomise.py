@@ -58,7 +58,7 @@ class RandomDynamics(SeededTransform):
     drawn. In a reset of some robots only, with a `_reset` mask, theirs
     are drawn anew.
 
-    Part of no stack by default; `aslip.envs.randomised` puts it and `RandomNoise` into one.
+    Part of no stack by default; `aslip.envs.randomise_stack` puts it and `RandomNoise` into one.
 
     Args:
         ranges: parameter -> least and greatest value.

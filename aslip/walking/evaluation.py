@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from aslip.envs import MAX_EPISODE_STEPS, CassieTransformedEnv
+from aslip.envs import MAX_EPISODE_STEPS, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import POLICY_PERIOD, STANDARD_GRAVITY
 from aslip.transforms import SpeedCommand
@@ -87,7 +87,7 @@ def tracks(speed: float, mean_speed: float) -> bool:
 @torch.no_grad()
 def evaluate(
     policy: TensorDictModuleBase,
-    env: CassieTransformedEnv,
+    env: StackEnv,
     speeds: Sequence[float],
     num_steps: int = MAX_EPISODE_STEPS,
 ) -> list[WalkResult]:
@@ -152,7 +152,7 @@ def evaluate(
 
 
 @contextmanager
-def _commands_kept(env: CassieTransformedEnv) -> Iterator[None]:
+def _commands_kept(env: StackEnv) -> Iterator[None]:
     """Let no command change by itself."""
     commands = [t for t in env.transforms if isinstance(t, SpeedCommand)]
     intervals = [command.interval for command in commands]

@@ -13,7 +13,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from aslip.envs import EPISODE_ENDS, CassieTransformedEnv, check_fits, make_env
+from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import load_policy, policy_stack
@@ -127,7 +127,7 @@ class Walker:
     def __init__(
         self,
         policy: TensorDictModuleBase | str | Path = "aslip",
-        env: CassieTransformedEnv | None = None,
+        env: StackEnv | None = None,
         *,
         library: GaitLibrary | None = None,
         seed: int = 0,
@@ -152,7 +152,7 @@ class Walker:
     @policy.setter
     def policy(self, policy: TensorDictModuleBase | str | Path) -> None:
         if isinstance(policy, str | Path):
-            check_fits(policy, self.env)
+            check_policy_fits(policy, self.env)
             policy = load_policy(policy)
         self._policy = policy
 

@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import SIDES
 
@@ -78,9 +78,7 @@ class Walks:
 
 
 @torch.no_grad()
-def record_walks(
-    policy: TensorDictModuleBase, env: CassieTransformedEnv, command: np.ndarray
-) -> Walks:
+def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarray) -> Walks:
     """Walk from phase 0 without exploration noise.
 
     Args:

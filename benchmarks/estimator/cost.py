@@ -12,7 +12,7 @@ import numpy as np
 from tensordict import TensorDictBase
 
 import aslip
-from aslip.envs import ON_TRUTH, BatchCassieEnv, CassieTransformedEnv
+from aslip.envs import ON_TRUTH, BatchEnv, StackEnv
 from aslip.estimation import StateEstimator
 from aslip.policy import policy_stack
 from aslip.robot.model import CassieIndices
@@ -74,10 +74,10 @@ def _settings(config: Config) -> dict[str, Any]:
     return {"num_envs": config.num_envs, "seed": config.seed, "stack": stack}
 
 
-def _timed(config: Config, envs: Mapping[str, CassieTransformedEnv]) -> dict[str, list[float]]:
+def _timed(config: Config, envs: Mapping[str, StackEnv]) -> dict[str, list[float]]:
     """Seconds of each environment's policy steps."""
     base = envs["truth, no sensors"].base_env
-    assert isinstance(base, BatchCassieEnv)
+    assert isinstance(base, BatchEnv)
     for part in base.simulations.parts:
         part.sensors = cast("Sensors", _NoSensors(part.sensors, part.indices))
     policy = aslip.load_policy(config.policy)

@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDictBase
 
 import aslip
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.policy import policy_stack
 from aslip.walking.tables import markdown
 from benchmarks.estimator.arrays import array
@@ -36,7 +36,7 @@ def recovery(config: Config) -> list[dict[str, Any]]:
     return rows
 
 
-def _watched(config: Config, env: CassieTransformedEnv) -> tuple[np.ndarray, np.ndarray]:
+def _watched(config: Config, env: StackEnv) -> tuple[np.ndarray, np.ndarray]:
     """Policy steps since the reset (k,), and errors (k, 4) of velocity and height then."""
     policy = aslip.load_policy(config.policy)
     generator = torch.Generator().manual_seed(config.seed)

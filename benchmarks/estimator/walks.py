@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import step_mdp
 
 import aslip
-from aslip.envs import EPISODE_ENDS, CassieTransformedEnv
+from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.policy import policy_stack
@@ -69,7 +69,7 @@ def walk(config: Config) -> EstimateErrors:
         return _compare(_walk(config, env))
 
 
-def _walk(config: Config, env: CassieTransformedEnv) -> dict[str, np.ndarray]:
+def _walk(config: Config, env: StackEnv) -> dict[str, np.ndarray]:
     """Truth and estimate at each policy step (t, n, ...), by name."""
     names, num = [*SPEEDS, None], env.num_envs
     policy = aslip.load_policy(config.policy)

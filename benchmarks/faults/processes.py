@@ -16,7 +16,7 @@ import numpy as np
 from torchrl.collectors import Collector
 
 import aslip
-from aslip.envs import BatchCassieEnv
+from aslip.envs import BatchEnv
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.run import TrainingStoppedError
 from benchmarks.faults.trainings import PATIENCE, TINY, killed, resumed, train, undisturbed
@@ -25,12 +25,12 @@ from benchmarks.faults.trainings import PATIENCE, TINY, killed, resumed, train, 
 def raises(count: int, rng: np.random.Generator, folder: Path) -> int:
     """Survived: a clear error, nothing half-written; resumed, it equals the undisturbed run."""
     expected = undisturbed(folder)
-    advance, survived = BatchCassieEnv._advance, 0
+    advance, survived = BatchEnv._advance, 0
     for i in range(count):
         # of all policy steps but those of the first two batches
         left = int(rng.integers(16, 16 + 7 * 8))
 
-        def fail(env: BatchCassieEnv, *args: Any) -> np.ndarray:
+        def fail(env: BatchEnv, *args: Any) -> np.ndarray:
             nonlocal left
             if env.num_envs == TINY.num_envs:
                 left -= 1
@@ -39,7 +39,7 @@ def raises(count: int, rng: np.random.Generator, folder: Path) -> int:
             return advance(env, *args)
 
         config, error = replace(TINY, out=folder / f"raises-{i}"), ""
-        with mock.patch.object(BatchCassieEnv, "_advance", fail):
+        with mock.patch.object(BatchEnv, "_advance", fail):
             try:
                 train(config)
             except TrainingStoppedError as stop:

@@ -17,7 +17,7 @@ from torchrl.envs.utils import step_mdp
 from tqdm import tqdm
 
 import aslip
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.training.run import peak_memory
 
 _BAD = (np.nan, np.inf, -np.inf, 1e300)
@@ -95,9 +95,7 @@ def random_walk(count: int, seed: int, num_envs: int = 50) -> dict[str, float]:
         return _random_walk(env, -(-count // num_envs), generator)
 
 
-def _random_walk(
-    env: CassieTransformedEnv, rounds: int, generator: torch.Generator
-) -> dict[str, float]:
+def _random_walk(env: StackEnv, rounds: int, generator: torch.Generator) -> dict[str, float]:
     """The numbers of `random_walk` over so many steps of all robots."""
     num_envs, td = env.num_envs, env.reset()
     finite, episodes, memory, start = 0, 0, 0.0, time.perf_counter()

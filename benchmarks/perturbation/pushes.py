@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
 import aslip
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.robot import POLICY_PERIOD
 from aslip.show.ghost import heading
 from aslip.transforms import PhaseClock
@@ -56,7 +56,7 @@ def survived_pushes(config: Config, policy: str, bar: tqdm) -> np.ndarray:
 
 def settled(
     config: Config,
-    env: CassieTransformedEnv,
+    env: StackEnv,
     actor: TensorDictModuleBase,
     phase: np.ndarray,
     bar: tqdm,
@@ -74,7 +74,7 @@ def settled(
 
 def survives(
     config: Config,
-    env: CassieTransformedEnv,
+    env: StackEnv,
     actor: TensorDictModuleBase,
     td: TensorDictBase,
     impulse: np.ndarray,
@@ -87,7 +87,7 @@ def survives(
     return during & after
 
 
-def stride(env: CassieTransformedEnv, speed: float) -> float:
+def stride(env: StackEnv, speed: float) -> float:
     """Duration of a stride of the environment's reference [s]."""
     clock = next(t for t in env.transforms if isinstance(t, PhaseClock))
     return float(clock.library.stride(torch.full((1, 1), speed)))

@@ -9,11 +9,11 @@ from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import step_mdp
 from tqdm import tqdm
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 
 
 def walk(
-    env: CassieTransformedEnv,
+    env: StackEnv,
     actor: TensorDictModuleBase,
     td: TensorDictBase,
     steps: int,
@@ -47,7 +47,7 @@ def walk(
     return td, alive
 
 
-def reset(env: CassieTransformedEnv, speed: np.ndarray, phase: np.ndarray) -> TensorDictBase:
+def reset(env: StackEnv, speed: np.ndarray, phase: np.ndarray) -> TensorDictBase:
     """Start on the reference at speeds (n,) [m/s] and phases (n,)."""
     values = {"command": speed, "phase": phase}
     request = {name: torch.tensor(value)[:, None].float() for name, value in values.items()}

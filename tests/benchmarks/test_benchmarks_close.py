@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from aslip.walking.walker import Walker
 from benchmarks import film_strip, ground_reaction, throughput
@@ -21,20 +21,20 @@ from benchmarks.faults import simulations
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Each environment that a test makes must be closed in the end."""
-    envs: list[CassieTransformedEnv] = []
-    closed: list[CassieTransformedEnv] = []
-    construct, close = CassieTransformedEnv.__init__, CassieTransformedEnv.close
+    envs: list[StackEnv] = []
+    closed: list[StackEnv] = []
+    construct, close = StackEnv.__init__, StackEnv.close
 
-    def constructing(self: CassieTransformedEnv, *arguments: Any) -> None:
+    def constructing(self: StackEnv, *arguments: Any) -> None:
         construct(self, *arguments)
         envs.append(self)
 
-    def closing(self: CassieTransformedEnv, **settings: Any) -> None:
+    def closing(self: StackEnv, **settings: Any) -> None:
         closed.append(self)
         close(self, **settings)
 
-    monkeypatch.setattr(CassieTransformedEnv, "__init__", constructing)
-    monkeypatch.setattr(CassieTransformedEnv, "close", closing)
+    monkeypatch.setattr(StackEnv, "__init__", constructing)
+    monkeypatch.setattr(StackEnv, "close", closing)
     yield
     assert envs
     assert {id(env) for env in envs} == {id(env) for env in closed}

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import aslip
-from aslip.envs import BatchCassieEnv
+from aslip.envs import BatchEnv
 from aslip.errors import AslipError, ConfigurationError
 from aslip.training.run import read_progress
 from aslip.training.settings import check_types
@@ -103,9 +103,9 @@ def test_simulations_that_diverge_do_not_stop_a_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """NaN in one robot's state, three times: three divergences, and numbers everywhere."""
-    advance, taken = BatchCassieEnv._advance, [0]
+    advance, taken = BatchEnv._advance, [0]
 
-    def spoil(env: BatchCassieEnv, *args: Any) -> np.ndarray:
+    def spoil(env: BatchEnv, *args: Any) -> np.ndarray:
         taken[0] += env.num_envs == TINY.num_envs
         if env.num_envs == TINY.num_envs and taken[0] in (9, 13, 20):
             states = env.states()
@@ -113,7 +113,7 @@ def test_simulations_that_diverge_do_not_stop_a_training(
             env.set_states(states)
         return advance(env, *args)
 
-    monkeypatch.setattr(BatchCassieEnv, "_advance", spoil)
+    monkeypatch.setattr(BatchEnv, "_advance", spoil)
     config = replace(TINY, out=tmp_path / "run", total_steps=128)
     trainings.train(config)
     progress = read_progress(config.out)

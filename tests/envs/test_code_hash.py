@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import torch
 
-from aslip.envs import described
-from aslip.envs.code_hash import function_text
+from aslip.envs import describe_transforms
+from aslip.envs.interface import function_text
 from aslip.transforms import RewardTerm
 from tests.helpers import MakeEnv
 
@@ -87,7 +87,7 @@ def test_the_text_is_the_same_in_every_process() -> None:
     """Though sets of text are in another order in each, and objects at another address."""
     code = """
 from functools import partial
-from aslip.envs.code_hash import function_text
+from aslip.envs.interface import function_text
 def bound(kept): return lambda x, scale=2.0: [y for y in x if y in {"a", "b", "c"} and kept]
 print(function_text(partial(bound({}), scale=3), lambda value: getattr(value, "__qualname__", "")))
 print(function_text(bound(object()), lambda value: type(value).__name__))
@@ -104,7 +104,7 @@ print(function_text(bound(object()), lambda value: type(value).__name__))
 def test_rewards_that_are_different_functions_are_different_experiments(make: MakeEnv) -> None:
     def text(function: Callable[..., Any]) -> str:
         term = partial(RewardTerm, "foot_orient", function, [("truth", "pelvis_orientation")])
-        return described(make(replace={"foot_orient": term}))["foot_orient"]
+        return describe_transforms(make(replace={"foot_orient": term}))["foot_orient"]
 
     def zero(q: torch.Tensor) -> torch.Tensor:
         return 0 * q[..., :1]

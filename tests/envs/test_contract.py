@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
+from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
 from aslip.robot import (
@@ -33,13 +33,13 @@ BACKENDS = ("batch", "dm_control")
 STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore
 
 
-def _base(backend: str, num_envs: int = 2) -> CassieEnv:
+def _base(backend: str, num_envs: int = 2) -> SimulatedEnv:
     if backend == "batch":
-        return BatchCassieEnv(num_envs, num_threads=1)
-    return DmControlCassieEnv(num_envs)
+        return BatchEnv(num_envs, num_threads=1)
+    return DmControlEnv(num_envs)
 
 
-def _standing_targets(env: CassieEnv) -> torch.Tensor:
+def _standing_targets(env: SimulatedEnv) -> torch.Tensor:
     return STANDING[env.indices.motor_qpos.copy()].float().expand(env.num_envs, 10).clone()
 
 
@@ -404,7 +404,7 @@ def test_states_go_from_one_backend_to_the_other(make: MakeEnv) -> None:
 
 def test_every_substep_of_one_robot_can_be_watched() -> None:
     seen = []
-    for base in (_base("batch", 3), _base("dm_control", 3), BatchCassieEnv(3, num_threads=2)):
+    for base in (_base("batch", 3), _base("dm_control", 3), BatchEnv(3, num_threads=2)):
         qpos = STANDING.repeat(3, 1)
         qpos[:, 2] += torch.arange(3.0) / 10
         initial = TensorDict(qpos=qpos, qvel=torch.zeros(3, 32), batch_size=3)

@@ -13,13 +13,13 @@ from torchrl.envs.transforms import CatFrames, InitTracker, ObservationNorm, Rew
 
 import aslip
 from aslip.envs import (
-    CassieTransformedEnv,
-    acts_on,
-    baseline,
-    check_fits,
+    StackEnv,
+    baseline_key,
+    check_policy_fits,
     default_stack,
     insert_before,
-    interface_of,
+    policy_interface,
+    stack_name,
 )
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
@@ -63,15 +63,15 @@ class Smooth(SeededTransform):
         return tensordict.set("action", 0.5 * tensordict["action"])
 
 
-def _with(library: GaitLibrary, make: MakeEnv, *more: Any) -> CassieTransformedEnv:
+def _with(library: GaitLibrary, make: MakeEnv, *more: Any) -> StackEnv:
     """The default stack and transforms that stand last."""
     stack = {**default_stack(library), **{f"more{i}": one for i, one in enumerate(more)}}
     return make(stack=stack)
 
 
-def _saved(path: Path, env: CassieTransformedEnv, size: int = 64) -> Path:
+def _saved(path: Path, env: StackEnv, size: int = 64) -> Path:
     """A policy as a recipe saves it after a training on an environment."""
-    interface = interface_of(env)
+    interface = policy_interface(env)
     actor = make_actor(RunningNormalizer(size), PolicyShape(size), interface["observation"])
     save_policy(path, actor, PolicyShape(size), **interface)
     return path
@@ -91,12 +91,12 @@ def test_transforms_beside_observation_and_action_make_no_difference(
 ) -> None:
     env = _with(library, make, *more)
     env.rollout(2)
-    assert acts_on(env) == "aslip"
+    assert stack_name(env) == "aslip"
     path = _saved(tmp_path / "policy.zip", env)
     assert read_card(path)["baseline"] == "reference/motor_target"
-    check_fits(path, env)
-    check_fits("aslip", env)
-    check_fits(path, make())
+    check_policy_fits(path, env)
+    check_policy_fits("aslip", env)
+    check_policy_fits(path, make())
     assert Walker(path).env.num_envs == 1
 
 
@@ -123,8 +123,8 @@ def test_transforms_that_change_observation_or_action_make_one(
     make: MakeEnv, library: GaitLibrary, tmp_path: Path, change: Any, what: str
 ) -> None:
     env = _with(library, make, change)
-    assert acts_on(env) is None
-    assert (baseline(env) is None) == (what == "action")
+    assert stack_name(env) is None
+    assert (baseline_key(env) is None) == (what == "action")
 
 
 def test_a_benchmark_says_how_a_policys_stack_is_another(
@@ -155,13 +155,13 @@ def test_a_benchmark_says_how_a_policys_stack_is_another(
         with pytest.raises(ConfigurationError, match=rf"{name}\.zip.*{message}"):
             environment(Common(), str(path), 1)
         with pytest.raises(ConfigurationError, match=f"{name}.zip.*does not fit"):
-            check_fits(path, make())
+            check_policy_fits(path, make())
         assert aslip.load_policy(path)
 
 
 def test_what_the_action_is_added_to_must_be_the_same(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"to 'reference/motor_target'.*it to 'ref"):
-        check_fits("aslip", make(stack="paper"))
+        check_policy_fits("aslip", make(stack="paper"))
     with pytest.raises(ConfigurationError, match="does not fit"):
         Walker("aslip", make(stack="paper"))
 
@@ -171,7 +171,7 @@ def test_a_file_whose_stack_is_not_what_it_was_trained_on_is_not_measured(
 ) -> None:
     """A stack may have changed since the policy named it."""
     path = tmp_path / "policy.zip"
-    interface = {**interface_of(make()), "stack": "paper"}
+    interface = {**policy_interface(make()), "stack": "paper"}
     save_policy(path, make_actor(RunningNormalizer(64)), PolicyShape(), **interface)
     with pytest.raises(ConfigurationError, match="does not fit the environment: its action"):
         environment(Common(), str(path), 1)

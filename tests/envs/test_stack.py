@@ -15,14 +15,14 @@ from torchrl.envs.utils import check_env_specs
 from aslip.envs import (
     ON_TRUTH,
     STACKS,
-    BatchCassieEnv,
-    acts_on,
+    BatchEnv,
     default_stack,
-    described,
+    describe_transforms,
     insert_before,
     make_env,
-    randomised,
+    randomise_stack,
     reward_terms,
+    stack_name,
 )
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
@@ -119,7 +119,7 @@ def test_a_key_that_a_transform_writes_without_a_spec_is_named(library: GaitLibr
 def test_specs_of_the_environment_below_stay_as_they_are(make: MakeEnv) -> None:
     """Transforms write into a copy, also when another is added later."""
     env = make(num_envs=2)
-    alone = BatchCassieEnv(2, num_threads=1)
+    alone = BatchEnv(2, num_threads=1)
     for _ in range(2):
         assert "observation" in env.observation_spec
         assert env.base_env.output_spec == alone.output_spec
@@ -183,7 +183,7 @@ def test_a_transform_draws_the_same_whatever_else_is_in_the_stack(library: GaitL
 
 def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:
     """Nor does one with another seed: phases would go with commands, noise with both."""
-    env = make_env(stack=randomised(default_stack(library)))
+    env = make_env(stack=randomise_stack(default_stack(library)))
     drawn = []
     for seed in (0, 1):
         env.set_seed(seed)
@@ -263,11 +263,11 @@ def test_transforms_in_an_order_without_effect_are_refused(library: GaitLibrary)
 
 def test_randomised_robots_have_noise_only_if_there_was_some(library: GaitLibrary) -> None:
     stack = default_stack(library)
-    assert randomised(stack)["noise"] is RandomNoise
+    assert randomise_stack(stack)["noise"] is RandomNoise
     del stack["noise"]
-    assert "noise" not in randomised(stack)
+    assert "noise" not in randomise_stack(stack)
     with pytest.raises(ConfigurationError, match="'aslip' is the name of a stack"):
-        randomised("aslip")  # pyright: ignore[reportArgumentType]
+        randomise_stack("aslip")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("settings", [{"reward_on": "estimate"}, {"library": None}])
@@ -283,16 +283,16 @@ def test_the_stack_that_is_the_same_to_a_policy_is_found(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
     for name in STACKS:
-        assert acts_on(make_env(stack=name, num_threads=1)) == name
+        assert stack_name(make_env(stack=name, num_threads=1)) == name
     stack = insert_before(default_stack(library), "reward", upright=_constant_term)
     stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 0.1})
-    assert acts_on(make(stack=stack, drop=["low_reward", "fall"])) == "aslip"
-    assert acts_on(make(**ON_TRUTH)) == "aslip"
-    assert acts_on(make(stack=randomised(default_stack(library)))) == "aslip"
-    assert acts_on(make(drop=["feedforward"], replace={"action": ActionDelta})) == "paper"
+    assert stack_name(make(stack=stack, drop=["low_reward", "fall"])) == "aslip"
+    assert stack_name(make(**ON_TRUTH)) == "aslip"
+    assert stack_name(make(stack=randomise_stack(default_stack(library)))) == "aslip"
+    assert stack_name(make(drop=["feedforward"], replace={"action": ActionDelta})) == "paper"
     blind = AssembleObservation([("estimate", "height")])
-    assert acts_on(make(replace={"observation": blind})) is None
-    assert acts_on(make(library=pendulum_library(library.gaits))) is None
+    assert stack_name(make(replace={"observation": blind})) is None
+    assert stack_name(make(library=pendulum_library(library.gaits))) is None
 
 
 class WithFunctions(Fall):
@@ -304,24 +304,27 @@ class WithFunctions(Fall):
 def test_an_environment_tells_what_it_is_made_of(make: MakeEnv, library: GaitLibrary) -> None:
     """Whatever its robots and seed, and before and after it is used."""
     env = make(num_envs=2)
-    told = described(env)
+    told = describe_transforms(env)
     assert list(told) == list(env.transform_names)
     assert "threshold=0.3" in told["low_reward"]
     assert "21 motions from 0 to 2 m/s" in told["clock"]
     env.rollout(3)
-    assert described(env) == told == described(make(num_envs=1, seed=7))
+    assert describe_transforms(env) == told == describe_transforms(make(num_envs=1, seed=7))
     # what is in a list has no address in its text, or no run could be resumed
-    both = [described(make(replace={"fall": lambda: WithFunctions([lambda: 0])})) for _ in range(2)]
+    both = [
+        describe_transforms(make(replace={"fall": lambda: WithFunctions([lambda: 0])}))
+        for _ in range(2)
+    ]
     assert both[0] == both[1]
     slow = make(replace={"command": SpeedCommand(library, [0.0, 0.25])})
-    assert [name for name in told if described(slow)[name] != told[name]] == ["command"]
-    louder = make(stack=randomised(default_stack(library)))
-    assert described(louder)["noise"] != told["noise"]
-    assert "'mass': '(0." in described(louder)["dynamics"]
+    assert [name for name in told if describe_transforms(slow)[name] != told[name]] == ["command"]
+    louder = make(stack=randomise_stack(default_stack(library)))
+    assert describe_transforms(louder)["noise"] != told["noise"]
+    assert "'mass': '(0." in describe_transforms(louder)["dynamics"]
 
 
 def test_names_that_a_stack_has_cannot_be_inserted(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match=r"\['noise'\] already"):
         insert_before(default_stack(library), "start", noise=RandomNoise)
     with pytest.raises(ConfigurationError, match=r"\['dynamics'\] already"):
-        randomised(randomised(default_stack(library)))
+        randomise_stack(randomise_stack(default_stack(library)))

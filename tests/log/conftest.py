@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torchrl.envs.transforms import StepCounter
 
 import aslip
-from aslip.envs import default_stack, randomised
+from aslip.envs import default_stack, randomise_stack
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read
 from aslip.robot import PHYSICS_TIMESTEP
@@ -37,7 +37,7 @@ def make_recorded(library: GaitLibrary) -> MakeRecorded:
         if max_steps is not None:
             stack["time_limit"] = lambda: StepCounter(max_steps=max_steps)
         if dynamics:
-            stack = randomised(stack)
+            stack = randomise_stack(stack)
         stack["recorder"] = lambda: Recorder(path, library=library, **settings)
         return aslip.make_env(
             backend,  # pyright: ignore[reportArgumentType]

@@ -7,12 +7,12 @@ from collections.abc import Callable
 import torch
 from tensordict import TensorDict
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 
-MakeRecorded = Callable[..., CassieTransformedEnv]
+MakeRecorded = Callable[..., StackEnv]
 
 
-def run(env: CassieTransformedEnv, steps: int, size: float = 0.1) -> list[TensorDict]:
+def run(env: StackEnv, steps: int, size: float = 0.1) -> list[TensorDict]:
     """Steps of random actions, each with what came before; episodes begin anew when they end."""
     generator = torch.Generator().manual_seed(0)
     seen, td = [], env.reset()

@@ -139,7 +139,7 @@ def test_files_and_settings_are_attached(recording: Recording) -> None:
     config = json.loads(files["config.json"])
     assert config["settings"] == {"why": "a test"}
     assert config["seed"] == 4
-    assert config["backend"] == "BatchCassieEnv"
+    assert config["backend"] == "BatchEnv"
     assert config["stack"]["reward"].startswith("WeightedReward(")
     for name, weight in PAPER_WEIGHTS.items():
         assert f"'{name}': '{weight:g}'" in config["stack"]["reward"]

@@ -195,7 +195,7 @@ def test_the_list_says_what_each_asks(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def judge_of(name: str) -> Any:
-    stack = aslip.envs.judged(ablate.trained_on(VARIANTS[name]))
+    stack = aslip.envs.evaluation_stack(ablate.trained_on(VARIANTS[name]))
     return aslip.make_env(num_envs=2, num_threads=1, stack=stack)
 
 

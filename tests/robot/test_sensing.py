@@ -11,7 +11,7 @@ from tensordict.utils import NestedKey
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 import aslip
-from aslip.envs import CassieTransformedEnv, default_stack, insert_before
+from aslip.envs import StackEnv, default_stack, insert_before
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
@@ -42,7 +42,7 @@ class Liar(SeededTransform):
         return next_tensordict
 
 
-def _walk(env: CassieTransformedEnv, steps: int = 40) -> list[TensorDictBase]:
+def _walk(env: StackEnv, steps: int = 40) -> list[TensorDictBase]:
     """The same actions in the same robots, one of which is reset in between."""
     generator = torch.Generator().manual_seed(0)
     td = cast("TensorDictBase", env.reset())
@@ -57,7 +57,7 @@ def _walk(env: CassieTransformedEnv, steps: int = 40) -> list[TensorDictBase]:
     return seen
 
 
-def _envs(make: MakeEnv, library: GaitLibrary, **edit: object) -> list[CassieTransformedEnv]:
+def _envs(make: MakeEnv, library: GaitLibrary, **edit: object) -> list[StackEnv]:
     stack = default_stack(library)
     lying = insert_before(stack, "noise", liar=Liar)
     settings = {"num_envs": 3, "seed": 4, "drop": JUDGES, **edit}

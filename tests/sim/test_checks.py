@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
+from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.sim import SimulationPool, Simulations
 
@@ -19,8 +19,8 @@ NUM = 4
 Maker = Callable[[int], Any]
 POOLS: list[Maker] = [lambda n: SimulationPool(n, num_threads=2), lambda n: Simulations(n)]
 ENVIRONMENTS: list[Maker] = [
-    lambda n: BatchCassieEnv(n, num_threads=2),
-    lambda n: DmControlCassieEnv(n),
+    lambda n: BatchEnv(n, num_threads=2),
+    lambda n: DmControlEnv(n),
 ]
 
 
@@ -50,7 +50,7 @@ def test_a_number_of_robots_beyond_all_memory_is_refused(make: Maker) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-@pytest.mark.parametrize("make", [SimulationPool, Simulations, BatchCassieEnv])
+@pytest.mark.parametrize("make", [SimulationPool, Simulations, BatchEnv])
 @pytest.mark.parametrize("threads", [True, -1, 0.5, "2"])
 def test_what_is_no_number_of_threads_is_refused(make: Any, threads: Any) -> None:
     with pytest.raises(ConfigurationError, match="num_threads must be a whole number of 0 or more"):
@@ -76,7 +76,7 @@ def test_robots_that_are_not_there_are_named(make: Maker, ids: Any) -> None:
 @pytest.mark.parametrize("make", ENVIRONMENTS)
 @pytest.mark.parametrize("ids", [[-1], [NUM], [True], [0.0]])
 def test_dynamics_of_robots_that_are_not_there_are_refused(make: Maker, ids: Any) -> None:
-    env: CassieEnv = make(NUM)
+    env: SimulatedEnv = make(NUM)
     with pytest.raises(ConfigurationError, match="robots 0 to 3"):
         env.set_dynamics({"mass": 1.1}, np.array(ids))
     assert not env.altered

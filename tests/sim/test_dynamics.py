@@ -13,7 +13,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from aslip.envs import BatchCassieEnv, CassieEnv, DmControlCassieEnv
+from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
 from aslip.robot.model import load_model
@@ -34,13 +34,13 @@ ODD = {
 }
 
 
-def _base(backend: str, num_envs: int = 2) -> CassieEnv:
+def _base(backend: str, num_envs: int = 2) -> SimulatedEnv:
     if backend == "batch":
-        return BatchCassieEnv(num_envs, num_threads=1)
-    return DmControlCassieEnv(num_envs)
+        return BatchEnv(num_envs, num_threads=1)
+    return DmControlEnv(num_envs)
 
 
-def _walk(env: CassieEnv, steps: int, seed: int = 0) -> np.ndarray:
+def _walk(env: SimulatedEnv, steps: int, seed: int = 0) -> np.ndarray:
     """(steps, n, 67) positions and velocities under random targets around the standing pose."""
     generator = torch.Generator().manual_seed(seed)
     standing = torch.tensor(env.model.key("standing").qpos[env.indices.motor_qpos])
@@ -53,9 +53,9 @@ def _walk(env: CassieEnv, steps: int, seed: int = 0) -> np.ndarray:
     return np.array(path)
 
 
-def _edit(change: Callable[[mujoco.MjModel], None]) -> DmControlCassieEnv:
+def _edit(change: Callable[[mujoco.MjModel], None]) -> DmControlEnv:
     """One robot whose model was changed by hand."""
-    env = DmControlCassieEnv(1)
+    env = DmControlEnv(1)
     model = env.physics[0].model.ptr
     change(model)
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -84,7 +84,7 @@ def test_a_robot_moves_as_one_whose_model_was_changed_by_hand(backend: str) -> N
     env.set_dynamics(ODD, np.array([1]))
     env.reset()
     path = _walk(env, 12)
-    edited, default = _edit(_by_hand), DmControlCassieEnv(1)
+    edited, default = _edit(_by_hand), DmControlEnv(1)
     for row, single in ((0, default), (1, edited)):
         single.reset()
         np.testing.assert_array_equal(path[:, row], _walk(single, 12)[:, 0])
@@ -113,7 +113,7 @@ def test_values_that_are_nominal_again_leave_no_trace(backend: str) -> None:
 def test_dynamics_do_not_depend_on_how_robots_share_threads() -> None:
     paths = []
     for threads in (1, 3):
-        env = BatchCassieEnv(7, num_threads=threads)
+        env = BatchEnv(7, num_threads=threads)
         env.set_dynamics({"mass": np.linspace(0.9, 1.2, 7)})
         env.set_dynamics({"floor_friction": [0.3, 0.5]}, np.array([2, 6]))
         env.reset()
@@ -125,7 +125,7 @@ def test_dynamics_do_not_depend_on_how_robots_share_threads() -> None:
 
 
 def test_masses_add_up() -> None:
-    env = BatchCassieEnv(3, num_threads=1)
+    env = BatchEnv(3, num_threads=1)
     env.set_dynamics({"mass": [1.0, 1.2, 0.8], "payload": [5.0, 0.0, 2.0]})
     batch = env.simulations.parts[0].batch
     masses = [batch.get_model(i).body("pelvis").subtreemass[0] for i in range(3)]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from aslip.envs import CassiePhysics
+from aslip.envs import BipedPhysics
 from aslip.files.assets import asset_path
 from aslip.robot import GEAR, PHYSICS_TIMESTEP, SUBSTEPS
 from aslip.robot.model import load_model
@@ -358,7 +358,7 @@ def test_a_reset_leaves_nothing_in_the_packets() -> None:
 
 
 def test_both_backends_send_the_same_packets() -> None:
-    physics, pool = CassiePhysics.load(), SimulationPool(1)
+    physics, pool = BipedPhysics.load(), SimulationPool(1)
     rng = np.random.default_rng(3)
     for _ in range(4):
         target = _targets(pool, rng)
@@ -385,7 +385,7 @@ def test_a_saved_state_resumes_with_its_sensors() -> None:
 
 
 def test_a_copied_physics_has_its_own_sensors() -> None:
-    physics, rng = CassiePhysics.load(), np.random.default_rng(5)
+    physics, rng = BipedPhysics.load(), np.random.default_rng(5)
     standing = physics.motor_position()
     physics.set_control(standing + rng.normal(0, 0.3, 10))
     physics.step(SUBSTEPS + 7)

@@ -19,7 +19,7 @@ from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 
 import aslip
-from aslip.envs import CassieEnv, default_stack, randomised
+from aslip.envs import SimulatedEnv, default_stack, randomise_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
@@ -38,7 +38,7 @@ STACKS: dict[str, Callable[[], dict[str, Any]]] = {
     "paper": lambda: {"stack": "paper"},
     "single_reference": lambda: {"stack": "single_reference"},
     "reward on the estimate": lambda: {"reward_on": "estimate"},
-    "random robots": lambda: {"stack": randomised(default_stack())},
+    "random robots": lambda: {"stack": randomise_stack(default_stack())},
     "dm_control": lambda: {"backend": "dm_control"},
 }
 
@@ -62,8 +62,8 @@ def _components(collector: Collector) -> dict[str, Any]:
     return {"rng": GlobalRNGState(), "collector": CollectorState(collector)}
 
 
-def _robots(collector: Collector) -> CassieEnv:
-    return cast("CassieEnv", collector.env.base_env)
+def _robots(collector: Collector) -> SimulatedEnv:
+    return cast("SimulatedEnv", collector.env.base_env)
 
 
 def _batches(collector: Collector, number: int) -> list[TensorDictBase]:

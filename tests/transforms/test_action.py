@@ -11,13 +11,13 @@ import torch
 from torchrl.data import Bounded
 from torchrl.envs.utils import check_env_specs, step_mdp
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.transforms import ActionDelta
 from tests.helpers import MakeEnv
 
 
-def _spy(env: CassieTransformedEnv) -> list[np.ndarray]:
+def _spy(env: StackEnv) -> list[np.ndarray]:
     """Everything the backend is asked to track from now on."""
     targets: list[np.ndarray] = []
     advance = env.base_env._advance

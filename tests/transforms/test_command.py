@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.robot import POLICY_PERIOD
@@ -33,7 +33,7 @@ def _end_some(td: TensorDictBase, rows: list[int]) -> TensorDictBase:
     return td
 
 
-def _walk(env: CassieTransformedEnv, td: TensorDictBase, steps: int) -> TensorDictBase:
+def _walk(env: StackEnv, td: TensorDictBase, steps: int) -> TensorDictBase:
     for _ in range(steps):
         td = env.step(_still(td))["next"]
     return td

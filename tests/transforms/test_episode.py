@@ -10,7 +10,7 @@ from ppo_aslip import training_env
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import StepCounter
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError
 from aslip.transforms import StaggeredEnds
 from tests.helpers import MakeEnv
@@ -18,7 +18,7 @@ from tests.helpers import MakeEnv
 LIMIT = 12
 
 
-def _env(num_envs: int = 24, seed: int = 0) -> CassieTransformedEnv:
+def _env(num_envs: int = 24, seed: int = 0) -> StackEnv:
     """Robots that never fall, in a training."""
     return training_env(
         8.0,
@@ -30,7 +30,7 @@ def _env(num_envs: int = 24, seed: int = 0) -> CassieTransformedEnv:
     )
 
 
-def _walk(env: CassieTransformedEnv, steps: int) -> list[TensorDictBase]:
+def _walk(env: StackEnv, steps: int) -> list[TensorDictBase]:
     """Outcomes of steps, in which robots are reset where their episodes end."""
     outcomes, td = [], env.reset()
     for _ in range(steps):

@@ -14,7 +14,7 @@ from torch import Tensor
 from torchrl.envs.utils import step_mdp
 
 import aslip
-from aslip.envs import EPISODE_ENDS, CassieTransformedEnv
+from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
 from aslip.library import single_reference_library
@@ -78,7 +78,7 @@ def _start(num: int = NUM, heading: Tensor | None = None) -> TensorDict:
     return TensorDict(start, batch_size=[num])
 
 
-def _turned(library: aslip.GaitLibrary, **settings: object) -> CassieTransformedEnv:
+def _turned(library: aslip.GaitLibrary, **settings: object) -> StackEnv:
     settings = {"num_envs": NUM, "drop": EPISODE_ENDS} | settings
     replace = {"start": TurnedStart(library)} | cast("dict", settings.pop("replace", {}))
     return aslip.make_env(seed=3, num_threads=1, replace=replace, **settings)  # pyright: ignore[reportArgumentType]

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import SerialEnv
 from torchrl.envs.utils import check_env_specs
 
-from aslip.envs import CassieTransformedEnv, Stack, default_stack, insert_before
+from aslip.envs import Stack, StackEnv, default_stack, insert_before
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.sim import DYNAMICS
@@ -38,7 +38,7 @@ def _stack(
     return stack | {"noise": noise}
 
 
-def _rollout(env: CassieTransformedEnv, steps: int, seed: int = 0) -> Any:
+def _rollout(env: StackEnv, steps: int, seed: int = 0) -> Any:
     """Under deltas of its own, with resets in between."""
     generator = torch.Generator().manual_seed(seed)
 
@@ -229,7 +229,7 @@ def test_a_chosen_value_out_of_limits_is_refused(make: MakeEnv, library: GaitLib
 # ---------------------------------------------------------------------- noise
 
 
-def _errors(env: CassieTransformedEnv, clean: CassieTransformedEnv, steps: int) -> torch.Tensor:
+def _errors(env: StackEnv, clean: StackEnv, steps: int) -> torch.Tensor:
     """(n, steps + 1) mean error of the gyro, of robots that do the same in both."""
     rollouts = [_rollout(each, steps) for each in (env, clean)]
     packets = [

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose
 
-from aslip.envs import BatchCassieEnv, default_stack
+from aslip.envs import BatchEnv, default_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
@@ -106,7 +106,7 @@ def test_another_start_is_refused(library: GaitLibrary) -> None:
 def test_a_start_after_the_command_is_refused(library: GaitLibrary) -> None:
     """Resets are prepared from the last transform to the first."""
     order = [SpeedCommand(library), PhaseClock(library), ReferenceStart(library)]
-    env = TransformedEnv(BatchCassieEnv(1, num_threads=1), Compose(*order))
+    env = TransformedEnv(BatchEnv(1, num_threads=1), Compose(*order))
     with pytest.raises(ConfigurationError, match="must stand before SpeedCommand"):
         env.reset()
 

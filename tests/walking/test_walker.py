@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import aslip
-from aslip.envs import MAX_EPISODE_STEPS, acts_on
+from aslip.envs import MAX_EPISODE_STEPS, stack_name
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
@@ -162,7 +162,7 @@ def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:
     other = save_other_policy(tmp_path / "other.zip")
     with pytest.raises(ConfigurationError, match=r"other.zip.*lacks \['reference/body"):
         walker.policy = other
-    assert acts_on(Walker(other).env) == "single_reference"
+    assert stack_name(Walker(other).env) == "single_reference"
 
 
 def save_other_policy(path: Path) -> Path:

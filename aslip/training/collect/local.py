@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.collectors import Collector
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.training.checkpoint import CollectorState
 from aslip.training.collect.base import SETTINGS, SampleCollector
 
@@ -23,7 +23,7 @@ class LocalCollector(SampleCollector):
         samples: policy steps of a batch.
     """
 
-    def __init__(self, env: CassieTransformedEnv, actor: nn.Module, samples: int) -> None:
+    def __init__(self, env: StackEnv, actor: nn.Module, samples: int) -> None:
         self._collector = Collector(
             env, actor, frames_per_batch=samples, total_frames=-1, **SETTINGS
         )

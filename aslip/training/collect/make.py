@@ -8,7 +8,7 @@ from typing import get_args
 
 from torch import nn
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError
 from aslip.training.collect.base import SampleCollector
 from aslip.training.collect.distributed import DistributedCollectors
@@ -18,7 +18,7 @@ from aslip.training.settings import CollectorKind, check_shares
 
 
 def make_collector(
-    make_env: Callable[..., CassieTransformedEnv],
+    make_env: Callable[..., StackEnv],
     actor: nn.Module,
     *,
     kind: CollectorKind = "single",

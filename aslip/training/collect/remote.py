@@ -18,7 +18,7 @@ from tensordict.utils import NestedKey
 from torch import nn
 from torchrl.collectors import BaseCollector
 
-from aslip.envs import CassieTransformedEnv
+from aslip.envs import StackEnv
 from aslip.errors import CollectorError, ConfigurationError
 from aslip.training.collect.base import SampleCollector
 
@@ -58,7 +58,7 @@ class RemoteCollectors(SampleCollector):
 
     def __init__(
         self,
-        make_env: Callable[..., CassieTransformedEnv],
+        make_env: Callable[..., StackEnv],
         actor: nn.Module,
         num_envs: int,
         samples: int,
@@ -116,7 +116,7 @@ class RemoteCollectors(SampleCollector):
 class Robots:
     """Makes the robots of one collector, and prepares the process that it arrives in."""
 
-    def __init__(self, make_env: Callable[..., CassieTransformedEnv], entropy: list[int]) -> None:
+    def __init__(self, make_env: Callable[..., StackEnv], entropy: list[int]) -> None:
         self._make_env = make_env
         seeds = np.random.SeedSequence(entropy).generate_state(2)
         self.env_seed, self.torch_seed = map(int, seeds)
@@ -126,7 +126,7 @@ class Robots:
         self.__dict__.update(state)
         self._arrived = True
 
-    def __call__(self) -> CassieTransformedEnv:
+    def __call__(self) -> StackEnv:
         """The robots, with what is drawn for them and their actions seeded."""
         if self._arrived:
             torch.set_num_threads(1)

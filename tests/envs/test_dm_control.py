@@ -13,7 +13,7 @@ from absl.testing import absltest
 from dm_control.rl import control
 from dm_env import test_utils
 
-from aslip.envs import CassiePhysics, Walk, walk_environment
+from aslip.envs import BipedPhysics, Walk, walk_environment
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import FALL_HEIGHT, SIDES, Side
 from aslip.robot.model import load_model
@@ -98,7 +98,7 @@ def test_reward_is_between_zero_and_one() -> None:
 
 
 def test_reward_is_full_when_upright_high_and_at_speed() -> None:
-    physics = CassiePhysics.load()
+    physics = BipedPhysics.load()
     task = Walk(speed=1.2)
     with physics.reset_context():
         physics.stand()
@@ -163,9 +163,9 @@ def test_a_speed_that_is_no_number_is_refused() -> None:
 
 
 @pytest.fixture
-def physics() -> CassiePhysics:
+def physics() -> BipedPhysics:
     """The robot after two policy steps of a fall."""
-    physics = CassiePhysics.load()
+    physics = BipedPhysics.load()
     with physics.reset_context():
         physics.stand()
         physics.data.qvel[:6] = [0.5, 0.2, 0.1, 0.3, -0.2, 0.4]
@@ -175,7 +175,7 @@ def physics() -> CassiePhysics:
 
 
 def test_the_physics_equals_the_simulations_bit_for_bit() -> None:
-    physics, simulations = CassiePhysics.load(), Simulations(1, num_threads=1)
+    physics, simulations = BipedPhysics.load(), Simulations(1, num_threads=1)
     for target in _actions(walk_environment(), 5, 1):
         physics.set_control(target)
         physics.step(60)
@@ -185,7 +185,7 @@ def test_the_physics_equals_the_simulations_bit_for_bit() -> None:
             np.testing.assert_array_equal(value, truth[name][0], err_msg=name)
 
 
-def test_questions_agree_with_mujoco(physics: CassiePhysics) -> None:
+def test_questions_agree_with_mujoco(physics: BipedPhysics) -> None:
     data = physics.data.ptr
     pelvis = data.body("pelvis")
     assert physics.pelvis_height() == pelvis.xpos[2]
@@ -207,7 +207,7 @@ def test_questions_agree_with_mujoco(physics: CassiePhysics) -> None:
         np.testing.assert_allclose(matrix, site.xmat, atol=1e-14)
 
 
-def test_answers_are_copies(physics: CassiePhysics) -> None:
+def test_answers_are_copies(physics: BipedPhysics) -> None:
     side: Side = "left"
     before = physics.get_state().copy()
     for answer in (
@@ -222,10 +222,10 @@ def test_answers_are_copies(physics: CassiePhysics) -> None:
     ):
         answer += 1.0
     np.testing.assert_array_equal(physics.get_state(), before)
-    assert (physics.motor_range() == CassiePhysics.load().motor_range()).all()
+    assert (physics.motor_range() == BipedPhysics.load().motor_range()).all()
 
 
-def test_ground_force_is_the_mean_over_the_last_step_call(physics: CassiePhysics) -> None:
+def test_ground_force_is_the_mean_over_the_last_step_call(physics: BipedPhysics) -> None:
     forces = []
     twin = physics.copy(share_model=True)
     twin.set_control(physics.motor_position())
@@ -241,10 +241,10 @@ def test_ground_force_is_the_mean_over_the_last_step_call(physics: CassiePhysics
 
 @pytest.mark.parametrize("share_model", [False, True])
 def test_a_copy_goes_its_own_way_from_the_same_state(
-    physics: CassiePhysics, share_model: bool
+    physics: BipedPhysics, share_model: bool
 ) -> None:
     twin = physics.copy(share_model=share_model)
-    assert isinstance(twin, CassiePhysics)
+    assert isinstance(twin, BipedPhysics)
     np.testing.assert_array_equal(twin.get_state(), physics.get_state())
     before = physics.get_state().copy()
     twin.set_control(twin.motor_position() + 0.2)
@@ -253,7 +253,7 @@ def test_a_copy_goes_its_own_way_from_the_same_state(
     assert not np.array_equal(twin.get_state(), before)
 
 
-def test_a_copy_tracks_the_same_target(physics: CassiePhysics) -> None:
+def test_a_copy_tracks_the_same_target(physics: BipedPhysics) -> None:
     """What a copy does next, without a new command, is what the original does next."""
     twin = physics.copy()
     physics.step(20)
@@ -263,7 +263,7 @@ def test_a_copy_tracks_the_same_target(physics: CassiePhysics) -> None:
 
 @pytest.mark.parametrize("share_model", [False, True])
 def test_a_copy_has_all_that_the_future_depends_on(
-    physics: CassiePhysics, share_model: bool
+    physics: BipedPhysics, share_model: bool
 ) -> None:
     """Bit for bit: the push, the solver's warm start, delayed torques, the sensors' memory."""
     push = np.array([0.0, 60.0, 5.0])
@@ -279,18 +279,18 @@ def test_a_copy_has_all_that_the_future_depends_on(
     np.testing.assert_allclose(twin.data.qpos, physics.data.qpos, atol=1e-9)
 
 
-def test_a_reset_ends_pushes_and_starts_the_solver_cold(physics: CassiePhysics) -> None:
+def test_a_reset_ends_pushes_and_starts_the_solver_cold(physics: BipedPhysics) -> None:
     physics.push(np.array([0.0, 60.0, 5.0]))
     physics.step(60)
     with physics.reset_context():
         physics.stand()
     assert not physics.data.qacc_warmstart.any()
-    np.testing.assert_array_equal(physics.full_state(), CassiePhysics.load().full_state())
+    np.testing.assert_array_equal(physics.full_state(), BipedPhysics.load().full_state())
 
 
 @pytest.mark.parametrize("shape", [(9,), (11,), (1, 10), ()])
 def test_targets_of_another_shape_are_refused(
-    physics: CassiePhysics, shape: tuple[int, ...]
+    physics: BipedPhysics, shape: tuple[int, ...]
 ) -> None:
     with pytest.raises(ShapeError, match=r"\(10,\)"):
         physics.set_control(np.zeros(shape))

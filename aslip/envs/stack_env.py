@@ -11,16 +11,33 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec
 from torchrl.envs import EnvBase, TransformedEnv
-from torchrl.envs.transforms import Compose, ExcludeTransform, FrameSkipTransform, Transform
+from torchrl.envs.transforms import (
+    Compose,
+    ExcludeTransform,
+    FrameSkipTransform,
+    RewardSum,
+    Transform,
+)
 
-from aslip.envs import CassieEnv
-from aslip.envs.base import requested
+from aslip.envs import SimulatedEnv
+from aslip.envs.base import reset_request
 from aslip.errors import ConfigurationError
 from aslip.sim.checks import check_count
-from aslip.transforms import SeededTransform
+from aslip.transforms import (
+    ActionDelta,
+    EpisodeSum,
+    EstimatedState,
+    LastAction,
+    LowReward,
+    ObservationNoise,
+    RewardTerm,
+    SeededTransform,
+    WeightedReward,
+)
+from aslip.transforms.base import require_keys
 
 
-class CassieTransformedEnv(TransformedEnv):
+class StackEnv(TransformedEnv):
     """A transformed environment whose transforms have names, and whose seed reaches them.
 
     Args:
@@ -28,15 +45,15 @@ class CassieTransformedEnv(TransformedEnv):
         transforms: name -> transform, first to last.
     """
 
-    base_env: CassieEnv
+    base_env: SimulatedEnv
 
     # of this environment's own specs; TransformedEnv's, in an environment around this one, is
     # mistaken for one that an environment of its own kind has overwritten, and refused
     rand_action = EnvBase.rand_action
 
-    __reduce_ex__ = CassieEnv.__reduce_ex__
+    __reduce_ex__ = SimulatedEnv.__reduce_ex__
 
-    def __init__(self, env: CassieEnv, transforms: Mapping[str, Transform]) -> None:
+    def __init__(self, env: SimulatedEnv, transforms: Mapping[str, Transform]) -> None:
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
         self.transform_names = tuple(transforms)
@@ -141,7 +158,7 @@ def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
     if "_reset" in tensordict:
         return []
     groups = ("initial", "dynamics")
-    return [(group, name) for group in groups for name in requested(tensordict, group)]
+    return [(group, name) for group in groups for name in reset_request(tensordict, group)]
 
 
 def _check_foreign(transform: object, env: EnvBase) -> None:
@@ -184,3 +201,44 @@ def check_seed(seed: object) -> int:
         ConfigurationError: it is no whole number of 0 or more.
     """
     return check_count("seed", seed, least=0)
+
+
+def check_wiring(env: StackEnv) -> None:
+    """Check that what reward terms and the action read is there, before the first step needs it."""
+    available = env.full_observation_spec.clone()
+    available.update(env.full_action_spec)
+    available.update(env.full_reward_spec)
+    summed = rewarded = sensed = False
+    ever_rewarded = any("reward" in transform.out_keys for transform in env.transforms)
+    for name, transform in zip(env.transform_names, env.transforms, strict=True):
+        if isinstance(transform, RewardTerm) and summed:
+            raise ConfigurationError(
+                f"the reward term {transform.out_keys[0][-1]!r} comes after the sum and would not"
+                ' count; insert_before(stack, "reward", ...) puts it in its place'
+            )
+        if getattr(transform, "must_be_last", False) and transform is not env.transforms[-1]:
+            raise ConfigurationError(
+                f"{name!r} must be the last transform, or what later ones write is not in its log;"
+                f" the last one is {env.transform_names[-1]!r}"
+            )
+        # a sum of nothing is right where there is no reward; an end of all episodes is not
+        reads = isinstance(transform, LowReward) or (
+            isinstance(transform, EpisodeSum | RewardSum) and ever_rewarded
+        )
+        if reads and not rewarded:
+            raise ConfigurationError(
+                f"no transform before {name!r} writes the reward that it reads; without one, drop"
+                " it, too"
+            )
+        if isinstance(transform, ObservationNoise) and sensed:
+            raise ConfigurationError(
+                f"{name!r} comes after what reads the sensors and would have no effect;"
+                ' insert_before(stack, "estimator", ...) puts it in its place'
+            )
+        summed |= isinstance(transform, WeightedReward)
+        rewarded |= "reward" in transform.out_keys
+        sensed |= isinstance(transform, EstimatedState)
+        if isinstance(transform, RewardTerm | ActionDelta):
+            require_keys(transform, available, transform.in_keys)
+        if isinstance(transform, LastAction):
+            require_keys(transform, available, ["action"])
