@@ -13,7 +13,7 @@ from torchrl.data import Composite
 from aslip.robot import SIDES
 from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
-from aslip.transforms.rewards import rotate_inverse, yaw_angle
+from aslip.transforms.rotation import conjugate, multiply, rotate_inverse, upper_hemisphere, yaw
 
 _GROUP = "true_odometry"
 _ORIGIN = (_GROUP, "origin")
@@ -76,7 +76,7 @@ class HeadingFrame(SeededTransform):
 def true_heading(truth: Mapping[str, Tensor]) -> Tensor:
     """(*b, 1) yaw of the pelvis against gravity [rad], as a perfect IMU would say."""
     upright = _to_world(truth["slope"], torch.zeros_like(truth["slope"]))
-    return yaw_angle(_inverse_times(upright, truth["pelvis_orientation"]))
+    return yaw(_seen_from(upright, truth["pelvis_orientation"]))
 
 
 def start_of(truth: Mapping[str, Tensor]) -> Tensor:
@@ -107,7 +107,7 @@ def in_heading_frame(
     vectors = torch.stack([*places, truth["pelvis_velocity"]], dim=-2)
     *places, velocity = rotate_inverse(to_world, vectors).unbind(-2)
     orientations = torch.stack([truth[f"{body}_orientation"] for body in _BODIES], dim=-2)
-    turned = _inverse_times(to_world, orientations)
+    turned = _seen_from(to_world, orientations)
     # on a slope a robot rises with the ground below it
     height = truth["pelvis_position"][..., 2:] / truth["slope"].cos()
     lift = torch.nn.functional.pad(height - places[0][..., 2:], (2, 0))
@@ -133,11 +133,6 @@ def _to_world(slope: Tensor, heading: Tensor) -> Tensor:
     )
 
 
-def _inverse_times(first: Tensor, second: Tensor) -> Tensor:
-    """Product (*b, 4) of the inverse of a unit quaternion with another, wxyz with w >= 0."""
-    w, u = first[..., :1], first[..., 1:]
-    s, v = second[..., :1], second[..., 1:]
-    u = u.expand_as(v)
-    scalar = w * s + (u * v).sum(-1, keepdim=True)
-    product = torch.cat([scalar, w * v - s * u - torch.linalg.cross(u, v)], dim=-1)
-    return torch.where(scalar < 0, -product, product)
+def _seen_from(frame: Tensor, orientation: Tensor) -> Tensor:
+    """Orientations (*b, 4) relative to frames (*b, 4), both to the world; w >= 0."""
+    return upper_hemisphere(multiply(conjugate(frame), orientation))

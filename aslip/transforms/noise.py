@@ -17,6 +17,7 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import POLICY_PERIOD
 from aslip.robot.sensing import NOISE_CHANNELS, SENSOR_NOISE, NoiseLevel
 from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.rotation import from_vector, multiply, upper_hemisphere
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in NOISE_CHANNELS)
 _BIAS_KEYS = tuple(("sensor_bias", name) for name in NOISE_CHANNELS)
@@ -182,12 +183,5 @@ def _row(value: float | tuple[float, ...], channels: int) -> Tensor:
 
 def _turned(quaternion: Tensor, rotation: Tensor) -> Tensor:
     """Orientations (*b, 4) followed by rotation vectors (*b, 3) [rad] in their own frame."""
-    angle = rotation.norm(dim=-1, keepdim=True)
-    w, u = (angle / 2).cos(), torch.sinc(angle / (2 * math.pi)) / 2 * rotation
-    scalar, vector = quaternion[..., :1], quaternion[..., 1:]
-    product = (
-        scalar * w - (vector * u).sum(-1, keepdim=True),
-        scalar * u + w * vector + torch.linalg.cross(vector, u),
-    )
-    turned = torch.nn.functional.normalize(torch.cat(product, dim=-1), dim=-1)
-    return torch.where(turned[..., :1] < 0, -turned, turned)
+    turned = multiply(quaternion, from_vector(rotation))
+    return upper_hemisphere(torch.nn.functional.normalize(turned, dim=-1))

@@ -13,6 +13,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from aslip.transforms.rotation import rotate_inverse, yaw_quaternion
+
 PAPER_WEIGHTS: Final = MappingProxyType(
     {
         "com_vel": 0.3,
@@ -105,51 +107,6 @@ def action_diff(action: Tensor, last_action: Tensor) -> Tensor:
         last_action: (*b, 10) [rad].
     """
     return torch.exp(-_norm(action - last_action))
-
-
-# ------------------------------------------------------------------ geometry
-
-
-def rotate_inverse(quaternion: Tensor, vector: Tensor) -> Tensor:
-    """Express a world vector in the frame whose frame-to-world rotation is given.
-
-    Args:
-        quaternion: (*b, 4) wxyz, unit.
-        vector: (*b, 3).
-
-    Returns:
-        (*b, 3).
-    """
-    w, u = quaternion[..., :1], -quaternion[..., 1:]
-    t = 2.0 * torch.linalg.cross(u, vector)
-    return vector + w * t + torch.linalg.cross(u, t)
-
-
-def yaw_quaternion(quaternion: Tensor) -> Tensor:
-    """The heading alone: the turn about z that points x where the frame's x points from above.
-
-    Args:
-        quaternion: (*b, 4) wxyz, unit; its x axis must not be vertical.
-
-    Returns:
-        (*b, 4) wxyz.
-    """
-    half = 0.5 * yaw_angle(quaternion)
-    zero = torch.zeros_like(half)
-    return torch.cat([half.cos(), zero, zero, half.sin()], dim=-1)
-
-
-def yaw_angle(quaternion: Tensor) -> Tensor:
-    """The heading's angle about z.
-
-    Args:
-        quaternion: (*b, 4) wxyz, unit; its x axis must not be vertical.
-
-    Returns:
-        (*b, 1) [rad].
-    """
-    w, x, y, z = quaternion.split(1, dim=-1)
-    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def _norm(vector: Tensor) -> Tensor:

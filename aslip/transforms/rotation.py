@@ -1,0 +1,59 @@
+"""Batched rotations in torch: unit quaternions (*b, 4) are wxyz, vectors are (*b, 3).
+
+An orientation turns vectors written in a body's axes into those of the world.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+
+def rotate_inverse(quaternion: Tensor, vector: Tensor) -> Tensor:
+    """Vectors (*b, 3) of the world in the axes of bodies with `quaternion` (*b, 4) to the world."""
+    w, u = quaternion[..., :1], -quaternion[..., 1:]
+    t = 2.0 * torch.linalg.cross(u, vector)
+    return vector + w * t + torch.linalg.cross(u, t)
+
+
+def multiply(first: Tensor, second: Tensor) -> Tensor:
+    """Product (*b, 4) of quaternions: the second rotation, then the first."""
+    w, u = first[..., :1], first[..., 1:]
+    s, v = second[..., :1], second[..., 1:]
+    scalar = w * s - (u * v).sum(-1, keepdim=True)
+    return torch.cat([scalar, w * v + s * u + torch.linalg.cross(u.expand_as(v), v)], dim=-1)
+
+
+def upper_hemisphere(quaternion: Tensor) -> Tensor:
+    """Representation with w >= 0 of the same rotations (*b, 4)."""
+    return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+
+
+def conjugate(quaternion: Tensor) -> Tensor:
+    """Inverses (*b, 4) of unit quaternions."""
+    return torch.cat([quaternion[..., :1], -quaternion[..., 1:]], dim=-1)
+
+
+def from_vector(rotation: Tensor) -> Tensor:
+    """Unit quaternions (*b, 4) of rotation vectors (*b, 3) [rad]."""
+    angle = rotation.norm(dim=-1, keepdim=True)
+    vector = torch.sinc(angle / (2 * math.pi)) / 2 * rotation
+    return torch.cat([(angle / 2).cos(), vector], dim=-1)
+
+
+def yaw(quaternion: Tensor) -> Tensor:
+    """Heading (*b, 1) of the x axis of bodies with `quaternion` (*b, 4) to the world [rad].
+
+    The x axis must not be vertical.
+    """
+    w, x, y, z = quaternion.split(1, dim=-1)
+    return torch.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def yaw_quaternion(quaternion: Tensor) -> Tensor:
+    """Rotation (*b, 4) about z by the `yaw` of `quaternion` (*b, 4)."""
+    half = 0.5 * yaw(quaternion)
+    zero = torch.zeros_like(half)
+    return torch.cat([half.cos(), zero, zero, half.sin()], dim=-1)
