@@ -64,7 +64,7 @@ from aslip.log import JointRate, Recorder, check, read, recover, replay
 from aslip.policy import policy_stack
 from aslip.robot import POLICY_PERIOD
 from aslip.training.run import write_text
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 
 # an episode of the paper [policy steps]
 _EPISODE = 400

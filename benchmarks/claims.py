@@ -43,10 +43,8 @@ import numpy as np
 
 from aslip.robot import POLICY_PERIOD
 from aslip.training.run import read_progress, write_text
-from aslip.walking.evaluation import TRACKING_TOLERANCE
+from aslip.walking import TRACKING_TOLERANCE, Walks, markdown
 from aslip.walking.metrics import Placement, leg_length_correlation
-from aslip.walking.tables import markdown
-from aslip.walking.walks import Walks
 from benchmarks import foot_placement, ground_reaction, step_frequency, velocity_tracking
 from benchmarks.common import WALKING_LENGTH, Interval, constant_walks, write_report
 

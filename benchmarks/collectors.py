@@ -55,7 +55,7 @@ from tensordict import TensorDict
 import aslip
 from aslip.policy import policy_stack
 from aslip.training.collect import make_collector
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 
 
 def main(config: Config) -> None:

@@ -22,7 +22,7 @@ from aslip.robot import POLICY_PERIOD
 from aslip.rom import Gait
 from aslip.show.plots import save_figure
 from aslip.training.run import write_text
-from aslip.walking.walks import Walks, record_walks
+from aslip.walking import Walks, record_walks
 from benchmarks.flags import Common
 
 WALKING_LENGTH = 350

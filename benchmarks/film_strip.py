@@ -74,7 +74,7 @@ from aslip.robot import POLICY_PERIOD
 from aslip.show.ghost import Ghost
 from aslip.show.plots import save_figure
 from aslip.show.render import render_frames, strip
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 
 
 @dataclass(frozen=True)

@@ -57,9 +57,8 @@ from aslip.library import GaitLibrary
 from aslip.log import read, read_walk
 from aslip.robot import POLICY_PERIOD, SIDES
 from aslip.show.ghost import Footholds
+from aslip.walking import Walks, markdown
 from aslip.walking.metrics import Placement, footsteps, placement
-from aslip.walking.tables import markdown
-from aslip.walking.walks import Walks
 from benchmarks.common import Interval, constant_walks, shortest_swing, write_report
 
 _FOOTSTEPS = 15

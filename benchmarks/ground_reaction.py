@@ -45,11 +45,10 @@ from aslip.library import GaitLibrary
 from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
 from aslip.rom import Gait
 from aslip.show.ghost import touchdown_phases
+from aslip.walking import Walker, markdown
 from aslip.walking.metrics import force_profile, mean_over_strides
 from aslip.walking.metrics.contact import stances
 from aslip.walking.metrics.force import ForceProfile, dip_ratio, humps
-from aslip.walking.tables import markdown
-from aslip.walking.walker import Walker
 from benchmarks.common import environment, nearest_gait, write_report
 
 # before strides count, and while they do [s]

@@ -75,7 +75,7 @@ from tqdm import tqdm
 from aslip.policy import POLICY_FILE, read_card
 from aslip.show.plots import save_figure
 from aslip.training.run import read_progress, steps_done, write_text
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks.common import WALKING_LENGTH, Interval
 
 VARIANTS: Final = MappingProxyType(

@@ -33,7 +33,7 @@ import subprocess
 import sys
 import time
 
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 
 _GAITS = """
 from aslip.library.build import PAPER_SPEEDS

@@ -65,7 +65,7 @@ from aslip.robot import (
 )
 from aslip.training.run import write_text
 from aslip.transforms import DYNAMICS_RANGES, ActionDelta
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks import foot_placement, step_frequency, velocity_tracking
 from benchmarks.perturbation import suite as perturbation
 from benchmarks.perturbation.config import SWEEPS
@@ -181,7 +181,7 @@ def contract(about: dict[str, Any]) -> str:
             f" {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
             f" {SUBSTEPS / POLICY_PERIOD:.0f} times a second, with velocity target zero; torques"
             f" reach the robot {1e3 * TORQUE_DELAY:g} ms late. `aslip.make_env(stack="
-            f'"{about["stack"]}")` and `aslip.walking.walker.Walker` do all this.',
+            f'"{about["stack"]}")` and `aslip.walking.Walker` do all this.',
             markdown(header, gains),
         ]
     )

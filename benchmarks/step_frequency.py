@@ -31,9 +31,8 @@ from matplotlib.figure import Figure
 
 from aslip.library import GaitLibrary
 from aslip.robot import POLICY_PERIOD
+from aslip.walking import Walks, markdown
 from aslip.walking.metrics import duty_factor, step_frequency
-from aslip.walking.tables import markdown
-from aslip.walking.walks import Walks
 from benchmarks.common import Interval, constant_walks, shortest_swing, strides, write_report
 
 # walking before footsteps count, and while they do [s]

@@ -80,8 +80,7 @@ from aslip.robot.model import TIMESTEPS
 from aslip.sim import SimulationPool, Simulations
 from aslip.training import run
 from aslip.transforms import ActionDelta
-from aslip.walking.evaluation import evaluate
-from aslip.walking.tables import markdown
+from aslip.walking import evaluate, markdown
 from benchmarks.faults.trainings import quiet
 from recipes import ppo_aslip
 

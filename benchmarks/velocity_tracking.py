@@ -44,7 +44,7 @@ from aslip.library import GaitLibrary
 from aslip.log import read, read_walk
 from aslip.robot import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.show.ghost import Footholds
-from aslip.walking.evaluation import TRACKING_TOLERANCE, on_feet, tracks
+from aslip.walking import TRACKING_TOLERANCE, Walks, is_on_feet, markdown, tracks_command
 from aslip.walking.metrics import (
     StepResponse,
     root_mean_square,
@@ -53,8 +53,6 @@ from aslip.walking.metrics import (
     stride_average,
     touchdown_spike,
 )
-from aslip.walking.tables import markdown
-from aslip.walking.walks import Walks
 from benchmarks.common import Interval, constant_walks, walks_of, write_report
 
 SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
@@ -184,8 +182,8 @@ def map_rows(config: Config) -> list[dict[str, Any]]:
                 "sideways": float(drift),
                 "survived": [bool(walk.survived[i]) for walk in walks],
                 # NaN, where it fell, is neither
-                "on_feet": [bool(on_feet(ratio, _WALK)) for ratio in carried],
-                "tracked": [bool(tracks(speed, mean)) for mean in each],
+                "on_feet": [bool(is_on_feet(ratio, _WALK)) for ratio in carried],
+                "tracked": [bool(tracks_command(speed, mean)) for mean in each],
             }
         )
     return rows

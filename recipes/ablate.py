@@ -96,8 +96,7 @@ from aslip.transforms import (
 )
 from aslip.transforms.base import extend_spec
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking.evaluation import TRACKING_TOLERANCE, WalkResult
-from aslip.walking.tables import markdown
+from aslip.walking import TRACKING_TOLERANCE, WalkResult, markdown
 
 _CONFIDENCE = 0.95
 _RESULTS = "judged.json"

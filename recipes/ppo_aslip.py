@@ -73,7 +73,7 @@ from aslip.training.provenance import provenance
 from aslip.training.run import TrainingRun, peak_memory, write_text
 from aslip.training.settings import read_settings
 from aslip.transforms import SpeedCommand, StaggeredEnds
-from aslip.walking.evaluation import WalkResult, evaluate, walk_table
+from aslip.walking import WalkResult, evaluate, walk_table
 
 
 def main(

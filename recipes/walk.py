@@ -109,8 +109,7 @@ from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.pacing import Pacer
 from aslip.training.run import sigterm_exits
-from aslip.walking.tables import markdown
-from aslip.walking.walker import Push, Schedule, Walker, policy_steps
+from aslip.walking import Push, Schedule, Walker, markdown, policy_steps
 
 # columns of the pelvis's velocity, world
 _AXES = ("velocity_x", "velocity_y")

@@ -14,7 +14,7 @@ from aslip.log.playback import TOPICS, Replay, low_level_differs, replay
 from aslip.log.reader import read
 from aslip.log.recovery import recover
 from aslip.training.command_line import usage_error
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 
 
 def main(arguments: list[str] | None = None) -> int:

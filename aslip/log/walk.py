@@ -12,7 +12,7 @@ from aslip.log.reader import Recording, Series
 from aslip.robot import MOTOR_NAMES, POLICY_PERIOD, SIDES
 from aslip.transforms import ODOMETRY_SIZES
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
-from aslip.walking.walks import Walks
+from aslip.walking import Walks
 
 _FEET = tuple(f"{side}_foot_position" for side in SIDES)
 

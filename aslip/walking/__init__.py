@@ -1,1 +1,79 @@
-"""Walks of a policy: recorded, evaluated, measured."""
+"""Walks of a policy: recorded (`record`), evaluated (`evaluation`), steered (`walker`), measured.
+
+`metrics` are pure functions of arrays; `tables` writes Markdown.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from aslip.walking.evaluation import (
+        TRACKING_TOLERANCE,
+        WalkResult,
+        evaluate,
+        is_on_feet,
+        tracks_command,
+        walk_table,
+    )
+    from aslip.walking.record import (
+        Walks,
+        add_policy_state,
+        next_start,
+        record_walks,
+        reset_walks,
+        take_step,
+        walk,
+    )
+    from aslip.walking.schedule import Push, Schedule, policy_steps
+    from aslip.walking.tables import markdown
+    from aslip.walking.walker import Walker
+
+__all__ = [
+    "TRACKING_TOLERANCE",
+    "Push",
+    "Schedule",
+    "WalkResult",
+    "Walker",
+    "Walks",
+    "add_policy_state",
+    "evaluate",
+    "is_on_feet",
+    "markdown",
+    "next_start",
+    "policy_steps",
+    "record_walks",
+    "reset_walks",
+    "take_step",
+    "tracks_command",
+    "walk",
+    "walk_table",
+]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "evaluation": [
+            "TRACKING_TOLERANCE",
+            "WalkResult",
+            "evaluate",
+            "is_on_feet",
+            "tracks_command",
+            "walk_table",
+        ],
+        "record": [
+            "Walks",
+            "add_policy_state",
+            "next_start",
+            "record_walks",
+            "reset_walks",
+            "take_step",
+            "walk",
+        ],
+        "schedule": ["Push", "Schedule", "policy_steps"],
+        "tables": ["markdown"],
+        "walker": ["Walker"],
+    },
+)

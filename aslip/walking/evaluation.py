@@ -1,81 +1,89 @@
-"""Deterministic walks of a policy at many speeds at once, and the table they make."""
+"""Deterministic walks of a policy at many speeds at once, and the table of their results."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Integral
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from tensordict.utils import NestedKey
 
 from aslip.envs import MAX_EPISODE_STEPS, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import POLICY_PERIOD, STANDARD_GRAVITY
-from aslip.transforms import SpeedCommand
+from aslip.walking.record import record
 from aslip.walking.tables import markdown
 
 TRACKING_TOLERANCE: Final = 0.2
 """Difference of mean and commanded speed up to which a walk tracks its command [m/s]."""
 
-# share of the weight that feet carry on the long run, and what the pelvis may bob up and down [m/s]
-_ON_FEET, _BOB = 0.95, 0.5
+# share of the weight that feet carry in the long run, and vertical speed that the pelvis may gain
+_ON_FEET, _BOB = 0.95, 0.5  # [-], [m/s]
+_POSITION = ("true_odometry", "pelvis_position")
+_RECORDED: Final[list[NestedKey]] = [
+    _POSITION,
+    ("next", *_POSITION),
+    ("next", "done"),
+    ("next", "terminated"),
+    ("next", "reward"),
+    ("next", "truth", "ground_force"),
+    ("next", "reward_terms"),
+]
 
 
 @dataclass(frozen=True)
 class WalkResult:
     """One episode at one commanded speed.
 
-    Whether the robot `survived`, stayed `on_feet` and `tracked` its command are three results; a
-    walk that succeeds has all of them.
+    `survived`, `on_feet` and `tracked` are three separate results; a walk that succeeds has all.
     """
 
     speed: float
     """Commanded speed [m/s]."""
     steps: int
-    """Policy steps until the episode ended, at most the steps asked for."""
+    """Policy steps until the episode ended, at most the number asked for."""
     survived: bool
-    """Whether it lasted them all."""
+    """Whether the robot had not fallen by then."""
     total: float
     """Sum of rewards."""
     mean_speed: float
     """Distance along the heading over time [m/s]."""
     lateral_drift: float
-    """Distance of the pelvis from the line along the heading at the end [m]."""
+    """Final distance of the pelvis from the line along the heading [m]."""
     weight_ratio: float
-    """Mean vertical ground force over the weight of the robot as it is, with its mass and payload;
-    one when nothing but the feet carries it."""
+    """Mean vertical ground force over the weight of the robot as simulated, with its mass and
+    payload; one when nothing but the feet carries it."""
     terms: dict[str, float]
     """Mean of each reward term."""
 
     @property
     def on_feet(self) -> bool:
         """Whether feet carried the robot; robots also learn to shuffle along on their heels."""
-        return on_feet(self.weight_ratio, self.steps * POLICY_PERIOD)
+        return is_on_feet(self.weight_ratio, self.steps * POLICY_PERIOD)
 
     @property
     def tracked(self) -> bool:
-        """Whether the mean speed is that of the command, to `TRACKING_TOLERANCE`."""
-        return tracks(self.speed, self.mean_speed)
+        """Whether the mean speed is within `TRACKING_TOLERANCE` of the command."""
+        return tracks_command(self.speed, self.mean_speed)
 
 
-def on_feet(weight_ratio: float, duration: float) -> bool:
-    """Whether feet carried the robot, but for what its momentum can carry for a while.
+def is_on_feet(weight_ratio: float, duration: float) -> bool:
+    """Judge whether feet carried the robot, except for what its momentum can carry for a while.
 
     Args:
         weight_ratio: mean vertical ground force on the feet over the robot's weight.
-        duration: time that the mean is over [s].
+        duration: time over which the mean was taken [s].
     """
     return weight_ratio > _ON_FEET - _BOB / (STANDARD_GRAVITY * duration)
 
 
-def tracks(speed: float, mean_speed: float) -> bool:
-    """Whether a mean speed is that of the command, to `TRACKING_TOLERANCE`; NaN is not.
+def tracks_command(speed: float, mean_speed: float) -> bool:
+    """Judge whether a mean speed is within `TRACKING_TOLERANCE` of the command; NaN is not.
 
     Args:
         speed: commanded [m/s].
@@ -84,7 +92,6 @@ def tracks(speed: float, mean_speed: float) -> bool:
     return abs(mean_speed - speed) <= TRACKING_TOLERANCE
 
 
-@torch.no_grad()
 def evaluate(
     policy: TensorDictModuleBase,
     env: StackEnv,
@@ -93,16 +100,17 @@ def evaluate(
 ) -> list[WalkResult]:
     """Walk once at each speed, from phase 0, without exploration noise.
 
-    The speed is kept, also where the environment's `SpeedCommand` would change it on the way.
+    Each robot keeps its speed, also where the environment's `SpeedCommand` would change it. Its
+    walk ends with its episode, or after `num_steps`.
 
     Args:
         policy: maps the environment's tensordict to `action`.
-        env: as many robots as there are speeds.
+        env: environment of as many robots as there are speeds.
         speeds: commanded speeds [m/s].
-        num_steps: policy steps, 1 or more.
+        num_steps: most policy steps of a walk, 1 or more.
 
     Raises:
-        ConfigurationError: the environment has another number of robots, or `num_steps` is no
+        ConfigurationError: the environment has another number of robots, or `num_steps` is not a
             whole number of 1 or more.
     """
     if not isinstance(num_steps, Integral) or isinstance(num_steps, bool) or num_steps < 1:
@@ -113,60 +121,49 @@ def evaluate(
         raise ConfigurationError(
             f"{len(speeds)} speeds need an environment of as many robots, got {env.num_envs}"
         )
-    command = torch.tensor(speeds, dtype=torch.float32)[:, None]
-    start = TensorDict(command=command, phase=torch.zeros_like(command), batch_size=len(command))
-    td = env.reset(start)
-    position = td["true_odometry", "pelvis_position"].clone()
-    start_x = position[:, 0].clone()
-    alive = torch.ones(len(speeds), dtype=torch.bool)
-    steps = torch.zeros(len(speeds))
-    total, force = torch.zeros(len(speeds)), torch.zeros(len(speeds))
-    terms: dict[str, torch.Tensor] = {}
-    with set_exploration_type(ExplorationType.DETERMINISTIC), _commands_kept(env):
-        for _ in range(num_steps):
-            after = env.step(policy(td))["next"]
-            steps += alive
-            total += after["reward"][:, 0] * alive
-            force += after["truth", "ground_force"][..., 2].sum(-1) * alive
-            for name, term in after.get("reward_terms", TensorDict()).items():
-                terms[name] = terms.get(name, 0.0) + term[:, 0] * alive
-            position[alive] = after["true_odometry", "pelvis_position"][alive]
-            alive &= ~after["terminated"][:, 0]
-            if not alive.any():
-                break
-            td = step_mdp(td)
-    weight = env.base_env.weight
+    command = np.tile(np.asarray(speeds, dtype=np.float32), (num_steps, 1))
+    rows = record(policy, env, command, _RECORDED, until_all_ended=True)
+    return _results(rows, speeds, env.base_env.weight)
+
+
+def _results(rows: TensorDict, speeds: Sequence[float], weight: Any) -> list[WalkResult]:
+    """Results of (m, n) recorded policy steps of robots of some weight (n,) [N]."""
+    after = rows["next"]
+    assert isinstance(after, TensorDictBase)
+    ended = after["done"][..., 0].cumsum(0) > 0
+    walking = torch.cat([torch.ones_like(ended[:1]), ~ended[:-1]])
+    steps = walking.sum(0).float()
+    totals = {name: _sum(t, walking) for name, t in after.get("reward_terms", TensorDict()).items()}
+    total = _sum(after["reward"], walking)
+    force = _sum(after["truth", "ground_force"][..., 2].sum(-1, keepdim=True), walking)
+    last = walking.sum(0) - 1, torch.arange(len(speeds))
+    position, start = after[_POSITION][last], rows[_POSITION][0]
+    fell = (after["terminated"][..., 0] & walking).any(0)
     return [
         WalkResult(
             speed=float(speeds[i]),
             steps=int(steps[i]),
-            survived=bool(alive[i]),
+            survived=not fell[i],
             total=float(total[i]),
-            mean_speed=float((position[i, 0] - start_x[i]) / (steps[i] * POLICY_PERIOD)),
+            mean_speed=float((position[i, 0] - start[i, 0]) / (steps[i] * POLICY_PERIOD)),
             lateral_drift=float(position[i, 1].abs()),
             weight_ratio=float(force[i] / steps[i] / weight[i]),
-            terms={name: float(term[i] / steps[i]) for name, term in terms.items()},
+            terms={name: float(sums[i] / steps[i]) for name, sums in totals.items()},
         )
         for i in range(len(speeds))
     ]
 
 
-@contextmanager
-def _commands_kept(env: StackEnv) -> Iterator[None]:
-    """Let no command change by itself."""
-    commands = [t for t in env.transforms if isinstance(t, SpeedCommand)]
-    intervals = [command.interval for command in commands]
-    for command in commands:
-        command.interval = math.inf
-    try:
-        yield
-    finally:
-        for command, interval in zip(commands, intervals, strict=True):
-            command.interval = interval
+def _sum(values: torch.Tensor, walking: torch.Tensor) -> torch.Tensor:
+    """(n,) sums of (m, n, 1) values over each robot's walk, in the order of the steps."""
+    total = torch.zeros(values.shape[1])
+    for value in values[..., 0] * walking:
+        total += value
+    return total
 
 
 def walk_table(results: Sequence[WalkResult]) -> str:
-    """The results as a Markdown table, one row a speed, and a line that sums them up."""
+    """Markdown table of results, one row a speed, and a line of totals."""
     names = list(results[0].terms)
     header = ["command m/s", "steps", "return", "speed m/s", "drift m", "force/weight", *names]
     rows = [

@@ -1,4 +1,4 @@
-"""Tables for people."""
+"""Markdown tables."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from collections.abc import Sequence
 def markdown(
     header: Sequence[str], rows: Sequence[Sequence[str]], align: str | Sequence[str] = "---:"
 ) -> str:
-    """A Markdown table.
+    """Write a Markdown table.
 
     Args:
-        header: a name a column; may be empty.
-        rows: as many cells each.
-        align: Markdown's `"---"` (left) or `"---:"` (right), of all columns or of each.
+        header: name of each column; may be empty.
+        rows: cells of each row, as many as columns.
+        align: `"---"` (left) or `"---:"` (right), for all columns or for each.
     """
     marks = [align] * len(header) if isinstance(align, str) else align
     return "\n".join("| " + " | ".join(line) + " |" for line in [header, marks, *rows])

@@ -17,7 +17,7 @@ from aslip.estimation import StateEstimator
 from aslip.policy import policy_stack
 from aslip.robot.model import CassieIndices
 from aslip.sim import Sensors
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks.estimator.arrays import packets
 from benchmarks.estimator.config import Config
 

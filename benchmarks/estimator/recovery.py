@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 import aslip
 from aslip.envs import StackEnv
 from aslip.policy import policy_stack
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks.estimator.arrays import array
 from benchmarks.estimator.config import Config
 

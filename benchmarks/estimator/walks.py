@@ -19,7 +19,7 @@ from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.policy import policy_stack
 from aslip.robot import FALL_HEIGHT
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks.estimator.arrays import array, packets
 from benchmarks.estimator.config import Config
 

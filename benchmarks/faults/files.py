@@ -48,7 +48,7 @@ import torch
 from tqdm import tqdm
 
 from aslip.training.run import peak_memory
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks.faults.archives import forged, unzipped, zipped
 from benchmarks.faults.kinds import KINDS, Kind
 

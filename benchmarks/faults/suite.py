@@ -15,7 +15,7 @@ import torch
 from tqdm import tqdm
 
 from aslip.training.run import write_text
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks.faults.checkpoints import checkpoint_cost, cuts, flips, full_disks, losses
 from benchmarks.faults.config import Config
 from benchmarks.faults.files import damaged

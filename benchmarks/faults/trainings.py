@@ -22,7 +22,7 @@ from torchrl import torchrl_logger
 
 from aslip.training.checkpoint import load_checkpoint
 from aslip.training.run import read_progress
-from aslip.walking.evaluation import evaluate
+from aslip.walking import evaluate
 from recipes import ppo_aslip
 
 TINY = ppo_aslip.Config(

@@ -15,8 +15,7 @@ from aslip.envs import StackEnv
 from aslip.robot import POLICY_PERIOD
 from aslip.show.ghost import heading
 from aslip.transforms import PhaseClock
-from aslip.walking.tables import markdown
-from aslip.walking.walker import policy_steps
+from aslip.walking import markdown, policy_steps
 from benchmarks.common import Interval, environment
 from benchmarks.perturbation.config import SIDES, Config
 from benchmarks.perturbation.walking import reset, walk

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 import aslip
 from aslip.robot import POLICY_PERIOD
-from aslip.walking.tables import markdown
+from aslip.walking import markdown
 from benchmarks.common import CONFIDENCE, Interval, environment
 from benchmarks.perturbation.config import SWEEPS, Config
 from benchmarks.perturbation.walking import reset, walk

@@ -13,8 +13,8 @@ import pytest
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.walking import Walks
 from aslip.walking.metrics import Placement
-from aslip.walking.walks import Walks
 from benchmarks import claims, foot_placement, ground_reaction, step_frequency, velocity_tracking
 from benchmarks.common import Common, Interval, write_results
 from recipes import walk

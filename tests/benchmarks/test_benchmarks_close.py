@@ -11,7 +11,7 @@ import pytest
 
 from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 from benchmarks import film_strip, ground_reaction, throughput
 from benchmarks.estimator import cost, recovery, walks
 from benchmarks.estimator.config import Config as EstimatorConfig

@@ -26,7 +26,7 @@ from aslip.robot import (
 )
 from aslip.robot.model import TIMESTEPS, load_model
 from aslip.transforms import Fall
-from aslip.walking.evaluation import evaluate
+from aslip.walking import evaluate
 from tests.helpers import MakeEnv, differing, leaves
 
 BACKENDS = ("batch", "dm_control")

@@ -26,7 +26,7 @@ from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
 from aslip.transforms import OBSERVATION_TABLE, ActionDelta, AssembleObservation, SeededTransform
 from aslip.transforms.base import extend_spec
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 from benchmarks import velocity_tracking
 from benchmarks.common import Common, environment
 from tests.helpers import MakeEnv

@@ -16,7 +16,7 @@ import aslip
 from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
 from aslip.transforms import ActionDelta, AssembleObservation
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking.evaluation import WalkResult, evaluate
+from aslip.walking import WalkResult, evaluate
 
 
 @pytest.fixture(autouse=True)

@@ -39,8 +39,7 @@ from aslip.transforms import (
 )
 from aslip.transforms.base import extend_spec
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking.evaluation import WalkResult, evaluate
-from aslip.walking.walker import Walker
+from aslip.walking import Walker, WalkResult, evaluate
 from recipes import ablate, ppo_aslip
 from tests.helpers import TINY
 

@@ -22,8 +22,7 @@ from aslip.robot import MOTOR_NAMES, POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
 from aslip.robot.model import CassieIndices, load_model
 from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall, SpeedCommand
 from aslip.transforms import single_reference as terms
-from aslip.walking.evaluation import evaluate
-from aslip.walking.walker import Walker
+from aslip.walking import Walker, evaluate
 from tests.helpers import MakeEnv
 
 STILL, SWINGING = torch.zeros(3), torch.tensor([1.0, 0.0, 0.5])

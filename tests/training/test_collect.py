@@ -29,7 +29,7 @@ from aslip.training import collect
 from aslip.training.collect import SENT, CollectorKind, SampleCollector, make_collector
 from aslip.training.collect.ray import threads_each
 from aslip.training.run import TrainingStoppedError, read_progress
-from aslip.walking.evaluation import evaluate
+from aslip.walking import evaluate
 from recipes import ppo_aslip
 from tests.helpers import TINY, differing
 

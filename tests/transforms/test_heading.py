@@ -22,8 +22,7 @@ from aslip.policy.symmetry import observation_mirror
 from aslip.robot.sensing import PACKET_SIZES
 from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, TrueState
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
-from aslip.walking import evaluation
-from aslip.walking.walks import record_walks
+from aslip.walking import evaluate, record_walks
 
 DEGREES = (0.0, 57.0, 90.0, 172.0, -135.0)
 ANGLES = torch.deg2rad(torch.tensor(DEGREES, dtype=torch.float64))[:, None]
@@ -93,7 +92,7 @@ def test_robots_that_start_turned_walk_as_straight_as_others(
 ) -> None:
     drop = EPISODE_ENDS if noise else (*EPISODE_ENDS, "noise")
     env = _turned(library, drop=drop)
-    results = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, STEPS)
+    results = evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, STEPS)
     for degrees, result in zip(DEGREES, results, strict=True):
         assert result.survived, degrees
         assert result.mean_speed == pytest.approx(SPEED, abs=0.08), degrees
@@ -125,7 +124,7 @@ def test_the_reference_backend_knows_headings_too(library: aslip.GaitLibrary) ->
         num_envs=1,
         replace={"start": TurnedStart(library, ANGLES[2:3])},
     )
-    (result,) = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED], 70)
+    (result,) = evaluate(aslip.load_policy("aslip"), env, [SPEED], 70)
     assert result.survived
     assert result.lateral_drift < 0.1
 
@@ -135,7 +134,7 @@ def test_other_policies_walk_turned_too(library: aslip.GaitLibrary, policy: str)
     stack = "aslip" if policy == "robust" else policy
     gaits = library if policy == "robust" else single_reference_library()
     env = _turned(library, stack=stack, replace={"start": TurnedStart(gaits)})
-    results = evaluation.evaluate(aslip.load_policy(policy), env, [SPEED] * NUM, 60)
+    results = evaluate(aslip.load_policy(policy), env, [SPEED] * NUM, 60)
     straight = results[0]
     for result in results:
         assert result.survived
@@ -145,7 +144,7 @@ def test_other_policies_walk_turned_too(library: aslip.GaitLibrary, policy: str)
 
 def test_rewards_on_the_estimate_know_headings_too(library: aslip.GaitLibrary) -> None:
     env = _turned(library, reward_on="estimate", drop=(*EPISODE_ENDS, "noise"))
-    results = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
+    results = evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
     for result in results:
         assert result.terms["foot_orient"] > 0.85
         assert result.terms["straight_diff"] > 0.94
@@ -282,7 +281,7 @@ def test_a_robot_that_starts_elsewhere_walks_along_its_own_line(
     library: aslip.GaitLibrary,
 ) -> None:
     env = _turned(library, replace={"start": TurnedStart(library, place=(5.0, -3.0))})
-    results = evaluation.evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
+    results = evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
     for result in results:
         assert result.terms["straight_diff"] > 0.94
         assert result.lateral_drift < 0.1

@@ -15,7 +15,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import POLICY_PERIOD
 from aslip.transforms import SpeedCommand
-from aslip.walking.evaluation import WalkResult, evaluate, tracks, walk_table
+from aslip.walking import WalkResult, evaluate, tracks_command, walk_table
 from tests.helpers import MakeEnv, limp
 
 SPEEDS = [0.0, 1.0, 2.0]
@@ -107,9 +107,9 @@ def test_survived_on_feet_and_tracked_are_three_results() -> None:
 
 @pytest.mark.parametrize("mean", [0.79, 1.21, float("nan")])
 def test_a_speed_off_by_more_than_the_tolerance_is_not_tracked(mean: float) -> None:
-    assert not tracks(1.0, mean)
-    assert tracks(1.0, 0.81)
-    assert tracks(1.0, 1.19)
+    assert not tracks_command(1.0, mean)
+    assert tracks_command(1.0, 0.81)
+    assert tracks_command(1.0, 1.19)
 
 
 @pytest.mark.parametrize("changes", [{"mass": 0.85}, {"payload": 6.0}, {"slope": 0.1}])

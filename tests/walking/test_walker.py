@@ -15,7 +15,7 @@ from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.robot import POLICY_PERIOD
 from aslip.transforms import SINGLE_REFERENCE_TABLE
-from aslip.walking.walker import Push, Schedule, Walker, policy_steps
+from aslip.walking import Walker
 
 
 @pytest.fixture(scope="module")
@@ -120,41 +120,6 @@ def test_pushes_that_are_none_are_refused(
 ) -> None:
     with pytest.raises(ConfigurationError, match="push"):
         walker.push(force, duration)
-
-
-def test_a_schedule_holds_each_speed_until_the_next() -> None:
-    schedule = Schedule.parse("0:0.0,4:1.0,8:0.5")
-    assert schedule == Schedule((0.0, 4.0, 8.0), (0.0, 1.0, 0.5))
-    times = [0, 3.97, 4.0, 4 - 1e-9, 7.99, 8.0, 100]
-    assert [schedule.at(time) for time in times] == [0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.5]
-    assert Schedule.parse("1.5").at(3.0) == 1.5
-
-
-@pytest.mark.parametrize(
-    "text", ["", "a", "0:1,", "1:0.5", "0:1,0:2", "0:1,3:1,2:1", "0:nan", "0:1:2"]
-)
-def test_a_schedule_that_is_none_is_refused(text: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"schedule|times"):
-        Schedule.parse(text)
-
-
-@pytest.mark.parametrize("steps", range(1, 60))
-def test_a_time_of_whole_policy_steps_takes_no_step_more(steps: int) -> None:
-    """However it is rounded; a little longer takes one more."""
-    for time in (steps * POLICY_PERIOD, float(f"{steps * 0.03:.2f}")):
-        assert policy_steps(time) == steps
-    assert policy_steps(steps * POLICY_PERIOD + 1e-4) == steps + 1
-
-
-def test_pushes_are_read() -> None:
-    assert Push.parse("2:0,60,-5") == Push(2.0, (0.0, 60.0, -5.0))
-    assert Push.parse("2:0,60,-5:0.3") == Push(2.0, (0.0, 60.0, -5.0), 0.3)
-
-
-@pytest.mark.parametrize("text", ["", "1", "1:2", "1:1,2", "1:1,2,3:0", "1:1,2,nan", "1:1,2,3:1:1"])
-def test_a_push_that_cannot_be_read_is_refused(text: str) -> None:
-    with pytest.raises(ConfigurationError, match="push is"):
-        Push.parse(text)
 
 
 def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:

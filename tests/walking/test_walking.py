@@ -3,7 +3,7 @@
 import pytest
 
 from aslip import GaitLibrary, load_policy, make_env
-from aslip.walking.evaluation import WalkResult, evaluate
+from aslip.walking import WalkResult, evaluate
 
 SPEEDS = [0.0, 0.5, 1.0, 1.5, 2.0]
 

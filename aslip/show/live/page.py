@@ -22,7 +22,7 @@ from aslip.show.live.readouts import Readouts, Status
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
 from aslip.show.pacing import Pacer
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 
 # the robot lies for so many turns of the loop before it is put up again (1 s)
 _TURNS_ON_THE_GROUND = round(1.0 / POLICY_PERIOD)

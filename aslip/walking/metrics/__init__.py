@@ -1,4 +1,4 @@
-"""Numbers that describe a walk: pure functions on arrays, each with its definition and source.
+"""Metrics of a walk: pure functions of arrays, each with its definition and source.
 
 Arrays have time first. A "stance" is a row of two sample indices, first and one past the last.
 """
@@ -19,8 +19,14 @@ from aslip.walking.metrics.force import (
     humps,
     mean_over_strides,
 )
-from aslip.walking.metrics.tracking import leg_length_correlation, root_mean_square, touchdown_spike
-from aslip.walking.metrics.velocity import StepResponse, step_response, stride_average
+from aslip.walking.metrics.tracking import (
+    StepResponse,
+    leg_length_correlation,
+    root_mean_square,
+    step_response,
+    stride_average,
+    touchdown_spike,
+)
 
 __all__ = [
     "Footsteps",

@@ -1,4 +1,4 @@
-"""When feet are on the ground."""
+"""Contact of feet with the ground: stances, touchdowns, frequencies."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ import numpy as np
 from aslip.errors import ConfigurationError, ShapeError
 
 CONTACT_FORCE = 20.0
-"""A foot that carries more is on the ground [N], 6 % of the robot's weight."""
+"""Force above which a foot is on the ground [N], 6 % of the robot's weight."""
 
 SHORTEST_CONTACT = 0.05
-"""Contacts that are shorter are bounces [s]."""
+"""Duration below which a contact is a bounce [s]."""
 
 SHORTEST_SWING = 0.11
-"""Times without load that are shorter are part of a stance [s]: a leg that follows the spring-mass
-model carries nothing for up to 0.10 s in the middle of its stance; the shortest swing in the
-authors' published forces takes 0.115 s, those of our policies 0.22 s. Where it is known which
-swings to expect, half of one is a better limit."""
+"""Duration below which a time without load is part of a stance [s].
+
+A leg that follows the spring-mass model carries nothing for up to 0.10 s in the middle of its
+stance. The shortest swing in the authors' published forces takes 0.115 s, in our policies 0.22 s.
+Half of the expected swing is a better limit where it is known."""
 
 
 def stances(
@@ -29,17 +30,17 @@ def stances(
     contact: float = SHORTEST_CONTACT,
     swing: float = SHORTEST_SWING,
 ) -> np.ndarray:
-    """Stances of one foot that begin and end within the record.
+    """Find the stances of one foot that begin and end within the record.
 
     A foot is on the ground while its vertical force exceeds a threshold. Gaps that are too short
     for a swing are closed first, then contacts that are too short for a stance are dropped.
 
     Args:
         force: (m,) vertical ground force [N].
-        period: between samples [s].
-        threshold: [N].
-        contact: the shortest of a stance [s].
-        swing: the shortest time between two [s].
+        period: time between samples [s].
+        threshold: force of a foot on the ground [N].
+        contact: shortest stance [s].
+        swing: shortest time between two stances [s].
 
     Returns:
         (k, 2) first sample of each stance, and one past its last.
@@ -52,14 +53,14 @@ def stances(
     loaded = merge_short(force > threshold, round(swing / period), round(contact / period))
     edges = np.diff(loaded.astype(int))
     begins, ends = np.flatnonzero(edges == 1) + 1, np.flatnonzero(edges == -1) + 1
-    # what had begun before the record, or goes on after it, has no length
+    # stances that begin before the record or end after it have no known length
     ends = ends[ends > begins[0]] if len(begins) else ends[:0]
     begins = begins[: len(ends)]
     return np.stack([begins, ends], axis=1)
 
 
 def merge_short(flags: np.ndarray, off: int, on: int) -> np.ndarray:
-    """Booleans (m,) without inner runs of False shorter than `off`, nor of True than `on`."""
+    """Fill inner runs of False shorter than `off`, then clear runs of True shorter than `on`."""
     flags = flags.copy()
     for value, shortest in ((False, off), (True, on)):
         edges = np.flatnonzero(np.diff(flags.astype(int))) + 1
@@ -71,15 +72,15 @@ def merge_short(flags: np.ndarray, off: int, on: int) -> np.ndarray:
 
 
 def touchdown_times(force: np.ndarray, period: float, swing: float = SHORTEST_SWING) -> np.ndarray:
-    """(k,) instants at which one foot touches down [s], of stances within the record.
+    """Find the instants (k,) at which one foot touches down [s], of stances within the record.
 
-    Between two samples the force is taken to grow linearly, so that records of the policy's rate
-    resolve less than their period.
+    The force is interpolated linearly between samples, so that a record at the policy's rate
+    resolves less than its period.
 
     Args:
         force: (m,) vertical ground force [N].
-        period: between samples [s].
-        swing: the shortest [s].
+        period: time between samples [s].
+        swing: shortest swing [s].
     """
     first = stances(force, period, swing=swing)[:, 0]
     before, after = force[first - 1], force[first]
@@ -90,16 +91,16 @@ def touchdown_times(force: np.ndarray, period: float, swing: float = SHORTEST_SW
 def step_frequency(
     left: np.ndarray, right: np.ndarray, period: float, swing: float = SHORTEST_SWING
 ) -> float:
-    """Steps of both feet a second: twice the frequency of strides [Hz].
+    """Footsteps of both feet per second: twice the frequency of strides [Hz].
 
     From the mean time between touchdowns of the same foot, first to last, so that an uneven gait
     counts as its mean. NaN if neither foot touches down twice.
 
     Args:
         left: (m,) vertical ground force of the left foot [N].
-        right: (m,) of the right foot.
-        period: between samples [s].
-        swing: the shortest [s].
+        right: (m,) vertical ground force of the right foot [N].
+        period: time between samples [s].
+        swing: shortest swing [s].
     """
     strides, duration = 0, 0.0
     for force in (left, right):
@@ -111,12 +112,12 @@ def step_frequency(
 
 
 def duty_factor(force: np.ndarray, period: float, swing: float = SHORTEST_SWING) -> float:
-    """Share of the stride that one foot is on the ground; NaN without two touchdowns.
+    """Share of the stride during which one foot is on the ground; NaN without two touchdowns.
 
     Args:
         force: (m,) vertical ground force [N].
-        period: between samples [s].
-        swing: the shortest [s].
+        period: time between samples [s].
+        swing: shortest swing [s].
     """
     found = stances(force, period, swing=swing)
     if len(found) < 2:

@@ -1,4 +1,4 @@
-"""What a walk costs, and how smooth it is."""
+"""Cost and smoothness of a walk."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def cost_of_transport(
 
     .. math:: \frac{\int \sum_i |\tau_i \omega_i|\,dt}{m g d}
 
-    Absolute power: motors that brake get nothing back. NaN for a walk that gets nowhere.
+    Power counts by its absolute value: braking regains nothing. NaN without distance.
 
     Args:
-        torque: (m, 10) at the joints [N m].
-        velocity: (m, 10) of the joints [rad/s].
-        distance: covered [m].
-        period: between samples [s].
-        mass: [kg].
+        torque: (m, 10) joint torques [N m].
+        velocity: (m, 10) joint velocities [rad/s].
+        distance: distance covered [m].
+        period: time between samples [s].
+        mass: mass of the robot [kg].
     """
     work = float(np.abs(torque * velocity).sum() * period)
     return work / (mass * STANDARD_GRAVITY * distance) if distance > 0 else float("nan")
@@ -35,10 +35,10 @@ def cost_of_transport(
 def action_roughness(action: np.ndarray) -> float:
     """Root mean square of the change of action from one policy step to the next [rad].
 
-    The norm over motors is what the paper's `action_diff` reward is made of.
+    The norm is over motors, as in the paper's `action_diff` reward.
 
     Args:
-        action: (m, 10) [rad].
+        action: (m, 10) actions [rad].
     """
     return float(np.sqrt(np.mean(np.sum(np.diff(action, axis=0) ** 2, axis=1))))
 
@@ -47,7 +47,7 @@ def jerk(velocity: np.ndarray, period: float) -> float:
     """Root mean square of the second difference of a velocity over time squared [m/s^3].
 
     Args:
-        velocity: (m, ...) with time first [m/s].
-        period: between samples [s].
+        velocity: (m, ...) velocity, time first [m/s].
+        period: time between samples [s].
     """
     return float(np.sqrt(np.mean(np.square(np.diff(velocity, n=2, axis=0)))) / period**2)

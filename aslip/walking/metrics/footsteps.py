@@ -1,4 +1,4 @@
-"""Where feet come down, and where the reduced-order model would have put them (Sec. V-A)."""
+"""Footsteps, and their places by the reduced-order model (Sec. V-A)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from aslip.errors import ShapeError
 from aslip.robot import SIDES
 from aslip.walking.metrics.contact import SHORTEST_SWING, stances
 
-# the place of a foot is its mean over so much of the middle of its stance [s]
+# the place of a foot is its mean over this part of the middle of its stance [s]
 _MIDDLE = 0.03
 
 
@@ -21,14 +21,14 @@ class Footsteps:
     side: np.ndarray
     """(k,) 0 for left, 1 for right."""
     time: np.ndarray
-    """(k,) of touchdown [s]."""
+    """(k,) instant of touchdown [s]."""
     position: np.ndarray
-    """(k, 2) of the foot in the middle of its stance [m, world]."""
+    """(k, 2) position of the foot in the middle of its stance [m, world]."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """How far footsteps are from where they should be, j of them."""
+    """Distances of j footsteps from their ideal places."""
 
     side: np.ndarray
     """(j,) 0 for left, 1 for right."""
@@ -44,7 +44,7 @@ class Placement:
 
     @property
     def outward(self) -> np.ndarray:
-        """(j,) how much further out than ideal [m]: to the left for left feet."""
+        """(j,) sideways offset away from the body [m]: to the left for left feet."""
         return np.where(self.side == SIDES.index("left"), 1.0, -1.0) * self.offset[:, 1]
 
 
@@ -56,11 +56,11 @@ def footsteps(
     Args:
         force: (m, 2) vertical ground force, left and right [N].
         foot: (m, 2, 3) sole centres [m, world], or at least their x and y.
-        period: between samples [s].
-        swing: the shortest [s].
+        period: time between samples [s].
+        swing: shortest swing [s].
 
     Raises:
-        ShapeError: the arrays do not fit.
+        ShapeError: the shapes of the arrays differ from these.
     """
     if force.ndim != 2 or force.shape[1] != 2 or foot.shape[:2] != force.shape:
         raise ShapeError(
@@ -87,10 +87,10 @@ def placement(steps: Footsteps, ideal_step: np.ndarray) -> Placement:
     """Compare footsteps with the reduced-order model's.
 
     The ideal place is the actual place of the foot before plus the step of the reduced-order model
-    at the commanded speed. Only footsteps that follow one of the other foot count.
+    at the commanded speed. Only footsteps that follow a footstep of the other foot count.
 
     Args:
-        steps: of a walk at one speed, along x.
+        steps: footsteps of a walk at one speed, along x.
         ideal_step: (2, 2) step of the left and of the right foot from the other, forward and left
             [m]; see `aslip.show.ghost.Footholds.step`.
     """

@@ -1,4 +1,4 @@
-"""The ground force over a stance: one hump or two."""
+"""Ground force over a stance: humps and the dip between them."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ SMOOTHING = 0.03
 """Length of the moving average that is applied twice before humps are counted [s]."""
 
 PROMINENCE = 25.0
-"""How far a hump rises above the dips beside it [N]."""
+"""Least rise of a hump above the dips beside it [N]."""
 
 
 @dataclass(frozen=True)
 class ForceProfile:
-    """Vertical force of one foot over its stances, means over them."""
+    """Vertical force of one foot over a stance, means over stances."""
 
     humps: float
-    """How many."""
+    """Number of humps."""
     dip_ratio: float
-    """The lowest force between the outer humps over the lower of them; 1 where there is one."""
+    """Lowest force between the outer humps over the lower of them; 1 for a single hump."""
     duration: float
-    """Of a stance [s]."""
+    """Duration of a stance [s]."""
     impulse: float
-    """[N s]."""
+    """Impulse of a stance [N s]."""
     peak: float
     """Largest force, unsmoothed: the impact [N]."""
     stances: int
-    """How many were averaged over."""
+    """Number of stances."""
 
 
 def force_profile(force: np.ndarray, period: float) -> ForceProfile:
@@ -41,7 +41,7 @@ def force_profile(force: np.ndarray, period: float) -> ForceProfile:
 
     Args:
         force: (m,) vertical ground force [N], at 200 Hz or more.
-        period: between samples [s].
+        period: time between samples [s].
     """
     rows = []
     for start, stop in stances(force, period):
@@ -61,28 +61,27 @@ def force_profile(force: np.ndarray, period: float) -> ForceProfile:
 
 
 def humps(force: np.ndarray, period: float) -> np.ndarray:
-    """(k,) samples of the humps of one stance.
+    """Find the samples (k,) at which one stance has humps.
 
     Local maxima with a prominence of at least 25 N after two passes of a moving average of 30 ms,
-    which leaves nothing of the impact. Outside the stance the force counts as zero.
+    which removes the impact. Outside the stance the force counts as zero.
 
     Args:
         force: (m,) vertical ground force of a stance [N].
-        period: between samples [s].
+        period: time between samples [s].
     """
     smooth, margin = _smoothed(force, period)
     return find_peaks(smooth, prominence=PROMINENCE)[0] - margin
 
 
 def dip_ratio(force: np.ndarray, period: float) -> float:
-    """How deep the valley of a stance's force is: its lowest force over that of the lower hump.
+    """Lowest force of a stance between its outer humps, over that of the lower hump.
 
-    Between the first and the last hump; 0 where the foot is without load in between, 1 if there is
-    only one hump.
+    0 where the foot is without load in between, 1 for a single hump.
 
     Args:
         force: (m,) vertical ground force of a stance [N].
-        period: between samples [s].
+        period: time between samples [s].
     """
     smooth, _ = _smoothed(force, period)
     peaks = find_peaks(smooth, prominence=PROMINENCE)[0]
@@ -95,12 +94,12 @@ def dip_ratio(force: np.ndarray, period: float) -> float:
 def mean_over_strides(
     force: np.ndarray, starts: np.ndarray, samples: int = 200
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation over strides, each stretched to the same length.
+    """Mean and standard deviation over strides, each resampled to the same length.
 
     Args:
         force: (m, ...) any signal.
-        starts: (k,) sample at which each stride begins; the last only ends the one before.
-        samples: to resample a stride to.
+        starts: (k,) first sample of each stride; the last only ends the one before.
+        samples: number of samples of a resampled stride.
 
     Returns:
         (samples, ...) each.
@@ -116,7 +115,7 @@ def mean_over_strides(
 
 
 def _smoothed(force: np.ndarray, period: float) -> tuple[np.ndarray, int]:
-    """The stance with nothing before and after it, smoothed; and how much was put before."""
+    """Stance padded with zeros and smoothed, and the number of samples put in front."""
     length = max(round(SMOOTHING / period), 1)
     padded = np.pad(np.asarray(force, dtype=np.float64), 2 * length)
     for _ in range(2):

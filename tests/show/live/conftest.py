@@ -12,7 +12,7 @@ import viser
 
 from aslip.library import GaitLibrary
 from aslip.show.live import LivePage
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 
 
 @pytest.fixture(scope="module")

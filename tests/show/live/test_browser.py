@@ -12,7 +12,7 @@ import pytest
 from tensordict import TensorDictBase
 
 from aslip.show.live import LivePage
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 from tests.helpers import limp
 from tests.show.live.helpers import PATIENCE, served, wait_for
 

@@ -9,7 +9,7 @@ import torch
 from aslip.errors import AssetError, ConfigurationError
 from aslip.robot import POLICY_PERIOD
 from aslip.show.live import LivePage
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 from recipes.walk import Config
 from tests.helpers import limp
 from tests.show.live.helpers import served, wait_for

@@ -8,7 +8,7 @@ import pytest
 from aslip.robot import POLICY_PERIOD
 from aslip.show.live.readouts import _CURVES, PLOT_SPAN, Readouts, Status
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 
 STATUS = Status(
     time=12.34,

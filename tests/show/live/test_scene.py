@@ -10,7 +10,7 @@ from aslip.show.ghost import Footholds, Ghost
 from aslip.show.live.robot import RobotView
 from aslip.show.live.rom import RomView
 from aslip.show.live.scene import SceneView
-from aslip.walking.walker import Walker
+from aslip.walking import Walker
 
 
 @pytest.fixture(scope="module")

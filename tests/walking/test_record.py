@@ -13,7 +13,7 @@ from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, read, read_walk
 from aslip.robot import POLICY_PERIOD
-from aslip.walking.walks import Walks, record_walks
+from aslip.walking import Walks, record_walks
 from tests.helpers import MakeEnv
 
 STEPS = 40

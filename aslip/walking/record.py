@@ -1,0 +1,273 @@
+"""Walks of a policy, recorded as arrays for metrics.
+
+    walks = record_walks(policy, env, command)      # (m, n) commanded speeds of n robots
+
+`walk` is the loop below every recording and evaluation: policy steps without exploration noise and
+without resets. Recurrent policies carry their state from step to step; `add_policy_state` gives an
+environment the transforms that they need.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields
+from typing import Any, Final, cast
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torchrl.envs.transforms import InitTracker
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.modules.utils import get_primers_from_module
+
+from aslip.envs import StackEnv
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import SIDES
+from aslip.transforms import SpeedCommand
+
+_FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
+# entries of a policy step that make the arrays of `Walks`
+_RECORDED: Final[dict[str, NestedKey]] = {
+    "phase": ("next", "phase"),
+    "reward": ("next", "reward"),
+    "action": "action",
+    "pelvis_position": ("next", "true_odometry", "pelvis_position"),
+    "pelvis_orientation": ("next", "true_odometry", "pelvis_orientation"),
+    "pelvis_velocity": ("next", "true_odometry", "pelvis_velocity"),
+    "ground_force": ("next", "truth", "ground_force"),
+    "body_position": ("next", "reference", "body_position"),
+    "body_velocity": ("next", "reference", "body_velocity"),
+}
+
+
+@dataclass(frozen=True)
+class Walks:
+    """n walks of m policy steps; rows are the instants at which the steps end.
+
+    Rows after a fall are NaN, except for `alive` and `command`. Positions, orientations and
+    velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`.
+    """
+
+    command: np.ndarray
+    """(m, n) commanded speed during the step [m/s]."""
+    alive: np.ndarray
+    """(m, n) whether the walk has not ended, in a fall or otherwise."""
+    phase: np.ndarray
+    """(m, n) stride fraction."""
+    reward: np.ndarray
+    """(m, n) reward of the step."""
+    action: np.ndarray
+    """(m, n, 10) action [rad]."""
+    pelvis_position: np.ndarray
+    """(m, n, 3) position of the pelvis [m]."""
+    pelvis_orientation: np.ndarray
+    """(m, n, 4) orientation of the pelvis, wxyz."""
+    pelvis_velocity: np.ndarray
+    """(m, n, 3) velocity of the pelvis [m/s]."""
+    foot_position: np.ndarray
+    """(m, n, 2, 3) sole centres, left and right [m]."""
+    ground_force: np.ndarray
+    """(m, n, 2, 3) ground force on each foot, mean over the step [N, world]."""
+    body_position: np.ndarray
+    """(m, n, 3) body of the reduced-order model; x is the deviation from uniform motion [m]."""
+    body_velocity: np.ndarray
+    """(m, n, 3) velocity of the model's body [m/s]."""
+    body_to_foot: np.ndarray
+    """(m, n, 2, 3) feet of the reduced-order model, from its body [m]."""
+
+    def __post_init__(self) -> None:
+        """Check that all arrays are of m steps and n walks.
+
+        Raises:
+            ShapeError: an array is not.
+        """
+        for field in fields(self):
+            shape = getattr(self, field.name).shape
+            if shape[:2] != self.command.shape:
+                raise ShapeError(
+                    f"{field.name} must begin with {self.command.shape} as the command, got {shape}"
+                )
+
+    @property
+    def survived(self) -> np.ndarray:
+        """(n,) whether each walk lasted to the end of the record."""
+        return self.alive[-1]
+
+    def one(self, index: int, start: int = 0, stop: int | None = None) -> Walks:
+        """Slice of one walk, n = 1: steps `start` to `stop`."""
+        rows = slice(start, stop), slice(index, index + 1)
+        return Walks(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+# ------------------------------------------------------------------------ the loop
+
+
+@torch.no_grad()
+def take_step(policy: TensorDictModuleBase, env: StackEnv, td: TensorDictBase) -> TensorDictBase:
+    """Take one policy step without exploration noise; the outcome is under `"next"`."""
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        return env.step(policy(td))
+
+
+def next_start(td: TensorDictBase) -> TensorDictBase:
+    """Tensordict from which the step after `td` starts; a push ends with its policy step."""
+    return step_mdp(td).exclude("push")
+
+
+def walk(
+    policy: TensorDictModuleBase,
+    env: StackEnv,
+    td: TensorDictBase,
+    steps: int,
+    *,
+    command: np.ndarray | None = None,
+    push: np.ndarray | None = None,
+) -> Iterator[TensorDictBase]:
+    """Walk on from a tensordict, which is left as it is; robots that fall are not reset.
+
+    Args:
+        policy: maps the environment's tensordict to `action`.
+        env: environment of n robots, in the state that belongs to the tensordict.
+        td: start of the first step.
+        steps: number of policy steps m.
+        command: (m, n) commanded speed of each step [m/s]; by default as in the tensordict.
+        push: (n, 3) force on the pelvis throughout [N, world].
+
+    Yields:
+        Each policy step, with its outcome under `"next"`.
+    """
+    td = td.clone()
+    for i in range(steps):
+        if command is not None:
+            td["command"] = torch.from_numpy(command[i])[:, None].float()
+        if push is not None:
+            td["push"] = torch.from_numpy(push).float()
+        td = take_step(policy, env, td)
+        yield td
+        td = next_start(td)
+
+
+def reset_walks(
+    env: StackEnv, command: np.ndarray, phase: np.ndarray | float = 0.0
+) -> TensorDictBase:
+    """Reset all robots onto the reference.
+
+    Args:
+        env: environment of n robots.
+        command: (n,) commanded speeds [m/s].
+        phase: stride fraction, one or (n,).
+    """
+    values = {"command": command, "phase": np.broadcast_to(phase, np.shape(command))}
+    request = {name: torch.tensor(value)[:, None].float() for name, value in values.items()}
+    return env.reset(TensorDict(request, batch_size=env.num_envs))
+
+
+def record(
+    policy: TensorDictModuleBase,
+    env: StackEnv,
+    command: np.ndarray,
+    keys: Sequence[NestedKey],
+    *,
+    until_all_ended: bool = False,
+) -> TensorDict:
+    """Record entries of walks from phase 0, commanded speeds kept.
+
+    Args:
+        policy: maps the environment's tensordict to `action`.
+        env: environment of n robots.
+        command: (m, n) commanded speed of each policy step [m/s].
+        keys: entries of a policy step to record; absent ones are left out.
+        until_all_ended: stop once the episode of every robot has ended.
+
+    Returns:
+        (m, n) policy steps, fewer where all episodes ended earlier.
+    """
+    ended = torch.zeros(env.num_envs, dtype=torch.bool)
+    rows: list[Any] = []  # torch.stack takes tensordicts, too
+    with _commands_kept(env):
+        start = reset_walks(env, command[0])
+        for td in walk(policy, env, start, len(command), command=command):
+            rows.append(td.select(*keys, strict=False).clone())
+            ended |= td["next", "done"][:, 0]
+            if until_all_ended and ended.all():
+                break
+    return cast("TensorDict", torch.stack(rows))
+
+
+@contextmanager
+def _commands_kept(env: StackEnv) -> Iterator[None]:
+    """Keep the environment from changing commands by itself."""
+    transforms = [t for t in env.transforms if isinstance(t, SpeedCommand)]
+    intervals = [transform.interval for transform in transforms]
+    for transform in transforms:
+        transform.interval = math.inf
+    try:
+        yield
+    finally:
+        for transform, interval in zip(transforms, intervals, strict=True):
+            transform.interval = interval
+
+
+# ------------------------------------------------------------------------- arrays
+
+
+def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarray) -> Walks:
+    """Walk from phase 0 without exploration noise.
+
+    Args:
+        policy: maps the environment's tensordict to `action`.
+        env: environment of n robots; without its `aslip.envs.EPISODE_ENDS` transforms walks end in
+            falls only.
+        command: (m, n) commanded speed of each policy step [m/s].
+
+    Raises:
+        ShapeError: `command` is not for n robots, or has no policy step.
+        ConfigurationError: a command is not finite.
+    """
+    command = np.asarray(command, dtype=np.float32)
+    if command.ndim != 2 or command.shape[1] != env.num_envs:
+        raise ShapeError(f"command must be (m, {env.num_envs}), got {command.shape}")
+    if not len(command):
+        raise ShapeError(f"command must have a row for each policy step, got {command.shape}")
+    if not np.isfinite(command).all():
+        raise ConfigurationError("every commanded speed must be finite")
+    groups = [("next", "true_odometry"), ("next", "reference")]
+    feet: list[NestedKey] = [(*group, name) for group in groups for name in _FEET]
+    rows = record(policy, env, command, [("next", "terminated"), *_RECORDED.values(), *feet])
+    return _as_walks(rows, command)
+
+
+def _as_walks(rows: TensorDict, command: np.ndarray) -> Walks:
+    """Arrays of (m, n) policy steps, NaN from the step on in which a robot fell."""
+    fell = cast("torch.Tensor", rows["next", "terminated"])[..., 0]
+    alive = ~np.logical_or.accumulate(fell.numpy(), axis=0)
+    values = {name: cast("torch.Tensor", rows[key]) for name, key in _RECORDED.items()}
+    for name, group in (("foot_position", "true_odometry"), ("body_to_foot", "reference")):
+        values[name] = torch.stack([rows["next", group, foot] for foot in _FEET], dim=2)
+    for name in ("phase", "reward"):
+        values[name] = values[name][..., 0]
+    arrays = {name: value.double().numpy() for name, value in values.items()}
+    for array in arrays.values():
+        array[~alive] = np.nan
+    return Walks(command=command.astype(np.float64), alive=alive, **arrays)
+
+
+# -------------------------------------------------------------- recurrent policies
+
+
+def add_policy_state(env: StackEnv, policy: TensorDictModuleBase) -> None:
+    """Append the transforms that carry a recurrent policy's state through episodes.
+
+    TorchRL's `InitTracker` marks the first step of an episode, its `TensorDictPrimer` gives the
+    state there. Environments of policies without a state stay as they are.
+    """
+    if not isinstance(policy, torch.nn.Module):
+        return
+    primer = get_primers_from_module(policy, warn=False)
+    if primer is not None:
+        env.append_transform(InitTracker())
+        env.append_transform(primer)
