@@ -1,0 +1,303 @@
+"""README and pages of docs/: snippets run, commands parse, links and names resolve."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import linecache
+import re
+import shlex
+import shutil
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.specifiers import SpecifierSet
+
+import aslip
+from aslip.log import Recorder
+from aslip.log.__main__ import main as log_main
+from aslip.training.command_line import command_line
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+LARGEST_README = 9000
+"""Bytes."""
+
+# settings of the pages' trainings, and those that a test has time for
+_SMALLER = {"total_steps=300_000": "total_steps=64, num_envs=8, samples=64, minibatch=32"}
+# programs outside this repository
+_FOREIGN = {"pip", "ray", "rerun", "plotjuggler"}
+# recipes whose settings are those of another
+_SETTINGS_OF = {"recipes.ppo_single_reference": "recipes.ppo_aslip"}
+
+
+def _name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+every_page = pytest.mark.parametrize("page", PAGES, ids=_name)
+
+
+def _blocks(page: Path, language: str) -> list[tuple[int, str]]:
+    """First line number and content of each block of code."""
+    text = page.read_text()
+    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
+    return [(text[: match.start(1)].count("\n"), match[1]) for match in found]
+
+
+# ------------------------------------------------------------------------ Python
+
+
+def _program(page: Path) -> str:
+    """All Python blocks of a page, on the lines that they have there."""
+    lines: list[str] = []
+    for start, code in _blocks(page, "python"):
+        lines += [""] * (start - len(lines)) + code.splitlines()
+    return "\n".join(lines) + "\n"
+
+
+def _small(code: str) -> str:
+    for large, small in _SMALLER.items():
+        code = code.replace(large, small)
+    return code
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Working folder of a page's programs."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def _record(path: Path) -> None:
+    """Write a short log, as `recipes/walk.py --log` does."""
+    stack = {**aslip.default_stack(), "recorder": lambda: Recorder(path, policy="aslip")}
+    with contextlib.closing(aslip.make_env(stack=stack, num_threads=1)) as env:
+        env.rollout(4, aslip.load_policy("aslip"))
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if _blocks(page, "python")], ids=_name)
+def test_the_python_blocks_of_a_page_run_in_order(page: Path, folder: Path) -> None:
+    code = _program(page)
+    if "walk.mcap" in code and "Recorder(" not in code:
+        _record(folder / "walk.mcap")
+    code = _small(code)
+    linecache.cache[_name(page)] = (len(code), None, code.splitlines(keepends=True), _name(page))
+    exec(compile(code, _name(page), "exec"), {"__name__": "__docs__"})
+
+
+def test_settings_that_the_tests_replace_are_on_the_pages() -> None:
+    code = "".join(_program(page) for page in PAGES)
+    assert [large for large in _SMALLER if large not in code] == []
+
+
+@every_page
+def test_snippets_outside_of_a_checkout_import_the_package_only(page: Path) -> None:
+    """The wheel has neither recipes nor benchmarks; a page that imports them says so."""
+    for line in _program(page).splitlines():
+        if re.match(r"(from|import) (recipes|benchmarks)\b", line):
+            assert "checkout" in page.read_text(), f"{_name(page)}: {line}"
+
+
+# ------------------------------------------------------------------------- shell
+
+
+def _commands(page: Path) -> list[list[str]]:
+    """Words of each command in blocks of shell, without comments and environment variables."""
+    found = []
+    for _, block in _blocks(page, "bash"):
+        for line in block.replace("\\\n", " ").splitlines():
+            for command in re.split(r"\s&&\s", _braces(line)):
+                words = shlex.split(command, comments=True)
+                while words and re.match(r"[A-Z_]+=", words[0]):
+                    words.pop(0)
+                if words:
+                    found.append(words)
+    return found
+
+
+def _braces(line: str) -> str:
+    """Expand the first `{a,b}` of a line, as a shell does."""
+    return re.sub(
+        r"(\S*)\{([\w,]+)\}",
+        lambda match: " ".join(match[1] + item for item in match[2].split(",")),
+        line,
+    )
+
+
+def _options(arguments: list[str]) -> list[str]:
+    """Arguments without `--resume`, which needs a run in the folder."""
+    return [word for word in arguments if word != "--resume"]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if _commands(page)], ids=_name)
+def test_the_commands_of_a_page_name_programs_with_such_options(page: Path) -> None:
+    """Settings are parsed and checked; nothing is trained or measured."""
+    for words in _commands(page):
+        if words[0] not in _FOREIGN and words[1:3] != ["-m", "pytest"]:
+            assert words[0] == "python", words
+            _check_arguments(words)
+
+
+def _check_arguments(words: list[str]) -> None:
+    """Parse the arguments of `python`, as the program that is named would.
+
+    Raises:
+        SystemExit: an option or its value is wrong.
+    """
+    if words[1] == "-c":
+        compile(words[2], "command", "exec")
+    elif words[1:3] == ["-m", "aslip.log"]:
+        with pytest.raises(SystemExit, match="0"):
+            log_main([*words[3:], "--help"])
+    else:
+        assert words[1] == "-m" or (ROOT / words[1]).is_file(), words
+        module, arguments = (words[2], words[3:]) if words[1] == "-m" else (words[1], words[2:])
+        if "--help" not in arguments:
+            command_line(_settings(module), arguments=_options(arguments))
+
+
+def _settings(module: str) -> Any:
+    """Class of the settings of a recipe or benchmark."""
+    module = module.removesuffix(".py").replace("/", ".")
+    module = _SETTINGS_OF.get(module, module)
+    for name in (module, f"{module}.__main__", f"{module}.config"):
+        with contextlib.suppress(ModuleNotFoundError, AttributeError):
+            return importlib.import_module(name).Config
+    raise AssertionError(f"{module} has no settings")
+
+
+def test_commands_of_logs_work_on_a_log(folder: Path) -> None:
+    """Those of the page, in its order."""
+    _record(folder / "walk.mcap")
+    ran = 0
+    for words in _commands(DOCS / "logs.md"):
+        if words[1:3] == ["-m", "aslip.log"]:
+            if words[-1].endswith(".part"):
+                shutil.copy("walk.mcap", words[-1])
+            assert log_main(words[3:]) == 0, words
+            ran += 1
+    assert ran == 5
+
+
+def test_every_policy_that_commands_name_ships_or_is_trained() -> None:
+    """Some command of the pages makes it."""
+    made, named = {"runs/ppo_aslip", "runs/learning_curves"}, set()
+    for words in (words for page in PAGES for words in _commands(page)):
+        for i, word in enumerate(words):
+            if word == "--out":
+                made.add(words[i + 1])
+            if word in {"--policy", "--policies", "--baseline", "--run"}:
+                for policy in words[i + 1 :]:
+                    if policy.startswith("--"):
+                        break
+                    named.add(policy)
+    shipped = {path.stem for path in (ROOT / "assets" / "policies").glob("*.zip")}
+    unknown = [
+        policy
+        for policy in named - shipped
+        if policy not in made and str(Path(policy).parent) not in made
+    ]
+    assert len(named) >= 5
+    assert unknown == []
+
+
+# ------------------------------------------------------------------- links, names
+
+
+def _links(page: Path) -> list[str]:
+    """Targets of links and pictures, those of the web left out."""
+    return re.findall(r"\]\((?!https?:)([^)\s]+)\)", _prose(page))
+
+
+def _prose(page: Path) -> str:
+    """A page without its blocks of code."""
+    return re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+def _anchors(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", _prose(page), flags=re.MULTILINE)
+    kept = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
+    return {heading.replace(" ", "-") for heading in kept}
+
+
+@every_page
+def test_every_link_leads_somewhere(page: Path) -> None:
+    wrong = []
+    for link in _links(page):
+        target, _, anchor = link.partition("#")
+        file = (page.parent / target).resolve() if target else page
+        if not file.exists() or (anchor and anchor not in _anchors(file)):
+            wrong.append(link)
+    assert wrong == []
+
+
+@every_page
+def test_every_named_path_exists(page: Path) -> None:
+    """Paths of the repository in backticks, also those of a test or class in a file."""
+    rooms = "aslip|recipes|benchmarks|tests|assets|docs"
+    paths = re.findall(rf"`((?:{rooms})/[\w./-]*)", _prose(page))
+    assert [path for path in paths if not (ROOT / path).exists()] == []
+
+
+@every_page
+def test_every_named_object_exists(page: Path) -> None:
+    """Dotted names of the package in backticks."""
+    for name in re.findall(r"`((?:aslip|benchmarks)(?:\.\w+)+)", _prose(page)):
+        found, parts = None, name.split(".")
+        for i in range(len(parts), 0, -1):
+            with contextlib.suppress(ModuleNotFoundError):
+                found = importlib.import_module(".".join(parts[:i]))
+                for attribute in parts[i:]:
+                    found = getattr(found, attribute)
+                break
+        assert found is not None, name
+
+
+def test_the_index_lists_every_page() -> None:
+    listed = {link for link in _links(DOCS / "index.md") if link.endswith(".md")}
+    assert {page.name for page in DOCS.glob("*.md")} - listed == {"index.md"}
+
+
+def test_every_picture_is_on_a_page_and_described() -> None:
+    shown = {
+        (page.parent / target).resolve(): text
+        for page in PAGES
+        for text, target in re.findall(r"!\[([^]]*)\]\(([^)]+)\)", page.read_text())
+    }
+    assert set((DOCS / "images").iterdir()) - shown.keys() == set()
+    assert [path for path, text in shown.items() if len(text) < 10] == []
+
+
+# ------------------------------------------------------------------------ README
+
+
+def test_the_readme_is_short() -> None:
+    assert (ROOT / "README.md").stat().st_size <= LARGEST_README
+
+
+def test_the_readme_names_the_versions_of_python_that_can_be_installed() -> None:
+    """Labmaze has no wheels from 3.13 on."""
+    readme = (ROOT / "README.md").read_text()
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    admitted = SpecifierSet(project["requires-python"])
+    assert [minor for minor in range(8, 20) if f"3.{minor}" in admitted] == [11, 12]
+    assert "Python 3.11 or 3.12" in readme
+    assert "CPython 3.11 (CI)" in readme
+    assert "python3.11" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_the_newcomers_table_has_twenty_rows() -> None:
+    """What each row names exists, by the tests of paths and objects above."""
+    text = (DOCS / "architecture.md").read_text()
+    table = re.search(r"^## Where is \.\.\.\?\n(.*?)^## ", text, flags=re.DOTALL | re.MULTILINE)
+    assert table is not None
+    rows = [line for line in table[1].splitlines() if line.startswith("| ")][1:]
+    assert len(rows) >= 20
+    assert [
+        row for row in rows if not re.search(r"`(aslip|recipes|benchmarks|assets|tests)[./]", row)
+    ] == []
