@@ -1,4 +1,4 @@
-"""Command lines: parsed before anything heavy is imported, and mistakes told in one style."""
+"""Command lines: parsed before any heavy import, with errors in one style."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Flags:
         (["--clip"], "--clip"),
     ],
 )
-def test_a_slip_is_told_in_one_line_with_the_way_to_help(
+def test_a_wrong_argument_is_reported_in_one_line_with_a_hint_at_help(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as info:
@@ -63,7 +63,7 @@ def test_a_slip_is_told_in_one_line_with_the_way_to_help(
     assert second == f"for all options: {program()} --help"
 
 
-def test_flags_are_read_on_top_of_defaults() -> None:
+def test_flags_override_the_given_defaults() -> None:
     assert command_line(Flags, arguments=["--total-steps", "3"]) == Flags(total_steps=3)
     assert command_line(Flags, Flags(clip=0.5), ["--total-steps", "3"]) == Flags(0.5, 3)
 
@@ -85,7 +85,7 @@ def run(tmp_path: Path) -> Config:
     return config
 
 
-def test_a_preset_gives_the_settings_that_are_not_given() -> None:
+def test_a_preset_fills_in_the_settings_that_are_not_given() -> None:
     assert training_settings(arguments=[]) == PRESETS["default"]
     assert training_settings(arguments=["--preset", "paper"]) == PRESETS["paper"]
     given = training_settings(arguments=["--preset", "paper", "--seed", "3"])
@@ -93,7 +93,7 @@ def test_a_preset_gives_the_settings_that_are_not_given() -> None:
 
 
 def test_a_resumed_run_keeps_its_settings(run: Config) -> None:
-    """Only what is given differs, and the schedule does not follow the number of steps."""
+    """Only given settings differ; the schedule does not follow a new number of steps."""
     resumed = training_settings(arguments=["--resume", "--out", str(run.out)])
     assert resumed == replace(run, resume=True, schedule_steps=1000)
     longer = ["--resume", "--out", str(run.out), "--total-steps", "3000"]
@@ -115,7 +115,7 @@ def test_a_run_of_another_version_is_refused(
     assert "error: the run in" in capsys.readouterr().err
 
 
-def test_what_is_no_run_cannot_be_resumed(
+def test_a_folder_without_a_run_cannot_be_resumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
@@ -123,7 +123,7 @@ def test_what_is_no_run_cannot_be_resumed(
     assert "holds no run to resume" in capsys.readouterr().err
 
 
-def test_the_command_to_go_on_names_the_folder(run: Config) -> None:
+def test_the_command_to_resume_names_the_folder(run: Config) -> None:
     assert resume_command(run) == f"{program()} --resume --out '{run.out}'"
 
 
@@ -134,7 +134,7 @@ _TINY = (
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_training_that_is_told_to_stop_saves_and_says_so(
+def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
     tmp_path: Path, number: signal.Signals
 ) -> None:
     out, recipe = tmp_path / "run", "recipes/ppo_aslip.py"
@@ -173,14 +173,14 @@ with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.St
             except SystemExit as stop:
                 assert stop.code == (2 if word != "--help" else 0), (name, word, stop.code)
             else:
-                raise AssertionError(f"{name} {word} did something")
+                raise AssertionError(f"{name} {word} did not exit")
             found = sorted({module.split(".")[0] for module in sys.modules} & HEAVY)
             assert not found, (name, word, found)
 """.replace("HEAVY", repr(set(_HEAVY)))
 
 
 def _programs() -> list[str]:
-    """Scripts by path, modules by name."""
+    """Programs: scripts by path, modules by name."""
     scripts = [path for path in (ROOT / "recipes").glob("*.py")]
     modules = [path for path in (ROOT / "benchmarks").rglob("*.py")]
     names = [str(path.relative_to(ROOT)) for path in scripts if _runs(path)]
@@ -194,7 +194,7 @@ def _runs(path: Path) -> bool:
 
 
 @pytest.mark.parametrize("name", _programs())
-def test_help_and_slips_cost_no_heavy_imports(name: str) -> None:
+def test_help_and_wrong_arguments_need_no_heavy_imports(name: str) -> None:
     command = [sys.executable, "-c", _LOADED, "-", name.removesuffix(".__main__")]
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'recipes'}"}
     result = subprocess.run(

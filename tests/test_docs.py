@@ -301,3 +301,9 @@ def test_the_newcomers_table_has_twenty_rows() -> None:
     assert [
         row for row in rows if not re.search(r"`(aslip|recipes|benchmarks|assets|tests)[./]", row)
     ] == []
+
+
+def test_the_map_names_every_room() -> None:
+    rooms = {path.name for path in (ROOT / "aslip").iterdir() if (path / "__init__.py").is_file()}
+    architecture = (DOCS / "architecture.md").read_text()
+    assert {room for room in rooms if f"`aslip/{room}`" not in architecture} == set()

@@ -1,8 +1,12 @@
-"""Who may import whom; read from the source, so that an import inside a function counts, too."""
+"""Imports between the rooms of the package, and imports of libraries.
+
+Read from the source, so that an import inside a function counts, too.
+"""
 
 from __future__ import annotations
 
 import ast
+import functools
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +16,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
-# each room may import those listed, itself, and those that stand below everything
+# room -> rooms that it may import besides itself and those below all
 _BELOW_ALL = {"errors", "files"}
 _MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
@@ -33,7 +37,9 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs", "control"}
     | {"training", "walking", "show"},
 }
+# libraries that take long to import
 _HEAVY = {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"}
+# room -> libraries that it must not import
 _FOREIGN = {
     "errors": _HEAVY,
     "files": _HEAVY,
@@ -47,8 +53,9 @@ _FOREIGN = {
 }
 
 
-def _imports(path: Path) -> set[str]:
-    """Full names of all modules a file imports, and of what it imports from them."""
+@functools.cache
+def _imports(path: Path) -> frozenset[str]:
+    """Full names of the modules and objects that a file imports."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -56,62 +63,62 @@ def _imports(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"relative import in {path}"
             found |= {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return frozenset(found)
 
 
-def _layer(path: Path) -> str:
+def _room(path: Path) -> str:
+    """Room or module of the top level that a file belongs to."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-def _own_layers(path: Path) -> set[str]:
-    """Layers of this package that a file imports."""
+def _rooms_imported(path: Path) -> set[str]:
+    """Rooms that a file imports."""
     ours = {name.split(".")[1] for name in _imports(path) if name.startswith("aslip.")}
-    known = {_layer(p) for p in PACKAGE.rglob("*.py")}
-    return ours & known
+    return ours & set(ROOMS)
 
 
 FILES = sorted(PACKAGE.rglob("*.py"))
-LAYERS = sorted({_layer(path) for path in FILES})
+ROOMS = sorted({_room(path) for path in FILES})
 
 
 def test_every_room_is_known() -> None:
-    """A new room must be given its place here."""
-    assert set(LAYERS) <= {*_MAY_IMPORT, "__init__"}
+    """A new room needs a line in `_MAY_IMPORT`."""
+    assert set(ROOMS) <= {*_MAY_IMPORT, "__init__"}
 
 
-@pytest.mark.parametrize("layer", [name for name in LAYERS if name in _MAY_IMPORT])
-def test_a_layer_imports_only_what_lies_below_it(layer: str) -> None:
-    allowed = _MAY_IMPORT[layer] | _BELOW_ALL | {layer}
+@pytest.mark.parametrize("room", [name for name in ROOMS if name in _MAY_IMPORT])
+def test_a_room_imports_only_rooms_below_it(room: str) -> None:
+    allowed = _MAY_IMPORT[room] | _BELOW_ALL | {room}
     wrong = {
         f"{path.relative_to(ROOT)} imports aslip.{other}"
         for path in FILES
-        if _layer(path) == layer
-        for other in _own_layers(path) - allowed
+        if _room(path) == room
+        for other in _rooms_imported(path) - allowed
     }
     assert not wrong
 
 
-@pytest.mark.parametrize("layer", [name for name in LAYERS if name in _FOREIGN])
-def test_a_layer_keeps_off_the_libraries_of_others(layer: str) -> None:
+@pytest.mark.parametrize("room", [name for name in ROOMS if name in _FOREIGN])
+def test_a_room_imports_none_of_the_libraries_it_must_not(room: str) -> None:
     wrong = {
         f"{path.relative_to(ROOT)} imports {name}"
         for path in FILES
-        if _layer(path) == layer
+        if _room(path) == room
         for name in _imports(path)
-        if name.split(".")[0] in _FOREIGN[layer]
+        if name.split(".")[0] in _FOREIGN[room]
     }
     assert not wrong
 
 
-def test_the_layers_have_no_cycle() -> None:
+def test_the_rooms_have_no_cycle() -> None:
     graph = {
-        layer: {o for p in FILES if _layer(p) == layer for o in _own_layers(p)}
-        - {layer, "__init__"}
-        for layer in LAYERS
-        if layer != "__init__"
+        room: {o for p in FILES if _room(p) == room for o in _rooms_imported(p)}
+        - {room, "__init__"}
+        for room in ROOMS
+        if room != "__init__"
     }
-    while free := {layer for layer, below in graph.items() if not below}:
-        graph = {layer: below - free for layer, below in graph.items() if layer not in free}
+    while free := {room for room, below in graph.items() if not below}:
+        graph = {room: below - free for room, below in graph.items() if room not in free}
     assert not graph
 
 
@@ -121,16 +128,16 @@ def test_no_file_of_the_package_imports_recipes_benchmarks_or_tests() -> None:
         assert not top & {"recipes", "benchmarks", "tests"}, path
 
 
-def test_nothing_is_imported_from_another_layers_private_names() -> None:
+def test_no_room_imports_private_names_of_another() -> None:
     for path in FILES:
         for name in _imports(path):
             parts = name.split(".")
             if parts[0] == "aslip" and any(p.startswith("_") and p != "__version__" for p in parts):
-                assert parts[1] == _layer(path), f"{path} imports {name}"
+                assert parts[1] == _room(path), f"{path} imports {name}"
 
 
 def _loaded_after(code: str) -> set[str]:
-    """Top-level modules in a new interpreter after some code."""
+    """Top-level modules that code has loaded in a new interpreter."""
     script = f"{code}\nimport sys; print(*sorted({{m.split('.')[0] for m in sys.modules}}))"
     result = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT
