@@ -1,9 +1,10 @@
-"""The policy: its networks, and its file."""
+"""Policies: networks, normaliser, symmetry and files."""
 
 from aslip.policy.file import (
     CARD,
     POLICY_FILE,
     POLICY_FORMAT,
+    MakeActor,
     find_policy,
     load_policy,
     observation_difference,
@@ -14,24 +15,38 @@ from aslip.policy.file import (
 from aslip.policy.networks import (
     PolicyShape,
     RunningNormalizer,
+    action_layers,
+    action_scale,
     entry_names,
+    gaussian_actor,
     make_actor,
     make_critic,
     set_std,
 )
+from aslip.policy.recurrent import add_memory, is_recurrent, make_recurrent_actor
+from aslip.policy.symmetry import action_mirror, observation_mirror
 
 __all__ = [
     "CARD",
     "POLICY_FILE",
     "POLICY_FORMAT",
+    "MakeActor",
     "PolicyShape",
     "RunningNormalizer",
+    "action_layers",
+    "action_mirror",
+    "action_scale",
+    "add_memory",
     "entry_names",
     "find_policy",
+    "gaussian_actor",
+    "is_recurrent",
     "load_policy",
     "make_actor",
     "make_critic",
+    "make_recurrent_actor",
     "observation_difference",
+    "observation_mirror",
     "policy_stack",
     "read_card",
     "save_policy",

@@ -1,9 +1,14 @@
-"""A policy's file: what it holds, what is checked when it is written and when it is read."""
+"""Policy files: writing, reading, and the checks of both.
+
+A file has a card (`card.json`) and the weights as plain arrays. The card names the function that
+makes the network, but nothing is ever imported or run because a file says so: "mlp" and "gru" are
+known, any other network is made by a function that the caller of `load_policy` gives.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -12,25 +17,30 @@ import torch
 from tensordict import TensorDict
 from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor, nn
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import ProbabilisticActor
 
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.files.assets import asset_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
+from aslip.policy.recurrent import make_recurrent_actor
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+
+MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
+"""Function that makes an actor of a normaliser, a shape and the keys of the observation."""
 
 POLICY_FILE = "policy.zip"
 """Name of the policy in the folder of a training run."""
 
-POLICY_FORMAT = ArchiveFormat(
-    "policy", 2, advice="recipes/convert_policy.py rewrites intact policies of earlier versions"
-)
+POLICY_FORMAT = ArchiveFormat("policy", 2)
 """Entries: `card.json`, and `weights/NAME.npy` for each parameter and buffer."""
 
 CARD = "card.json"
-"""Entry of a policy's file that says what it is; see `save_policy`."""
+"""Entry of a policy's file that describes it; see `save_policy`."""
 _WEIGHTS = "weights/"
+
+_NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
 
 
 def save_policy(
@@ -39,34 +49,37 @@ def save_policy(
     shape: PolicyShape,
     made_by: Mapping[str, Any] | None = None,
     *,
+    network: MakeActor = make_actor,
     stack: str | None = "aslip",
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
     baseline: NestedKey | None = ("reference", "motor_target"),
 ) -> None:
-    """Write a policy that `load_policy` reads: an archive of plain arrays, nothing pickled.
+    """Write a policy for `load_policy`: an archive of plain arrays and JSON.
 
-    What `aslip.envs.policy_interface(env)` returns goes into the last three arguments.
+    `aslip.envs.policy_interface(env)` gives the last three arguments.
 
     Args:
         path: the file; replaced as a whole.
-        actor: from `make_actor`.
-        shape: what it was made with.
-        made_by: settings and versions of what made it, of JSON types.
-        stack: name of the stack that it acts on, one of `aslip.envs.STACKS`; None for another.
-        observation: keys of the entries that its observation is made of, in order.
+        actor: the policy.
+        shape: its shape.
+        made_by: settings and versions of the training, of JSON types.
+        network: function that made the actor.
+        stack: name of its stack, one of `aslip.envs.STACKS`; None for another.
+        observation: keys of the observation's entries, in order.
         baseline: key of the angles that its action is added to; None for an action of another kind.
 
     Raises:
-        ConfigurationError: the actor is not what `make_actor` makes of shape and observation, or
-            has weights that are not finite. Nothing is written.
-        OSError: the file cannot be written; one that was there is as it was.
+        ConfigurationError: `network` makes another actor of shape and observation, or a weight is
+            not finite. Nothing is written.
+        OSError: the file cannot be written; an older one is left as it was.
     """
-    if odd := _unlike(actor, shape, observation):
+    if odd := _unlike(actor, network, shape, observation):
         raise ConfigurationError(
-            f"the actor cannot be saved as a policy of {shape}: {'; '.join(odd[:4])}; only actors"
-            " of make_actor(normalizer, shape, observation) can"
+            f"the actor is not what {_network_name(network)!r} makes of {shape}:"
+            f" {'; '.join(odd[:4])}; give the function that made it, network=..."
         )
     card = {
+        "network": _network_name(network),
         "shape": asdict(shape),
         "stack": stack,
         "observation": entry_names(observation),
@@ -80,28 +93,41 @@ def save_policy(
     POLICY_FORMAT.write(Path(path), {CARD: as_json(card), **weights})
 
 
-def _unlike(actor: nn.Module, shape: PolicyShape, observation: Sequence[NestedKey]) -> list[str]:
-    """Why an actor is not the one that `load_policy` would make, a clause each."""
+def _network_name(network: MakeActor) -> str:
+    """Name of a function that makes actors: "mlp", "gru", or where another is defined."""
+    for name, known in _NETWORKS.items():
+        if network is known:
+            return name
+    name = getattr(network, "__qualname__", type(network).__qualname__)
+    return f"{network.__module__}.{name}"
+
+
+def _unlike(
+    actor: nn.Module, network: MakeActor, shape: PolicyShape, observation: Sequence[NestedKey]
+) -> list[str]:
+    """Differences between an actor and the one that `load_policy` would make, a clause each."""
     with torch.random.fork_rng(devices=[]):
-        loaded = make_actor(RunningNormalizer(shape.observation_size), shape, observation)
+        loaded = network(RunningNormalizer(shape.observation_size), shape, observation)
     weights = {name: value.detach().cpu() for name, value in actor.state_dict().items()}
     if odd := _differences(loaded, weights):
         return odd
     loaded.load_state_dict(weights)
     device = next(iter(actor.state_dict().values())).device
     for probe in torch.linspace(-1, 1, 2 * shape.observation_size).view(2, 1, -1):
-        given = TensorDict(observation=probe, batch_size=1)
-        ours, theirs = loaded(given.clone()), actor(given.to(device)).cpu()
-        if not torch.allclose(ours["loc"], theirs["loc"], rtol=1e-4, atol=1e-5):
-            return ["its actions are not those of such a network with the same weights"]
+        first = torch.ones(1, 1, dtype=torch.bool)
+        given = TensorDict(observation=probe, is_init=first, batch_size=1)
+        with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+            ours, theirs = loaded(given.clone()), actor(given.to(device)).cpu()
+        if not torch.allclose(ours["action"], theirs["action"], rtol=1e-4, atol=1e-5):
+            return ["it acts otherwise with the same weights"]
     return []
 
 
 def _differences(expected: nn.Module, weights: Mapping[str, Tensor]) -> list[str]:
-    """Why weights are not those of a module such as `expected`, a clause each."""
+    """Differences between weights and those of a module, a clause each."""
     wanted = expected.state_dict()
-    odd = [f"it lacks {name!r}" for name in wanted.keys() - weights.keys()]
-    odd += [f"it has {name!r}" for name in weights.keys() - wanted.keys()]
+    odd = [f"{name!r} is missing" for name in wanted.keys() - weights.keys()]
+    odd += [f"{name!r} is unexpected" for name in weights.keys() - wanted.keys()]
     for name in sorted(wanted.keys() & weights.keys()):
         is_, should_be = _kind(weights[name]), _kind(wanted[name])
         if is_ != should_be:
@@ -115,19 +141,21 @@ def _kind(tensor: Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
 
 
-def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
-    """A trained policy: maps the environment's tensordict to `action`, deterministic by default.
+def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> ProbabilisticActor:
+    """Load a trained policy: the environment's tensordict -> `action`, deterministic by default.
 
-    Its parameters require no gradients; to train it further, let them.
+    Its parameters require no gradients; to train it further, let them. An environment for a
+    recurrent policy needs `aslip.policy.add_memory`.
 
     Args:
         name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
+        network: function that makes the actor, for a network of your own.
 
     Raises:
         AssetError: there is no such policy.
-        FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: the stack it was trained on, one of `aslip.envs.STACKS`, gives another
-            observation in this version of the package.
+        FileDamagedError: the file is truncated, altered, or not a policy.
+        ConfigurationError: the network is of your own and `network` is not given; or the stack
+            gives another observation in this version of the package.
     """
     path = find_policy(name_or_path)
     entries = POLICY_FORMAT.read(path)
@@ -138,37 +166,49 @@ def load_policy(name_or_path: str | Path) -> ProbabilisticActor:
             f"the policy {str(path)!r} has another observation than this version of aslip gives:"
             f" {observation_difference(names, _known_observations()[0])}"
         )
+    if network is None and card["network"] not in _NETWORKS:
+        raise ConfigurationError(
+            f"the network of the policy {str(path)!r} is made by {card['network']!r}, which is not"
+            " imported from a file: load_policy(path, network=...) with that function, if you"
+            " trust it"
+        )
     table = [unravel_key(tuple(name.split("/"))) for name in names]
     try:
-        weights = _weights(entries, shape)
-        actor = make_actor(RunningNormalizer(shape.observation_size), shape, table)
+        weights = _weights(entries)
+        if network is None:
+            network = _NETWORKS[card["network"]]
+            _check_count(weights, shape)
+        actor = network(RunningNormalizer(shape.observation_size), shape, table)
         if odd := _differences(actor, weights):
             raise ValueError("; ".join(odd))
-    except Exception as error:  # whatever a stranger's card and arrays are
+    except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error
     actor.load_state_dict(weights)
     # nothing differentiates through a simulator: without this, rollouts would carry graphs along
     return actor.eval().requires_grad_(False)
 
 
-def _weights(entries: Mapping[str, bytes], shape: PolicyShape) -> dict[str, Tensor]:
-    """Weights by name, of a file of as many as its shape asks for.
-
-    Raises:
-        ValueError: there are fewer, and nothing is allocated for the network that would need them.
-    """
-    arrays = {
+def _weights(entries: Mapping[str, bytes]) -> dict[str, Tensor]:
+    """Weights by name."""
+    return {
         name.removeprefix(_WEIGHTS).removesuffix(".npy"): torch.from_numpy(from_npy(data))
         for name, data in entries.items()
         if name.startswith(_WEIGHTS)
     }
-    numbers = sum(array.numel() for array in arrays.values())
-    if numbers < shape.parameters or len(arrays) < 2 * len(shape.hidden):
+
+
+def _check_count(weights: Mapping[str, Tensor], shape: PolicyShape) -> None:
+    """Check that there are enough weights for a shape before memory is allocated for it.
+
+    Raises:
+        ValueError: there are fewer.
+    """
+    numbers = sum(array.numel() for array in weights.values())
+    if numbers < shape.parameters or len(weights) < 2 * len(shape.hidden):
         raise ValueError(
             f"its card describes a network of {shape.parameters} numbers in {len(shape.hidden)}"
-            f" hidden layers, and it has {numbers} numbers in {len(arrays)} arrays"
+            f" hidden layers, and it has {numbers} numbers in {len(weights)} arrays"
         )
-    return arrays
 
 
 def policy_stack(name_or_path: str | Path) -> str:
@@ -176,14 +216,14 @@ def policy_stack(name_or_path: str | Path) -> str:
 
     Raises:
         AssetError: there is no such policy.
-        FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: it acts on a stack of its own; the message says what is different.
+        FileDamagedError: the file is truncated, altered, or not a policy.
+        ConfigurationError: it acts on a stack of its own; the message says what differs.
     """
     card = read_card(name_or_path)
     if card["stack"] is None:
         raise ConfigurationError(
             f"the policy {str(name_or_path)!r} was trained with a stack of its own, which has no"
-            f" name: {_own(card)}; make an environment with the same edits, and give it that"
+            f" name: {_own(card)}; give an environment that is made with the same edits"
         )
     return card["stack"]
 
@@ -194,10 +234,7 @@ def _own(card: Mapping[str, Any]) -> str:
         return observation_difference(card["observation"], _known_observations()[0])
     if card["baseline"] is None:
         return "its action is not, or not only, an `ActionDelta`"
-    return (
-        f"its action is added to {card['baseline']!r}, and that or the reference's motion is none"
-        " of a stack that has a name"
-    )
+    return f"its action is added to {card['baseline']!r}, which no named stack does alike"
 
 
 def observation_difference(has: Sequence[str], expected: Sequence[str]) -> str:
@@ -214,7 +251,7 @@ def _known_observations() -> list[list[str]]:
 
 
 def find_policy(name_or_path: str | Path) -> Path:
-    """The file of a policy: given, inside the folder of a run, or shipped.
+    """File of a policy: given, inside the folder of a run, or shipped.
 
     Raises:
         AssetError: there is no such policy.
@@ -240,19 +277,19 @@ def read_card(name_or_path: str | Path) -> dict[str, Any]:
     """Card of a policy: how it is built and what it acts on.
 
     Returns:
-        What was given to `save_policy`: `shape`, `made_by`, `stack`, and with names as text
+        The arguments of `save_policy`: `shape`, `made_by`, `stack`, and as text `network`,
         `observation` and `baseline`.
 
     Raises:
         AssetError: there is no such policy.
-        FileDamagedError: it is truncated, altered, or no policy.
+        FileDamagedError: the file is truncated, altered, or not a policy.
     """
     path = find_policy(name_or_path)
     return _card(path, POLICY_FORMAT.read(path))
 
 
 def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
-    """The card among entries, every item of its type.
+    """Card among entries, every item of its type.
 
     Raises:
         FileDamagedError: an item is missing, or of another type.
@@ -261,12 +298,13 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
         card = json.loads(entries[CARD])
         shape, texts = card["shape"], (card["stack"], card["baseline"])
         typed = all(isinstance(text, str | None) for text in texts)
-        if not typed or not isinstance(card["made_by"], dict):
+        typed = typed and isinstance(card["network"], str) and isinstance(card["made_by"], dict)
+        if not typed:
             raise ValueError("its card has items of wrong types")
         return {
             **card,
             "shape": PolicyShape(**{**shape, "hidden": tuple(shape["hidden"])}),
             "observation": [str(name) for name in card["observation"]],
         }
-    except Exception as error:  # whatever a stranger's card is made of
+    except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error

@@ -1,16 +1,19 @@
 """Actor, critic and their shared input normaliser (Sec. IV-B).
 
-Both nets are 64-256-256-k with ReLU, on request made to treat left and right alike. The actor's
-output is unbounded and its standard deviation fixed ("We choose to use fixed covariance ... the
-output is unbounded"). The normaliser is part of the policy, so it travels with the weights.
+Both networks are 64-256-256-k with ReLU, symmetrised on request. The actor's output is unbounded
+and its standard deviation fixed ("We choose to use fixed covariance ... the output is unbounded").
+The normaliser is part of the policy, so it travels with the weights.
+
+Every function that makes an actor takes a normaliser, a `PolicyShape` and the keys of the
+observation's entries: `make_actor`, `aslip.policy.make_recurrent_actor`, or a function of yours.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -32,18 +35,18 @@ from aslip.errors import ConfigurationError
 from aslip.policy.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
 
-# normalised inputs further out than this are cut off: a fall must not shout down the rest
+# normalised inputs are clipped here, so that a fall does not drown the rest
 _CLIP = 10.0
 _EPSILON = 1e-4
-# inputs that vary less than this did not vary in training, and have trained no weights
+# inputs of a smaller variance did not vary in training, and have trained no weights
 _CONSTANT = 1e-8
-# of the actor's last layer, so that training starts near the reference motion
+# factor on the actor's last layer, so that training starts near the reference motion
 _OUTPUT_SCALE = 0.01
 
 
 @dataclass(frozen=True)
 class PolicyShape:
-    """Settings from which a policy is rebuilt before its weights are read."""
+    """Settings from which a policy's network is rebuilt before its weights are read."""
 
     observation_size: int = 64
     """Length of `observation` ("64D input space", Sec. IV-A)."""
@@ -54,35 +57,42 @@ class PolicyShape:
     std: float = math.exp(-2)
     """Standard deviation of every action [rad]; the paper gives no value, its public code this."""
     symmetric: bool = False
-    """Whether the mirrored observation gets the mirrored action; not so in the paper."""
+    """Answer a mirrored observation with the mirrored action; not in the paper."""
+    mirror_signs: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    """Signs of the mirror images of your own observation entries, by name, one sign a number; see
+    `aslip.policy.observation_mirror`."""
 
     def __post_init__(self) -> None:
         """Check the values.
 
         Raises:
-            ConfigurationError: a size is no positive whole number, or `std` no positive number.
+            ConfigurationError: a size is not a positive integer, `std` not a positive number,
+                `symmetric` not a boolean, or a mirror sign neither 1 nor -1.
         """
         sizes = (self.observation_size, self.action_size, *self.hidden)
         if not all(type(size) is int and size > 0 for size in sizes):
-            raise ConfigurationError(f"sizes of a policy must be positive whole numbers: {self}")
+            raise ConfigurationError(f"sizes of a policy must be positive integers: {self}")
         number = isinstance(self.std, int | float) and not isinstance(self.std, bool)
         if not number or not 0 < self.std < math.inf:
             raise ConfigurationError(f"std must be a positive number, got {self.std!r}")
         if not isinstance(self.symmetric, bool):
             raise ConfigurationError(f"symmetric must be True or False, got {self.symmetric!r}")
+        for name, signs in self.mirror_signs.items():
+            if not all(sign in (1, -1) for sign in signs):
+                raise ConfigurationError(f"mirror signs of {name!r} must be 1 or -1, got {signs!r}")
 
     @property
     def parameters(self) -> int:
-        """Number of weights and biases of the actor's network."""
+        """Number of weights and biases of a multi-layer perceptron of this shape."""
         widths = (self.observation_size, *self.hidden, self.action_size)
         return sum((a + 1) * b for a, b in itertools.pairwise(widths))
 
 
 class RunningNormalizer(nn.Module):
-    """Shift and scale to zero mean and unit variance, by statistics of everything it was shown.
+    """Shift and scale to zero mean and unit variance, by running statistics.
 
-    An input that was constant is shifted but not scaled: no weight behind it has been trained, so
-    a small deviation must stay small.
+    A constant input is shifted but not scaled: no weight behind it has been trained, so a small
+    deviation must stay small.
 
     Args:
         size: length of the input.
@@ -99,7 +109,7 @@ class RunningNormalizer(nn.Module):
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
-        # these follow from the statistics, so that files need not hold them
+        # derived from the statistics, so not stored in files
         self.register_buffer("_offset", torch.zeros(size), persistent=False)
         self.register_buffer("_scale", torch.ones(size), persistent=False)
 
@@ -130,10 +140,10 @@ class RunningNormalizer(nn.Module):
         self._refresh()
 
     def forward(self, values: Tensor) -> Tensor:
-        """Normalised (*b, size) values.
+        """Normalise (*b, size) values.
 
         Raises:
-            ShapeError: there is another number of values.
+            ShapeError: the last dimension is not `size`.
         """
         check_size(values, len(self._offset))
         return ((values - self._offset) * self._scale).clamp(-_CLIP, _CLIP)
@@ -144,25 +154,45 @@ def make_actor(
     shape: PolicyShape | None = None,
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
 ) -> ProbabilisticActor:
-    """The policy: `observation` -> `action`, with `action_log_prob`.
+    """Multi-layer perceptron policy: `observation` -> `action`, with `action_log_prob`.
 
     Deterministic unless an exploration type asks for samples, as a collector does.
 
     Args:
         normalizer: shared with the critic.
         shape: sizes, standard deviation, symmetry.
-        observation: keys of the observation's entries, of which a symmetric policy knows mirror
-            images.
+        observation: keys of the observation's entries, for the mirror image of a symmetric policy.
 
     Raises:
-        ConfigurationError: a symmetric policy would observe more or less than these entries.
-        UnknownNameError: it does not know how the mirror image of an entry looks.
+        ConfigurationError: the entries of a symmetric policy do not add up to the observation.
+        UnknownNameError: a symmetric policy observes an entry whose mirror image is unknown.
     """
     shape = shape or PolicyShape()
+    layers: list[nn.Module] = [normalizer, action_layers(shape, shape.observation_size)]
+    if shape.symmetric:
+        mirrors = _mirror_of(shape, observation), action_mirror()
+        layers = [Symmetrised(nn.Sequential(*layers), *mirrors)]
+    return gaussian_actor(
+        TensorDictModule(
+            nn.Sequential(*layers, action_scale(shape)),
+            in_keys=["observation"],
+            out_keys=["loc", "scale"],
+        )
+    )
+
+
+def action_layers(shape: PolicyShape, inputs: int, hidden: Sequence[int] | None = None) -> MLP:
+    """Perceptron that ends in the mean action, small at first.
+
+    Args:
+        shape: sizes.
+        inputs: number of inputs.
+        hidden: widths of the hidden layers; those of the shape by default.
+    """
     net = MLP(
-        in_features=shape.observation_size,
+        in_features=inputs,
         out_features=shape.action_size,
-        num_cells=list(shape.hidden),
+        num_cells=list(shape.hidden if hidden is None else hidden),
         activation_class=nn.ReLU,
     )
     output = net[-1]
@@ -170,22 +200,24 @@ def make_actor(
     with torch.no_grad():
         output.weight.mul_(_OUTPUT_SCALE)
         output.bias.zero_()
-    scale = AddStateIndependentNormalScale(
-        shape.action_size,
-        scale_mapping="exp",
-        make_param=False,
-        init_value=math.log(shape.std),
+    return net
+
+
+def action_scale(shape: PolicyShape) -> AddStateIndependentNormalScale:
+    """Layer that adds the standard deviation, which `set_std` changes, to the mean action."""
+    return AddStateIndependentNormalScale(
+        shape.action_size, scale_mapping="exp", make_param=False, init_value=math.log(shape.std)
     )
-    layers: list[nn.Module] = [normalizer, net]
-    if shape.symmetric:
-        mirrors = _mirror_of(shape, observation), action_mirror()
-        layers = [Symmetrised(nn.Sequential(*layers), *mirrors)]
+
+
+def gaussian_actor(module: TensorDictModule) -> ProbabilisticActor:
+    """Policy that draws `action` around `loc` with the standard deviation `scale`.
+
+    Args:
+        module: writes `loc` and `scale`.
+    """
     return ProbabilisticActor(
-        TensorDictModule(
-            nn.Sequential(*layers, scale),
-            in_keys=["observation"],
-            out_keys=["loc", "scale"],
-        ),
+        module,
         in_keys=["loc", "scale"],
         out_keys=["action"],
         distribution_class=IndependentNormal,
@@ -195,10 +227,11 @@ def make_actor(
 
 
 def set_std(actor: nn.Module, std: float) -> None:
-    """Change the standard deviation of all actions of an actor of `make_actor` [rad]."""
-    scale = next(m for m in actor.modules() if isinstance(m, AddStateIndependentNormalScale))
-    with torch.no_grad():
-        scale.state_independent_scale.fill_(math.log(std))
+    """Set the standard deviation of all actions [rad]; a network that learns its own keeps it."""
+    for module in actor.modules():
+        if isinstance(module, AddStateIndependentNormalScale):
+            with torch.no_grad():
+                module.state_independent_scale.fill_(math.log(std))
 
 
 def make_critic(
@@ -208,13 +241,13 @@ def make_critic(
     *,
     scale: float = 1.0,
 ) -> ValueOperator:
-    """The value function: `observation` -> `state_value`.
+    """Value function: `observation` -> `state_value`.
 
     Args:
         normalizer: shared with the actor.
         shape: as the actor's.
         observation: as the actor's.
-        scale: what an output of one is worth. Near the size of returns, the net learns them sooner.
+        scale: factor on the network's output; near the size of returns it learns sooner.
     """
     shape = shape or PolicyShape()
     net = MLP(
@@ -230,12 +263,11 @@ def make_critic(
 
 
 def _mirror_of(shape: PolicyShape, observation: Sequence[NestedKey]) -> Mirror:
-    mirror = observation_mirror(observation)
+    mirror = observation_mirror(observation, shape.mirror_signs)
     if len(mirror.index) != shape.observation_size:
         raise ConfigurationError(
-            f"the observation has {shape.observation_size} numbers, and the entries whose mirror"
-            f" images are known have {len(mirror.index)}; a policy that is not symmetric"
-            " (--no-symmetric) needs none"
+            f"the mirror images of {entry_names(observation)} have {len(mirror.index)} numbers, the"
+            f" observation has {shape.observation_size}; train without symmetry (--no-symmetric)"
         )
     return mirror
 
@@ -250,6 +282,6 @@ class _Scale(nn.Module):
 
 
 def entry_names(table: Iterable[NestedKey]) -> list[str]:
-    """Keys of an observation's entries as in a policy's card, such as "estimate/height"."""
+    """Names of an observation's entries as in a policy's card, such as "estimate/height"."""
     keys = [unravel_key(key) for key in table]
     return [key if isinstance(key, str) else "/".join(map(str, key)) for key in keys]

@@ -1,14 +1,13 @@
-"""Left-right mirror images of what the policy sees and does.
+"""Left-right mirror images of observations and actions.
 
-Cassie, its gaits and the reward are symmetric about the plane of walking: mirror a state and an
-action, and nearly the mirrored next state follows (the pelvis' centre of mass is 0.3 mm off). The
-maps are built from the names of the observation's
-entries and the motors, and hold for any table of such entries.
+Robot, gaits and reward are symmetric about the plane of walking: mirror a state and an action, and
+nearly the mirrored next state follows (Cassie's pelvis has its centre of mass 0.3 mm off). The maps
+are built from the names of the observation's entries and of the motors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from tensordict.utils import NestedKey
@@ -18,12 +17,12 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import JOINT_NAMES, MOTOR_NAMES, mirror_name
 from aslip.transforms import OBSERVATION_TABLE
 
-# mirrored at the xz plane: vectors turn their y; axial vectors (rates of rotation, and a
-# quaternion's vector part) turn their x and z
+# mirrored at the xz plane: vectors turn their y; axial vectors (angular velocities, the vector part
+# of a quaternion) turn their x and z
 _VECTOR = (1.0, -1.0, 1.0)
 _AXIAL = (-1.0, 1.0, -1.0)
 _QUATERNION = (1.0, -1.0, 1.0, -1.0)
-# hinges about the walking direction and the vertical turn the other way on the other leg
+# hinges about the forward and the vertical axis turn the other way on the other leg
 _TURNING = ("hip_roll", "hip_yaw")
 
 _SIGNS = {
@@ -40,10 +39,11 @@ _SIGNS = {
     "right_foot_position": _VECTOR,
     "right_foot_velocity": _VECTOR,
     "command": (1.0,),
-    # the other leg's turn is half a stride later
+    # half a stride later
     "sin": (-1.0,),
     "cos": (-1.0,),
 }
+_PER_MOTOR = ("action", "last_action")
 
 
 class Mirror(nn.Module):
@@ -51,11 +51,11 @@ class Mirror(nn.Module):
 
     Args:
         names: one name an element.
-        partners: for each element the name of the element it becomes.
-        signs: for each element the sign it gets.
+        partners: name of the mirror partner of each element.
+        signs: sign of each element.
 
     Raises:
-        ConfigurationError: a name comes twice, or the mirror image of the mirror image is another.
+        ConfigurationError: a name is repeated, or a partner is missing.
     """
 
     index: Tensor
@@ -69,11 +69,10 @@ class Mirror(nn.Module):
         lacking = sorted(set(partners) - set(place))
         if len(place) < len(names) or lacking:
             twice = sorted({name for name in names if names.count(name) > 1})
-            raise ConfigurationError(
-                f"no mirror image: {f'{twice} come twice' if twice else f'there is no {lacking}'}"
-            )
+            reason = f"{twice} are repeated" if twice else f"{lacking} are missing"
+            raise ConfigurationError(f"the observation has no mirror image: {reason}")
         index = torch.tensor([place[partner] for partner in partners])
-        # these follow from the names, so that files need not hold them
+        # derived from the names, so not stored in files
         self.register_buffer("index", index, persistent=False)
         self.register_buffer("sign", torch.tensor(signs), persistent=False)
 
@@ -81,34 +80,34 @@ class Mirror(nn.Module):
         """Mirror image of (*b, k) values.
 
         Raises:
-            ShapeError: there is another number of values.
+            ShapeError: the last dimension is not k.
         """
         check_size(values, len(self.index))
         return values[..., self.index] * self.sign
 
 
 def check_size(values: Tensor, size: int) -> None:
-    """Check that what a policy is shown, (*b, size), is what it reads.
+    """Check that an observation (*b, size) has the size that a policy reads.
 
     Raises:
-        ShapeError: there is another number of values.
+        ShapeError: it has another size.
     """
     if values.shape[-1] != size:
         raise ShapeError(
-            f"a policy that reads {size} numbers was shown {values.shape[-1]}: it belongs to"
-            " another stack of transforms"
+            f"the policy reads {size} numbers, the observation has {values.shape[-1]}: the policy"
+            " was trained on another stack of transforms"
         )
 
 
 class Symmetrised(nn.Module):
-    r"""A net that treats left and right alike, :math:`(f(x) + M_y f(M_x x)) / 2`.
+    r"""Network that is equivariant to the mirror, :math:`(f(x) + M_y f(M_x x)) / 2`.
 
-    What it learns of one leg it knows of the other (Abdolhosseini et al. 2019).
+    Experience of one leg teaches the other (Abdolhosseini et al. 2019).
 
     Args:
-        net: the net f.
+        net: the network f.
         inputs: mirror of its input.
-        outputs: mirror of its output; by default that does not change, as a value.
+        outputs: mirror of its output; by default the output is invariant, as a value is.
     """
 
     def __init__(self, net: nn.Module, inputs: Mirror, outputs: Mirror | None = None) -> None:
@@ -127,42 +126,52 @@ def action_mirror() -> Mirror:
     return Mirror(MOTOR_NAMES, [mirror_name(name) for name in MOTOR_NAMES], _turns(MOTOR_NAMES))
 
 
-def observation_mirror(table: Sequence[NestedKey] = OBSERVATION_TABLE) -> Mirror:
+def observation_mirror(
+    table: Sequence[NestedKey] = OBSERVATION_TABLE,
+    signs: Mapping[str, Sequence[float]] | None = None,
+) -> Mirror:
     """Mirror of an observation.
 
+    An entry `left_x` becomes `right_x`. Entries that start with `motor_` or `joint_`, and `action`
+    and `last_action`, have a number for each motor or joint.
+
     Args:
-        table: keys of its entries, in order.
+        table: keys of the observation's entries, in order.
+        signs: signs of the mirror images of other entries, by name, one a number.
 
     Raises:
-        UnknownNameError: it is not known how an entry's mirror image looks.
-        ConfigurationError: an entry comes twice, or one of the left has none of the right.
+        UnknownNameError: the mirror image of an entry is unknown.
+        ConfigurationError: an entry is repeated, or one of the left lacks its partner on the right.
     """
     names: list[str] = []
     partners: list[str] = []
-    signs: list[float] = []
+    all_signs: list[float] = []
     for key in table:
         entry = key if isinstance(key, str) else str(key[-1])
-        parts, entry_signs = _entry(entry)
+        parts, entry_signs = _entry(entry, {**_SIGNS, **(signs or {})})
         swapped = mirror_name(entry) if entry.startswith(("left_", "right_")) else entry
         # entries of two sources may have the same name
         source = "" if isinstance(key, str) else "/".join(map(str, key[:-1]))
         names += [f"{source}/{entry}/{part}" for part in parts]
         partners += [f"{source}/{swapped}/{_mirrored_part(part)}" for part in parts]
-        signs += entry_signs
-    return Mirror(names, partners, signs)
+        all_signs += entry_signs
+    return Mirror(names, partners, all_signs)
 
 
-def _entry(entry: str) -> tuple[Sequence[str], list[float]]:
+def _entry(entry: str, known: Mapping[str, Sequence[float]]) -> tuple[Sequence[str], list[float]]:
     """Names of an entry's elements, and their signs."""
-    for group, members in (("motor_", MOTOR_NAMES), ("joint_", JOINT_NAMES)):
-        if entry.startswith(group):
-            return members, _turns(members)
-    if entry not in _SIGNS:
-        raise UnknownNameError(
-            f"no mirror image is known for {entry!r}, known are motor_*, joint_* and"
-            f" {list(_SIGNS)}; a policy that is not symmetric (--no-symmetric) needs none"
-        )
-    return [str(i) for i in range(len(_SIGNS[entry]))], list(_SIGNS[entry])
+    if entry in known:
+        signs = [float(sign) for sign in known[entry]]
+        return [str(i) for i in range(len(signs))], signs
+    if entry.startswith("motor_") or entry in _PER_MOTOR:
+        return MOTOR_NAMES, _turns(MOTOR_NAMES)
+    if entry.startswith("joint_"):
+        return JOINT_NAMES, _turns(JOINT_NAMES)
+    raise UnknownNameError(
+        f"the mirror image of {entry!r} is unknown: give its signs, PolicyShape(mirror_signs="
+        f"{{{entry!r}: (1.0, -1.0, ...)}}), or train without symmetry (--no-symmetric); known are"
+        f" motor_*, joint_*, {list(_PER_MOTOR)} and {list(known)}"
+    )
 
 
 def _turns(names: Sequence[str]) -> list[float]:

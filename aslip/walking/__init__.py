@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     )
     from aslip.walking.record import (
         Walks,
-        add_policy_state,
         next_start,
         record_walks,
         reset_walks,
@@ -38,7 +37,6 @@ __all__ = [
     "WalkResult",
     "Walker",
     "Walks",
-    "add_policy_state",
     "evaluate",
     "is_on_feet",
     "markdown",
@@ -65,7 +63,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         ],
         "record": [
             "Walks",
-            "add_policy_state",
             "next_start",
             "record_walks",
             "reset_walks",

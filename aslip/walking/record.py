@@ -3,8 +3,8 @@
     walks = record_walks(policy, env, command)      # (m, n) commanded speeds of n robots
 
 `walk` is the loop below every recording and evaluation: policy steps without exploration noise and
-without resets. Recurrent policies carry their state from step to step; `add_policy_state` gives an
-environment the transforms that they need.
+without resets. Recurrent policies carry their state from step to step; recordings give
+the environment the transforms that they need (`aslip.policy.add_memory`).
 """
 
 from __future__ import annotations
@@ -20,12 +20,11 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
-from torchrl.envs.transforms import InitTracker
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
-from torchrl.modules.utils import get_primers_from_module
 
 from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.policy import add_memory
 from aslip.robot import SIDES
 from aslip.transforms import SpeedCommand
 
@@ -178,7 +177,7 @@ def record(
 
     Args:
         policy: maps the environment's tensordict to `action`.
-        env: environment of n robots.
+        env: environment of n robots; gets what a recurrent policy needs, see `add_memory`.
         command: (m, n) commanded speed of each policy step [m/s].
         keys: entries of a policy step to record; absent ones are left out.
         until_all_ended: stop once the episode of every robot has ended.
@@ -189,7 +188,7 @@ def record(
     ended = torch.zeros(env.num_envs, dtype=torch.bool)
     rows: list[Any] = []  # torch.stack takes tensordicts, too
     with _commands_kept(env):
-        start = reset_walks(env, command[0])
+        start = reset_walks(add_memory(env, policy), command[0])
         for td in walk(policy, env, start, len(command), command=command):
             rows.append(td.select(*keys, strict=False).clone())
             ended |= td["next", "done"][:, 0]
@@ -254,20 +253,3 @@ def _as_walks(rows: TensorDict, command: np.ndarray) -> Walks:
     for array in arrays.values():
         array[~alive] = np.nan
     return Walks(command=command.astype(np.float64), alive=alive, **arrays)
-
-
-# -------------------------------------------------------------- recurrent policies
-
-
-def add_policy_state(env: StackEnv, policy: TensorDictModuleBase) -> None:
-    """Append the transforms that carry a recurrent policy's state through episodes.
-
-    TorchRL's `InitTracker` marks the first step of an episode, its `TensorDictPrimer` gives the
-    state there. Environments of policies without a state stay as they are.
-    """
-    if not isinstance(policy, torch.nn.Module):
-        return
-    primer = get_primers_from_module(policy, warn=False)
-    if primer is not None:
-        env.append_transform(InitTracker())
-        env.append_transform(primer)

@@ -14,9 +14,9 @@ from tensordict.nn import TensorDictModuleBase
 from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.policy import load_policy, policy_stack
+from aslip.policy import add_memory, load_policy, policy_stack
 from aslip.robot import POLICY_PERIOD
-from aslip.walking.record import add_policy_state, next_start, reset_walks, take_step
+from aslip.walking.record import next_start, reset_walks, take_step
 from aslip.walking.schedule import policy_steps
 
 
@@ -63,7 +63,6 @@ class Walker:
         stack = policy_stack(policy) if named else "aslip"
         gaits = None if stack == "single_reference" else self.library
         env = make_env(seed=seed, stack=stack, drop=EPISODE_ENDS, library=gaits, num_threads=1)
-        add_policy_state(env, load_policy(policy) if named else policy)
         return env
 
     @property
@@ -76,6 +75,7 @@ class Walker:
         if isinstance(policy, str | Path):
             check_policy_fits(policy, self.env)
             policy = load_policy(policy)
+        add_memory(self.env, policy)
         self._policy = policy
 
     @property

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import GRUModule, ProbabilisticActor
+from torchrl.modules import ProbabilisticActor
 
 import aslip
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError, ShapeError
@@ -22,9 +23,14 @@ from aslip.policy import (
     CARD,
     PolicyShape,
     RunningNormalizer,
+    action_layers,
+    action_scale,
+    gaussian_actor,
     make_actor,
     make_critic,
+    make_recurrent_actor,
     policy_stack,
+    read_card,
     save_policy,
 )
 from benchmarks.faults.archives import forged, unzipped
@@ -274,7 +280,7 @@ def test_a_policy_for_another_observation_is_refused(
         ({"hidden": [1] * 10**5}, "in 100000 hidden layers, and it has"),
         ({"observation_size": 10**9}, "describes a network of 256000"),
         ({"hidden": [255, 256]}, r"float32 of shape \(256, 64\) instead of .*\(255, 64\)"),
-        ({"hidden": [256]}, "it has 'module.0.module.1.4.bias'"),
+        ({"hidden": [256]}, "'module.0.module.1.4.bias' is unexpected"),
     ],
 )
 def test_a_card_of_another_network_is_refused_before_it_is_made(
@@ -304,11 +310,6 @@ def test_weights_that_are_not_finite_are_neither_written_nor_read(
         aslip.load_policy(file)
 
 
-def _recurrent() -> nn.Module:
-    keys = {"in_keys": ["observation", "state", "is_init"], "out_keys": ["loc", ("next", "state")]}
-    return GRUModule(input_size=64, hidden_size=10, **keys)
-
-
 def _other_activation() -> nn.Module:
     """An actor with equal names and weights that computes another function."""
     actor = make_actor(RunningNormalizer(64))
@@ -320,17 +321,17 @@ def _other_activation() -> nn.Module:
 @pytest.mark.parametrize(
     ("make_one", "shape", "message"),
     [
-        (_recurrent, PolicyShape(), "it has 'gru.bias_hh_l0'.*make_actor"),
-        (lambda: nn.Linear(64, 10), PolicyShape(), "it has 'bias'"),
+        (lambda: make_recurrent_actor(RunningNormalizer(64)), PolicyShape(), "network="),
+        (lambda: nn.Linear(64, 10), PolicyShape(), "'bias' is unexpected"),
         (
             lambda: make_actor(RunningNormalizer(64)),
             PolicyShape(hidden=(256, 128)),
             r"of shape \(256, 256\) instead of float32 of shape \(128, 256\)",
         ),
-        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(hidden=(256,)), "it has"),
-        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(symmetric=True), "it has"),
+        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(hidden=(256,)), "is unexp"),
+        (lambda: make_actor(RunningNormalizer(64)), PolicyShape(symmetric=True), "is unexp"),
         (lambda: make_actor(RunningNormalizer(64)).double(), PolicyShape(), "is float64"),
-        (_other_activation, PolicyShape(), "its actions are not those"),
+        (_other_activation, PolicyShape(), "it acts otherwise"),
     ],
 )
 def test_an_actor_that_could_not_be_loaded_is_not_saved(
@@ -381,9 +382,9 @@ def test_a_policy_of_a_stack_without_a_name_is_said_to_be_one(tmp_path: Path) ->
 
 
 def test_a_policy_says_when_it_is_shown_something_else(make: MakeEnv) -> None:
-    with pytest.raises(ShapeError, match="reads 64 numbers was shown 49"):
+    with pytest.raises(ShapeError, match="reads 64 numbers, the observation has 49"):
         make(stack="single_reference").rollout(2, aslip.load_policy("aslip"))
-    with pytest.raises(ShapeError, match="reads 49 numbers was shown 64"):
+    with pytest.raises(ShapeError, match="reads 49 numbers, the observation has 64"):
         make().rollout(2, aslip.load_policy("single_reference"))
 
 
@@ -391,7 +392,7 @@ def test_a_symmetric_policy_must_know_all_that_it_observes() -> None:
     """Frames stacked by another transform, for one."""
     shape = PolicyShape(192, symmetric=True)
     for make_net in (make_actor, make_critic):
-        with pytest.raises(ConfigurationError, match=r"192.*have 64.*no-symmetric"):
+        with pytest.raises(ConfigurationError, match=r"have 64 numbers, .* has 192.*no-symmetric"):
             make_net(RunningNormalizer(192), shape)
     make_actor(RunningNormalizer(192), PolicyShape(192))
 
@@ -399,3 +400,38 @@ def test_a_symmetric_policy_must_know_all_that_it_observes() -> None:
 def test_a_misspelt_policy_is_answered_with_the_nearest() -> None:
     with pytest.raises(AssetError, match=r"did you mean 'aslip'.*'robust'"):
         aslip.load_policy("asslip")
+
+
+# ----------------------------------------------------------------- own networks
+
+
+def make_tanh_actor(
+    normalizer: RunningNormalizer, shape: PolicyShape, observation: Any = ()
+) -> ProbabilisticActor:
+    """An actor of a test's own, with another activation than the known networks have."""
+    layers = action_layers(shape, 32, ())
+    net = nn.Sequential(normalizer, nn.Linear(64, 32), nn.Tanh(), layers, action_scale(shape))
+    return gaussian_actor(TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"]))
+
+
+def test_own_networks_load_with_the_function_that_the_caller_trusts(tmp_path: Path) -> None:
+    actor = make_tanh_actor(RunningNormalizer(64), PolicyShape())
+    path = tmp_path / "policy.zip"
+    with pytest.raises(ConfigurationError, match=r"what 'mlp' makes.*network="):
+        save_policy(path, actor, PolicyShape())
+    save_policy(path, actor, PolicyShape(), network=make_tanh_actor)
+    assert read_card(path)["network"] == f"{__name__}.make_tanh_actor"
+    with pytest.raises(ConfigurationError, match=r"made by '.*make_tanh_actor', which is not"):
+        aslip.load_policy(path)
+    loaded = aslip.load_policy(path, make_tanh_actor)
+    assert torch.equal(loaded(_input())["action"], actor(_input())["action"])
+    with pytest.raises(FileDamagedError, match="is missing"):
+        aslip.load_policy(path, make_actor)
+
+
+def test_a_file_cannot_name_code_to_import(file: Path) -> None:
+    parts = unzipped(file.read_bytes())
+    card = json.loads(parts[CARD]) | {"network": "os.system"}
+    file.write_bytes(forged({**parts, CARD: as_json(card)}))
+    with pytest.raises(ConfigurationError, match=r"'os\.system', which is not imported"):
+        aslip.load_policy(file)

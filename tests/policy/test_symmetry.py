@@ -4,9 +4,11 @@ from typing import Any
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 from aslip import GaitLibrary, make_env
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.policy.symmetry import Symmetrised, action_mirror, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
 
@@ -83,8 +85,8 @@ def test_entries_of_two_sources_may_have_the_same_name() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        (["command", "command"], "twice"),
-        ([("reference", "left_foot_position")], "there is no .*right_foot_position"),
+        (["command", "command"], "repeated"),
+        ([("reference", "left_foot_position")], "right_foot_position.* missing"),
     ],
 )
 def test_tables_without_a_mirror_image_are_refused(table: list[Any], message: str) -> None:
@@ -93,10 +95,26 @@ def test_tables_without_a_mirror_image_are_refused(table: list[Any], message: st
 
 
 def test_an_observation_of_another_size_is_told_of() -> None:
-    with pytest.raises(ShapeError, match="reads 64 numbers was shown 49"):
+    with pytest.raises(ShapeError, match="reads 64 numbers, the observation has 49"):
         observation_mirror()(torch.zeros(49))
 
 
 def test_rates_and_accelerations_have_mirror_images() -> None:
     image = observation_mirror()(torch.arange(64.0))
     assert image[8:14].tolist() == [-8.0, 9.0, -10.0, 11.0, -12.0, 13.0]
+
+
+def test_signs_of_own_entries_can_be_given() -> None:
+    """Actions have the mirror image of motors."""
+    table = ["last_action", "left_load", "right_load"]
+    loads = {"left_load": (1.0, -1.0), "right_load": (1.0, -1.0)}
+    image = observation_mirror(table, loads)(torch.arange(14.0))
+    assert torch.equal(image[:10], action_mirror()(torch.arange(10.0)))
+    assert image[10:].tolist() == [12.0, -13.0, 10.0, -11.0]
+    shape = PolicyShape(14, symmetric=True, mirror_signs=loads)
+    actor = make_actor(RunningNormalizer(14), shape, table)
+    assert actor(TensorDict(observation=torch.zeros(14)))["action"].shape == (10,)
+    with pytest.raises(UnknownNameError, match=r"'left_load' is unknown: .*mirror_signs"):
+        observation_mirror(table)
+    with pytest.raises(ConfigurationError, match="must be 1 or -1"):
+        PolicyShape(mirror_signs={"load": (0.5,)})

@@ -1,0 +1,106 @@
+"""Recurrent policies: a GRU between normaliser and perceptron, and the environment it needs.
+
+    env = add_memory(aslip.make_env(num_envs=8), actor)
+    env.rollout(100, actor)
+
+The hidden state travels in the tensordict as `memory`: the policy writes it for the next policy
+step, and the environment resets it along with the robot.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from tensordict.utils import NestedKey
+from torch import nn
+from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import Compose, InitTracker, TensorDictPrimer
+from torchrl.modules import GRUModule, ProbabilisticActor
+from torchrl.modules.utils import get_primers_from_module
+
+from aslip.errors import ConfigurationError
+from aslip.policy.networks import (
+    PolicyShape,
+    RunningNormalizer,
+    action_layers,
+    action_scale,
+    gaussian_actor,
+)
+from aslip.transforms import OBSERVATION_TABLE
+
+Env = TypeVar("Env", bound=TransformedEnv)
+
+
+def make_recurrent_actor(
+    normalizer: RunningNormalizer,
+    shape: PolicyShape | None = None,
+    observation: Sequence[NestedKey] = OBSERVATION_TABLE,
+) -> ProbabilisticActor:
+    """GRU policy: `observation`, `memory` -> `action`, and `memory` of the next policy step.
+
+    The first of the shape's hidden layers is the GRU.
+
+    Args:
+        normalizer: shared with the critic.
+        shape: sizes and standard deviation.
+        observation: keys of the observation's entries; not used, as there is no symmetry.
+
+    Raises:
+        ConfigurationError: the shape is symmetric, or has no hidden layer.
+    """
+    shape = shape or PolicyShape()
+    if shape.symmetric:
+        raise ConfigurationError(
+            "a recurrent policy cannot be symmetric: set symmetric=False (--no-symmetric)"
+        )
+    if not shape.hidden:
+        raise ConfigurationError("a recurrent policy needs a hidden layer, got hidden=()")
+    width, *rest = shape.hidden
+    memory = GRUModule(
+        input_size=shape.observation_size,
+        hidden_size=width,
+        in_keys=["normalised", "memory", "is_init"],
+        out_keys=["features", ("next", "memory")],
+    )
+    head = nn.Sequential(action_layers(shape, width, rest), action_scale(shape))
+    modules: list[Any] = [
+        TensorDictModule(normalizer, in_keys=["observation"], out_keys=["normalised"]),
+        memory,
+        TensorDictModule(head, in_keys=["features"], out_keys=["loc", "scale"]),
+    ]
+    return gaussian_actor(TensorDictSequential(*modules))
+
+
+def is_recurrent(policy: Callable[..., Any]) -> bool:
+    """Tell whether a policy keeps a hidden state, as TorchRL's `GRUModule` and `LSTMModule` do."""
+    parts = policy.modules() if isinstance(policy, nn.Module) else ()
+    return any(hasattr(part, "make_tensordict_primer") for part in parts)
+
+
+def add_memory(env: Env, policy: Callable[..., Any]) -> Env:
+    """Append the transforms that a recurrent policy needs, in place; nothing for other policies.
+
+    `InitTracker` marks first policy steps as `is_init`, and a `TensorDictPrimer` holds the hidden
+    state. An environment that has them already stays as it is.
+
+    Args:
+        env: environment of any stack.
+        policy: the policy; a function has no hidden state.
+
+    Returns:
+        The environment.
+    """
+    if not is_recurrent(policy):
+        return env
+    has = set(env.observation_spec.keys(True, True))
+    if "is_init" not in has:
+        env.append_transform(InitTracker())
+    primers = get_primers_from_module(policy)
+    for primer in primers if isinstance(primers, Compose) else [primers]:
+        assert isinstance(primer, TensorDictPrimer)
+        assert primer.primers is not None
+        if not set(primer.primers.keys()) <= has:
+            env.append_transform(primer)
+    return env

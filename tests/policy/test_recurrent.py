@@ -1,0 +1,82 @@
+"""Recurrent policies: memory within an episode, none across, and files that rebuild them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torchrl.modules import set_recurrent_mode
+
+import aslip
+from aslip.errors import ConfigurationError
+from aslip.policy import (
+    PolicyShape,
+    RunningNormalizer,
+    add_memory,
+    make_actor,
+    make_recurrent_actor,
+    read_card,
+    save_policy,
+)
+from aslip.walking import record_walks
+from aslip.walking.evaluation import evaluate
+from aslip.walking.walker import Walker
+from tests.helpers import MakeEnv
+
+SHAPE = PolicyShape(hidden=(16, 8), std=1.0)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    torch.manual_seed(0)
+    actor = make_recurrent_actor(RunningNormalizer(64), SHAPE)
+    with torch.no_grad():  # actions well away from zero
+        for parameter in actor.parameters():
+            parameter += 0.2 * torch.randn_like(parameter)
+    save_policy(tmp_path / "policy.zip", actor, SHAPE, network=make_recurrent_actor)
+    return tmp_path / "policy.zip"
+
+
+def test_memory_lasts_for_an_episode(make: MakeEnv, file: Path) -> None:
+    policy = aslip.load_policy(file)
+    assert read_card(file)["network"] == "gru"
+    env = add_memory(make(num_envs=3), policy)
+    names = env.transform_names
+    assert add_memory(env, policy).transform_names == names
+    data = env.rollout(30, policy.requires_grad_(False), break_when_any_done=False)
+    first = data["is_init"][..., 0]
+    assert first[:, 1:].any()
+    kept = data["next", "memory"][:, :-1]
+    following = data["memory"][:, 1:]
+    assert torch.equal(following[~first[:, 1:]], kept[~first[:, 1:]])
+    alone = data[:, 5:6].exclude("memory", "action", "loc").clone()
+    alone["is_init"] = torch.ones_like(alone["is_init"])
+    assert not torch.allclose(policy(alone[:, 0])["loc"], data["loc"][:, 5])
+    # a sequence in one pass, resets in the middle, as losses evaluate it
+    with set_recurrent_mode(True):
+        again = policy(data.exclude("action", "loc", "features", "next").clone())
+    torch.testing.assert_close(again["loc"], data["loc"], rtol=1e-4, atol=1e-5)
+
+
+def test_recurrent_policies_walk_wherever_others_do(make: MakeEnv, file: Path) -> None:
+    walker = Walker(file)
+    found = [walker.step()["action"].clone() for _ in range(4)]
+    policy = aslip.load_policy(file)
+    walks = record_walks(policy, make(drop=["low_reward", "step_limit"]), np.zeros((4, 1)))
+    np.testing.assert_allclose(torch.cat(found), walks.action[:, 0], rtol=0, atol=0)
+    (result,) = evaluate(policy, make(), [0.0], num_steps=4)
+    assert result.steps == 4
+
+
+def test_other_policies_change_no_environment(make: MakeEnv) -> None:
+    env = make()
+    names = env.transform_names
+    assert add_memory(env, make_actor(RunningNormalizer(64))).transform_names == names
+
+
+@pytest.mark.parametrize("shape", [PolicyShape(symmetric=True), PolicyShape(hidden=())])
+def test_shapes_without_a_recurrent_network_are_refused(shape: PolicyShape) -> None:
+    with pytest.raises(ConfigurationError, match="recurrent policy"):
+        make_recurrent_actor(RunningNormalizer(64), shape)
