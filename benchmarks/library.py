@@ -45,7 +45,7 @@ assert all(gait.certificate.ok for gait in gaits)
 _POSES = """
 import time
 import numpy as np
-from aslip.ik import BodyTarget, CassieKinematics, solve
+from aslip.ik import BodyTarget, Kinematics, solve
 from aslip.library import GaitLibrary
 
 phase = np.arange(128) / 128
@@ -57,7 +57,7 @@ def target(body):
     return BodyTarget(position, velocity=velocity)
 
 targets = [target(body) for body in ("body", "left_foot", "right_foot")]
-kinematics = CassieKinematics()
+kinematics = Kinematics()
 start = time.perf_counter()
 solution = solve(kinematics, *targets)
 seconds = time.perf_counter() - start

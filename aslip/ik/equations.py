@@ -1,155 +1,99 @@
-r"""The equations of a leg, and their Jacobian.
+"""The equations that a pose of the legs meets, and their Jacobian.
 
-Eight hinge angles of a leg meet eight equations:
+====================  ===========================================================================
+rows of a leg         equation
+====================  ===========================================================================
+3                     the centre of the sole is at its target [m]
+motors - 3            the sole points as its target does: five motors point the toes (x axis) and
+                      leave the sole's roll about them to the lean of the leg; six turn it fully
+3 for each loop       the loop is closed [m]
+1 for each rod        a rod between a ball joint and a loop's end is not turned about itself
+====================  ===========================================================================
 
-====  ========================================================================================
-rows  equation
-====  ========================================================================================
-0-2   the centre of the sole is at its target [m]
-3-4   the toes point where the target's toes point: x axis of the sole in the target frame, y, z
-5     the Achilles rod has its length: :math:`(|h - b|^2 - L^2) / 2L = 0` [m]
-6-7   the plantar rod ends at its anchor on the foot: in the tarsus' plane of motion [m]
-====  ========================================================================================
-
-The Achilles rod turns freely about its ball, so its loop reduces to its length. The plantar loop is
-planar: what is normal to the plane is constant, and zero by the rods' offsets. A leg has five
-motors, hence no row for the roll of the sole about its own toe axis: it leans with the leg.
+Springs are at rest. A planar loop has a row that is always zero, so that there may be more rows
+than velocities.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from aslip.ik.leg import (
-    CHAIN,
-    CRANK,
-    FOOT,
-    JOINTS,
-    KNEE,
-    PITCH,
-    PLANTAR,
-    TARSUS,
-    Frames,
-    LegGeometry,
-)
-from aslip.ik.rotation import cross, dot, rotate_back
+from aslip.ik.kinematics import Kinematics
+from aslip.ik.target import FootMotion
+from aslip.robot.rotation import cross
 
-POSITION = slice(0, 3)
-TOES = slice(3, 5)
-ACHILLES = 5
-PLANTAR_LOOP = slice(6, 8)
-LOOPS = slice(5, 8)
+POSITION: Final = slice(0, 3)
 
-EQUATIONS = 8
+# entries of the rotation from sole to target that vanish: toes left, toes up, left side up
+_ROWS, _COLUMNS = (1, 2, 2), (0, 0, 1)
+
+_DAMPING = 1e-12  # keeps singular poses finite; refinement takes its effect away elsewhere
 
 
 @dataclass(frozen=True)
 class Equations:
-    """Residual of a leg's equations and what is needed for their Jacobian."""
+    """Residual of both legs' equations in n configurations, with its Jacobian."""
 
-    legs: LegGeometry
-    angle: np.ndarray
-    """(n, 2, 8) hinge angles [rad]."""
-    frames: Frames
-    target_rotation: np.ndarray
-    """(n, 2, 3, 3) wanted sole orientation, target to pelvis."""
-    toes: np.ndarray
-    """(n, 2, 3) x axis of the sole, pelvis frame."""
     residual: np.ndarray
-    """(n, 2, 8), rows as in the module's table."""
+    """(n, 2, rows)."""
+    jacobian: np.ndarray
+    """(n, 2, rows, k) with respect to the velocities of each leg."""
+    sole_to_target: np.ndarray
+    """(n, 2, 3, 3) rotation."""
+    turn: np.ndarray
+    """(n, 2, motors - 3, 3) derivative of the rows of the direction with respect to the sole's
+    angular velocity."""
 
     @classmethod
-    def at(
-        cls, legs: LegGeometry, angle: np.ndarray, position: np.ndarray, rotation: np.ndarray
-    ) -> Equations:
-        """Evaluate the equations.
+    def at(cls, kinematics: Kinematics, configuration: np.ndarray, feet: FootMotion) -> Equations:
+        """Evaluate Pinocchio's configurations (n, nq), pelvis at the origin, for n targets."""
+        legs = kinematics.legs(configuration)
+        pelvis_to_target = np.swapaxes(feet.rotation, -1, -2)
+        sole_to_target = pelvis_to_target @ legs.rotation
+        free = kinematics.leg_motors.shape[1] - 3
+        rows, columns = _ROWS[:free], _COLUMNS[:free]
+        soles = np.swapaxes(legs.rotation, -1, -2)
+        turn = cross(soles[..., columns, :], pelvis_to_target[..., rows, :])
+        linear, angular = legs.jacobian[..., :3, :], legs.jacobian[..., 3:, :]
+        offset, direction = legs.position - feet.position, sole_to_target[..., rows, columns]
+        return cls(
+            residual=np.concatenate((offset, direction, legs.closure), axis=-1),
+            jacobian=np.concatenate((linear, turn @ angular, legs.closure_jacobian), axis=-2),
+            sole_to_target=sole_to_target,
+            turn=turn,
+        )
 
-        Args:
-            legs: the geometry.
-            angle: (n, 2, 8), hinge angles [rad].
-            position: (n, 2, 3), wanted sole centre [m], pelvis frame.
-            rotation: (n, 2, 3, 3), wanted sole orientation, target to pelvis.
-        """
-        frames = legs.frames(angle)
-        sole, sole_to_pelvis = legs.sole_frame(frames)
-        rod, length = _rod(legs, frames), legs.rod_length
-        toes = sole_to_pelvis[..., 0]
-        residual = np.empty((*angle.shape[:-1], EQUATIONS))
-        residual[..., POSITION] = sole - position
-        residual[..., TOES] = rotate_back(rotation, toes)[..., 1:]
-        residual[..., ACHILLES] = (dot(rod, rod) - length**2) / (2 * length)
-        residual[..., PLANTAR_LOOP] = plantar_gap(legs, frames)[..., :2]
-        return cls(legs, angle, frames, rotation, toes, residual)
+    @property
+    def direction(self) -> slice:
+        """Rows that point the sole."""
+        return slice(POSITION.stop, POSITION.stop + self.turn.shape[-2])
+
+    def loop_gap(self, kinematics: Kinematics) -> np.ndarray:
+        """(n, 2, l) gaps of the loops [m]."""
+        first = self.direction.stop
+        rows = self.residual[..., first : first + kinematics.loop_rows]
+        return np.linalg.norm(rows.reshape(*rows.shape[:-1], kinematics.loop_rows // 3, 3), axis=-1)
+
+    def solved(self, tolerance: float) -> np.ndarray:
+        """(n, 2) legs that meet their equations, with toes that point forward, not backward."""
+        forward = self.sole_to_target[..., 0, 0] > 0
+        return forward & (np.abs(self.residual) <= tolerance).all(-1)
 
     def toe_angle(self) -> np.ndarray:
-        """(n, 2) angle between toes and where they should point [rad]; the residual is its sine."""
-        return np.arctan2(np.linalg.norm(self.residual[..., TOES], axis=-1), self.toes_forward())
-
-    def toes_forward(self) -> np.ndarray:
-        """(n, 2) cosine of the same angle."""
-        return dot(self.target_rotation[..., 0], self.toes)
-
-    def toes_jacobian(self) -> np.ndarray:
-        """(n, 2, 3, 8) derivative of the toes, in the target frame, with respect to the hinges."""
-        jacobian = np.zeros((*self.toes.shape, len(JOINTS)))
-        for joint in CHAIN:
-            rate = cross(self.frames.axis(joint), self.toes)
-            jacobian[..., joint] = rotate_back(self.target_rotation, rate)
-        return jacobian
-
-    def jacobian(self) -> np.ndarray:
-        """(n, 2, 8, 8) derivative of the residual with respect to the hinge angles."""
-        legs, frames = self.legs, self.frames
-        jacobian = np.zeros((*self.residual.shape, len(JOINTS)))
-        sole, _ = legs.sole_frame(frames)
-        for joint in CHAIN:
-            jacobian[..., POSITION, joint] = _turn(frames, joint, sole)
-        jacobian[..., TOES, :] = self.toes_jacobian()[..., 1:, :]
-        rod, heel = _rod(legs, frames), frames.point(TARSUS, legs.heel)
-        for joint in (KNEE, TARSUS):
-            rate = dot(rod, _turn(frames, joint, heel))
-            jacobian[..., ACHILLES, joint] = rate / legs.rod_length
-        end = frames.point(PLANTAR, legs.plantar_end)
-        anchor = frames.point(FOOT, legs.plantar_anchor)
-        for joint, point, sign in ((CRANK, end, 1), (PLANTAR, end, 1), (FOOT, anchor, -1)):
-            rate = rotate_back(frames.rotation[TARSUS], sign * _turn(frames, joint, point))
-            jacobian[..., PLANTAR_LOOP, joint] = rate[..., :2]
-        return jacobian
+        """(n, 2) angle between the toes and where they should point [rad]."""
+        toes = self.sole_to_target[..., 0]
+        return np.arctan2(np.linalg.norm(toes[..., 1:], axis=-1), toes[..., 0])
 
 
-def plantar_gap(legs: LegGeometry, frames: Frames) -> np.ndarray:
-    """(n, 2, 3) from the plantar rod's anchor on the foot to the rod's end, tarsus frame [m]."""
-    end = frames.point(PLANTAR, legs.plantar_end)
-    anchor = frames.point(FOOT, legs.plantar_anchor)
-    return rotate_back(frames.rotation[TARSUS], end - anchor)
+def least_squares(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Batched solution x of `matrix @ x = vector`, (..., r, k) and (..., r, m) -> (..., k, m).
 
-
-def _rod(legs: LegGeometry, frames: Frames) -> np.ndarray:
-    """(n, 2, 3) from the Achilles rod's ball to where it must end, pelvis frame [m]."""
-    return frames.point(TARSUS, legs.heel) - frames.point(PITCH, legs.ball)
-
-
-def _turn(frames: Frames, joint: int, point: np.ndarray) -> np.ndarray:
-    """(n, 2, 3) velocity of a point when one hinge turns at unit rate [m/rad]."""
-    return cross(frames.axis(joint), point - frames.origin[joint])
-
-
-def achilles_rod(legs: LegGeometry, frames: Frames) -> np.ndarray:
-    """(n, 2, 3) unit vector along the Achilles rod, in the frame of its ball joint at rest."""
-    hip = rotate_back(frames.rotation[PITCH], _rod(legs, frames))
-    rod = rotate_back(legs.ball_rotation, hip)
-    return rod / np.linalg.norm(rod, axis=-1, keepdims=True)
-
-
-def achilles_rod_rate(legs: LegGeometry, frames: Frames, rate: np.ndarray) -> np.ndarray:
-    """(n, 2, 3) rate of `achilles_rod` for hinge rates (n, 2, 8) [rad/s]."""
-    heel = frames.point(TARSUS, legs.heel)
-    velocity = sum(
-        (_turn(frames, joint, heel) * rate[..., joint, None] for joint in (KNEE, TARSUS)),
-        start=np.zeros_like(heel),
-    )
-    hip = rotate_back(frames.rotation[PITCH], velocity)
-    # normal to the rod but for rounding, since the rates keep its length
-    return rotate_back(legs.ball_rotation, hip) / legs.rod_length[:, None]
+    Normal equations, refined once; NumPy has no batched least squares.
+    """
+    transposed = np.swapaxes(matrix, -1, -2)
+    normal = transposed @ matrix + _DAMPING * np.eye(matrix.shape[-1])
+    solution = np.linalg.solve(normal, transposed @ vector)
+    return solution + np.linalg.solve(normal, transposed @ (vector - matrix @ solution))

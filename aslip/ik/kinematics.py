@@ -1,4 +1,4 @@
-"""Cassie in Pinocchio, spoken to in MuJoCo's conventions.
+"""A biped in Pinocchio, in MuJoCo's conventions.
 
 Both read the same MJCF. They differ in the order of quaternions (Pinocchio: xyzw) and in the frame
 of the free joint's linear velocity (Pinocchio: pelvis, MuJoCo: world). Hinge angles are equal, and
@@ -10,176 +10,237 @@ angular velocities are in the body's frame in both.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
 from aslip.errors import ShapeError
 from aslip.files.assets import asset_path
-from aslip.ik.leg import JOINTS, LegGeometry
-from aslip.ik.mjcf import read_mjcf
-from aslip.ik.rotation import quaternion_to_matrix, rotate, rotate_back
-from aslip.robot import MOTOR_NAMES, SIDES, Side, foot_site
+from aslip.robot import MOTOR_NAMES, SIDES, SPRING_NAMES, foot_site
+from aslip.robot.rotation import cross
 
-PELVIS_POSITION = slice(0, 3)
-PELVIS_ORIENTATION = slice(3, 7)
-PELVIS_VELOCITY = slice(0, 3)
-PELVIS_ANGULAR_VELOCITY = slice(3, 6)
+PELVIS_POSITION: Final = slice(0, 3)
+PELVIS_ORIENTATION: Final = slice(3, 7)
+PELVIS_VELOCITY: Final = slice(0, 3)
+PELVIS_ANGULAR_VELOCITY: Final = slice(3, 6)
+
+_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+_HIP = 2  # depth of a leg's first joint: world, pelvis, hip
 
 
 @dataclass(frozen=True)
-class ForwardKinematics:
-    """Where the feet are in n configurations, world frame; left before right."""
+class LegState:
+    """Feet and loops of both legs in n configurations; the axis of 2 is left, right.
 
-    foot_position: np.ndarray
+    Jacobians are with respect to the k velocities of the leg, `Kinematics.leg_v`.
+    """
+
+    position: np.ndarray
     """(n, 2, 3) centres of the soles [m]."""
-    foot_rotation: np.ndarray
+    rotation: np.ndarray
     """(n, 2, 3, 3) sole to world."""
-    loop_gap: np.ndarray
-    """(n, 4, 3) what each loop lacks to be closed [m], in the order of `CassieKinematics.loops`."""
-    centre_of_mass: np.ndarray
-    """(n, 3) [m]."""
+    jacobian: np.ndarray
+    """(n, 2, 6, k) of the sole's linear and angular velocity, world axes."""
+    closure: np.ndarray
+    """(n, 2, c) zero where the loops are closed: the three coordinates of each loop's gap [m], then
+    for each rod on a ball joint the sine of half its turn about itself, which is free."""
+    closure_jacobian: np.ndarray
+    """(n, 2, c, k)."""
 
 
-class CassieKinematics:
-    """Pinocchio's model of Cassie with its four loops.
+@dataclass(frozen=True)
+class _Rod:
+    """A body between a ball joint and a loop's end, which nothing keeps from spinning."""
+
+    quaternion: np.ndarray
+    """(4,) where its orientation is in a configuration, xyzw."""
+    columns: np.ndarray
+    """(3,) where its angular velocity is among those of its leg."""
+    axis: np.ndarray
+    """(3,) unit vector from end to end, own frame."""
+
+
+class Kinematics:
+    """Pinocchio's model of a biped whose legs may hold closed loops and springs.
 
     Attributes:
         model: the Pinocchio model.
-        loops: its four point constraints.
-        legs: geometry of both legs for the batched solver.
-        lower_limit: (35,) lowest `qpos`; -inf where there is no limit.
-        upper_limit: (35,) highest `qpos`.
-        motor_q: (10,) where the motors are in `qpos`, in motor order.
-        motor_v: (10,) the same in `qvel`.
-        hinge_q: (2, 8) where the legs' hinges (`aslip.ik.leg.JOINTS`) are in `qpos`.
-        hinge_v: (2, 8) the same in `qvel`.
-        ball_q: (2, 4) where the Achilles rods' quaternions are in `qpos`.
-        ball_v: (2, 3) where their angular velocities are in `qvel`.
+        start: (nq,) configuration of the MJCF's keyframe "standing", pelvis at the origin.
+        motor_q: (motors,) where the motors are in `qpos`, in motor order.
+        motor_v: (motors,) where they are in `qvel`.
+        leg_q: (2, k) where the angles of each leg are in `qpos`, springs left out; three entries
+            of the quaternion stand for a ball joint.
+        leg_v: (2, k) where their velocities are in `qvel`.
+        leg_motors: (2, m) which of the k are motors, in motor order.
+        leg_joints: (2, k) names of their joints.
+        loop_rows: first rows of `LegState.closure`, which are the gaps of loops.
+        hips: (2, 3) first joint of each leg, pelvis frame [m].
+        lower: (2, k) least angles; -inf where there is no limit.
+        upper: (2, k) largest angles.
     """
 
     def __init__(self, path: Path | None = None) -> None:
-        """Read an MJCF of Cassie, the one that ships with the package by default.
+        """Read an MJCF, the shipped one by default.
 
         Raises:
             AssetError: the shipped file is missing.
         """
         path = asset_path("cassie.xml") if path is None else path
-        self.model, self.loops = read_mjcf(path)
+        self.model, loops, _ = pin.buildModelAndConstraintsFromMJCF(str(path))
         self._data = self.model.createData()
-        self.legs = LegGeometry.from_model(self.model, self.loops)
+        self._feet = [
+            self.model.getFrameId(foot_site(side), pin.FrameType.OP_FRAME) for side in SIDES
+        ]
+        self.start = np.array(self.model.referenceConfigurations["standing"])
+        self.start[PELVIS_POSITION], self.start[PELVIS_ORIENTATION] = 0, (0, 0, 0, 1)
         self._index_joints()
-        self.lower_limit = self._limit(self.model.lowerPositionLimit, -np.inf)
-        self.upper_limit = self._limit(self.model.upperPositionLimit, np.inf)
+        self._read_limits()
+        self._read_loops(loops)
 
     def _index_joints(self) -> None:
         """Resolve every index once, by name."""
-        q, v, width = (list(x) for x in (self.model.idx_qs, self.model.idx_vs, self.model.nqs))
-        ids = {name: self.model.getJointId(name) for name in self.model.names}
-        self._hinges = [q[joint] for joint in ids.values() if width[joint] == 1]
-        self.motor_q = _frozen([q[ids[name]] for name in MOTOR_NAMES])
-        self.motor_v = _frozen([v[ids[name]] for name in MOTOR_NAMES])
-        hinges = [[ids[f"{side}_{joint}"] for joint in JOINTS] for side in SIDES]
-        self.hinge_q = _frozen([[q[joint] for joint in leg] for leg in hinges])
-        self.hinge_v = _frozen([[v[joint] for joint in leg] for leg in hinges])
-        balls = [ids[f"{side}_achilles_rod"] for side in SIDES]
-        self.ball_q = _frozen([q[ball] + np.arange(4) for ball in balls])
-        self.ball_v = _frozen([v[ball] + np.arange(3) for ball in balls])
-        self._wxyz_to_xyzw = np.arange(self.model.nq)
-        for slots in (np.arange(self.model.nq)[PELVIS_ORIENTATION], *self.ball_q):
+        model = self.model
+        q, v, width = (list(x) for x in (model.idx_qs, model.idx_vs, model.nvs))
+        motors = [model.getJointId(name) for name in MOTOR_NAMES]
+        self.motor_q = np.array([q[joint] for joint in motors])
+        self.motor_v = np.array([v[joint] for joint in motors])
+        hips = [model.supports[model.frames[foot].parentJoint][_HIP] for foot in self._feet]
+        springs = [model.getJointId(name) for name in SPRING_NAMES]
+        self._joints = [[j for j in model.subtrees[hip] if j not in springs] for hip in hips]
+        self.leg_q, self.leg_v = (
+            np.array(
+                [np.concatenate([first[j] + np.arange(width[j]) for j in leg]) for leg in legs]
+            )
+            for first, legs in ((q, self._joints), (v, self._joints))
+        )
+        self.leg_joints = [
+            [model.names[j] for j in leg for _ in range(width[j])] for leg in self._joints
+        ]
+        self.hips = np.array([model.jointPlacements[hip].translation for hip in hips])
+        self.leg_motors = np.array(
+            [
+                [list(leg).index(motor) for motor in self.motor_v if motor in leg]
+                for leg in self.leg_v
+            ]
+        )
+        balls = [q[j] for leg in self._joints for j in leg if model.nqs[j] > width[j]]
+        self._wxyz_to_xyzw = np.arange(model.nq)
+        for first in (PELVIS_ORIENTATION.start, *balls):
+            slots = np.arange(first, first + 4)
             self._wxyz_to_xyzw[slots] = np.roll(slots, -1)
         self._xyzw_to_wxyz = np.argsort(self._wxyz_to_xyzw)
 
-    def _limit(self, limit: np.ndarray, unlimited: float) -> np.ndarray:
-        """(35,) limits of the hinges; Pinocchio's bounds on quaternions are no limits."""
-        result = np.full(self.model.nq, unlimited)
-        result[self._hinges] = limit[self._hinges]
-        result.setflags(write=False)
-        return result
+    def _read_limits(self) -> None:
+        """Read the limits of the legs' hinges.
+
+        Pinocchio 4.1 measures angles from a joint's `ref`, as MuJoCo does, yet subtracts the `ref`
+        from the limits. It bounds the quaternions of ball joints, too, which is no limit.
+        """
+        model, reference = self.model, self.model.referenceConfigurations["qpos0"]
+        hinge = np.isin(
+            self.leg_q, [model.idx_qs[j] for j in range(model.njoints) if model.nqs[j] == 1]
+        )
+        lower, upper = (
+            (limit + reference)[self.leg_q]
+            for limit in (model.lowerPositionLimit, model.upperPositionLimit)
+        )
+        self.lower, self.upper = np.where(hinge, lower, -np.inf), np.where(hinge, upper, np.inf)
+
+    def _read_loops(self, loops: Sequence[pin.PointAnchorConstraintModel]) -> None:
+        """Sort the loops by leg, and find the rods that they leave to spin."""
+        self.loop_rows = 3 * len(loops) // len(SIDES)
+        self._loops = [
+            [(loop, loop.createData()) for loop in loops if loop.joint1_id in leg]
+            for leg in self._joints
+        ]
+        self._rods = [
+            [self._rod(leg_v, loop) for loop, _ in leg if self.model.nvs[loop.joint1_id] == 3]
+            for leg_v, leg in zip(self.leg_v, self._loops, strict=True)
+        ]
+
+    def _rod(self, leg_v: np.ndarray, loop: pin.PointAnchorConstraintModel) -> _Rod:
+        ball, end = loop.joint1_id, np.array(loop.joint1_placement.translation)
+        velocity = self.model.idx_vs[ball] + np.arange(3)
+        return _Rod(
+            quaternion=self.model.idx_qs[ball] + np.arange(4),
+            columns=np.flatnonzero(np.isin(leg_v, velocity)),
+            axis=end / np.linalg.norm(end),
+        )
 
     def to_pinocchio(self, qpos: np.ndarray) -> np.ndarray:
-        """Pinocchio's configuration (..., 35) of MuJoCo's `qpos` (..., 35)."""
+        """Pinocchio's configuration (..., nq) of MuJoCo's `qpos` (..., nq)."""
         return qpos[..., self._wxyz_to_xyzw]
 
     def to_mujoco(self, configuration: np.ndarray) -> np.ndarray:
-        """MuJoCo's `qpos` (..., 35) of Pinocchio's configuration (..., 35)."""
+        """MuJoCo's `qpos` (..., nq) of Pinocchio's configuration (..., nq)."""
         return configuration[..., self._xyzw_to_wxyz]
 
-    def velocity_to_pinocchio(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Pinocchio's velocity (..., 32) of MuJoCo's `qvel` (..., 32) at `qpos` (..., 35)."""
-        velocity = np.array(qvel, dtype=np.float64)
-        velocity[..., PELVIS_VELOCITY] = rotate_back(
-            _pelvis_to_world(qpos), velocity[..., PELVIS_VELOCITY]
+    def legs(self, configuration: np.ndarray) -> LegState:
+        """Feet and loops of Pinocchio's configurations (n, nq).
+
+        A configuration costs a dozen calls of Pinocchio, 15 microseconds in all: less than the
+        algebra that follows, so that there is no compiled path beside it.
+        """
+        n, sides = len(configuration), len(SIDES)
+        position, rotation = np.empty((n, sides, 3)), np.empty((n, sides, 3, 3))
+        jacobian = np.empty((n, sides, 6, self.model.nv))
+        gap = np.empty((n, sides, self.loop_rows))
+        gap_jacobian = np.empty((n, sides, self.loop_rows, self.model.nv))
+        model, data = self.model, self._data
+        for i, q in enumerate(configuration):
+            pin.computeJointJacobians(model, data, q)
+            for side, foot in enumerate(self._feet):
+                placement = pin.updateFramePlacement(model, data, foot)
+                position[i, side], rotation[i, side] = placement.translation, placement.rotation
+                jacobian[i, side] = pin.getFrameJacobian(model, data, foot, _AXES)
+                for j, (loop, loop_data) in enumerate(self._loops[side]):
+                    loop.calc(model, data, loop_data)
+                    rows = slice(3 * j, 3 * j + 3)
+                    gap[i, side, rows] = loop_data.constraint_position_error
+                    gap_jacobian[i, side, rows] = loop.jacobian(model, data, loop_data)
+        spin, spin_jacobian = self._spin(configuration)
+        return LegState(
+            position,
+            rotation,
+            self._own(jacobian),
+            np.concatenate((gap, spin), axis=-1),
+            np.concatenate((self._own(gap_jacobian), spin_jacobian), axis=-2),
         )
-        return velocity
 
-    def velocity_to_mujoco(self, qpos: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """MuJoCo's `qvel` (..., 32) of Pinocchio's velocity (..., 32) at `qpos` (..., 35)."""
-        qvel = np.array(velocity, dtype=np.float64)
-        qvel[..., PELVIS_VELOCITY] = rotate(_pelvis_to_world(qpos), qvel[..., PELVIS_VELOCITY])
-        return qvel
+    def _own(self, jacobian: np.ndarray) -> np.ndarray:
+        """Columns of each leg's own velocities, (n, 2, r, nv) -> (n, 2, r, k)."""
+        return np.stack([jacobian[:, i][..., v] for i, v in enumerate(self.leg_v)], axis=1)
 
-    def forward(self, qpos: np.ndarray) -> ForwardKinematics:
-        """Feet, loops and centre of mass of configurations (n, 35), each evaluated by Pinocchio.
+    def _spin(self, configuration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Turn of the rods about themselves (n, 2, b) and its Jacobian (n, 2, b, k)."""
+        shape = len(configuration), len(SIDES), len(self._rods[0])
+        spin, jacobian = np.empty(shape), np.zeros((*shape, self.leg_v.shape[1]))
+        for side, rods in enumerate(self._rods):
+            for j, rod in enumerate(rods):
+                quaternion = configuration[:, rod.quaternion]
+                vector, scalar = quaternion[:, :3], quaternion[:, 3:]
+                spin[:, side, j] = vector @ rod.axis
+                rate = (scalar * rod.axis + cross(rod.axis, vector)) / 2
+                jacobian[:, side, j, rod.columns] = rate
+        return spin, jacobian
+
+    def integrate(self, configuration: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Configurations (n, nq) after the legs' velocities (n, 2, k) have acted for 1 s."""
+        velocity = np.zeros((len(configuration), self.model.nv))
+        velocity[:, self.leg_v] = step
+        pairs = zip(configuration, velocity, strict=True)
+        return np.array([pin.integrate(self.model, q, v) for q, v in pairs])
+
+    def centre_of_mass(self, qpos: np.ndarray) -> np.ndarray:
+        """Centre of mass (3,) of the configuration `qpos` (nq,), world frame [m].
 
         Raises:
-            ShapeError: `qpos` is not (n, 35).
+            ShapeError: `qpos` is not (nq,).
         """
-        feet, gaps, centres = [], [], []
-        for configuration in self._configurations(qpos):
-            centres.append(pin.centerOfMass(self.model, self._data, configuration).copy())
-            feet.append([self._sole(side) for side in SIDES])
-            gaps.append([self._gap(loop) for loop in self.loops])
-        position, rotation = ([[foot[i] for foot in pair] for pair in feet] for i in range(2))
-        return ForwardKinematics(
-            foot_position=np.array(position).reshape(-1, len(SIDES), 3),
-            foot_rotation=np.array(rotation).reshape(-1, len(SIDES), 3, 3),
-            loop_gap=np.array(gaps).reshape(-1, len(self.loops), 3),
-            centre_of_mass=np.array(centres).reshape(-1, 3),
-        )
-
-    def mass_matrix(self, qpos: np.ndarray) -> np.ndarray:
-        """Joint-space inertia (n, 32, 32) with armature, for MuJoCo's `qvel`.
-
-        Raises:
-            ShapeError: `qpos` is not (n, 35).
-        """
-        matrices = []
-        for configuration, pelvis_to_world in zip(
-            self._configurations(qpos), _pelvis_to_world(qpos), strict=True
-        ):
-            matrix = pin.crba(self.model, self._data, configuration, pin.Convention.WORLD)
-            # kinetic energy is the same in both conventions: v = S qvel, M_mujoco = S^T M S
-            change = np.eye(self.model.nv)
-            change[PELVIS_VELOCITY, PELVIS_VELOCITY] = pelvis_to_world.T
-            full = np.triu(matrix) + np.triu(matrix, 1).T
-            matrices.append(change.T @ full @ change)
-        return np.array(matrices).reshape(-1, self.model.nv, self.model.nv)
-
-    def _configurations(self, qpos: np.ndarray) -> np.ndarray:
-        if np.ndim(qpos) != 2 or np.shape(qpos)[1] != self.model.nq:
-            raise ShapeError(f"qpos must have shape (n, {self.model.nq}), got {np.shape(qpos)}")
-        return self.to_pinocchio(qpos)
-
-    def _sole(self, side: Side) -> tuple[np.ndarray, np.ndarray]:
-        frame = self.model.getFrameId(foot_site(side), pin.FrameType.OP_FRAME)
-        placement = pin.updateFramePlacement(self.model, self._data, frame)
-        return placement.translation.copy(), placement.rotation.copy()
-
-    def _gap(self, loop: pin.PointAnchorConstraintModel) -> np.ndarray:
-        first, second = self._data.oMi[loop.joint1_id], self._data.oMi[loop.joint2_id]
-        return first.act(loop.joint1_placement.translation) - second.act(
-            loop.joint2_placement.translation
-        )
-
-
-def _pelvis_to_world(qpos: np.ndarray) -> np.ndarray:
-    return quaternion_to_matrix(qpos[..., PELVIS_ORIENTATION])
-
-
-def _frozen(indices: list) -> np.ndarray:
-    array = np.array(indices)
-    array.setflags(write=False)
-    return array
+        if qpos.shape != (self.model.nq,):
+            raise ShapeError(f"qpos must have shape ({self.model.nq},), got {qpos.shape}")
+        return np.array(pin.centerOfMass(self.model, self._data, self.to_pinocchio(qpos)))

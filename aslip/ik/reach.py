@@ -1,102 +1,68 @@
-"""Says why a leg cannot reach: by how much it misses, and which joint limit stops it."""
+"""Why a leg cannot reach: by how much it misses, and which joint limits stop it."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from aslip.errors import UnreachablePoseError
-from aslip.ik.equations import EQUATIONS, LOOPS, POSITION, Equations
-from aslip.ik.leg import JOINTS, KNEE, TARSUS, LegGeometry
-from aslip.ik.newton import MAX_STEP, LegAngles, guess
+from aslip.ik.equations import POSITION, Equations
+from aslip.ik.kinematics import Kinematics
 from aslip.ik.target import FootMotion
 from aslip.robot import SIDES
 
-_STEPS = 50
-_SINGULAR = 1e-9
-
-# closed loops come first; the last row is how far the toes are from pointing forward, without which
-# backward would do as well
-_WEIGHT = np.ones(EQUATIONS + 1)
-_WEIGHT[LOOPS] = 1e3
+_LOOP_WEIGHT = 1e3  # loops are closed first
+_DIRECTION_WEIGHT = 0.3  # a miss by 1 rad is as bad as one by 0.3 m
+_ALONG = 0.9  # cosine between the leg and the miss beyond which the leg's length is at fault
 
 
-def check_reach(legs: LegGeometry, found: LegAngles, feet: FootMotion) -> None:
-    """Pass if every leg reaches its target within the joint limits.
-
-    Raises:
-        UnreachablePoseError: one does not; the message tells the first such pose, the foot, the
-            distance it misses by, and what stops it.
-    """
-    beyond = (found.angle < legs.lower) | (found.angle > legs.upper)
-    failed = ~found.solved | beyond.any(axis=-1)
-    if not failed.any():
-        return
-    pose, side = (int(i) for i in np.unravel_index(failed.argmax(), failed.shape))
-    closest, stopped = _closest(legs, feet.position[[pose]], feet.rotation[[pose]], side)
-    raise UnreachablePoseError(
-        f"pose {pose}: the {SIDES[side]} foot misses its target by "
-        f"{np.linalg.norm(closest.residual[0, side, POSITION]):.4f} m and its direction by "
-        f"{closest.toe_angle()[0, side]:.4f} rad: "
-        f"{_reason(legs, closest.angle[0, side], stopped, side)}"
+def unreachable(
+    kinematics: Kinematics, feet: FootMotion, pose: int, side: int
+) -> UnreachablePoseError:
+    """Error that tells the pose, the foot, the distance that it misses by, and what stops it."""
+    target = feet.take([pose])
+    closest, held = _closest(kinematics, target, side)
+    miss = -closest.residual[0, side, POSITION]
+    reasons = [
+        f"{name} at its limit {limit:.4f} rad ({np.rad2deg(limit):.4g} deg)"
+        for name, limit in held.items()
+    ]
+    leg = target.position[0, side] - kinematics.hips[side]
+    along = miss @ leg / max(np.linalg.norm(miss) * np.linalg.norm(leg), np.finfo(float).tiny)
+    if reasons and abs(along) > _ALONG:
+        reasons.insert(0, f"leg fully {'stretched' if along > 0 else 'bent'}")
+    direction = closest.toe_angle()[0, side]
+    return UnreachablePoseError(
+        f"pose {pose}: the {SIDES[side]} foot misses its target by {np.linalg.norm(miss):.4f} m "
+        f"and its direction by {direction:.4f} rad: "
+        f"{', '.join(reasons) or 'its loops cannot be closed there'}"
     )
 
 
 def _closest(
-    legs: LegGeometry, position: np.ndarray, rotation: np.ndarray, side: int
-) -> tuple[Equations, np.ndarray]:
-    """What one leg can do within its limits for one target, by Gauss-Newton.
+    kinematics: Kinematics, target: FootMotion, side: int
+) -> tuple[Equations, dict[str, float]]:
+    """Equations where one leg comes closest to one target, and the joint limits that it is at."""
+    start = kinematics.start[None]
 
-    Returns:
-        The equations there, and which of its hinges (8,) stay at a limit (bool).
-    """
-    lower, upper = legs.lower[side], legs.upper[side]
-    angle = guess(legs, position, rotation)
-    angle[0, side] = np.clip(angle[0, side], lower, upper)
-    stopped = np.zeros(len(JOINTS), dtype=bool)
-    for _ in range(_STEPS):
-        equations = Equations.at(legs, angle, position, rotation)
-        step, stopped = _bounded_step(
-            _WEIGHT * np.append(equations.residual[0, side], equations.toes_forward()[0, side] - 1),
-            _WEIGHT[:, None]
-            * np.vstack([equations.jacobian()[0, side], equations.toes_jacobian()[0, side, :1]]),
-            lower - angle[0, side],
-            upper - angle[0, side],
-        )
-        angle[0, side] += step * MAX_STEP / max(MAX_STEP, np.abs(step).max())
-    at_limit = np.isclose(angle[0, side], lower) | np.isclose(angle[0, side], upper)
-    return Equations.at(legs, angle, position, rotation), stopped & at_limit
+    def at(change: np.ndarray) -> Equations:
+        step = np.zeros(kinematics.leg_v.shape)
+        step[side] = change
+        return Equations.at(kinematics, kinematics.integrate(start, step[None]), target)
 
+    def residual(change: np.ndarray) -> np.ndarray:
+        equations = at(change)
+        weight = np.full(equations.residual.shape[-1], _LOOP_WEIGHT)
+        weight[POSITION], weight[equations.direction] = 1, _DIRECTION_WEIGHT
+        # toes that point backward miss by as much to the side and up as toes that point forward
+        backward = _DIRECTION_WEIGHT * (equations.sole_to_target[0, side, 0, 0] - 1)
+        return np.append(weight * equations.residual[0, side], backward)
 
-def _bounded_step(
-    residual: np.ndarray, jacobian: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares step (8,) within bounds, and which elements (8,) a bound holds.
-
-    Elements that would leave their bounds are held there one after the other, worst first, while
-    the others make up for it.
-    """
-    step = np.zeros(len(JOINTS))
-    held = np.zeros(len(JOINTS), dtype=bool)
-    while not held.all():
-        rest = residual + jacobian[:, held] @ step[held]
-        step[~held] = -np.linalg.lstsq(jacobian[:, ~held], rest, rcond=_SINGULAR)[0]
-        beyond = np.where(held, 0, np.maximum(lower - step, step - upper))
-        worst = beyond.argmax()
-        if beyond[worst] <= 0:
-            break
-        held[worst] = True
-        step[worst] = np.clip(step[worst], lower[worst], upper[worst])
-    return step, held
-
-
-def _reason(legs: LegGeometry, angle: np.ndarray, stopped: np.ndarray, side: int) -> str:
-    """What keeps a leg with hinges at `angle` (8,) from coming closer."""
-    reasons = [
-        f"{SIDES[side]}_{JOINTS[joint]} at its limit {angle[joint]:.4f} rad "
-        f"({np.rad2deg(angle[joint]):.4g} deg)"
-        for joint in np.flatnonzero(stopped)
-    ]
-    if stopped[KNEE] or stopped[TARSUS]:
-        middle = (legs.lower[side, KNEE] + legs.upper[side, KNEE]) / 2
-        reasons.insert(0, f"leg fully {'stretched' if angle[KNEE] > middle else 'bent'}")
-    return ", ".join(reasons) or "its loops cannot be closed there"
+    angle = kinematics.start[kinematics.leg_q[side]]
+    lower, upper = kinematics.lower[side], kinematics.upper[side]
+    found = least_squares(
+        residual, np.zeros(len(angle)), bounds=(lower - angle, upper - angle), x_scale="jac"
+    )
+    limit = np.where(found.active_mask < 0, lower, upper)
+    held = np.flatnonzero(found.active_mask)
+    return at(found.x), {kinematics.leg_joints[side][i]: float(limit[i]) for i in held}

@@ -1,37 +1,32 @@
-"""Pelvis and foot targets -> configuration, velocity and motor angles of Cassie."""
+"""Pelvis and foot targets -> configuration, velocity and motor angles."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from aslip.ik.equations import (
-    ACHILLES,
-    POSITION,
-    TOES,
-    Equations,
-    achilles_rod,
-    achilles_rod_rate,
-    plantar_gap,
-)
+from aslip.ik.equations import POSITION, Equations, least_squares
 from aslip.ik.kinematics import (
     PELVIS_ANGULAR_VELOCITY,
     PELVIS_ORIENTATION,
     PELVIS_POSITION,
     PELVIS_VELOCITY,
-    CassieKinematics,
+    Kinematics,
 )
-from aslip.ik.newton import solve_legs
-from aslip.ik.reach import check_reach
-from aslip.ik.rotation import (
-    cross,
-    quaternion_to_matrix,
-    rotate_back,
-    shortest_rotation,
-    shortest_rotation_rate,
-)
+from aslip.ik.reach import unreachable
 from aslip.ik.target import BodyTarget, FootMotion, Motion
+from aslip.robot.rotation import quaternion_to_matrix, rotate_back
+
+TOLERANCE: Final = 1e-13
+"""Largest residual of a solved pose [m, rad]: rounding leaves a few 1e-16."""
+
+MAX_ITERATIONS: Final = 20
+"""Newton takes four to six steps to a pose of walking; more than these, and it is out of reach."""
+
+MAX_STEP: Final = 0.8
+"""Largest change of an angle in one step [rad]."""
 
 
 @dataclass(frozen=True)
@@ -51,35 +46,31 @@ class IkSolution:
     """Configurations of the robot at n instants, in MuJoCo's conventions."""
 
     qpos: np.ndarray
-    """(n, 35)."""
+    """(n, nq)."""
     qvel: np.ndarray
-    """(n, 32)."""
+    """(n, nv)."""
     motor_position: np.ndarray
-    """(n, 10) [rad], motor order."""
+    """(n, motors) [rad], motor order."""
     motor_velocity: np.ndarray
-    """(n, 10) [rad/s], motor order."""
-    sole_roll: np.ndarray
-    """(n, 2) turn of each sole about its toe axis away from the target's [rad], left first."""
+    """(n, motors) [rad/s], motor order."""
     residual: IkResidual
-    iterations: int
-    """Newton steps of the slowest leg."""
 
 
 def solve(
-    kinematics: CassieKinematics, pelvis: BodyTarget, left_foot: BodyTarget, right_foot: BodyTarget
+    kinematics: Kinematics, pelvis: BodyTarget, left_foot: BodyTarget, right_foot: BodyTarget
 ) -> IkSolution:
-    """Configurations with the pelvis and both feet where they are wanted, springs at rest.
+    """Configurations with the pelvis and both feet at their targets, springs at rest.
 
-    A leg has five motors: it places the centre of the sole and points its toes, in yaw and pitch.
-    The sole's roll about its toe axis then follows from the lean of the leg, and is reported.
-    Velocities follow the targets' and keep the loops closed and the springs at rest. Loops are
-    closed to rounding. Each pose is solved on its own, bit for bit the same in any batch.
+    Newton's method from the standing pose. A leg with five motors places the centre of the sole and
+    points its toes, in yaw and pitch; the sole's roll about its toe axis follows from the lean of
+    the leg. Velocities follow the targets' and keep the loops closed and the springs at rest. Loops
+    are closed to rounding. Each pose is solved on its own, bit for bit the same in any batch.
 
     Args:
         kinematics: the robot.
         pelvis: n poses, world frame.
         left_foot: n poses of the centre of the left sole, world frame.
-        right_foot: the same for the right.
+        right_foot: n poses of the centre of the right sole, world frame.
 
     Raises:
         UnreachablePoseError: a foot cannot get to its target within the joint limits.
@@ -90,76 +81,78 @@ def solve(
     left = Motion.from_target("left_foot", left_foot, count)
     right = Motion.from_target("right_foot", right_foot, count)
     feet = FootMotion.relative(Motion.stack(left, right), base)
-    legs = solve_legs(kinematics.legs, feet.position, feet.rotation)
-    check_reach(kinematics.legs, legs, feet)
-    equations = Equations.at(kinematics.legs, legs.angle, feet.position, feet.rotation)
-    qpos, qvel = _whole_body(kinematics, base, equations, _hinge_rate(equations, feet))
+    configuration, solved = newton(kinematics, feet)
+    angle = configuration[:, kinematics.leg_q]
+    inside = ((kinematics.lower <= angle) & (angle <= kinematics.upper)).all(-1)
+    if not (solved & inside).all():
+        pose, side = (int(i) for i in np.argwhere(~(solved & inside))[0])
+        raise unreachable(kinematics, feet, pose, side)
+    equations = Equations.at(kinematics, configuration, feet)
+    qpos, qvel = _whole_body(kinematics, base, configuration, _leg_velocity(equations, feet))
     return IkSolution(
         qpos=qpos,
         qvel=qvel,
         motor_position=qpos[:, kinematics.motor_q],
         motor_velocity=qvel[:, kinematics.motor_v],
-        sole_roll=_sole_roll(equations),
-        residual=_largest_residual(equations),
-        iterations=legs.iterations,
+        residual=_largest_residual(kinematics, equations),
     )
 
 
-def _hinge_rate(equations: Equations, feet: FootMotion) -> np.ndarray:
-    """(n, 2, 8) hinge rates [rad/s] that keep the residual at zero while the targets move."""
-    drift = np.zeros_like(equations.residual)
-    drift[..., POSITION] = feet.velocity
-    toe_rate = cross(feet.angular_velocity, feet.rotation[..., 0])
-    drift[..., TOES] = rotate_back(feet.rotation, toe_rate)[..., 1:]
-    return np.linalg.solve(equations.jacobian(), drift[..., None])[..., 0]
+def newton(kinematics: Kinematics, feet: FootMotion) -> tuple[np.ndarray, np.ndarray]:
+    """Solve the equations of both legs for all poses at once, whatever the joint limits.
+
+    Returns:
+        Pinocchio's configurations (n, nq), pelvis at the origin, and which legs (n, 2) are solved.
+    """
+    count = len(feet.position)
+    configuration = np.tile(kinematics.start, (count, 1))
+    solved = np.zeros((count, 2), dtype=bool)
+    left = np.arange(count)
+    for iteration in range(MAX_ITERATIONS + 1):
+        equations = Equations.at(kinematics, configuration[left], feet.take(left))
+        solved[left] = equations.solved(TOLERANCE)
+        open_ = ~solved[left].all(-1)
+        left = left[open_]
+        if not len(left) or iteration == MAX_ITERATIONS:
+            break
+        step = -least_squares(equations.jacobian[open_], equations.residual[open_][..., None])[
+            ..., 0
+        ]
+        step *= MAX_STEP / np.maximum(np.abs(step).max(-1, keepdims=True), MAX_STEP)
+        configuration[left] = kinematics.integrate(configuration[left], step)
+    return configuration, solved
+
+
+def _leg_velocity(equations: Equations, feet: FootMotion) -> np.ndarray:
+    """(n, 2, k) velocities that keep the residual at zero while the targets move."""
+    drift = np.zeros((*equations.residual.shape, 1))
+    drift[..., POSITION, 0] = feet.velocity
+    drift[..., equations.direction, :] = equations.turn @ feet.angular_velocity[..., None]
+    return least_squares(equations.jacobian, drift)[..., 0]
 
 
 def _whole_body(
-    kinematics: CassieKinematics, base: Motion, equations: Equations, rate: np.ndarray
+    kinematics: Kinematics, base: Motion, configuration: np.ndarray, leg_velocity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`qpos` (n, 35) and `qvel` (n, 32) of a pelvis motion, hinge angles and hinge rates."""
-    model, count = kinematics.model, len(rate)
-    rod, rod_rate = _rod_motion(equations, rate)
-    configuration, velocity = np.zeros((count, model.nq)), np.zeros((count, model.nv))
-    configuration[:, kinematics.hinge_q] = equations.angle
-    velocity[:, kinematics.hinge_v] = rate
-    velocity[:, kinematics.ball_v] = rod_rate
+    """`qpos` (n, nq) and `qvel` (n, nv) of a pelvis motion and what the legs do below it."""
     qpos = kinematics.to_mujoco(configuration)
     qpos[:, PELVIS_POSITION] = base.position
     qpos[:, PELVIS_ORIENTATION] = base.orientation
-    qpos[:, kinematics.ball_q] = rod
-    velocity[:, PELVIS_VELOCITY] = base.velocity
-    velocity[:, PELVIS_ANGULAR_VELOCITY] = rotate_back(
+    qvel = np.zeros((len(qpos), kinematics.model.nv))
+    qvel[:, kinematics.leg_v] = leg_velocity
+    qvel[:, PELVIS_VELOCITY] = base.velocity
+    qvel[:, PELVIS_ANGULAR_VELOCITY] = rotate_back(
         quaternion_to_matrix(base.orientation), base.angular_velocity
     )
-    return qpos, velocity
+    return qpos, qvel
 
 
-def _rod_motion(equations: Equations, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Quaternion (n, 2, 4) and body-frame angular velocity (n, 2, 3) of the Achilles rods.
+def _largest_residual(kinematics: Kinematics, equations: Equations) -> IkResidual:
+    def largest(lengths: np.ndarray) -> float:
+        return float(lengths.max(initial=0))
 
-    Nothing fixes a rod's turn about itself: it is the one that is not twisted from rest.
-    """
-    legs, frames = equations.legs, equations.frames
-    rest = np.broadcast_to(legs.rod / legs.rod_length[:, None], rate[..., :3].shape)
-    rod = achilles_rod(legs, frames)
-    quaternion = shortest_rotation(rest, rod)
-    omega = shortest_rotation_rate(rest, rod, achilles_rod_rate(legs, frames, rate))
-    return quaternion, rotate_back(quaternion_to_matrix(quaternion), omega)
-
-
-def _sole_roll(equations: Equations) -> np.ndarray:
-    _, sole_to_pelvis = equations.legs.sole_frame(equations.frames)
-    target_to_pelvis = equations.target_rotation
-    left = rotate_back(target_to_pelvis, sole_to_pelvis[..., 1])
-    return np.arctan2(left[..., 2], left[..., 1])
-
-
-def _largest_residual(equations: Equations) -> IkResidual:
-    residual = equations.residual
-    gaps = np.linalg.norm(plantar_gap(equations.legs, equations.frames), axis=-1)
     return IkResidual(
-        foot_position=float(np.linalg.norm(residual[..., POSITION], axis=-1).max(initial=0)),
-        toe_direction=float(equations.toe_angle().max(initial=0)),
-        loop=float(np.maximum(gaps, np.abs(residual[..., ACHILLES])).max(initial=0)),
+        foot_position=largest(np.linalg.norm(equations.residual[..., POSITION], axis=-1)),
+        toe_direction=largest(equations.toe_angle()),
+        loop=largest(equations.loop_gap(kinematics)),
     )

@@ -1,47 +1,79 @@
-"""What the motors must exert for the legs to carry a load."""
+"""Standing still: a pose, and the torques that carry a load."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from aslip.errors import ShapeError
-from aslip.ik.equations import ACHILLES, POSITION, Equations
-from aslip.ik.kinematics import PELVIS_ORIENTATION, CassieKinematics
-from aslip.ik.leg import JOINTS, KNEE, MOTORS, TARSUS
-from aslip.ik.rotation import quaternion_to_matrix, rotate_back
+from aslip.errors import ShapeError, UnreachablePoseError
+from aslip.ik.equations import least_squares
+from aslip.ik.kinematics import PELVIS_ORIENTATION, PELVIS_POSITION, Kinematics
+from aslip.ik.solve import IkSolution, solve
+from aslip.ik.target import BodyTarget
+from aslip.robot.rotation import quaternion_to_matrix, rotate_back
+
+_TOLERANCE = 1e-12
+_MAX_ITERATIONS = 50
 
 
-def static_torque(kinematics: CassieKinematics, qpos: np.ndarray, force: np.ndarray) -> np.ndarray:
+def standing_pose(kinematics: Kinematics, height: float = 0.95) -> IkSolution:
+    """One pose (n = 1) with an upright pelvis above the origin and level soles on the floor z = 0.
+
+    The soles are as far apart as in the MJCF's keyframe "standing". Their centres are below the
+    centre of mass, which moves with the legs: a fixed point, found by iteration.
+
+    Args:
+        kinematics: the robot.
+        height: of the pelvis above the floor [m].
+
+    Raises:
+        UnreachablePoseError: the legs are too short or too long for that height.
+    """
+    pelvis = BodyTarget(np.array([[0.0, 0.0, height]]))
+    lateral = kinematics.legs(kinematics.start[None]).position[0, :, 1]
+    forward = 0.0
+    for _ in range(_MAX_ITERATIONS):
+        feet = [BodyTarget(np.array([[forward, y, 0.0]])) for y in lateral]
+        solution = solve(kinematics, pelvis, *feet)
+        centre = float(kinematics.centre_of_mass(solution.qpos[0])[0])
+        if abs(centre - forward) < _TOLERANCE:
+            return solution
+        forward = centre
+    raise UnreachablePoseError(f"no standing pose found at height {height!r}")
+
+
+def static_torque(kinematics: Kinematics, qpos: np.ndarray, force: np.ndarray) -> np.ndarray:
     r"""Motor torques that balance forces of the ground on the soles, by virtual work.
 
     .. math:: \tau = -J^T F
 
-    with the Jacobian of the soles' centres in the pelvis frame. Springs are rigid, as in the
-    inverse kinematics, so that the Achilles rod makes the tarsus follow the knee; the weight of the
-    legs is left out.
+    with the Jacobian J of the soles' centres with respect to the motors, pelvis held. Springs are
+    rigid, as in the inverse kinematics, and the other joints follow the motors through the loops;
+    the weight of the legs is left out.
 
     Args:
         kinematics: the robot.
-        qpos: (n, 35) configurations with closed loops.
+        qpos: (n, nq) configurations with closed loops.
         force: (n, 2, 3) on the left and the right sole's centre [N, world].
 
     Returns:
-        (n, 10) torques at the joints [N m], motor order.
+        (n, motors) torques at the joints [N m], motor order.
 
     Raises:
         ShapeError: the arrays do not fit together.
     """
     if qpos.ndim != 2 or force.shape != (len(qpos), 2, 3):
-        raise ShapeError(f"qpos (n, 35) needs force (n, 2, 3), got {qpos.shape}, {force.shape}")
-    angle = qpos[:, kinematics.hinge_q]
-    anywhere = np.zeros_like(force), np.broadcast_to(np.eye(3), (*force.shape, 3))
-    jacobian = Equations.at(kinematics.legs, angle, *anywhere).jacobian()
-    sole = jacobian[..., POSITION, :].copy()
-    rod = jacobian[..., ACHILLES, :]
-    follows = -rod[..., KNEE] / rod[..., TARSUS]
-    sole[..., KNEE] += sole[..., TARSUS] * follows[..., None]
-    pelvis_to_world = quaternion_to_matrix(qpos[:, None, PELVIS_ORIENTATION])
-    local = rotate_back(pelvis_to_world, force)
-    torque = -np.einsum("nsij,nsi->nsj", sole, local)
-    assert torque.shape[-1] == len(JOINTS)
-    return torque[..., MOTORS].reshape(len(qpos), -1)
+        raise ShapeError(f"qpos (n, nq) needs force (n, 2, 3), got {qpos.shape}, {force.shape}")
+    configuration = kinematics.to_pinocchio(qpos)
+    configuration[:, PELVIS_POSITION] = 0
+    configuration[:, PELVIS_ORIENTATION] = kinematics.start[PELVIS_ORIENTATION]
+    legs = kinematics.legs(configuration)
+    local = rotate_back(quaternion_to_matrix(qpos[:, None, PELVIS_ORIENTATION]), force)
+    count = kinematics.leg_motors.shape[1]
+    motors = np.eye(kinematics.leg_v.shape[1])[kinematics.leg_motors]
+    rows = np.broadcast_to(motors, (len(qpos), *motors.shape))
+    constraint = np.concatenate((legs.closure_jacobian, rows), axis=-2)
+    # each motor turns on its own at unit rate, loops stay closed
+    rate = np.eye(constraint.shape[-2])[:, -count:]
+    velocity = least_squares(constraint, np.broadcast_to(rate, (*constraint.shape[:-1], count)))
+    sole = legs.jacobian[..., :3, :] @ velocity
+    return -rotate_back(sole, local).reshape(len(qpos), -1)

@@ -1,4 +1,4 @@
-"""What the inverse kinematics is asked for: where bodies shall be and how they shall move."""
+"""Targets of the inverse kinematics: poses and velocities of the pelvis and the feet."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from aslip.errors import ShapeError, UnreachablePoseError
-from aslip.ik.rotation import cross, quaternion_to_matrix, rotate_back
+from aslip.robot.rotation import cross, quaternion_to_matrix, rotate_back
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 _REST = (0.0, 0.0, 0.0)
@@ -23,16 +23,16 @@ class BodyTarget:
     position: np.ndarray
     """(n, 3) origin of the body [m]."""
     orientation: np.ndarray | None = None
-    """(n, 4) body to world, wxyz; None: level, along the world's x axis."""
+    """(n, 4) body to world, wxyz; level and along the world's x axis by default."""
     velocity: np.ndarray | None = None
-    """(n, 3) of the origin [m/s]; None: at rest."""
+    """(n, 3) velocity of the origin [m/s]; at rest by default."""
     angular_velocity: np.ndarray | None = None
-    """(n, 3) in the world frame [rad/s]; None: not turning."""
+    """(n, 3) in the world frame [rad/s]; zero by default."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A `BodyTarget` that was checked and completed.
+    """`BodyTarget` with every array checked and present.
 
     Leading axes are (n,) for one body and (n, 2) for the feet, left first.
     """
@@ -44,7 +44,13 @@ class Motion:
 
     @classmethod
     def from_target(cls, name: str, target: BodyTarget, count: int | None = None) -> Motion:
-        """Check every array of a target; `count` is the number of instants to be met.
+        """Check and complete a target.
+
+        Args:
+            name: of the body, for messages.
+            target: to be checked.
+            count: number of instants that it must have, if that is given.
+
 
         Raises:
             ShapeError: an array has the wrong shape.
@@ -99,6 +105,10 @@ class FootMotion:
             angular_velocity=rotate_back(pelvis_to_world, feet.angular_velocity - omega),
         )
 
+    def take(self, rows: np.ndarray | list[int]) -> FootMotion:
+        """Select instants."""
+        return FootMotion(*(array[rows] for array in vars(self).values()))
+
 
 def _checked(
     name: str, value: np.ndarray | None, count: int | None, default: tuple[float, ...]
@@ -120,5 +130,5 @@ def _checked(
 def _unit(name: str, quaternion: np.ndarray) -> np.ndarray:
     norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
     if not (norm > 0).all():
-        raise UnreachablePoseError(f"{name}[{int(norm.argmin())}] is zero and turns nothing")
+        raise UnreachablePoseError(f"{name}[{int(norm.argmin())}] is zero: not a rotation")
     return quaternion / norm

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.ik import BodyTarget, CassieKinematics, IkSolution, solve, static_torque
+from aslip.ik import BodyTarget, IkSolution, Kinematics, solve, static_torque
 from aslip.library.file import GaitTable
 from aslip.library.grid import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.rom import Gait, GaitSample, optimize_gaits
@@ -48,7 +48,7 @@ def build_library(
     gaits = optimize_gaits(speeds, progress=progress)
     phase = np.arange(samples) / samples
     motions = [gait.sample(phase) for gait in gaits]
-    kinematics = CassieKinematics()
+    kinematics = Kinematics()
     poses = [_solve_stride(kinematics, motion) for motion in motions]
     torques = [
         static_torque(kinematics, pose.qpos, _ground_force(motion))
@@ -82,7 +82,7 @@ def _ground_force(motion: GaitSample) -> np.ndarray:
     return motion.leg_force[..., None] * leg / np.linalg.norm(leg, axis=-1, keepdims=True)
 
 
-def _solve_stride(kinematics: CassieKinematics, motion: GaitSample) -> IkSolution:
+def _solve_stride(kinematics: Kinematics, motion: GaitSample) -> IkSolution:
     return solve(
         kinematics,
         BodyTarget(motion.body_position, velocity=motion.body_velocity),

@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.ik import BodyTarget, CassieKinematics, solve, static_torque
+from aslip.ik import BodyTarget, Kinematics, solve, static_torque
 from aslip.library.build import PAPER_SPEEDS, PHASE_SAMPLES
 from aslip.library.file import GaitTable
 from aslip.library.library import GaitLibrary
@@ -202,7 +202,7 @@ def _columns(walks: Sequence[PendulumWalk], samples: int) -> dict[str, np.ndarra
     """Columns of a `GaitTable`, a row a walk."""
     phase = np.arange(samples) / samples
     motions = [pendulum_motion(walk, phase) for walk in walks]
-    kinematics = CassieKinematics()
+    kinematics = Kinematics()
     poses = [
         solve(
             kinematics,

@@ -108,32 +108,3 @@ def orientation_to_heading(heading: np.ndarray, quaternion: np.ndarray) -> np.nd
     w, x, y, z = quaternion.T
     turned = (cosine * w + sine * z, cosine * x + sine * y, cosine * y - sine * x)
     return np.stack([*turned, cosine * z - sine * w], axis=-1)
-
-
-def shortest_rotation(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4) that turn unit vectors `start` into `end` without twist."""
-    quaternion = np.concatenate((1 + dot(start, end)[..., None], cross(start, end)), axis=-1)
-    return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-
-
-def shortest_rotation_rate(start: np.ndarray, end: np.ndarray, end_rate: np.ndarray) -> np.ndarray:
-    r"""Angular velocity of `shortest_rotation(start, end)` while `end` moves, frame of `start`.
-
-    .. math:: \omega = b \times \dot b + \tau\,b
-
-    The twist rate :math:`\tau` keeps the quaternion's vector part v normal to :math:`a`: with
-    :math:`\dot v = (w\,\omega + \omega \times v) / 2`, it solves :math:`a \cdot \dot v = 0`.
-
-    Args:
-        start: (..., 3), unit vectors a, constant.
-        end: (..., 3), unit vectors b.
-        end_rate: (..., 3), their rates, normal to b [1/s].
-    """
-    scalar, vector = 1 + dot(start, end)[..., None], cross(start, end)
-
-    def vector_rate_along_start(omega: np.ndarray) -> np.ndarray:
-        return dot(start, scalar * omega + cross(omega, vector))
-
-    swing = cross(end, end_rate)
-    twist_rate = -vector_rate_along_start(swing) / vector_rate_along_start(end)
-    return swing + twist_rate[..., None] * end

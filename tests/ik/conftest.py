@@ -1,4 +1,4 @@
-"""Robot models and a synthetic walking library."""
+"""Models of the robot and poses to solve."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs
@@ -11,15 +11,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.ik import BodyTarget, CassieKinematics
+from aslip.ik import BodyTarget, Kinematics
 from aslip.robot.model import load_model
 
 Targets = tuple[BodyTarget, BodyTarget, BodyTarget]
 
 
 @pytest.fixture(scope="session")
-def kinematics() -> CassieKinematics:
-    return CassieKinematics()
+def kinematics() -> Kinematics:
+    return Kinematics()
 
 
 @pytest.fixture(scope="session")
@@ -28,12 +28,11 @@ def mujoco_model() -> mujoco.MjModel:
 
 
 @pytest.fixture(scope="session")
-def random_qpos(kinematics: CassieKinematics) -> np.ndarray:
-    """(50, 35) configurations anywhere, loops open."""
-    rng = np.random.default_rng(0)
-    qpos = rng.uniform(-3, 3, (50, kinematics.model.nq))
-    for slots in (np.arange(3, 7), *kinematics.ball_q):
-        qpos[:, slots] /= np.linalg.norm(qpos[:, slots], axis=1, keepdims=True)
+def random_qpos(mujoco_model: mujoco.MjModel) -> np.ndarray:
+    """50 configurations anywhere, loops open."""
+    qpos = np.random.default_rng(0).uniform(-3, 3, (50, mujoco_model.nq))
+    for configuration in qpos:
+        mujoco.mj_normalizeQuat(mujoco_model, configuration)
     return qpos
 
 

@@ -1,4 +1,4 @@
-"""What cannot be reached or is malformed is said precisely."""
+"""Messages about targets out of reach and malformed ones."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_missed_direction_is_an_angle(kinematics, turn, least, most):
 
 
 @pytest.mark.parametrize("left", [(0.021, 0.135, 0.85), (0.0, 0.1305, 0.69), (0.0, 0.0, 1e6)])
-def test_degenerate_targets_are_unreachable_like_any_other(kinematics, left):
+def test_degenerate_target_is_unreachable(kinematics, left):
     assert "pose 0: the left foot" in _message(kinematics, left=left)
 
 
@@ -114,7 +114,7 @@ def test_wrong_shape_of_an_orientation_is_named(kinematics):
 
 
 @pytest.mark.parametrize("name", ["velocity", "angular_velocity"])
-def test_values_that_are_not_finite_are_named(kinematics, name):
+def test_non_finite_value_is_named(kinematics, name):
     with pytest.raises(UnreachablePoseError, match=rf"left_foot.{name}\[0\] is not finite"):
         _stand(kinematics, left=(0.0, SIDEWAYS, 0.0), **{name: np.array([[0.0, np.nan, 0.0]])})
 
@@ -124,7 +124,7 @@ def test_zero_quaternion_is_refused(kinematics):
         _stand(kinematics, orientation=np.zeros((1, 4)))
 
 
-def test_length_of_a_quaternion_does_not_matter(kinematics):
+def test_quaternion_is_normalised(kinematics):
     quaternion = _about((0, 0, 1), 0.2)
     one, three = (_stand(kinematics, orientation=scale * quaternion) for scale in (1, 3))
     np.testing.assert_allclose(one.qpos, three.qpos, atol=1e-14)

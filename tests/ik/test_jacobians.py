@@ -1,87 +1,73 @@
-"""Every derivative that is written by hand agrees with finite differences."""
+"""Jacobians against finite differences and MuJoCo."""
+
+# pyright: reportAttributeAccessIssue=false
+# MuJoCo is a compiled module without type stubs
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 
-from aslip.ik.equations import Equations, achilles_rod, achilles_rod_rate
-from aslip.ik.rotation import (
-    quaternion_to_matrix,
-    rotate,
-    shortest_rotation,
-    shortest_rotation_rate,
-)
+from aslip.ik.equations import Equations, least_squares
+from aslip.ik.kinematics import PELVIS_ORIENTATION, PELVIS_POSITION
+from aslip.ik.target import FootMotion
+from aslip.robot import SIDES
+from aslip.robot.rotation import quaternion_to_matrix
 
 STEP = 1e-6
 
 
-@pytest.fixture
-def angle(kinematics) -> np.ndarray:
-    """(20, 2, 8) hinge angles within the limits, loops open."""
-    rng = np.random.default_rng(3)
-    legs = kinematics.legs
-    lower, upper = np.maximum(legs.lower, -3), np.minimum(legs.upper, 3)
-    return rng.uniform(lower, upper, (20, 2, 8))
+@pytest.fixture(scope="module")
+def configuration(kinematics, random_qpos) -> np.ndarray:
+    """(20, nq) with the pelvis at the origin, loops open."""
+    configuration = kinematics.to_pinocchio(random_qpos[:20])
+    configuration[:, PELVIS_POSITION] = 0
+    configuration[:, PELVIS_ORIENTATION] = kinematics.start[PELVIS_ORIENTATION]
+    return configuration
 
 
-def _unit(array: np.ndarray) -> np.ndarray:
-    return array / np.linalg.norm(array, axis=-1, keepdims=True)
-
-
-def test_jacobian_of_the_leg_equations(kinematics, angle):
+def test_jacobian_of_the_equations_is_their_derivative(kinematics, configuration):
     rng = np.random.default_rng(4)
-    position = rng.normal(size=(20, 2, 3))
-    rotation = quaternion_to_matrix(_unit(rng.normal(size=(20, 2, 4))))
-    jacobian = Equations.at(kinematics.legs, angle, position, rotation).jacobian()
-    for joint in range(angle.shape[-1]):
-        step = STEP * np.eye(angle.shape[-1])[joint]
+    quaternion = rng.normal(size=(20, 2, 4))
+    rotation = quaternion_to_matrix(quaternion / np.linalg.norm(quaternion, axis=-1)[..., None])
+    still = np.zeros((20, 2, 3))
+    feet = FootMotion(rng.normal(size=still.shape), rotation, still, still)
+    jacobian = Equations.at(kinematics, configuration, feet).jacobian
+    assert jacobian.shape[-2:] == (12, 11)
+    for joint in range(jacobian.shape[-1]):
+        step = np.zeros((20, *kinematics.leg_v.shape))
+        step[..., joint] = STEP
         ahead, behind = (
-            Equations.at(kinematics.legs, moved, position, rotation).residual
-            for moved in (angle + step, angle - step)
+            Equations.at(kinematics, kinematics.integrate(configuration, sign * step), feet)
+            for sign in (1, -1)
         )
-        numeric = (ahead - behind) / (2 * STEP)
+        numeric = (ahead.residual - behind.residual) / (2 * STEP)
         np.testing.assert_allclose(jacobian[..., joint], numeric, atol=1e-8)
 
 
-def test_rate_of_the_achilles_rod_along_motions_that_keep_its_length(kinematics, angle):
-    legs = kinematics.legs
-    rng = np.random.default_rng(5)
-    rate = rng.normal(size=angle.shape)
-    frames = legs.frames(angle)
-    ahead, behind = (
-        achilles_rod(legs, legs.frames(angle + sign * STEP * rate)) for sign in (1, -1)
-    )
-    numeric = (ahead - behind) / (2 * STEP)
-    rod = achilles_rod(legs, frames)
-    analytic = achilles_rod_rate(legs, frames, rate)
-    # with loops open the rod stretches: compare what is normal to it, at its present length
-    ball = frames.point(2, legs.ball)
-    length = np.linalg.norm(frames.point(4, legs.heel) - ball, axis=-1, keepdims=True)
-    analytic = analytic * legs.rod_length[:, None] / length
-    analytic -= np.sum(analytic * rod, axis=-1, keepdims=True) * rod
-    np.testing.assert_allclose(analytic, numeric, atol=1e-8)
+def test_jacobian_of_the_feet_is_mujocos(kinematics, mujoco_model, configuration):
+    data = mujoco.MjData(mujoco_model)
+    jacobian = kinematics.legs(configuration).jacobian
+    expected = np.zeros((6, mujoco_model.nv))
+    for i, qpos in enumerate(kinematics.to_mujoco(configuration)):
+        data.qpos = qpos
+        mujoco.mj_forward(mujoco_model, data)
+        for side, name in enumerate(SIDES):
+            site = mujoco_model.site(f"{name}_foot").id
+            mujoco.mj_jacSite(mujoco_model, data, expected[:3], expected[3:], site)
+            columns = kinematics.leg_v[side]
+            np.testing.assert_allclose(jacobian[i, side], expected[:, columns], atol=1e-12)
 
 
-def test_shortest_rotation_turns_one_vector_into_the_other_without_twist():
+def test_least_squares_is_as_exact_as_a_decomposition():
     rng = np.random.default_rng(6)
-    start, end = _unit(rng.normal(size=(2, 100, 3)))
-    quaternion = shortest_rotation(start, end)
-    np.testing.assert_allclose(rotate(quaternion_to_matrix(quaternion), start), end, atol=1e-12)
-    np.testing.assert_allclose(np.sum(quaternion[:, 1:] * start, axis=1), 0, atol=1e-15)
+    matrix = rng.normal(size=(30, 2, 12, 11)) * np.logspace(0, -2, 11)
+    vector = rng.normal(size=(30, 2, 12, 3))
+    expected = np.linalg.pinv(matrix) @ vector
+    error = least_squares(matrix, vector) - expected
+    assert np.abs(error / np.abs(expected).max((-1, -2), keepdims=True)).max() < 1e-11
 
 
-def test_rate_of_the_shortest_rotation():
-    rng = np.random.default_rng(7)
-    start = np.tile(_unit(rng.normal(size=3)), (100, 1))
-    end = _unit(start + 0.5 * rng.normal(size=(100, 3)))
-    rate = np.cross(rng.normal(size=(100, 3)), end)
-    omega = shortest_rotation_rate(start, end, rate)
-    ahead, behind = (
-        quaternion_to_matrix(shortest_rotation(start, _unit(end + sign * STEP * rate)))
-        for sign in (1, -1)
-    )
-    here = quaternion_to_matrix(shortest_rotation(start, end))
-    spin = (ahead - behind) / (2 * STEP) @ np.swapaxes(here, 1, 2)
-    numeric = np.stack((spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]), axis=1)
-    np.testing.assert_allclose(omega, numeric, atol=1e-8)
+def test_least_squares_of_a_singular_matrix_is_finite():
+    assert np.isfinite(least_squares(np.zeros((1, 12, 11)), np.ones((1, 12, 1)))).all()

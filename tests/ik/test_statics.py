@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aslip.errors import ShapeError
-from aslip.ik import CassieKinematics, standing_pose, static_torque
+from aslip.ik import Kinematics, standing_pose, static_torque
 from aslip.library import GaitLibrary
 from aslip.robot import SIDES, STANDARD_GRAVITY, TOTAL_MASS
 
@@ -17,7 +17,7 @@ def test_motors_and_ground_do_the_same_work(library: GaitLibrary, row: int) -> N
     """Along a motion with rigid springs, what the motors put in goes into the load."""
     table = library.table
     force = np.random.default_rng(row).normal(size=(table.qpos.shape[1], 2, 3))
-    torque = static_torque(CassieKinematics(), table.qpos[row], force)
+    torque = static_torque(Kinematics(), table.qpos[row], force)
     # the reference's feet, and with them the robot's, relative to a pelvis that does not turn
     velocity = np.stack([getattr(table, f"{side}_foot_velocity")[row] for side in SIDES], axis=1)
     velocity = velocity - table.body_velocity[row][:, None]
@@ -26,7 +26,7 @@ def test_motors_and_ground_do_the_same_work(library: GaitLibrary, row: int) -> N
     np.testing.assert_allclose(by_motors, -by_ground, atol=1e-9)
 
 
-def test_the_library_holds_the_models_load(library: GaitLibrary) -> None:
+def test_library_torques_carry_the_load_of_the_model(library: GaitLibrary) -> None:
     """In single stance the knee carries, in swing it does not."""
     torque = library.table.motor_torque[10]
     left, right = torque[:, :5], torque[:, 5:]
@@ -39,7 +39,7 @@ def test_the_library_holds_the_models_load(library: GaitLibrary) -> None:
 
 
 def test_standing_is_carried_by_both_legs_alike() -> None:
-    kinematics = CassieKinematics()
+    kinematics = Kinematics()
     qpos = standing_pose(kinematics).qpos.reshape(1, -1)
     force = np.zeros((1, 2, 3))
     force[..., 2] = TOTAL_MASS * STANDARD_GRAVITY / 2
@@ -49,14 +49,14 @@ def test_standing_is_carried_by_both_legs_alike() -> None:
     np.testing.assert_array_equal(static_torque(kinematics, qpos, 0 * force), np.zeros((1, 10)))
 
 
-def test_what_does_not_fit_is_refused() -> None:
-    kinematics = CassieKinematics()
+def test_forces_of_another_count_are_refused() -> None:
+    kinematics = Kinematics()
     with pytest.raises(ShapeError, match="force"):
         static_torque(kinematics, np.zeros((3, 35)), np.zeros((2, 2, 3)))
 
 
 def test_torques_do_not_depend_on_the_heading_or_tilt() -> None:
-    kinematics = CassieKinematics()
+    kinematics = Kinematics()
     qpos = standing_pose(kinematics).qpos.reshape(1, -1)
     force = np.array([[[10.0, 20.0, 160.0], [-5.0, 8.0, 170.0]]])
     turn = Rotation.from_euler("xyz", [0.2, -0.3, 1.0])

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from aslip.errors import ConfigurationError
-from aslip.ik import CassieKinematics, static_torque
+from aslip.ik import Kinematics, static_torque
 from aslip.library import (
     GaitLibrary,
     PendulumWalk,
@@ -142,7 +142,7 @@ def test_a_pendulum_in_a_gaits_place_is_as_heavy_and_lifts_its_feet_as_high(
     gaits = library.gaits[5:7]
     pendulums = pendulum_library(gaits, samples=32)
     pairs = zip(pendulums.table.qpos, pendulums.table.motor_torque, gaits, strict=True)
-    kinematics = CassieKinematics()
+    kinematics = Kinematics()
     for row, (qpos, torque, gait) in enumerate(pairs):
         p = gait.parameters
         height = pendulums.table.body_position[row, 0, 2]
