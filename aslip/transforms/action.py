@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Bounded, Composite
 
 from aslip.errors import ConfigurationError, ShapeError
@@ -46,12 +47,8 @@ class ActionDelta(SeededTransform):
         self.limit = _checked(limit)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        action = tensordict["action"]
-        expected = (*tensordict.batch_size, len(MOTOR_NAMES))
-        if action.shape != expected:
-            raise ShapeError(f"action must have shape {expected}, got {tuple(action.shape)}")
-        finite = torch.where(action.isfinite(), action, torch.nan)
-        return tensordict.set("motor_target", tensordict[self.baseline_key] + finite)
+        target = add_delta(tensordict[self.baseline_key], tensordict["action"])
+        return tensordict.set("motor_target", target)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict
@@ -63,6 +60,19 @@ class ActionDelta(SeededTransform):
         action_spec["action"] = Bounded(-high, high, shape=shape, dtype=torch.float32)
         del action_spec["motor_target"]
         return action_spec
+
+
+def add_delta(baseline: Tensor, action: Tensor) -> Tensor:
+    """Motor targets (*b, m): baseline plus action; NaN where the action is not finite [rad].
+
+    Raises:
+        ShapeError: the action has another shape than the baseline.
+    """
+    if action.shape != baseline.shape:
+        raise ShapeError(
+            f"action must have shape {tuple(baseline.shape)}, got {tuple(action.shape)}"
+        )
+    return baseline + torch.where(action.isfinite(), action, torch.nan)
 
 
 def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:

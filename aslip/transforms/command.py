@@ -143,9 +143,7 @@ class PhaseClock(SeededTransform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         # a caller may have written either, command also as integers
         command, phase = (checked_column(tensordict, key) for key in ("command", "phase"))
-        return next_tensordict.set(
-            "phase", (phase + POLICY_PERIOD / self.library.stride(command)) % 1.0
-        )
+        return next_tensordict.set("phase", advance_phase(self.library, phase, command))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add `phase`."""
@@ -156,6 +154,26 @@ class PhaseClock(SeededTransform):
         return extend_spec(state_spec, {"phase": 1})
 
 
+def advance_phase(
+    library: GaitLibrary, phase: Tensor, command: Tensor, period: float = POLICY_PERIOD
+) -> Tensor:
+    """Stride fraction (*b, 1) a policy step later.
+
+    Args:
+        library: gives the duration of a stride.
+        phase: (*b, 1) stride fraction.
+        command: (*b, 1) forward speed [m/s].
+        period: duration of a policy step [s].
+    """
+    return (phase + period / library.stride(command)) % 1.0
+
+
+def clock_entries(phase: Tensor) -> dict[str, Tensor]:
+    """Sine and cosine (*b, 1) of a stride fraction."""
+    angle = 2 * torch.pi * phase
+    return {"sin": angle.sin(), "cos": angle.cos()}
+
+
 class ClockInput(SeededTransform):
     """Write sine and cosine of the phase under `("clock", ...)`, as inputs of a policy."""
 
@@ -163,9 +181,10 @@ class ClockInput(SeededTransform):
         super().__init__(in_keys=["phase"], out_keys=[("clock", "sin"), ("clock", "cos")])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        angle = 2 * torch.pi * cast("Tensor", next_tensordict["phase"])
-        next_tensordict.set(("clock", "sin"), angle.sin())
-        return next_tensordict.set(("clock", "cos"), angle.cos())
+        entries = clock_entries(cast("Tensor", next_tensordict["phase"]))
+        for key, entry in zip(self.out_keys, entries.values(), strict=True):
+            next_tensordict.set(key, entry)
+        return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add sine and cosine."""

@@ -128,7 +128,7 @@ class EstimatedState(_Estimator):
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
-        return next_tensordict.update(_entries(tracking, estimate))
+        return next_tensordict.update(estimate_entries(tracking, estimate))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -142,7 +142,7 @@ class EstimatedState(_Estimator):
         heading = tensordict_reset.get("heading", None)
         if heading is not None:
             heading = heading[rows].double().numpy()
-        entries = _entries(*self.estimator.start(packets, heading))
+        entries = estimate_entries(*self.estimator.start(packets, heading))
         if rows.all():
             return tensordict_reset.update(entries)
         started = TensorDict(entries, batch_size=[int(rows.sum())])
@@ -170,8 +170,8 @@ class EstimatedState(_Estimator):
         return spec
 
 
-def _entries(tracking: Tracking, estimate: Estimate) -> dict[str, dict[str, torch.Tensor]]:
-    """What an estimate is in a tensordict."""
+def estimate_entries(tracking: Tracking, estimate: Estimate) -> dict[str, dict[str, torch.Tensor]]:
+    """Entries of an estimate in a tensordict, by the groups that `EstimatedState` writes."""
     odometry = {
         "pelvis_position": estimate.position,
         "pelvis_orientation": estimate.orientation,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, cast
 
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
@@ -69,11 +70,15 @@ class AssembleObservation(SeededTransform):
         super().__init__(in_keys=list(in_keys), out_keys=["observation"])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        entries = [next_tensordict[key] for key in self.in_keys]
-        return next_tensordict.set("observation", torch.cat(entries, dim=-1))
+        return next_tensordict.set(self.out_keys[0], join_entries(next_tensordict, self.in_keys))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add `observation`."""
         require_keys(self, observation_spec, self.in_keys)
         size = sum(observation_spec[key].shape[-1] for key in self.in_keys)
         return extend_spec(observation_spec, {"observation": size})
+
+
+def join_entries(tensordict: TensorDictBase, keys: Sequence[NestedKey]) -> Tensor:
+    """Entries (*b, k) of a tensordict, one after the other, (*b, sum of k)."""
+    return torch.cat([cast("Tensor", tensordict[key]) for key in keys], dim=-1)

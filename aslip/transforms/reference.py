@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields
-from typing import Literal, get_args
+from typing import Literal, cast, get_args
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -60,16 +61,8 @@ class ReferenceInjection(SeededTransform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         command, phase = next_tensordict["command"], next_tensordict["phase"]
-        stride = self.library.stride(command)
-        # one lookup for all instants costs half of two
-        leads = list(dict.fromkeys([0.0, 1.0, self.motor_lead]))
-        phases = torch.stack([phase + lead * POLICY_PERIOD / stride for lead in leads])
-        found = self.library.lookup(phases, command.expand_as(phases))
-        motors = leads.index(self.motor_lead)
-        reference = {name: getattr(found, name)[motors] for name in _MOTORS}
-        reference |= {name: getattr(found, name)[0] for name in _BODY}
-        goal = {name: getattr(found, name)[1] for name in _BODY}
-        for key, entries in zip(self.out_keys, (reference, goal), strict=True):
+        found = reference_and_goal(self.library, command, phase, motor_lead=self.motor_lead)
+        for key, entries in zip(self.out_keys, found, strict=True):
             next_tensordict.set(key, TensorDict(entries, next_tensordict.batch_size))
         return next_tensordict
 
@@ -81,6 +74,44 @@ class ReferenceInjection(SeededTransform):
         }
         sizes |= {(self.out_keys[0], name): len(MOTOR_NAMES) for name in _MOTORS}
         return extend_spec(observation_spec, sizes)
+
+
+def reference_and_goal(
+    library: GaitLibrary,
+    command: Tensor,
+    phase: Tensor,
+    *,
+    motor_lead: float = 1.0,
+    period: float = POLICY_PERIOD,
+) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Entries of the reference and of the goal; see `ReferenceInjection`.
+
+    Args:
+        library: the gaits.
+        command: (*b, 1) forward speed [m/s].
+        phase: (*b, 1) stride fraction.
+        motor_lead: how far ahead the motors are read, in policy steps.
+        period: duration of a policy step [s].
+    """
+    stride = library.stride(command)
+    # one lookup for all instants costs half of two
+    leads = list(dict.fromkeys([0.0, 1.0, motor_lead]))
+    phases = torch.stack([phase + lead * period / stride for lead in leads])
+    found = library.lookup(phases, command.expand_as(phases))
+    motors = leads.index(motor_lead)
+    reference = {name: getattr(found, name)[motors] for name in _MOTORS}
+    reference |= {name: getattr(found, name)[0] for name in _BODY}
+    return reference, {name: getattr(found, name)[1] for name in _BODY}
+
+
+def feedforward_target(
+    reference: Mapping[str, Tensor], stiffness: Tensor, damping: Tensor
+) -> Tensor:
+    """Angles (*b, m) to aim PD loops of these gains (m,) at, to follow a reference [rad]."""
+    position, velocity, torque = (
+        reference[f"motor_{name}"] for name in ("position", "velocity", "torque")
+    )
+    return position + (torque + damping * velocity) / stiffness
 
 
 class Feedforward(SeededTransform):
@@ -99,11 +130,8 @@ class Feedforward(SeededTransform):
         self._damping = torch.from_numpy(PD_DAMPING.copy()).float()
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        position, rate, torque = (
-            next_tensordict["reference", f"motor_{name}"]
-            for name in ("position", "velocity", "torque")
-        )
-        target = position + (torque + self._damping * rate) / self._stiffness
+        reference = cast("Mapping[str, Tensor]", next_tensordict["reference"])
+        target = feedforward_target(reference, self._stiffness, self._damping)
         return next_tensordict.set(self.out_keys[0], target)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

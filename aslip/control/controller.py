@@ -1,0 +1,279 @@
+"""A policy on a robot: packets in, motor targets out; no simulator, no environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.estimation import PACKET_SIZE, StateEstimator, Tracking
+from aslip.estimation.packets import join
+from aslip.library import GaitLibrary
+from aslip.policy import entry_names, load_policy, read_card
+from aslip.robot import PD_DAMPING, PD_STIFFNESS
+from aslip.transforms.action import add_delta
+from aslip.transforms.command import advance_phase, clock_entries
+from aslip.transforms.estimate import estimate_entries
+from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
+from aslip.transforms.reference import feedforward_target, reference_and_goal
+
+Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
+"""Packets of n robots, oldest first: entries (n, w, k) of `aslip.robot.sensing.PACKET_SIZES`, or
+all of them joined to (n, w, 42); one packet of one robot without the leading axes."""
+
+
+# groups of entries that no step takes over from the one before
+_FRESH = ("estimate", "odometry", "estimator", "reference", "goal", "clock")
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """Memory of a `Controller` between policy steps; a value, which no step changes."""
+
+    tensordict: TensorDictBase
+    """(n,) all that the policy saw, wrote and will read, by the keys of an environment's
+    tensordict: `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and
+    faults), `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`,
+    `motor_target`, and what a recurrent policy remembers."""
+
+    @property
+    def motor_target(self) -> Tensor:
+        """(n, m) angles for the PD loops until the next step [rad]."""
+        return cast("Tensor", self.tensordict["motor_target"])
+
+
+class Controller:
+    """Motor targets of n robots from their sensor packets, at every policy step.
+
+    Estimator, clock, reference, observation, policy and feedforward are those of the training
+    stacks: fed with the packets that the estimator of a stack saw, it gives the same motor targets,
+    bit for bit. As on a robot:
+
+        controller = Controller("aslip", GaitLibrary.load())
+        state = controller.start(packets, command=0.5)
+        while True:
+            drive(state.motor_target)
+            state, target = controller.step(state, packets, command=0.5)
+
+    A step takes all packets since the step before. Lost packets are NaN, or None where all are
+    lost; bad readings are recognised and bridged (`aslip.estimation`). Speeds beyond the library
+    are those of its nearest gait.
+
+    Args:
+        policy: name of a shipped policy, file of one, or a module that maps `observation`, or any
+            key of `ControllerState.tensordict`, to `action`.
+        library: the gaits.
+        observation: keys of the observation's entries in order; by default those in the policy's
+            file, or `OBSERVATION_TABLE`.
+        baseline: key of the angles that the action is added to; by default that in the policy's
+            file, or `("reference", "motor_target")`.
+        estimator: another state estimator, or one with other settings.
+        motor_lead: as that of `ReferenceInjection`.
+
+    Raises:
+        AssetError, FileDamagedError: there is no such policy, or its file is damaged.
+        ConfigurationError: the policy's action is not a delta that is added to angles.
+    """
+
+    def __init__(
+        self,
+        policy: str | Path | TensorDictModuleBase,
+        library: GaitLibrary,
+        *,
+        observation: Sequence[NestedKey] | None = None,
+        baseline: NestedKey | None = None,
+        estimator: StateEstimator | None = None,
+        motor_lead: float = 1.0,
+    ) -> None:
+        if isinstance(policy, str | Path):
+            card = read_card(policy)
+            observation = observation or [_key(name) for name in card["observation"]]
+            if baseline is None and card["baseline"] is None:
+                raise ConfigurationError(
+                    f"the action of the policy {str(policy)!r} is not a delta that is added to"
+                    " angles, so a controller cannot turn it into motor targets; give `baseline`"
+                )
+            baseline = baseline or _key(card["baseline"])
+            policy = cast("TensorDictModuleBase", load_policy(policy))
+        self.policy = policy
+        self.library = library
+        self.observation = tuple(observation or OBSERVATION_TABLE)
+        self.baseline = ("reference", "motor_target") if baseline is None else baseline
+        self.estimator = StateEstimator() if estimator is None else estimator
+        self.motor_lead = motor_lead
+        self._gains = [torch.from_numpy(gain.copy()).float() for gain in (PD_STIFFNESS, PD_DAMPING)]
+
+    def start(
+        self,
+        packets: Packets,
+        command: float | Tensor = 0.0,
+        *,
+        phase: float | Tensor = 0.0,
+        heading: ArrayLike | None = None,
+    ) -> ControllerState:
+        """Begin with robots whose lower foot rests on the ground; choose the first targets.
+
+        Args:
+            packets: the last packet of each robot is taken.
+            command: forward speed [m/s], one or (n, 1).
+            phase: stride fraction to begin at, one or (n, 1).
+            heading: yaw that is straight ahead, in the frame of the IMU's attitude [rad], one or
+                (n, 1); by default that of the packets.
+
+        Raises:
+            ShapeError, UnknownNameError: packets, command, phase or heading have the wrong shape,
+                or the packets lack an entry.
+            ConfigurationError: command, phase or heading is not finite.
+        """
+        rows = _rows(packets)
+        num = len(rows)
+        begun = self._begin(
+            rows, self._command(command, num), _column("phase", phase, num), heading
+        )
+        return self._act(begun)
+
+    def step(
+        self,
+        state: ControllerState,
+        packets: Packets | None,
+        command: float | Tensor | None = None,
+        *,
+        heading: float | Tensor | None = None,
+        restart: Tensor | None = None,
+        phase: float | Tensor = 0.0,
+    ) -> tuple[ControllerState, Tensor]:
+        """Advance by a policy step.
+
+        Args:
+            state: what `start`, or the step before, returned.
+            packets: those since then, oldest first.
+            command: forward speed from the last policy step on [m/s], one or (n, 1): clock and
+                reference follow it as they do when a caller writes `command` between the steps of
+                an environment. The one before by default.
+            heading: another yaw that is straight ahead [rad], one or (n, 1).
+            restart: (n, 1) bool, robots that start anew with these packets, as an environment's
+                robots do after a reset.
+            phase: stride fraction at which those begin, one or (n, 1).
+
+        Returns:
+            State, and its motor targets (n, m) [rad].
+
+        Raises:
+            ShapeError, UnknownNameError: an argument has the wrong shape, or the packets lack an
+                entry.
+            ConfigurationError: command, phase or heading is not finite.
+        """
+        past, num = state.tensordict, len(state.tensordict)
+        rows = _rows(packets, num)
+        now = past["command"] if command is None else self._command(command, num)
+        tracking = Tracking.from_rows(past["estimator", "memory"].numpy())
+        if heading is not None:
+            tracking.heading = _column("heading", heading, num)[:, 0].double().numpy()
+        entries = estimate_entries(tracking, self.estimator.update(tracking, rows))
+        # what a recurrent policy wrote for its next call, as in TorchRL's `step_mdp`
+        present = past.exclude("next", *_FRESH).update(past.get("next", {}))
+        present.update(
+            {
+                "command": now,
+                "phase": advance_phase(self.library, cast("Tensor", past["phase"]), now),
+                "last_action": past["action"],
+                "is_init": torch.zeros(num, 1, dtype=torch.bool),
+                **entries,
+            }
+        )
+        if restart is not None and restart.any():
+            robots, present = restart.reshape(num), present.clone()
+            ahead = None if heading is None else tracking.heading[robots.numpy()]
+            begun = self._begin(
+                rows[robots.numpy()], now[robots], _column("phase", phase, num)[robots], ahead
+            )
+            present[robots] = _completed(begun, like=present)
+        state = self._act(present)
+        return state, state.motor_target
+
+    def _begin(
+        self, rows: np.ndarray, command: Tensor, phase: Tensor, heading: ArrayLike | None
+    ) -> TensorDict:
+        """Entries of robots that begin with packets (n, w, 42)."""
+        return TensorDict(
+            {
+                "command": command,
+                "phase": phase % 1.0,
+                "is_init": torch.ones(len(rows), 1, dtype=torch.bool),
+                **estimate_entries(*self.estimator.start(rows, heading)),
+            },
+            batch_size=[len(rows)],
+        )
+
+    @torch.no_grad()
+    def _act(self, present: TensorDictBase) -> ControllerState:
+        """State of robots whose estimate, command and phase are known, and their targets."""
+        command, phase = (cast("Tensor", present[key]) for key in ("command", "phase"))
+        reference, goal = reference_and_goal(
+            self.library, command, phase, motor_lead=self.motor_lead
+        )
+        reference["motor_target"] = feedforward_target(reference, *self._gains)
+        present.update({"reference": reference, "goal": goal, "clock": clock_entries(phase)})
+        if "last_action" not in present:
+            present["last_action"] = torch.zeros_like(reference["motor_position"])
+        for key in (*self.observation, self.baseline):
+            if present.get(key, None) is None:
+                known = sorted(entry_names(present.keys(True, True)))
+                raise UnknownNameError(f"a controller cannot observe {key!r}; there are {known}")
+        present["observation"] = join_entries(present, self.observation)
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            present = self.policy(present)
+        baseline, action = (cast("Tensor", present[key]) for key in (self.baseline, "action"))
+        return ControllerState(present.set("motor_target", add_delta(baseline, action)))
+
+    def _command(self, command: float | Tensor, num: int) -> Tensor:
+        """(num, 1) command within the speeds of the library."""
+        low, high = float(self.library.speeds[0]), float(self.library.speeds[-1])
+        return _column("command", command, num).clamp(low, high)
+
+
+def _completed(begun: TensorDict, like: TensorDictBase) -> TensorDictBase:
+    """Entries of robots that begin, and zeros for all else that others have."""
+    zeros = like[: len(begun)].clone().zero_()
+    return zeros.update(begun)
+
+
+def _rows(packets: Packets | None, num: int = 1) -> np.ndarray:
+    """(n, w, 42) from any way to write packets; NaN for what `num` robots lost."""
+    if packets is None:
+        return np.full((num, 1, PACKET_SIZE), np.nan)
+    if isinstance(packets, TensorDictBase | Mapping):
+        packets = join({str(name): np.asarray(value) for name, value in packets.items()})
+    rows = np.asarray(packets, dtype=np.float64)
+    return rows[None, None] if rows.ndim == 1 else rows
+
+
+def _column(name: str, value: float | Tensor, num: int) -> Tensor:
+    """(num, 1) numbers in single precision, from one for all or one a robot.
+
+    Raises:
+        ShapeError: there are neither one nor `num`.
+        ConfigurationError: one is not finite.
+    """
+    column = torch.as_tensor(value, dtype=torch.float32)
+    if column.shape not in ((), (num, 1)):
+        raise ShapeError(f"{name} must be one number or ({num}, 1), got {tuple(column.shape)}")
+    if not column.isfinite().all():
+        raise ConfigurationError(f"{name} must be finite, got {column.tolist()}")
+    return column.expand(num, 1).clone()
+
+
+def _key(name: str) -> NestedKey:
+    """Key of an entry by its name in a policy's card, such as "estimate/height"."""
+    return tuple(name.split("/")) if "/" in name else name
