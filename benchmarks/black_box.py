@@ -62,7 +62,7 @@ from aslip.envs import EPISODE_ENDS, STACKS
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, Recorder, check, read, recover, replay
 from aslip.policy import policy_stack
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.training.run import write_text
 from aslip.walking import Walker
 
@@ -173,9 +173,9 @@ def kills(config: Config, folder: Path) -> dict[str, float]:
         path = folder / f"victim-{i}.mcap"
         reached = killed(config.policy, path, int(rng.integers(34, _EPISODE)), rng)
         saved = recover(path.with_name(path.name + ".part"))
-        loss = reached * POLICY_PERIOD - saved.until
+        loss = reached * CASSIE.policy_period - saved.until
         lost.append(loss)
-        whole = loss <= 1.0 + POLICY_PERIOD and not check(saved.path)
+        whole = loss <= 1.0 + CASSIE.policy_period and not check(saved.path)
         failures += not (whole and replay(saved.path).equal)
     print(
         f"\n{config.kills - failures} of {config.kills} killed writers recovered up to one second"

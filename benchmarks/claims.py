@@ -41,7 +41,7 @@ from typing import Any
 
 import numpy as np
 
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.training.run import read_progress, write_text
 from aslip.walking import TRACKING_TOLERANCE, Walks, markdown
 from aslip.walking.metrics import Placement, leg_length_correlation
@@ -383,7 +383,7 @@ def humps(rows: Sequence[dict[str, Any]]) -> Values:
 
 def likeness(walks: Sequence[Walks]) -> Values:
     """Claims on how the robot moves as the model does: mean correlations over speeds."""
-    first = round(_SETTLE / POLICY_PERIOD)
+    first = round(_SETTLE / CASSIE.policy_period)
     speed, legs = [], []
     for walk in walks:
         if not walk.survived.all():

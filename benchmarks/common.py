@@ -18,7 +18,7 @@ import aslip
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits
 from aslip.library import GaitLibrary
 from aslip.policy import policy_stack
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.rom import Gait
 from aslip.show.plots import save_figure
 from aslip.training.run import write_text
@@ -105,7 +105,7 @@ def constant_walks(config: Common, speeds: Sequence[float], duration: float) -> 
         speeds: commanded [m/s].
         duration: [s].
     """
-    steps = round(duration / POLICY_PERIOD)
+    steps = round(duration / CASSIE.policy_period)
     command = np.tile(np.array(speeds), (steps, 1))
     return [walks_of(config, policy, command) for policy in config.policy]
 

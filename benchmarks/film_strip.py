@@ -70,7 +70,7 @@ from tensordict import TensorDict
 from tqdm import tqdm
 
 import aslip
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.show.ghost import Ghost
 from aslip.show.plots import save_figure
 from aslip.show.render import render_frames, strip
@@ -134,7 +134,7 @@ def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Strid
     """
     duration = stride_duration(walker.library, walker.command)
     first = np.ceil(settle / duration)
-    steps = np.rint((first + wanted) * duration / POLICY_PERIOD).astype(int)
+    steps = np.rint((first + wanted) * duration / CASSIE.policy_period).astype(int)
     phases, path, ghosts = [], [], []
     while walker.steps <= steps[-1]:
         if walker.steps in steps:
@@ -146,7 +146,7 @@ def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Strid
         if walker.fallen:
             raise ConfigurationError(
                 f"the robot fell after {walker.time:.2f} s; the stride to draw ends at"
-                f" {steps[-1] * POLICY_PERIOD:.2f} s: lower --settle"
+                f" {steps[-1] * CASSIE.policy_period:.2f} s: lower --settle"
             )
     return Stride(np.array(phases), np.stack(path), ghosts)
 

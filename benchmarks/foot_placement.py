@@ -55,7 +55,7 @@ from matplotlib.figure import Figure
 
 from aslip.library import GaitLibrary
 from aslip.log import read, read_walk
-from aslip.robot import POLICY_PERIOD, SIDES
+from aslip.robot import CASSIE, SIDES
 from aslip.show.ghost import Footholds
 from aslip.walking import Walks, markdown
 from aslip.walking.metrics import Placement, footsteps, placement
@@ -97,7 +97,9 @@ def placed(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Place
         nothing = np.full((1, 2), np.nan)
         return Placement(np.zeros(1, dtype=int), nothing, nothing[:, 0])
     found = placement(
-        footsteps(one.ground_force[:, 0, :, 2], one.foot_position[:, 0], POLICY_PERIOD, swing),
+        footsteps(
+            one.ground_force[:, 0, :, 2], one.foot_position[:, 0], CASSIE.policy_period, swing
+        ),
         step,
     )
     first = round(2 * _SETTLE / float(footholds.stride(speed)))

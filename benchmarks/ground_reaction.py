@@ -42,7 +42,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from aslip.library import GaitLibrary
-from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS
+from aslip.robot import CASSIE
 from aslip.rom import Gait
 from aslip.show.ghost import touchdown_phases
 from aslip.walking import Walker, markdown
@@ -83,7 +83,7 @@ def main(config: Config) -> list[dict[str, Any]]:
         if force is None:
             row["failed"] = "fell"
             continue
-        profiles = [force_profile(force[:, i], PHYSICS_TIMESTEP) for i in range(2)]
+        profiles = [force_profile(force[:, i], CASSIE.physics_timestep) for i in range(2)]
         if min(profile.stances for profile in profiles) < _LEAST_STANCES:
             row["failed"] = "did not step"
             continue
@@ -112,19 +112,19 @@ def vertical_forces(
     with closing(environment(config, policy, 1, num_threads=1)) as env:
         walker = Walker(policy, env, library=library, speed=speed)
         env.base_env.watch(0)
-        while walker.time < _SETTLE + _WALK - POLICY_PERIOD / 2:
+        while walker.time < _SETTLE + _WALK - CASSIE.policy_period / 2:
             walker.step()
             if walker.fallen:
                 return None
             if walker.time > _SETTLE:
                 parts.append(env.base_env.watched[:, _VERTICAL].copy())
-    assert len(parts[0]) == SUBSTEPS
+    assert len(parts[0]) == CASSIE.substeps
     return np.concatenate(parts)
 
 
 def curve(force: np.ndarray) -> Curve:
     """A foot's force over the stride, mean over strides."""
-    starts = stances(force, PHYSICS_TIMESTEP)[:, 0]
+    starts = stances(force, CASSIE.physics_timestep)[:, 0]
     return Curve(*mean_over_strides(force, starts, _SAMPLES))
 
 

@@ -52,17 +52,7 @@ from aslip.envs import make_env
 from aslip.files.archive import as_json
 from aslip.files.writing import replacing
 from aslip.policy import CARD, POLICY_FORMAT, find_policy, load_policy, policy_stack, read_card
-from aslip.robot import (
-    GEAR,
-    JOINT_NAMES,
-    MOTOR_NAMES,
-    MOTOR_TORQUE_LIMIT,
-    PD_DAMPING,
-    PD_STIFFNESS,
-    POLICY_PERIOD,
-    SUBSTEPS,
-    TORQUE_DELAY,
-)
+from aslip.robot import CASSIE
 from aslip.training.run import write_text
 from aslip.transforms import DYNAMICS_RANGES, ActionDelta
 from aslip.walking import markdown
@@ -73,7 +63,7 @@ from benchmarks.perturbation.config import SWEEPS
 _LEFT = "---"
 # where the run lay is nobody's business, nor whether it went on from there
 _OWN = r" --out [^ ]+| --resume\b"
-_MOTORS, _JOINTS = "; ".join(MOTOR_NAMES), "; ".join(JOINT_NAMES)
+_MOTORS, _JOINTS = "; ".join(CASSIE.motor_names), "; ".join(CASSIE.joint_names)
 _ENTRIES = {
     "estimate/height": "pelvis above the ground [m]",
     "estimate/orientation": "pelvis to world, wxyz with w ≥ 0",
@@ -166,7 +156,11 @@ def contract(about: dict[str, Any]) -> str:
     gains = [
         [name, f"{stiffness:g}", f"{damping:g}", f"{limit:g}"]
         for name, stiffness, damping, limit in zip(
-            MOTOR_NAMES, PD_STIFFNESS, PD_DAMPING, MOTOR_TORQUE_LIMIT * GEAR, strict=True
+            CASSIE.motor_names,
+            CASSIE.stiffness,
+            CASSIE.damping,
+            CASSIE.torque_limit * CASSIE.gear,
+            strict=True,
         )
     ]
     header = ["motor", "stiffness N m/rad", "damping N m s/rad", "torque limit N m"]
@@ -176,12 +170,12 @@ def contract(about: dict[str, Any]) -> str:
             f"It observes {index} numbers, normalised by the mean and variance in the file and cut"
             " off at ten deviations:",
             markdown(["index", "entry", "what it is"], rows, _LEFT),
-            f"It answers with {len(MOTOR_NAMES)} angles [rad], {1 / POLICY_PERIOD:.1f} times a"
-            f" second, that are added to the baseline {baseline}:"
-            f" {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
-            f" {SUBSTEPS / POLICY_PERIOD:.0f} times a second, with velocity target zero; torques"
-            f" reach the robot {1e3 * TORQUE_DELAY:g} ms late. `aslip.make_env(stack="
-            f'"{about["stack"]}")` and `aslip.walking.Walker` do all this.',
+            f"It answers with {len(CASSIE.motor_names)} angles [rad],"
+            f" {1 / CASSIE.policy_period:.1f} times a second, that are added to the baseline"
+            f" {baseline}: {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
+            f" {CASSIE.substeps / CASSIE.policy_period:.0f} times a second, with velocity target"
+            f" zero; torques reach the robot {1e3 * CASSIE.torque_delay:g} ms late."
+            f' `aslip.make_env(stack="{about["stack"]}")` and `aslip.walking.Walker` do all this.',
             markdown(header, gains),
         ]
     )

@@ -30,7 +30,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aslip.library import GaitLibrary
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.walking import Walks, markdown
 from aslip.walking.metrics import duty_factor, step_frequency
 from benchmarks.common import Interval, constant_walks, shortest_swing, strides, write_report
@@ -44,7 +44,7 @@ def main(config: Config) -> list[dict[str, Any]]:
     library = GaitLibrary.load()
     model = 2 / strides(library, config.speeds)
     walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
-    first = round(_SETTLE / POLICY_PERIOD)
+    first = round(_SETTLE / CASSIE.policy_period)
     rows: list[dict[str, Any]] = []
     for i, speed in enumerate(config.speeds):
         swing = shortest_swing(library, speed)
@@ -80,8 +80,8 @@ def measured(walk: Walks, swing: float) -> tuple[float, float]:
     if not walk.survived[0]:
         return np.nan, np.nan
     left, right = walk.ground_force[:, 0, :, 2].T
-    duty = np.mean([duty_factor(force, POLICY_PERIOD, swing) for force in (left, right)])
-    return step_frequency(left, right, POLICY_PERIOD, swing), float(duty)
+    duty = np.mean([duty_factor(force, CASSIE.policy_period, swing) for force in (left, right)])
+    return step_frequency(left, right, CASSIE.policy_period, swing), float(duty)
 
 
 def picture(rows: list[dict[str, Any]]) -> Figure:

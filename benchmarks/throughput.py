@@ -75,8 +75,8 @@ from torchrl.envs import EnvBase, ParallelEnv
 import aslip
 from aslip.envs import ON_TRUTH
 from aslip.policy import policy_stack
-from aslip.robot import SUBSTEPS
-from aslip.robot.model import TIMESTEPS
+from aslip.robot import CASSIE
+from aslip.robot.model import physics_timesteps
 from aslip.sim import SimulationPool, Simulations
 from aslip.training import run
 from aslip.transforms import ActionDelta
@@ -108,7 +108,7 @@ class Bound:
         physics = mujoco.mj_stateSize(self.model, _STATE)
         for state in states[:, :physics]:
             mujoco.mj_setState(self.model, data, state, _STATE)
-            mujoco.mj_step(self.model, data, SUBSTEPS)
+            mujoco.mj_step(self.model, data, CASSIE.substeps)
 
 
 class Candidates:
@@ -121,7 +121,7 @@ class Candidates:
         self.envs: dict[str, EnvBase] = {
             "environment on the truth": batch(**ON_TRUTH),
             _LEADER: self.leader,
-            "the same, physics of 1 kHz": batch(timestep=TIMESTEPS[1]),
+            "the same, physics of 1 kHz": batch(timestep=physics_timesteps()[1]),
         }
         self.pools = [_pool(env) for env in self.envs.values()]
         if num_envs <= config.single:
@@ -152,7 +152,7 @@ class Candidates:
         targets = np.asarray(td[self.baseline_key] + td["action"], dtype=np.float64)
         seconds = {_BOUND: _timed(lambda: self.bound.advance(states))}
         bare = {
-            "`mujoco.batch`, 60 steps a call": partial(self._step_batches, SUBSTEPS),
+            "`mujoco.batch`, 60 steps a call": partial(self._step_batches, CASSIE.substeps),
             "`mujoco.batch`, one step a call": partial(self._step_batches, 1),
             "simulations: sensors, drive, delay, checks": partial(self.bare.advance, targets),
         }
@@ -172,7 +172,7 @@ class Candidates:
         """Physics of the bare simulations, so many steps a call."""
 
         def run(part: Simulations) -> None:
-            for _ in range(0, SUBSTEPS, steps):
+            for _ in range(0, CASSIE.substeps, steps):
                 part.batch.step(nstep=steps)
 
         list(self.bound.pool.map(run, self.bare.parts))

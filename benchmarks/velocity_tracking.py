@@ -42,7 +42,7 @@ from matplotlib.figure import Figure
 
 from aslip.library import GaitLibrary
 from aslip.log import read, read_walk
-from aslip.robot import POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
+from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.show.ghost import Footholds
 from aslip.walking import TRACKING_TOLERANCE, Walks, is_on_feet, markdown, tracks_command
 from aslip.walking.metrics import (
@@ -73,7 +73,7 @@ _TRANSIENT = 1.5
 _BEFORE, _AFTER = 4.0, 4.0
 _SETTLE, _WALK = 4.0, 8.0
 # of the robot itself, which all walks here are of [N]
-_WEIGHT = TOTAL_MASS * STANDARD_GRAVITY
+_WEIGHT = CASSIE.total_mass * STANDARD_GRAVITY
 # around a touchdown, where the model's speed spikes [policy steps]
 _SPIKE = 2
 
@@ -87,7 +87,7 @@ def main(config: Config) -> dict[str, Any]:
         figure = picture(walks[0], [])
         write_report(config, "velocity_tracking", numbers, schedule_table(numbers), figure)
         return numbers
-    steps = round(_HOLD / POLICY_PERIOD)
+    steps = round(_HOLD / CASSIE.policy_period)
     command = np.repeat(SCHEDULE, steps)[:, None]
     walks = [walks_of(config, policy, command) for policy in config.policy]
     numbers = {
@@ -111,7 +111,7 @@ def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
     bounds = [0, *np.flatnonzero(np.diff(command)) + 1, len(command)]
     rows = []
     for start, stop in itertools.pairwise(bounds):
-        steady = slice(min(start + round(_TRANSIENT / POLICY_PERIOD), stop - 1), stop)
+        steady = slice(min(start + round(_TRANSIENT / CASSIE.policy_period), stop - 1), stop)
         robot = [walk.pelvis_velocity[steady, 0, 0] for walk in walks]
         model = walks[0].body_velocity[steady, 0, 0]
         off = [walk.pelvis_velocity[steady, 0, 0] - walk.body_velocity[steady, 0, 0]
@@ -154,7 +154,7 @@ def spike(walk: Walks) -> dict[str, float]:
     # the model's foot is down where it does not rise above the floor
     height = walk.body_position[:, :1, 2] + walk.body_to_foot[:, 0, :, 2]
     model, robot = walk.body_velocity[:, 0, 0], walk.pelvis_velocity[:, 0, 0]
-    down = [stances(np.where(h < 1e-3, 100.0, 0.0), POLICY_PERIOD)[:, 0] for h in height.T]
+    down = [stances(np.where(h < 1e-3, 100.0, 0.0), CASSIE.policy_period)[:, 0] for h in height.T]
     return {
         name: float(np.nanmean([touchdown_spike(speed, samples, _SPIKE) for samples in down]))
         for name, speed in (("robot", robot), ("model", model))
@@ -167,7 +167,7 @@ def spike(walk: Walks) -> dict[str, float]:
 def map_rows(config: Config) -> list[dict[str, Any]]:
     """Mean speed at each commanded one, and who survived, on the feet, and tracked it."""
     walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
-    first = round(_SETTLE / POLICY_PERIOD)
+    first = round(_SETTLE / CASSIE.policy_period)
     rows = []
     for i, speed in enumerate(config.speeds):
         means = np.array([mean_velocity(walk.pelvis_position[first:, i, :2]) for walk in walks])
@@ -191,7 +191,7 @@ def map_rows(config: Config) -> list[dict[str, Any]]:
 
 def mean_velocity(position: np.ndarray) -> np.ndarray:
     """(2,) of a walk's positions (m, 2) at the ends of policy steps [m/s]."""
-    return (position[-1] - position[0]) / ((len(position) - 1) * POLICY_PERIOD)
+    return (position[-1] - position[0]) / ((len(position) - 1) * CASSIE.policy_period)
 
 
 def map_table(numbers: dict[str, Any]) -> str:
@@ -215,7 +215,7 @@ def map_table(numbers: dict[str, Any]) -> str:
 
 def step_rows(config: Config, footholds: Footholds) -> list[dict[str, Any]]:
     """Answers to sudden changes of command."""
-    before, after = (round(time / POLICY_PERIOD) for time in (_BEFORE, _AFTER))
+    before, after = (round(time / CASSIE.policy_period) for time in (_BEFORE, _AFTER))
     changes = np.array(STEPS).T
     command = np.concatenate([np.tile(changes[0], (before, 1)), np.tile(changes[1], (after, 1))])
     walks = [walks_of(config, policy, command) for policy in config.policy]
@@ -244,7 +244,7 @@ def answer(walk: Walks, index: int, change: int, footholds: Footholds) -> StepRe
     if not walk.survived[index]:
         return StepResponse(math.inf, math.nan, math.nan)
     speed = walk.pelvis_velocity[change:, index, 0]
-    return step_response(speed, old, new, footholds.stride(new), POLICY_PERIOD)
+    return step_response(speed, old, new, footholds.stride(new), CASSIE.policy_period)
 
 
 def step_table(numbers: dict[str, Any]) -> str:
@@ -268,12 +268,12 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
     """Speeds through the schedule, of the first of policies; mean against commanded speed."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     parts = figure.subplots(1, 2, width_ratios=(2, 1)) if mapped else [figure.subplots()]
-    time = (np.arange(len(walk.command)) + 1) * POLICY_PERIOD
+    time = (np.arange(len(walk.command)) + 1) * CASSIE.policy_period
     robot, model = walk.pelvis_velocity[:, 0, 0], walk.body_velocity[:, 0, 0]
     parts[0].plot(time, model, color="tab:blue", lw=1, label="reduced-order model")
     name = "robot's pelvis" if policies == 1 else f"robot's pelvis, first of {policies} policies"
     parts[0].plot(time, robot, color="tab:red", lw=1.2, label=name)
-    smooth = stride_average(robot, 0.8, POLICY_PERIOD)
+    smooth = stride_average(robot, 0.8, CASSIE.policy_period)
     parts[0].plot(time, smooth, color="tab:red", lw=3, alpha=0.3, label="mean of a stride")
     parts[0].step(time, walk.command[:, 0], "k--", where="pre", label="command")
     parts[0].set(xlabel="time [s]", ylabel="forward velocity [m/s]", xlim=(0, time[-1]))

@@ -81,8 +81,8 @@ from torchrl.data import Composite
 import aslip
 from aslip.envs import MAX_EPISODE_STEPS, Stack, command_speeds, default_stack, insert_before
 from aslip.library import pendulum_library
-from aslip.robot import MOTOR_NAMES
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE
+from aslip.robot.model import load_model
 from aslip.training.run import write_text
 from aslip.training.settings import SETTINGS_FILE, read_settings
 from aslip.transforms import (
@@ -112,7 +112,7 @@ class StandingBaseline(SeededTransform):
     def __init__(self) -> None:
         super().__init__(in_keys=[], out_keys=[("baseline", "motor_position")])
         model = load_model()
-        motors = CassieIndices.from_model(model).motor_qpos
+        motors = CASSIE.indices.motor_qpos
         self._angles = torch.tensor(model.key("standing").qpos[motors], dtype=torch.float32)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -121,7 +121,7 @@ class StandingBaseline(SeededTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the angles."""
-        return extend_spec(observation_spec, {self.out_keys[0]: len(MOTOR_NAMES)})
+        return extend_spec(observation_spec, {self.out_keys[0]: len(CASSIE.motor_names)})
 
 
 @dataclass(frozen=True)

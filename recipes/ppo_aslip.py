@@ -66,7 +66,7 @@ from aslip.policy import (
     save_policy,
     set_std,
 )
-from aslip.robot.model import TIMESTEPS
+from aslip.robot.model import physics_timesteps
 from aslip.show.plots import learning_curve, save_figure
 from aslip.training.collect import make_collector
 from aslip.training.provenance import provenance
@@ -283,7 +283,7 @@ def watched(
 
 def variety(config: Config, task: Mapping[str, Any]) -> dict[str, Any]:
     """What training has and evaluation has not: coarse physics, other robots."""
-    edits: dict[str, Any] = {"timestep": TIMESTEPS[config.coarse]}
+    edits: dict[str, Any] = {"timestep": physics_timesteps()[config.coarse]}
     if config.randomise:
         stack = task["stack"]
         if isinstance(stack, str):

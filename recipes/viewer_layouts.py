@@ -37,7 +37,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import VisualizerComponentMapping
 
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
-from aslip.robot import MOTOR_NAMES, SIDES
+from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 from aslip.show.palette import COMMAND, ESTIMATE, LEFT, MODEL, OTHERS, RIGHT, ROBOT, rgb
 from aslip.transforms.rewards import PAPER_WEIGHTS
@@ -114,7 +114,7 @@ def motors(side: str, field: str, unit: str) -> Plot:
         field: "position", "velocity" or "effort".
         unit: of the field.
     """
-    names = [name for name in MOTOR_NAMES if name.startswith(side)]
+    names = [name for name in CASSIE.motor_names if name.startswith(side)]
     curves = (
         Curve(_JOINTS, field, name, color, joint=name)
         for name, color in zip(names, OTHERS, strict=True)

@@ -104,7 +104,7 @@ import aslip
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.log import Recorder
 from aslip.policy import policy_stack
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.pacing import Pacer
@@ -169,7 +169,7 @@ def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) ->
         change = [rows[last][name] - (rows[first - 1][name] if first else 0.0) for name in _AXES]
         lines.append(
             f"push at {push.time:g} s of {push.force} N for"
-            f" {policy_steps(push.duration) * POLICY_PERIOD:g} s: velocity changed by"
+            f" {policy_steps(push.duration) * CASSIE.policy_period:g} s: velocity changed by"
             f" {change[0]:+.2f} m/s in x and {change[1]:+.2f} m/s in y meanwhile"
         )
     end = "fell after" if walker.fallen else "did not fall in"
@@ -247,7 +247,7 @@ def check_pushes(pushes: list[Push], duration: float) -> None:
         if policy_steps(push.time) < free:
             raise ConfigurationError(
                 f"the push at {push.time:g} s begins before the one before ends, at"
-                f" {free * POLICY_PERIOD:g} s"
+                f" {free * CASSIE.policy_period:g} s"
             )
         free = policy_steps(push.time) + policy_steps(push.duration)
 
@@ -354,7 +354,7 @@ def film(config: Config, frames: list[Frame]) -> None:
         ghosts=[frame.ghost for frame in frames] if config.rom else None,
     )
     shown = tqdm(pictures, total=len(frames), unit="frame")
-    rate = 1 / (config.steps_per_frame * POLICY_PERIOD)
+    rate = 1 / (config.steps_per_frame * CASSIE.policy_period)
     write_video(config.video, shown, rate, (config.width, config.height))
 
 
@@ -385,7 +385,7 @@ def viewer(config: Config) -> Any:
     with window:
         window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         window.cam.trackbodyid = model.body("pelvis").id
-        pacer = Pacer(POLICY_PERIOD)
+        pacer = Pacer(CASSIE.policy_period)
 
         def show(instant: Frame) -> None:
             if not window.is_running():

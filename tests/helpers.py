@@ -7,11 +7,14 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
 from aslip.envs import StackEnv
+from aslip.robot import CASSIE
+from aslip.sim import PD
 from aslip.training.ppo_settings import Config
 
 MakeEnv = Callable[..., StackEnv]
@@ -61,3 +64,11 @@ def started(command: Sequence[str], **settings: Any) -> Iterator[subprocess.Pope
             yield process
         finally:
             process.kill()
+
+
+def motor_torque(target: np.ndarray, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Torque at the motor shafts of one or many robots (..., 10) under PD control [N m]."""
+    shape = np.broadcast_shapes(target.shape, position.shape, velocity.shape)
+    width = CASSIE.gear.size
+    rows = [np.broadcast_to(x, shape).reshape(-1, width) for x in (target, position, velocity)]
+    return PD(len(rows[0])).torque(*rows).reshape(shape)

@@ -21,7 +21,7 @@ from aslip.estimation import PACKET_SIZE, StateEstimator, Tracking
 from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, load_policy, read_card
-from aslip.robot import PD_DAMPING, PD_STIFFNESS
+from aslip.robot import CASSIE
 from aslip.transforms.action import add_delta
 from aslip.transforms.command import advance_phase, clock_entries
 from aslip.transforms.estimate import estimate_entries
@@ -29,7 +29,7 @@ from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
 from aslip.transforms.reference import feedforward_target, reference_and_goal
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
-"""Packets of n robots, oldest first: entries (n, w, k) of `aslip.robot.sensing.PACKET_SIZES`, or
+"""Packets of n robots, oldest first: entries (n, w, k) of `Robot.packet_sizes`, or
 all of them joined to (n, w, 42); one packet of one robot without the leading axes."""
 
 
@@ -112,7 +112,9 @@ class Controller:
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         self.estimator = StateEstimator() if estimator is None else estimator
         self.motor_lead = motor_lead
-        self._gains = [torch.from_numpy(gain.copy()).float() for gain in (PD_STIFFNESS, PD_DAMPING)]
+        self._gains = [
+            torch.from_numpy(gain.copy()).float() for gain in (CASSIE.stiffness, CASSIE.damping)
+        ]
 
     def start(
         self,

@@ -42,8 +42,7 @@ from torchrl.data import Binary, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.robot import MOTOR_NAMES
-from aslip.robot.model import CassieIndices
+from aslip.robot import CASSIE, Indices
 from aslip.sim import Dynamics, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
@@ -60,7 +59,7 @@ class SimulatedEnv(EnvBase):
         indices: where the robot's parts are in MuJoCo's arrays.
     """
 
-    def __init__(self, num_envs: int, indices: CassieIndices) -> None:
+    def __init__(self, num_envs: int, indices: Indices) -> None:
         super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
         self.indices = indices
         self.divergences = 0
@@ -203,7 +202,7 @@ class SimulatedEnv(EnvBase):
             },
             shape=n,
         )
-        targets, single = torch.Size((*n, len(MOTOR_NAMES))), torch.Size((*n, 1))
+        targets, single = torch.Size((*n, len(CASSIE.motor_names))), torch.Size((*n, 1))
         self.action_spec = Composite(motor_target=Unbounded(targets, dtype=torch.float32), shape=n)
         self.reward_spec = Unbounded(single, dtype=torch.float32)
         flag = Binary(shape=single, dtype=torch.bool)
@@ -211,7 +210,7 @@ class SimulatedEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         target = cast("Tensor", tensordict["motor_target"])
-        expected = (*self.batch_size, len(MOTOR_NAMES))
+        expected = (*self.batch_size, len(CASSIE.motor_names))
         if target.shape != expected:
             raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
         push = tensordict.get("push", None)

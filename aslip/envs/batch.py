@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from aslip.envs.base import SimulatedEnv
-from aslip.robot import PHYSICS_TIMESTEP
+from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.sim import SimulationPool, Snapshot
 from aslip.sim.checks import check_count
@@ -36,7 +36,7 @@ class BatchEnv(SimulatedEnv):
         *,
         num_threads: int = 0,
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
-        timestep: float = PHYSICS_TIMESTEP,
+        timestep: float = CASSIE.physics_timestep,
     ) -> None:
         num_envs = check_count("num_envs", num_envs, most=MAX_BATCH_ENVS)
         num_threads = check_count("num_threads", num_threads, least=0)

@@ -28,7 +28,7 @@ with warnings.catch_warnings():
 from aslip.envs.base import SimulatedEnv
 from aslip.envs.physics import BipedPhysics
 from aslip.errors import ConfigurationError
-from aslip.robot import FALL_HEIGHT, PHYSICS_TIMESTEP, POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 from aslip.sim import Snapshot
 from aslip.sim.checks import check_count, check_states
@@ -110,7 +110,7 @@ class Walk(base.Task):
 
     def get_termination(self, physics: BipedPhysics) -> float | None:
         """Discount 0 after a fall."""
-        fallen = self._terminate_on_fall and physics.pelvis_height() < FALL_HEIGHT
+        fallen = self._terminate_on_fall and physics.pelvis_height() < CASSIE.fall_height
         return 0.0 if fallen else None
 
 
@@ -132,12 +132,12 @@ def walk_environment(
         random: `numpy.random.RandomState` or seed.
     """
     physics = BipedPhysics.load(floor_friction)
-    assert physics.timestep() == PHYSICS_TIMESTEP
+    assert physics.timestep() == CASSIE.physics_timestep
     return control.Environment(
         physics,
         Walk(speed, terminate_on_fall=terminate_on_fall, random=random),
         time_limit=time_limit,
-        control_timestep=POLICY_PERIOD,
+        control_timestep=CASSIE.policy_period,
     )
 
 

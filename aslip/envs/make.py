@@ -12,7 +12,7 @@ from aslip.envs.stack_env import StackEnv, check_seed, check_wiring
 from aslip.envs.stacks import STACKS, Stack, edit_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.robot import PHYSICS_TIMESTEP
+from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 
 
@@ -28,7 +28,7 @@ def make_env(
     library: GaitLibrary | None = None,
     num_threads: int = 0,
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
-    timestep: float = PHYSICS_TIMESTEP,
+    timestep: float = CASSIE.physics_timestep,
 ) -> StackEnv:
     """A TorchRL environment of n Cassies with the full stack of transforms.
 
@@ -80,9 +80,10 @@ def make_env(
             num_envs, num_threads=num_threads, floor_friction=floor_friction, timestep=timestep
         )
     else:
-        if timestep != PHYSICS_TIMESTEP:
+        if timestep != CASSIE.physics_timestep:
             raise ConfigurationError(
-                f"the dm_control backend has a timestep of {PHYSICS_TIMESTEP} s, got {timestep!r}"
+                f"the dm_control backend has a timestep of {CASSIE.physics_timestep} s,"
+                f" got {timestep!r}"
             )
         base = DmControlEnv(num_envs, floor_friction=floor_friction)
     stack_of = {name: t if isinstance(t, Transform) else t() for name, t in chosen.items()}

@@ -16,10 +16,10 @@ with warnings.catch_warnings():
 
 from aslip.errors import ShapeError
 from aslip.files.assets import asset_path
-from aslip.robot import MOTOR_NAMES, SIDES, SUBSTEPS, Side
-from aslip.robot.model import DEFAULT_FLOOR_FRICTION, CassieIndices, set_floor_friction
+from aslip.robot import CASSIE, SIDES, Side
+from aslip.robot.model import DEFAULT_FLOOR_FRICTION, set_floor_friction
 from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse
-from aslip.sim import Drive, Sensors, Snapshot
+from aslip.sim import PD, Sensors, Snapshot
 from aslip.sim.checks import check_states
 from aslip.sim.simulations import watched_size
 from aslip.sim.truth import true_state
@@ -46,8 +46,8 @@ class BipedPhysics(mujoco.Physics):
 
     def _reload_from_data(self, data: MjData) -> None:
         """Set up indices and drive; dm_control calls this from every constructor."""
-        self.indices = CassieIndices.from_model(data.model.ptr)
-        self._drive = Drive(1)
+        self.indices = CASSIE.indices
+        self._drive = PD(1)
         self.sensors = Sensors(1, data.model.ptr)
         self.watched: np.ndarray | None = None
         """(60, 83) every substep of the last policy period, as `aslip.sim.Simulations.watched`,
@@ -80,7 +80,7 @@ class BipedPhysics(mujoco.Physics):
 
     def watch(self, watched: bool = True) -> None:
         """Keep every substep in `watched` from now on, or no more."""
-        shape = (SUBSTEPS, watched_size(self.model.ptr))
+        shape = (CASSIE.substeps, watched_size(self.model.ptr))
         self.watched = np.zeros(shape) if watched else None
 
     def step(self, nstep: int = 1) -> None:
@@ -106,7 +106,7 @@ class BipedPhysics(mujoco.Physics):
                 self.watched[self._substep] = np.concatenate(
                     [self.data.qpos, self.data.qvel, torque, force]
                 )
-            self._substep = (self._substep + 1) % SUBSTEPS
+            self._substep = (self._substep + 1) % CASSIE.substeps
             if self._substep == 0:
                 sensors.finish()
             self._ground_force += self.data.sensordata[self.indices.ground_force]
@@ -161,7 +161,7 @@ class BipedPhysics(mujoco.Physics):
         self._substep = 0
 
     def packets(self) -> dict[str, np.ndarray]:
-        """Packets of the sensors of the last whole policy period, (`SENSOR_WINDOW`, k) each."""
+        """Packets of the last whole policy period, (`Robot.sensor_window`, k) each."""
         return {name: window[0].copy() for name, window in self.sensors.packets().items()}
 
     def true_state(self) -> dict[str, np.ndarray]:
@@ -190,7 +190,7 @@ class BipedPhysics(mujoco.Physics):
 
     def motor_range(self) -> np.ndarray:
         """Limits of the ten driven joints, (10, 2) [rad]."""
-        return np.stack([self.named.model.jnt_range[name] for name in MOTOR_NAMES])
+        return np.stack([self.named.model.jnt_range[name] for name in CASSIE.motor_names])
 
     def foot_position(self, side: Side) -> np.ndarray:
         """Sole centre in the world, (3,) [m]."""

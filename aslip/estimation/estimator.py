@@ -16,8 +16,8 @@ from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation.filter import Belief, ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.packets import PACKET_SIZE, SLICES, PacketMemory, Screen, Screened, join
-from aslip.robot import STANDARD_GRAVITY
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.robot.model import load_model
 from aslip.robot.rotation import (
     cross,
     normalize,
@@ -25,7 +25,6 @@ from aslip.robot.rotation import (
     vector_to_heading,
     yaw,
 )
-from aslip.robot.sensing import PACKET_PERIOD
 
 # standard deviation [m/s^2] of the mean over 3 ms of an acceleration that had to be made up
 _DOUBT = 5.0
@@ -164,7 +163,7 @@ class StateEstimator:
         while True:
             estimate = estimator.update(tracking, packet)
 
-    A packet is a mapping of the entries of `aslip.robot.sensing.PACKET_SIZES`, or those joined to
+    A packet is a mapping of the entries of `aslip.robot.Robot.packet_sizes`, or those joined to
     an array. Windows of packets of several robots, oldest first, have the leading shape (n, w).
     The accelerometer's value is the mean since the packet before.
 
@@ -187,7 +186,7 @@ class StateEstimator:
         self,
         model: mujoco.MjModel | None = None,
         *,
-        period: float = PACKET_PERIOD,
+        period: float = CASSIE.packet_period,
         noise: FilterNoise | None = None,
     ) -> None:
         if not 0 < period < 1:
@@ -195,7 +194,7 @@ class StateEstimator:
         robot: Any = load_model(visual=False) if model is None else model
         self.period = period
         self._screen = Screen(period)
-        self._doubt = _DOUBT * (PACKET_PERIOD / period) ** 0.5
+        self._doubt = _DOUBT * (CASSIE.packet_period / period) ** 0.5
         self._legs = LegKinematics(robot)
         self._filter = ContactFilter(
             period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
@@ -426,7 +425,7 @@ def _windows(packets: Mapping[str, np.ndarray] | np.ndarray) -> np.ndarray:
 
 def _standing(model: mujoco.MjModel) -> np.ndarray:
     """(42,) readings of a robot that stands upright."""
-    indices, qpos = CassieIndices.from_model(model), model.key("standing").qpos
+    indices, qpos = CASSIE.indices, model.key("standing").qpos
     reading = np.zeros(PACKET_SIZE)
     reading[SLICES["motor_position"]] = qpos[indices.motor_qpos]
     reading[SLICES["joint_position"]] = qpos[indices.joint_qpos]

@@ -27,8 +27,8 @@ import mujoco
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.estimation.compiled import compiled
-from aslip.robot import SIDES, Side, foot_site
+from aslip.robot import CASSIE, SIDES, Side
+from aslip.robot.compiled import compiled
 
 HEEL, TOE, LATERAL, FORCE = range(4)
 """Rows of what `LegKinematics` returns: the ends of the axis of the sole's contact capsule [m], the
@@ -220,7 +220,7 @@ def _chain(model: mujoco.MjModel, side: Side) -> _Chain:
     turned = [0.0, *(np.angle(_plane(rotations[name][:, 0])) for name in _PLANAR[1:])]
     links = np.array([positions[name] for name in _PLANAR[1:]])
 
-    sole, site = model.geom(f"{side}_foot"), model.site(foot_site(side))
+    sole, site = model.geom(f"{side}_foot"), model.site(CASSIE.foot_sites[SIDES.index(side)])
     to_foot = _matrix(site.quat)
     half = _matrix(sole.quat)[:, 2] * sole.size[1]
     half *= np.sign(half @ to_foot[:, 0])  # toes are where the site's x axis points

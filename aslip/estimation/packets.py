@@ -19,15 +19,15 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aslip.errors import ShapeError, UnknownNameError
-from aslip.robot.sensing import PACKET_PERIOD, PACKET_SIZES
+from aslip.robot import CASSIE
 
-PACKET_SIZE: Final = sum(PACKET_SIZES.values())
+PACKET_SIZE: Final = sum(CASSIE.packet_sizes.values())
 """Numbers in a packet."""
 
-_ENDS = np.cumsum([0, *PACKET_SIZES.values()])
+_ENDS = np.cumsum([0, *CASSIE.packet_sizes.values()])
 
 SLICES: Final = MappingProxyType(
-    {name: slice(int(_ENDS[i]), int(_ENDS[i + 1])) for i, name in enumerate(PACKET_SIZES)}
+    {name: slice(int(_ENDS[i]), int(_ENDS[i + 1])) for i, name in enumerate(CASSIE.packet_sizes)}
 )
 """Where the entries are in a packet."""
 
@@ -58,7 +58,9 @@ _PERSISTENT = 0.009
 # inertial units give 200 values a second or more: one that repeats itself longer is frozen [s]
 _SLOWEST_IMU = 0.005
 
-_LIMIT = np.concatenate([np.full(size, _LARGEST[name]) for name, size in PACKET_SIZES.items()])
+_LIMIT = np.concatenate(
+    [np.full(size, _LARGEST[name]) for name, size in CASSIE.packet_sizes.items()]
+)
 _ORIENTATION, _IMU = SLICES["orientation"], slice(SLICES["gyro"].start, PACKET_SIZE)
 _GYRO = SLICES["gyro"]
 
@@ -68,17 +70,17 @@ _LEG = [np.concatenate([np.split(entry, 2)[leg] for entry in _ENCODERS]) for leg
 
 
 def join(packet: Mapping[str, np.ndarray]) -> np.ndarray:
-    """One array (*b, 42) of the entries of `PACKET_SIZES`, each (*b, k).
+    """One array (*b, 42) of the entries of `CASSIE.packet_sizes`, each (*b, k).
 
     Raises:
         UnknownNameError: an entry is missing.
         ShapeError: an entry has another size.
     """
     entries = []
-    for name, size in PACKET_SIZES.items():
+    for name, size in CASSIE.packet_sizes.items():
         if name not in packet:
             raise UnknownNameError(
-                f"a packet needs {list(PACKET_SIZES)}; {name!r} is missing"
+                f"a packet needs {list(CASSIE.packet_sizes)}; {name!r} is missing"
                 " (send NaN for what was lost)"
             )
         entry = np.asarray(packet[name], dtype=np.float64)
@@ -135,7 +137,7 @@ class Screen:
     """
 
     def __init__(self, period: float) -> None:
-        self._largest_jump = _LARGEST_JUMP * max(1.0, period / PACKET_PERIOD)
+        self._largest_jump = _LARGEST_JUMP * max(1.0, period / CASSIE.packet_period)
         self._persistent = round(_PERSISTENT / period)
         self._most_repeats = int(_SLOWEST_IMU / period)
 

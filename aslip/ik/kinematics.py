@@ -20,7 +20,7 @@ import pinocchio as pin
 
 from aslip.errors import ShapeError
 from aslip.files.assets import asset_path
-from aslip.robot import MOTOR_NAMES, SIDES, SPRING_NAMES, foot_site
+from aslip.robot import CASSIE, SIDES
 from aslip.robot.rotation import cross
 
 PELVIS_POSITION: Final = slice(0, 3)
@@ -93,7 +93,7 @@ class Kinematics:
         self.model, loops, _ = pin.buildModelAndConstraintsFromMJCF(str(path))
         self._data = self.model.createData()
         self._feet = [
-            self.model.getFrameId(foot_site(side), pin.FrameType.OP_FRAME) for side in SIDES
+            self.model.getFrameId(site, pin.FrameType.OP_FRAME) for site in CASSIE.foot_sites
         ]
         self.start = np.array(self.model.referenceConfigurations["standing"])
         self.start[PELVIS_POSITION], self.start[PELVIS_ORIENTATION] = 0, (0, 0, 0, 1)
@@ -105,11 +105,11 @@ class Kinematics:
         """Resolve every index once, by name."""
         model = self.model
         q, v, width = (list(x) for x in (model.idx_qs, model.idx_vs, model.nvs))
-        motors = [model.getJointId(name) for name in MOTOR_NAMES]
+        motors = [model.getJointId(name) for name in CASSIE.motor_names]
         self.motor_q = np.array([q[joint] for joint in motors])
         self.motor_v = np.array([v[joint] for joint in motors])
         hips = [model.supports[model.frames[foot].parentJoint][_HIP] for foot in self._feet]
-        springs = [model.getJointId(name) for name in SPRING_NAMES]
+        springs = [model.getJointId(name) for name in CASSIE.spring_names]
         self._joints = [[j for j in model.subtrees[hip] if j not in springs] for hip in hips]
         self.leg_q, self.leg_v = (
             np.array(

@@ -11,7 +11,7 @@ import numpy as np
 
 from aslip.errors import AssetError, ConfigurationError, ShapeError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.robot import MOTOR_NAMES
+from aslip.robot import CASSIE
 from aslip.rom import Gait
 
 FORMAT = ArchiveFormat(
@@ -97,7 +97,7 @@ class GaitTable:
 def _width(name: str) -> int:
     """Columns of an array of a `GaitTable` over speeds and samples."""
     robot = {"qpos": 35, "qvel": 32}
-    return robot.get(name, len(MOTOR_NAMES) if name.startswith("motor") else 3)
+    return robot.get(name, len(CASSIE.motor_names) if name.startswith("motor") else 3)
 
 
 def write_library(

@@ -25,13 +25,13 @@ import numpy as np
 import aslip
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.files.assets import asset_path
-from aslip.robot import SUBSTEPS
+from aslip.robot import CASSIE
 from aslip.robot.model import check_timestep, set_floor_friction
 
 MODEL_FILE: Final = "model.xml"
 SETTINGS_FILE: Final = "model.json"
 
-LONGEST_MEMORY: Final = 2 * SUBSTEPS
+LONGEST_MEMORY: Final = 2 * CASSIE.substeps
 """Torque commands that a motor can remember: a delay of a policy step, after doubling."""
 _HIGHEST_FRICTION = 1e3
 # how far a number of the XML may be from the one that ships

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from aslip.log.messages import LOGGED_JOINTS
-from aslip.robot import MOTOR_NAMES
+from aslip.robot import CASSIE
 
 
 class LoggedKinematics:
@@ -17,7 +17,7 @@ class LoggedKinematics:
         self._xpos, self._xquat = self._data.xpos[1:], self._data.xquat[1:]
         self.bodies = [model.body(i).name for i in range(1, model.nbody)]
         joints = [model.joint(name) for name in LOGGED_JOINTS]
-        passive = joints[len(MOTOR_NAMES) :]
+        passive = joints[len(CASSIE.motor_names) :]
         qpos = np.array([joint.qposadr[0] for joint in joints])
         qvel = np.array([joint.dofadr[0] for joint in joints])
         motors = np.arange(model.nu)

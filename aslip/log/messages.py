@@ -35,7 +35,7 @@ from typing import Any, Final
 from mcap_ros2.writer import serialize_dynamic  # pyright: ignore[reportPrivateImportUsage]
 
 from aslip.estimation import FAULTS
-from aslip.robot import JOINT_NAMES, MOTOR_NAMES, SIDES
+from aslip.robot import CASSIE, SIDES
 
 FORMAT: Final = "2"
 """Version of this layout. Readers refuse others, and name the version of aslip, and its commit,
@@ -43,7 +43,7 @@ that wrote the log: it is what reads and replays it. Format 1 had no hash of its
 `/observation`, `/sensors`, `/odometry` nor `/dynamics`, and the whole model in `model.json`."""
 
 LOGGED_JOINTS: Final = (
-    *MOTOR_NAMES,
+    *CASSIE.motor_names,
     *(f"{side}_{joint}" for side in SIDES for joint in ("shin", "tarsus", "heel_spring")),
 )
 """The 16 joints of `/joint_states`: motors, then the passive joints of the legs."""
@@ -156,10 +156,10 @@ def component_names(name: str, size: int) -> list[str]:
     """
     if size == 1:
         return [name]
-    if size == len(MOTOR_NAMES):
-        return [f"{name}_{motor}" for motor in MOTOR_NAMES]
-    if size == len(JOINT_NAMES) and "joint" in name:
-        return [f"{name}_{joint}" for joint in JOINT_NAMES]
+    if size == len(CASSIE.motor_names):
+        return [f"{name}_{motor}" for motor in CASSIE.motor_names]
+    if size == len(CASSIE.joint_names) and "joint" in name:
+        return [f"{name}_{joint}" for joint in CASSIE.joint_names]
     if size == 2 * 3:
         return [f"{name}_{side}_{axis}" for side in SIDES for axis in "xyz"]
     if size == len(SIDES):

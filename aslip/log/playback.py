@@ -13,7 +13,7 @@ import numpy as np
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.log.frozen_model import low_level_digest, model_digest
 from aslip.log.reader import Recording, Series, read
-from aslip.robot import MOTOR_NAMES, POLICY_PERIOD
+from aslip.robot import CASSIE
 
 if TYPE_CHECKING:
     from aslip.log.replayed_robot import ReplayedRobot
@@ -116,7 +116,9 @@ class _Run:
         states, steps = (_series(recording, topic) for topic in ("/state", "/step"))
         self._rows = robot.rows(states)
         self._ticks = _ticks(steps)
-        self._targets = np.stack([_column(steps, f"motor_target_{n}") for n in MOTOR_NAMES], axis=1)
+        self._targets = np.stack(
+            [_column(steps, f"motor_target_{n}") for n in CASSIE.motor_names], axis=1
+        )
         self._pushes = np.stack([_column(steps, f"push_{axis}") for axis in "xyz"], axis=1)
         before = np.flatnonzero(states.time <= start + 1e-9)
         if len(before) == 0:
@@ -165,17 +167,17 @@ class _Run:
         """
         if not self._path:
             raise ConfigurationError(
-                f"nothing follows the state at {self._first * POLICY_PERIOD:g} s, the last of the"
-                f" log before {self._start:g} s"
+                f"nothing follows the state at {self._first * CASSIE.policy_period:g} s, the last"
+                f" of the log before {self._start:g} s"
             )
         return Replay(
-            start=self._first * POLICY_PERIOD,
+            start=self._first * CASSIE.policy_period,
             steps=len(self._path),
-            state_time=np.array([tick * POLICY_PERIOD for tick, _ in self._compared]),
+            state_time=np.array([tick * CASSIE.policy_period for tick, _ in self._compared]),
             drift=np.array(self.drift),
             qpos_drift=np.array([drift for _, drift in self._compared]),
             doubts=doubts,
-            time=np.array([tick * POLICY_PERIOD for tick, _, _ in self._path]),
+            time=np.array([tick * CASSIE.policy_period for tick, _, _ in self._path]),
             qpos=np.array([qpos for _, qpos, _ in self._path]),
             qvel=np.array([qvel for _, _, qvel in self._path]),
         )
@@ -218,7 +220,7 @@ def _series(recording: Recording, topic: str) -> Series:
 
 def _ticks(series: Series) -> np.ndarray:
     """(m,) policy steps since the log began; times of a log are whole ones."""
-    return np.rint(series.time / POLICY_PERIOD).astype(int)
+    return np.rint(series.time / CASSIE.policy_period).astype(int)
 
 
 def _column(series: Series, name: str) -> np.ndarray:

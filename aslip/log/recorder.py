@@ -29,7 +29,7 @@ from aslip.log.rates import JointRate
 from aslip.log.session import Session
 from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
-from aslip.robot import PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.robot import CASSIE
 from aslip.show.ghost import Footholds
 from aslip.training.provenance import commit, versions
 
@@ -231,7 +231,7 @@ def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str
         "seed": str(config["seed"]),
         "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "timestep_s": repr(float(model.opt.timestep)),
-        "control_timestep_s": repr(PHYSICS_TIMESTEP),
-        "substeps": str(SUBSTEPS),
+        "control_timestep_s": repr(CASSIE.physics_timestep),
+        "substeps": str(CASSIE.substeps),
         "platform": f"{platform.system()} {platform.machine()}",
     }

@@ -9,7 +9,7 @@ from aslip.errors import FileDamagedError
 from aslip.log.frozen_model import LONGEST_MEMORY, MODEL_FILE, SETTINGS_FILE, thaw_model
 from aslip.log.messages import MEMORY
 from aslip.log.reader import Recording, Series
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.sim import DYNAMICS, Dynamics, Simulations
 from aslip.sim.dynamics import with_memory_of
 
@@ -65,13 +65,17 @@ class ReplayedRobot:
         """
         past = [at for at in self._changes if at <= tick]
         if not past:
-            raise FileDamagedError(f"/dynamics does not begin before {tick * POLICY_PERIOD:g} s")
+            raise FileDamagedError(
+                f"/dynamics does not begin before {tick * CASSIE.policy_period:g} s"
+            )
         values = dict(self._changes[max(past)])
         self._lengthen(self._checked_memory(values.pop(MEMORY)))
         try:
             fields = self._dynamics.update(_ONE, values)
         except ValueError as error:
-            raise FileDamagedError(f"/dynamics at {tick * POLICY_PERIOD:g} s: {error}") from error
+            raise FileDamagedError(
+                f"/dynamics at {tick * CASSIE.policy_period:g} s: {error}"
+            ) from error
         self._simulations.write_fields(_ONE, fields)
 
     def set_state(self, row: np.ndarray) -> None:
@@ -146,7 +150,7 @@ def _changes(series: Series) -> dict[int, dict[str, float]]:
     columns = {name: series[name] for name in names}
     if any(column.dtype.kind != "f" or column.ndim != 1 for column in columns.values()):
         raise FileDamagedError("/dynamics is not of numbers")
-    ticks = np.rint(series.time / POLICY_PERIOD).astype(int)
+    ticks = np.rint(series.time / CASSIE.policy_period).astype(int)
     return {
         int(tick): {name: float(column[i]) for name, column in columns.items()}
         for i, tick in enumerate(ticks)

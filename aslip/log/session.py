@@ -16,15 +16,15 @@ from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
 from aslip.log.robot_description import robot_description
 from aslip.log.template import Marks, Template, joints_template, state_template, transforms_template
 from aslip.log.writer import LogWriter
-from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SIDES, SUBSTEPS
+from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 from aslip.show.ghost import Footholds, Ghost
 from aslip.walking.metrics.contact import CONTACT_FORCE
 
-_SUBSTEP_NS = round(PHYSICS_TIMESTEP * 1e9)
-_STEP_NS = SUBSTEPS * _SUBSTEP_NS
+_SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)
+_STEP_NS = CASSIE.substeps * _SUBSTEP_NS
 # a chunk, and a state to begin a replay from, once per simulated second
-_STEPS_PER_SECOND = round(1 / POLICY_PERIOD)
+_STEPS_PER_SECOND = round(1 / CASSIE.policy_period)
 # a foot touches down if it was in the air for as many steps before
 _AIRBORNE_STEPS = 4
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from aslip.log.reader import Recording, Series
-from aslip.robot import MOTOR_NAMES, POLICY_PERIOD, SIDES
+from aslip.robot import CASSIE, SIDES
 from aslip.transforms import ODOMETRY_SIZES
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
 from aslip.walking import Walks
@@ -24,7 +24,9 @@ def read_walk(recording: Recording) -> Walks:
         UnknownNameError: the log has no reference or no truth.
     """
     step, truth, reference = (recording[t] for t in ("/step", "/truth", "/reference"))
-    ticks, instants = (np.rint(series.time / POLICY_PERIOD).astype(int) for series in (step, truth))
+    ticks, instants = (
+        np.rint(series.time / CASSIE.policy_period).astype(int) for series in (step, truth)
+    )
     # a reset takes the time of a step, in which there is no step
     gaps = np.flatnonzero(np.diff(ticks) > 1)
     count = int(gaps[0]) + 1 if len(gaps) else len(ticks)
@@ -42,7 +44,7 @@ def read_walk(recording: Recording) -> Walks:
     arrays = {
         "phase": reference["phase"][rows],
         "reward": step["reward"][:count],
-        "action": columns(step, [f"action_{name}" for name in MOTOR_NAMES], slice(count)),
+        "action": columns(step, [f"action_{name}" for name in CASSIE.motor_names], slice(count)),
         "pelvis_position": body["pelvis_position"][rows],
         "pelvis_orientation": body["pelvis_orientation"][rows],
         "pelvis_velocity": body["pelvis_velocity"][rows],

@@ -14,7 +14,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.robot import JOINT_NAMES, MOTOR_NAMES, mirror_name
+from aslip.robot import CASSIE, mirror_name
 from aslip.transforms import OBSERVATION_TABLE
 
 # mirrored at the xz plane: vectors turn their y; axial vectors (angular velocities, the vector part
@@ -123,7 +123,11 @@ class Symmetrised(nn.Module):
 
 def action_mirror() -> Mirror:
     """Mirror of a (*b, 10) action or of motor angles."""
-    return Mirror(MOTOR_NAMES, [mirror_name(name) for name in MOTOR_NAMES], _turns(MOTOR_NAMES))
+    return Mirror(
+        CASSIE.motor_names,
+        [mirror_name(name) for name in CASSIE.motor_names],
+        _turns(CASSIE.motor_names),
+    )
 
 
 def observation_mirror(
@@ -164,9 +168,9 @@ def _entry(entry: str, known: Mapping[str, Sequence[float]]) -> tuple[Sequence[s
         signs = [float(sign) for sign in known[entry]]
         return [str(i) for i in range(len(signs))], signs
     if entry.startswith("motor_") or entry in _PER_MOTOR:
-        return MOTOR_NAMES, _turns(MOTOR_NAMES)
+        return CASSIE.motor_names, _turns(CASSIE.motor_names)
     if entry.startswith("joint_"):
-        return JOINT_NAMES, _turns(JOINT_NAMES)
+        return CASSIE.joint_names, _turns(CASSIE.joint_names)
     raise UnknownNameError(
         f"the mirror image of {entry!r} is unknown: give its signs, PolicyShape(mirror_signs="
         f"{{{entry!r}: (1.0, -1.0, ...)}}), or train without symmetry (--no-symmetric); known are"

@@ -1,54 +1,25 @@
-"""Facts about the robot Cassie: constants, names, and where its model is.
+"""Robots: a frozen `Robot` with names, low level, timing and indices; `CASSIE` is one.
 
-Only `aslip.robot.model` needs a simulator; import it by its own name.
+Only `aslip.robot.model` needs MuJoCo; import it by its own name.
 """
 
-from aslip.robot.constants import (
-    FALL_HEIGHT,
-    GEAR,
-    JOINT_ENCODER_BITS,
-    MOTOR_ENCODER_BITS,
-    MOTOR_NO_LOAD_SPEED,
-    MOTOR_TORQUE_LIMIT,
-    PD_DAMPING,
-    PD_STIFFNESS,
-    PHYSICS_TIMESTEP,
-    POLICY_PERIOD,
-    STANDARD_GRAVITY,
-    SUBSTEPS,
-    TORQUE_DELAY,
-    TOTAL_MASS,
-)
-from aslip.robot.names import (
-    JOINT_NAMES,
-    MOTOR_NAMES,
-    SIDES,
-    SPRING_NAMES,
-    Side,
-    foot_site,
-    mirror_name,
-)
+from typing import Final
+
+from aslip.robot.cassie import CASSIE
+from aslip.robot.names import SIDES, Side, mirror_name
+from aslip.robot.noise import NoiseLevel
+from aslip.robot.robot import Indices, Robot
+
+STANDARD_GRAVITY: Final = 9.81
+"""Gravity of robots and reduced-order models [m/s^2] (Table I)."""
 
 __all__ = [
-    "FALL_HEIGHT",
-    "GEAR",
-    "JOINT_ENCODER_BITS",
-    "JOINT_NAMES",
-    "MOTOR_ENCODER_BITS",
-    "MOTOR_NAMES",
-    "MOTOR_NO_LOAD_SPEED",
-    "MOTOR_TORQUE_LIMIT",
-    "PD_DAMPING",
-    "PD_STIFFNESS",
-    "PHYSICS_TIMESTEP",
-    "POLICY_PERIOD",
+    "CASSIE",
     "SIDES",
-    "SPRING_NAMES",
     "STANDARD_GRAVITY",
-    "SUBSTEPS",
-    "TORQUE_DELAY",
-    "TOTAL_MASS",
+    "Indices",
+    "NoiseLevel",
+    "Robot",
     "Side",
-    "foot_site",
     "mirror_name",
 ]

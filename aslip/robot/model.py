@@ -1,51 +1,54 @@
-"""The MuJoCo model of Cassie and the indices of its parts, resolved once by name."""
+"""MuJoCo model of a robot."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.files.assets import asset_path
-from aslip.robot.constants import PHYSICS_TIMESTEP
-from aslip.robot.names import JOINT_NAMES, MOTOR_NAMES, SIDES, foot_site
+from aslip.robot.cassie import CASSIE
+from aslip.robot.robot import Robot
+from aslip.robot.skeleton import Body, Connection, Geom, Joint, Sensor, Site, Skeleton
 
 DEFAULT_FLOOR_FRICTION = 1.0
 """Sliding friction of the floor (the public simulator's default)."""
 
-TIMESTEPS: Final = (PHYSICS_TIMESTEP, 2 * PHYSICS_TIMESTEP)
-"""Timesteps that physics may have [s]; motors are controlled at 2 kHz with both."""
-
+_CONNECT = int(mujoco.mjtEq.mjEQ_CONNECT)
+_KINDS = ("free", "ball", "slide", "hinge")
 
 APPEARANCE_GROUP: Final = 1
-"""Group of geoms that are what one sees of the robot."""
+"""Group of the geoms that are drawn of the robot."""
 
 
 def load_model(
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
     *,
     visual: bool = True,
-    timestep: float = PHYSICS_TIMESTEP,
+    timestep: float | None = None,
     memory: int | None = None,
+    robot: Robot = CASSIE,
 ) -> mujoco.MjModel:
-    """Compile `assets/cassie.xml`.
+    """Compile a robot's MJCF.
 
     Args:
         floor_friction: sliding friction coefficient between the floor and any part of the robot.
         visual: keep what is only looked at. Without it the physics is the same, bit for bit, and a
             physics step costs less.
-        timestep: of the physics [s], that of the 2 kHz loop or twice that, to train on.
+        timestep: physics timestep [s]: that of the robot's loop by default, or twice that, to train
+            on.
         memory: torque commands that a motor remembers, one a physics step; enough for the delay of
             the robot by default.
+        robot: robot to compile.
 
     Raises:
-        ConfigurationError: the friction is not a positive number, or the timestep none of the two.
+        ConfigurationError: the friction is not a positive number, or the timestep is not one of
+            the two.
     """
-    check_timestep(timestep)
-    spec = mujoco.MjSpec.from_file(str(asset_path("cassie.xml")))
+    timestep = robot.physics_timestep if timestep is None else timestep
+    check_timestep(timestep, robot)
+    spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     spec.compiler.discardvisual = not visual
     spec.option.timestep = timestep
     if memory is not None:
@@ -56,10 +59,16 @@ def load_model(
     return model
 
 
-def check_timestep(timestep: float) -> None:
-    """Raise ConfigurationError if physics cannot have it."""
-    if timestep not in TIMESTEPS:
-        raise ConfigurationError(f"timestep must be one of {TIMESTEPS} s, got {timestep!r}")
+def physics_timesteps(robot: Robot = CASSIE) -> tuple[float, float]:
+    """Timesteps that physics may have [s]; the motors' loop keeps its period with both."""
+    return robot.physics_timestep, 2 * robot.physics_timestep
+
+
+def check_timestep(timestep: float, robot: Robot = CASSIE) -> None:
+    """Raise ConfigurationError unless physics may have this timestep."""
+    allowed = physics_timesteps(robot)
+    if timestep not in allowed:
+        raise ConfigurationError(f"timestep must be one of {allowed} s, got {timestep!r}")
 
 
 def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
@@ -75,46 +84,55 @@ def geom_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
     return model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
 
 
-@dataclass(frozen=True)
-class CassieIndices:
-    """Where the robot's parts are in MuJoCo's arrays, in the order of `aslip.robot.names`."""
-
-    motor_qpos: np.ndarray
-    """(10,) positions of the motors' joints in `qpos`."""
-    motor_qvel: np.ndarray
-    """(10,) the same in `qvel`."""
-    joint_qpos: np.ndarray
-    """(6,) positions of the passive joints with encoders in `qpos`."""
-    joint_qvel: np.ndarray
-    """(6,) the same in `qvel`."""
-    foot_site: np.ndarray
-    """(2,) ids of the sole-centre sites."""
-    ground_force: np.ndarray
-    """(2, 3) ground reaction of each foot in `sensordata`, world frame."""
-    foot_velocity: np.ndarray
-    """(2, 3) velocity of each sole centre in `sensordata`, world frame."""
-    pelvis_body: int
-    """Id of the pelvis, whose origin is pushed."""
-
-    @classmethod
-    def from_model(cls, model: mujoco.MjModel) -> CassieIndices:
-        """Look every name up in a compiled model."""
-        tables = cls(
-            motor_qpos=np.array([model.joint(name).qposadr[0] for name in MOTOR_NAMES]),
-            motor_qvel=np.array([model.joint(name).dofadr[0] for name in MOTOR_NAMES]),
-            joint_qpos=np.array([model.joint(name).qposadr[0] for name in JOINT_NAMES]),
-            joint_qvel=np.array([model.joint(name).dofadr[0] for name in JOINT_NAMES]),
-            foot_site=np.array([model.site(foot_site(side)).id for side in SIDES]),
-            ground_force=np.stack([_sensor(model, f"{side}_ground_force") for side in SIDES]),
-            foot_velocity=np.stack([_sensor(model, f"{side}_foot_velocity") for side in SIDES]),
-            pelvis_body=model.body("pelvis").id,
-        )
-        for table in vars(tables).values():
-            if isinstance(table, np.ndarray):
-                table.setflags(write=False)
-        return tables
+def compile_skeleton(robot: Robot) -> Skeleton:
+    """Compile a robot's MJCF, and collect the numbers that are read without MuJoCo."""
+    return skeleton_of(load_model(visual=False, robot=robot))
 
 
-def _sensor(model: mujoco.MjModel, name: str) -> np.ndarray:
-    sensor = model.sensor(name)
-    return sensor.adr[0] + np.arange(sensor.dim[0])
+def skeleton_of(model: mujoco.MjModel) -> Skeleton:
+    """Collect the numbers of a compiled model."""
+    bodies = [model.body(i) for i in range(model.nbody)]
+    joints = [model.joint(i) for i in range(model.njnt)]
+    sites = [model.site(i) for i in range(model.nsite)]
+    geoms = [geom for geom in map(model.geom, range(model.ngeom)) if geom.name]
+    loops = [loop for loop in map(model.equality, range(model.neq)) if loop.type[0] == _CONNECT]
+    sensors = [model.sensor(i) for i in range(model.nsensor)]
+    return Skeleton(
+        num_qpos=int(model.nq),
+        num_qvel=int(model.nv),
+        bodies={b.name: Body(int(b.id), _vector(b.pos), _vector(b.quat)) for b in bodies},
+        joints={joint.name: _joint(model, joint) for joint in joints},
+        sites={
+            s.name: Site(int(s.id), bodies[s.bodyid[0]].name, _vector(s.pos), _vector(s.quat))
+            for s in sites
+        },
+        geoms={
+            g.name: Geom(bodies[g.bodyid[0]].name, *map(_vector, (g.pos, g.quat, g.size)))
+            for g in geoms
+        },
+        connections={
+            e.name: Connection(
+                *(bodies[i].name for i in (e.obj1id[0], e.obj2id[0])),
+                *(_vector(point) for point in np.split(e.data[:6], 2)),
+            )
+            for e in loops
+        },
+        sensors={s.name: Sensor(int(s.adr[0]), int(s.dim[0])) for s in sensors},
+        standing=_vector(model.key("standing").qpos),
+    )
+
+
+def _joint(model: mujoco.MjModel, joint: Any) -> Joint:
+    kind = _KINDS[int(joint.type[0])]
+    return Joint(
+        body=model.body(joint.bodyid[0]).name,
+        kind=kind,
+        qpos=int(joint.qposadr[0]),
+        qvel=int(joint.dofadr[0]),
+        zero=float(model.qpos0[joint.qposadr[0]]) if kind in ("slide", "hinge") else 0.0,
+        stiffness=float(joint.stiffness[0]),
+    )
+
+
+def _vector(values: np.ndarray) -> tuple[float, ...]:
+    return tuple(np.ravel(values).tolist())

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from aslip.sim.drive import Drive, motor_torque
+    from aslip.sim.drive import PD, Drive, Torque
     from aslip.sim.dynamics import Dynamics
     from aslip.sim.parameters import DYNAMICS
     from aslip.sim.pool import SimulationPool
@@ -17,20 +17,21 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DYNAMICS",
+    "PD",
     "Drive",
     "Dynamics",
     "Sensors",
     "SimulationPool",
     "Simulations",
     "Snapshot",
-    "motor_torque",
+    "Torque",
     "true_state",
 ]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "drive": ["Drive", "motor_torque"],
+        "drive": ["PD", "Drive", "Torque"],
         "dynamics": ["Dynamics"],
         "parameters": ["DYNAMICS"],
         "pool": ["SimulationPool"],

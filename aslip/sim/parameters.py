@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Final
 
 from aslip.errors import UnknownNameError
-from aslip.robot import PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.robot import CASSIE
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ DYNAMICS: Final = MappingProxyType(
         "torque_delay": Parameter(
             "from a torque command to its action [s], in whole physics steps",
             0.0,
-            SUBSTEPS * PHYSICS_TIMESTEP,
+            CASSIE.substeps * CASSIE.physics_timestep,
             ("actuator_delay",),
         ),
         "slope": Parameter(

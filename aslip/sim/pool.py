@@ -18,7 +18,8 @@ import mujoco
 import numpy as np
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE
+from aslip.robot.model import load_model
 from aslip.sim.checks import check_count, check_ids, check_states
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot
@@ -45,7 +46,7 @@ class SimulationPool:
         self.num = num = check_count("the number of simulations", num)
         num_threads = check_count("num_threads", num_threads, least=0)
         self.model = load_model(visual=False) if model is None else model
-        self.indices = CassieIndices.from_model(self.model)
+        self.indices = CASSIE.indices
         threads = num_threads or processors()
         # equal parts, as many for each thread
         rounds = math.ceil(num / (threads * _LARGEST_PART))

@@ -25,18 +25,9 @@ from typing import Final
 
 import mujoco
 import numpy as np
-from numba import njit
-from scipy.signal import lfilter, lfilter_zi
 
-from aslip.robot import (
-    GEAR,
-    JOINT_ENCODER_BITS,
-    MOTOR_ENCODER_BITS,
-    PHYSICS_TIMESTEP,
-    SUBSTEPS,
-)
-from aslip.robot.model import CassieIndices
-from aslip.robot.sensing import PACKET_SIZES, PACKET_SUBSTEPS, SENSOR_WINDOW
+from aslip.robot import CASSIE, Robot
+from aslip.robot.compiled import compiled
 
 MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
 """Taps on a motor's counts, newest first; the sum is in counts a step times pi (simulator)."""
@@ -51,15 +42,9 @@ _TAPS = len(MOTOR_VELOCITY_TAPS)
 _MEMORY_ROWS = _TAPS - 1
 _ORDER = max(map(len, JOINT_VELOCITY_FILTER)) - 1
 
-# radians at the joint of one count
-_MOTOR_STEP = 2 * np.pi / 2.0**MOTOR_ENCODER_BITS / GEAR
-_JOINT_STEP = 2 * np.pi / 2.0**JOINT_ENCODER_BITS
-# radians a second at the joint of one in the sum of taps times counts
-_VELOCITY_STEP = _MOTOR_STEP / np.pi
 _OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
 # quaternion, angular velocity, linear and angular acceleration
 _ATTITUDE, _GYRO, _LINEAR, _ANGULAR = slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13)
-_SENT = slice(PACKET_SUBSTEPS - 1, None, PACKET_SUBSTEPS)
 
 
 class Sensors:
@@ -70,28 +55,35 @@ class Sensors:
 
     Args:
         num: number of robots n.
-        model: the robot.
+        model: compiled model of the robot, which gives gravity and the place of the IMU.
+        robot: robot whose encoders and timing the sensors have.
     """
 
-    def __init__(self, num: int, model: mujoco.MjModel) -> None:
-        indices = CassieIndices.from_model(model)
+    def __init__(self, num: int, model: mujoco.MjModel, robot: Robot = CASSIE) -> None:
+        self._indices, self._timestep = robot.indices, robot.physics_timestep
+        indices = self._indices
         self._encoder_qpos = np.concatenate([indices.motor_qpos, indices.joint_qpos])
-        self._motor_qvel, self._joint_qvel = indices.motor_qvel, indices.joint_qvel
-        self._imu = model.site("imu").pos.copy()
+        # radians at the joint of one count
+        self._motor_step = 2 * np.pi / 2.0**robot.motor_encoder_bits / robot.gear
+        self._joint_step = 2 * np.pi / 2.0**robot.joint_encoder_bits
+        # radians a second at the joint of one in the sum of taps times counts
+        self._velocity_step = self._motor_step / np.pi
+        self._substeps, self._window = robot.substeps, robot.sensor_window
+        self._sent = slice(robot.packet_substeps - 1, None, robot.packet_substeps)
+        self._imu = model.site(robot.imu_site).pos.copy()
         self._gravity = np.tile(model.opt.gravity[:, None], num)
-        motors, joints = len(MOTOR_ENCODER_BITS), len(JOINT_ENCODER_BITS)
+        motors, joints = len(robot.motor_names), len(robot.joint_names)
         self._motors = motors
-        self._angle = np.zeros((SUBSTEPS, num, motors + joints))
+        self._angle = np.zeros((robot.substeps, num, motors + joints))
         # counts of the motors: some from before the period, then those of its steps
-        self._count = np.zeros((_MEMORY_ROWS + SUBSTEPS, num, motors))
-        self._velocity = np.zeros((SUBSTEPS, num, motors))
+        self._count = np.zeros((_MEMORY_ROWS + robot.substeps, num, motors))
+        self._velocity = np.zeros((robot.substeps, num, motors))
         self._joint_memory = np.zeros((_ORDER, num, joints))
-        self._inertial = np.zeros((_ANGULAR.stop, SUBSTEPS, num))
-        numerator, denominator = JOINT_VELOCITY_FILTER
-        self._constant = lfilter_zi(numerator, denominator)
-        self._ramp, self._ramp_gain = _ramp_response()
+        self._inertial = np.zeros((_ANGULAR.stop, robot.substeps, num))
+        self._constant = _settled(*JOINT_VELOCITY_FILTER)
+        self._ramp, self._ramp_gain = _ramp_response(self._timestep)
         self._packets = {
-            name: np.zeros((num, SENSOR_WINDOW, size)) for name, size in PACKET_SIZES.items()
+            name: np.zeros((num, self._window, size)) for name, size in robot.packet_sizes.items()
         }
         self.motor_position = np.zeros((num, motors))
         """(n, 10) latest readings [rad]."""
@@ -118,22 +110,31 @@ class Sensors:
             qvel: (k, 32) velocities.
             qacc: (k, 32) accelerations.
         """
-        velocity = qvel[:, self._motor_qvel]
-        angle = qpos[:, self._encoder_qpos[: self._motors]]
-        ages = PHYSICS_TIMESTEP * np.arange(_TAPS, 0, -1)
-        counts = np.trunc((angle - ages[:, None, None] * velocity) / _MOTOR_STEP)
+        at = self._indices
+        velocity = qvel[:, at.motor_qvel]
+        angle = qpos[:, at.motor_qpos]
+        ages = self._timestep * np.arange(_TAPS, 0, -1)
+        counts = np.trunc((angle - ages[:, None, None] * velocity) / self._motor_step)
         self._count[:_MEMORY_ROWS, ids] = counts[1:]
-        self.motor_position[ids] = counts[-1] * _MOTOR_STEP
-        self.motor_velocity[ids] = _motor_velocity(counts)
+        self.motor_position[ids] = counts[-1] * self._motor_step
+        self.motor_velocity[ids] = _motor_velocity(counts) * self._velocity_step
 
-        joint_velocity = qvel[:, self._joint_qvel]
-        joint = qpos[:, self._encoder_qpos[self._motors :]] - PHYSICS_TIMESTEP * joint_velocity
+        joint_velocity = qvel[:, at.joint_qvel]
+        joint = qpos[:, at.joint_qpos] - self._timestep * joint_velocity
         # counted angles, or the filter would take the lost part of a count for a step
-        counted = np.trunc(joint / _JOINT_STEP) * _JOINT_STEP
+        counted = np.trunc(joint / self._joint_step) * self._joint_step
         self._joint_memory[:, ids] = (
             self._constant[:, None, None] * counted + self._ramp[:, None, None] * joint_velocity
         )
-        inertial = np.concatenate([qpos[:, 3:7], qvel[:, 3:6], qacc[:, :6]], axis=1).T
+        inertial = np.concatenate(
+            [
+                qpos[:, at.pelvis_orientation],
+                qvel[:, at.pelvis_angular_velocity],
+                qacc[:, at.pelvis_velocity],
+                qacc[:, at.pelvis_angular_velocity],
+            ],
+            axis=1,
+        ).T
         first = {
             "motor_position": self.motor_position[ids],
             "motor_velocity": self.motor_velocity[ids],
@@ -152,42 +153,45 @@ class Sensors:
         _read(
             qpos, qvel, self._encoder_qpos, self._angle[substep],
             self._count[substep : substep + _TAPS], self.motor_position, self.motor_velocity,
-            self._inertial[:, substep],
+            self._inertial[:, substep], self._motor_step, self._velocity_step,
+            self._indices.pelvis_orientation.start, self._indices.pelvis_angular_velocity.start,
         )  # fmt: skip
 
     def feel(self, substep: int, qacc: np.ndarray) -> None:
         """Record the accelerations (n, 32) of the state that `read` read, known after its step."""
-        self._inertial[_LINEAR.start :, substep] = qacc[:, :6].T
+        at = self._indices
+        self._inertial[_LINEAR, substep] = qacc[:, at.pelvis_velocity].T
+        self._inertial[_ANGULAR, substep] = qacc[:, at.pelvis_angular_velocity].T
 
     def finish(self) -> None:
         """Compute the packets of the policy period whose steps have all been read."""
-        motor_count = self._count[_MEMORY_ROWS:][_SENT]
-        joint_count = np.trunc(self._angle[..., self._motors :] / _JOINT_STEP)
-        joint_velocity, self._joint_memory = lfilter(
-            *JOINT_VELOCITY_FILTER, joint_count * _JOINT_STEP, axis=0, zi=self._joint_memory
-        )
+        motor_count = self._count[_MEMORY_ROWS:][self._sent]
+        joint_count = np.trunc(self._angle[..., self._motors :] / self._joint_step)
+        joint_velocity = np.empty_like(joint_count)
+        joint_angle = joint_count * self._joint_step
+        _filter(*_padded(*JOINT_VELOCITY_FILTER), joint_angle, self._joint_memory, joint_velocity)
         everyone = slice(None)
         force = self._specific_force(self._inertial, everyone)
-        force = force.reshape(3, SENSOR_WINDOW, PACKET_SUBSTEPS, -1).sum(2) / PACKET_SUBSTEPS
+        force = force.reshape(3, self._window, self._sent.step, -1).sum(2) / self._sent.step
         window = {
-            "motor_position": motor_count * _MOTOR_STEP,
-            "motor_velocity": self._velocity[_SENT],
-            "joint_position": joint_count[_SENT] * _JOINT_STEP,
-            "joint_velocity": joint_velocity[_SENT],
+            "motor_position": motor_count * self._motor_step,
+            "motor_velocity": self._velocity[self._sent],
+            "joint_position": joint_count[self._sent] * self._joint_step,
+            "joint_velocity": joint_velocity[self._sent],
             "orientation": np.moveaxis(
-                self._attitude(self._inertial[_ATTITUDE, _SENT], everyone), 0, -1
+                self._attitude(self._inertial[_ATTITUDE, self._sent], everyone), 0, -1
             ),
-            "gyro": np.moveaxis(self._inertial[_GYRO, _SENT], 0, -1),
+            "gyro": np.moveaxis(self._inertial[_GYRO, self._sent], 0, -1),
             "accelerometer": np.moveaxis(force, 0, -1),
         }
         for name, values in window.items():
             self._packets[name][:] = values.swapaxes(0, 1)
-        self._count[:_MEMORY_ROWS] = self._count[SUBSTEPS:]
+        self._count[:_MEMORY_ROWS] = self._count[self._substeps :]
         # the buffer it lies in is written again in the next period
         self.motor_velocity = self.motor_velocity.copy()
 
     def packets(self) -> dict[str, np.ndarray]:
-        """Live arrays (n, `SENSOR_WINDOW`, k) of the last policy period.
+        """Live arrays (n, `Robot.sensor_window`, k) of the last policy period.
 
         `motor_position` 10, `motor_velocity` 10, `joint_position` 6, `joint_velocity` 6 [rad,
         rad/s]; of the IMU `orientation` 4 (pelvis to world, wxyz, w >= 0), `gyro` 3 [rad/s, pelvis]
@@ -246,7 +250,7 @@ class Sensors:
         )
 
 
-@njit(nogil=True)
+@compiled
 def _read(
     qpos: np.ndarray,
     qvel: np.ndarray,
@@ -256,6 +260,10 @@ def _read(
     position: np.ndarray,
     velocity: np.ndarray,
     inertial: np.ndarray,
+    motor_step: np.ndarray,
+    velocity_step: np.ndarray,
+    orientation: int,
+    spin: int,
 ) -> None:
     """Fill one substep's rows of the records; compiled for the 2 kHz loop.
 
@@ -268,41 +276,85 @@ def _read(
         position: (n, 10) to be written.
         velocity: (n, 10) to be written.
         inertial: (13, n) attitude and angular velocity are written.
+        motor_step: (10,) angle of one count [rad].
+        velocity_step: (10,) velocity of one in the sum of taps times counts [rad/s].
+        orientation: where the pelvis' quaternion starts in `qpos`.
+        spin: where its angular velocity starts in `qvel`.
     """
     for i in range(qpos.shape[0]):
         for j in range(encoders.size):
             angle[i, j] = qpos[i, encoders[j]]
         for j in range(position.shape[1]):
-            counted = np.trunc(angle[i, j] / _MOTOR_STEP[j])
+            counted = np.trunc(angle[i, j] / motor_step[j])
             count[-1, i, j] = counted
-            position[i, j] = counted * _MOTOR_STEP[j]
+            position[i, j] = counted * motor_step[j]
             # whole numbers: the sum is exact in whatever order it is taken
             total = 0.0
             for k in range(_TAPS):
                 total += _OLDEST_FIRST[k] * count[k, i, j]
-            velocity[i, j] = total * _VELOCITY_STEP[j]
+            velocity[i, j] = total * velocity_step[j]
         for j in range(4):
-            inertial[j, i] = qpos[i, 3 + j]
+            inertial[j, i] = qpos[i, orientation + j]
         for j in range(3):
-            inertial[4 + j, i] = qvel[i, 3 + j]
+            inertial[4 + j, i] = qvel[i, spin + j]
 
 
 def _motor_velocity(counts: np.ndarray) -> np.ndarray:
-    """(n, 10) velocities from the last nine counts (9, n, 10), oldest first.
+    """(n, 10) sums of taps times the last nine counts (9, n, 10), oldest first.
 
     Counts and taps are whole numbers, and so the sum is exact in whatever order it is taken.
     """
     flat = _OLDEST_FIRST @ counts.reshape(_TAPS, -1)
-    return flat.reshape(counts.shape[1:]) * _VELOCITY_STEP
+    return flat.reshape(counts.shape[1:])
 
 
-def _ramp_response() -> tuple[np.ndarray, float]:
+@compiled
+def _filter(
+    numerator: np.ndarray,
+    denominator: np.ndarray,
+    values: np.ndarray,
+    memory: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Filter (t, n, k) values along time, as `scipy.signal.lfilter` does.
+
+    Direct form II transposed; the memory (order, n, k) changes in place.
+    """
+    order = memory.shape[0]
+    for t in range(values.shape[0]):
+        for i in range(values.shape[1]):
+            for j in range(values.shape[2]):
+                x = values[t, i, j]
+                y = memory[0, i, j] + numerator[0] * x
+                for k in range(1, order):
+                    memory[k - 1, i, j] = memory[k, i, j] + x * numerator[k] - y * denominator[k]
+                memory[order - 1, i, j] = x * numerator[order] - y * denominator[order]
+                out[t, i, j] = y
+
+
+def _padded(numerator: np.ndarray, denominator: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients with zeros to equal lengths."""
+    size = max(len(numerator), len(denominator))
+    b, a = (np.pad(taps, (0, size - len(taps))) for taps in (numerator, denominator))
+    return b, a
+
+
+def _settled(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
+    """Memory of a filter that has always seen ones, as `scipy.signal.lfilter_zi` has it."""
+    b, a = _padded(numerator, denominator)
+    # memory' = shift(memory) - a memory[0] + (b - a b[0]) x, and settled for x = 1
+    step = np.eye(len(b) - 1, k=1)
+    step[:, 0] -= a[1:]
+    return np.linalg.solve(np.eye(len(b) - 1) - step, b[1:] - a[1:] * b[0])
+
+
+def _ramp_response(timestep: float) -> tuple[np.ndarray, float]:
     """Memory of the joint filter, and its output, when the angle grows by 1 rad/s and is zero."""
-    numerator, denominator = JOINT_VELOCITY_FILTER
-    ramp = PHYSICS_TIMESTEP * np.arange(-1000.0, 1.0)
-    start = lfilter_zi(numerator, denominator) * ramp[0]
-    output, memory = lfilter(numerator, denominator, ramp, zi=start)
-    return memory, float(output[-1])
+    ramp = (timestep * np.arange(-1000.0, 1.0))[:, None, None]
+    memory = _settled(*JOINT_VELOCITY_FILTER)[:, None, None] * ramp[0]
+    output = np.empty_like(ramp)
+    _filter(*_padded(*JOINT_VELOCITY_FILTER), ramp, memory, output)
+    return memory[:, 0, 0], float(output[-1, 0, 0])
 
 
 def _upper(quaternion: np.ndarray) -> np.ndarray:

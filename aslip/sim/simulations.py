@@ -22,10 +22,10 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import PHYSICS_TIMESTEP, SUBSTEPS
-from aslip.robot.model import CassieIndices, check_timestep, load_model
+from aslip.robot import CASSIE
+from aslip.robot.model import check_timestep, load_model
 from aslip.sim.checks import check_count, check_ids, check_states
-from aslip.sim.drive import Drive
+from aslip.sim.drive import PD
 from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.sensors import Sensors
 from aslip.sim.truth import Snapshot
@@ -46,8 +46,8 @@ class Simulations:
         num_threads: threads to step on, 0 for all processors.
 
     Raises:
-        ConfigurationError: `num` or `num_threads` is not a count, or the model's timestep none of
-            `aslip.robot.model.TIMESTEPS`.
+        ConfigurationError: `num` or `num_threads` is not a count, or the model's timestep is not
+            one of `aslip.robot.model.physics_timesteps`.
     """
 
     def __init__(
@@ -59,12 +59,12 @@ class Simulations:
         )
         self.model = load_model(visual=False) if model is None else model
         check_timestep(self.model.opt.timestep)
-        self.indices = CassieIndices.from_model(self.model)
+        self.indices = CASSIE.indices
         self.batch = Batch(self.model, num, num_threads)
         self.divergences = 0
         """Simulations put back on their feet since construction."""
-        self._drive = Drive(num)
-        self._stride = round(self.model.opt.timestep / PHYSICS_TIMESTEP)
+        self._drive = PD(num)
+        self._stride = round(self.model.opt.timestep / CASSIE.physics_timestep)
         self._torques = np.zeros((2, num, self.model.nu))
         self._halfway = np.zeros((num, self.model.nq))
         at = self.indices
@@ -76,7 +76,7 @@ class Simulations:
         """What the robots measure."""
         self._ground_force = np.zeros((num, 2, 3))
         self._watched: int | None = None
-        self.watched = np.zeros((SUBSTEPS, watched_size(self.model)))
+        self.watched = np.zeros((CASSIE.substeps, watched_size(self.model)))
         """(60, 83) `qpos` 35, `qvel` 32, motor torques 10 [N m, at the joint] and ground forces
         2 x 3 [N, world] after each substep of the last policy period, of the simulation that
         `watch` chose. Torques and forces are those that acted in the substep."""
@@ -156,7 +156,7 @@ class Simulations:
         """
         if index is not None and self._stride > 1:
             raise ConfigurationError(
-                f"substeps can be watched with a timestep of {PHYSICS_TIMESTEP} s, this is"
+                f"substeps can be watched with a timestep of {CASSIE.physics_timestep} s, this is"
                 f" {self.model.opt.timestep} s"
             )
         self._watched = index
@@ -187,13 +187,13 @@ class Simulations:
         self._ground_force[:] = 0.0
         failed = np.zeros(self.num, dtype=bool)
         substep = self._substep if self._stride == 1 else self._two_substeps
-        for first in range(0, SUBSTEPS, self._stride):
-            last = first + self._stride == SUBSTEPS
+        for first in range(0, CASSIE.substeps, self._stride):
+            last = first + self._stride == CASSIE.substeps
             substep(first, motor_target, failed, _CURRENT if last else _NONE)
             self._ground_force += self._sensordata[:, self.indices.ground_force]
             if self._watched is not None:
                 self._record(first, self._watched)
-        self._ground_force /= SUBSTEPS / self._stride
+        self._ground_force /= CASSIE.substeps / self._stride
         self.sensors.finish()
         diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
         self.divergences += int(diverged.sum())
@@ -263,7 +263,7 @@ class Simulations:
         # IMU reads, stays half a millisecond ahead
         position, velocity = self._encoders
         self._halfway[:] = self.qpos
-        self._halfway[:, position] -= PHYSICS_TIMESTEP * self.qvel[:, velocity]
+        self._halfway[:, position] -= CASSIE.physics_timestep * self.qvel[:, velocity]
         sensors.read(first + 1, self._halfway, self.qvel)
         sensors.feel(first + 1, self._qacc)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from aslip.robot.model import CassieIndices
+from aslip.robot import Indices
 from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse, upper_hemisphere
 
 
@@ -46,7 +46,7 @@ class Snapshot:
         return cls(*(np.concatenate([getattr(s, f.name) for s in snapshots]) for f in fields(cls)))
 
 
-def true_state(snapshot: Snapshot, indices: CassieIndices) -> dict[str, np.ndarray]:
+def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
     """Named quantities of the true state; frames are in the names.
 
     Args:

@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from aslip.envs import RewardSource
 from aslip.errors import AslipError, ConfigurationError
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.training.command_line import command_line, program, usage_error
 from aslip.training.settings import CollectorKind, check_shares, check_types, read_settings
 
@@ -124,10 +124,10 @@ class Config:
         for name in ("checkpoint_minutes", "schedule_steps"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
-        if self.command_interval != 0 and self.command_interval < POLICY_PERIOD:
+        if self.command_interval != 0 and self.command_interval < CASSIE.policy_period:
             raise ConfigurationError(
-                f"command_interval must be 0, or a policy step, {POLICY_PERIOD} s, or more; got"
-                f" {self.command_interval}"
+                f"command_interval must be 0, or a policy step, {CASSIE.policy_period} s, or more;"
+                f" got {self.command_interval}"
             )
         collectors = 1 if self.collector == "single" else self.num_collectors
         check_shares(self.num_envs, self.samples, collectors)

@@ -5,7 +5,7 @@ resets, several processes and replay need no care. Those that draw random number
 and follow `env.set_seed`.
 """
 
-from aslip.robot.sensing import SENSOR_NOISE, NoiseLevel
+from aslip.robot import NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
 from aslip.transforms.base import SeededTransform
 from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand
@@ -32,7 +32,6 @@ __all__ = [
     "ESTIMATE_SIZES",
     "OBSERVATION_TABLE",
     "ODOMETRY_SIZES",
-    "SENSOR_NOISE",
     "SINGLE_REFERENCE_TABLE",
     "ActionDelta",
     "AssembleObservation",

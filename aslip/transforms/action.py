@@ -13,7 +13,7 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import MOTOR_NAMES
+from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, extend_spec
 
 
@@ -85,11 +85,11 @@ def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:
         values = np.atleast_1d(np.asarray(limit, dtype=np.float64))
     except (TypeError, ValueError):
         values = np.zeros(0)
-    right_size = values.shape in {(1,), (len(MOTOR_NAMES),)}
+    right_size = values.shape in {(1,), (len(CASSIE.motor_names),)}
     if not right_size or not (np.isfinite(values) & (values > 0)).all():
         raise ConfigurationError(
-            f"limit must be a finite number above 0 [rad], or {len(MOTOR_NAMES)} of them, got"
-            f" {limit!r}"
+            f"limit must be a finite number above 0 [rad], or {len(CASSIE.motor_names)} of them,"
+            f" got {limit!r}"
         )
     numbers = tuple(values.tolist())
     return numbers[0] if len(numbers) == 1 else numbers
@@ -105,7 +105,7 @@ class LastAction(SeededTransform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        shape = (*tensordict_reset.batch_size, len(MOTOR_NAMES))
+        shape = (*tensordict_reset.batch_size, len(CASSIE.motor_names))
         zeros = torch.zeros(shape, dtype=torch.float32)
         return tensordict_reset.set("last_action", zeros)
 
@@ -114,4 +114,4 @@ class LastAction(SeededTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add `last_action`."""
-        return extend_spec(observation_spec, {"last_action": len(MOTOR_NAMES)})
+        return extend_spec(observation_spec, {"last_action": len(CASSIE.motor_names)})

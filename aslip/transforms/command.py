@@ -14,7 +14,7 @@ from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.transforms.base import (
     SeededTransform,
     check_number,
@@ -53,9 +53,10 @@ class SpeedCommand(SeededTransform):
     ) -> None:
         super().__init__(in_keys=[], out_keys=["command"])
         number = isinstance(interval, Real) and not isinstance(interval, bool)
-        if not number or not interval >= POLICY_PERIOD:
+        if not number or not interval >= CASSIE.policy_period:
             raise ConfigurationError(
-                f"interval must be a policy step, {POLICY_PERIOD} s, or more, got {interval!r}"
+                f"interval must be a policy step, {CASSIE.policy_period} s, or more,"
+                f" got {interval!r}"
             )
         self.interval = interval
         self.library = library
@@ -86,7 +87,7 @@ class SpeedCommand(SeededTransform):
         command = self._checked(tensordict)
         if math.isfinite(self.interval):
             chance = torch.rand(command.shape, generator=self.generator)
-            changes = chance < POLICY_PERIOD / self.interval
+            changes = chance < CASSIE.policy_period / self.interval
             command = torch.where(changes, self.draw((*tensordict.batch_size, 1)), command)
         return next_tensordict.set("command", command)
 
@@ -155,7 +156,7 @@ class PhaseClock(SeededTransform):
 
 
 def advance_phase(
-    library: GaitLibrary, phase: Tensor, command: Tensor, period: float = POLICY_PERIOD
+    library: GaitLibrary, phase: Tensor, command: Tensor, period: float = CASSIE.policy_period
 ) -> Tensor:
     """Stride fraction (*b, 1) a policy step later.
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.errors import ConfigurationError
-from aslip.robot import FALL_HEIGHT
+from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, check_number
 
 
@@ -105,7 +105,7 @@ class Fall(_Termination):
         ConfigurationError: the height is no finite number.
     """
 
-    def __init__(self, height: float = FALL_HEIGHT) -> None:
+    def __init__(self, height: float = CASSIE.fall_height) -> None:
         super().__init__([("truth", "pelvis_position")])
         self.height = check_number("height", height, what="of the pelvis [m]")
 

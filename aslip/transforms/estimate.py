@@ -19,8 +19,7 @@ from aslip.estimation import (
     StateEstimator,
     Tracking,
 )
-from aslip.robot import SIDES
-from aslip.robot.sensing import PACKET_SIZES
+from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 
 ESTIMATE_SIZES: Final = MappingProxyType(
@@ -116,7 +115,7 @@ class EstimatedState(_Estimator):
 
     def __init__(self, estimator: StateEstimator | None = None) -> None:
         super().__init__(
-            in_keys=[("sensors", name) for name in PACKET_SIZES],
+            in_keys=[("sensors", name) for name in CASSIE.packet_sizes],
             out_keys=["estimate", "odometry", "estimator"],
         )
         self.estimator = StateEstimator() if estimator is None else estimator

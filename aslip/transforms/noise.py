@@ -14,13 +14,12 @@ from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.robot import POLICY_PERIOD
-from aslip.robot.sensing import NOISE_CHANNELS, SENSOR_NOISE, NoiseLevel
+from aslip.robot import CASSIE, NoiseLevel
 from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
 from aslip.transforms.rotation import from_vector, multiply, upper_hemisphere
 
-_SENSOR_KEYS = tuple(("sensors", name) for name in NOISE_CHANNELS)
-_BIAS_KEYS = tuple(("sensor_bias", name) for name in NOISE_CHANNELS)
+_SENSOR_KEYS = tuple(("sensors", name) for name in CASSIE.noise_channels)
+_BIAS_KEYS = tuple(("sensor_bias", name) for name in CASSIE.noise_channels)
 
 
 class ObservationNoise(SeededTransform):
@@ -41,7 +40,7 @@ class ObservationNoise(SeededTransform):
     makes up a tensordict must carry it on.
 
     Args:
-        levels: sensor -> level, in place of those in `aslip.robot.sensing.SENSOR_NOISE`.
+        levels: sensor -> level, in place of `Robot.sensor_noise`.
         scale: factor on all levels; 0 is a robot without noise.
         bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
 
@@ -64,12 +63,12 @@ class ObservationNoise(SeededTransform):
         number = isinstance(bias_time, Real) and not isinstance(bias_time, bool)
         if not number or not bias_time > 0:
             raise ConfigurationError(f"bias_time must be more than 0 s, got {bias_time!r}")
-        self.levels = dict(SENSOR_NOISE) | _checked(levels or {})
-        self._decay = math.exp(-POLICY_PERIOD / bias_time)
-        self._renewal = math.sqrt(-math.expm1(-2 * POLICY_PERIOD / bias_time))
+        self.levels = dict(CASSIE.sensor_noise) | _checked(levels or {})
+        self._decay = math.exp(-CASSIE.policy_period / bias_time)
+        self._renewal = math.sqrt(-math.expm1(-2 * CASSIE.policy_period / bias_time))
         # settings, which no checkpoint holds
         self._levels: dict[str, tuple[Tensor, Tensor]] = {}
-        for sensor, channels in NOISE_CHANNELS.items():
+        for sensor, channels in CASSIE.noise_channels.items():
             white, bias = (
                 scale * _row(getattr(self.levels[sensor], name), channels)
                 for name in ("white", "bias")
@@ -84,11 +83,11 @@ class ObservationNoise(SeededTransform):
         step on whether another robot was reset before it.
         """
         super().set_seed(seed)
-        seeds = torch.randint(2**62, (2, len(NOISE_CHANNELS)), generator=self.generator)
+        seeds = torch.randint(2**62, (2, len(CASSIE.noise_channels)), generator=self.generator)
         self._of_steps, self._of_resets = (
             {
                 sensor: torch.Generator().manual_seed(value)
-                for sensor, value in zip(NOISE_CHANNELS, row, strict=True)
+                for sensor, value in zip(CASSIE.noise_channels, row, strict=True)
             }
             for row in seeds.tolist()
         )
@@ -111,7 +110,7 @@ class ObservationNoise(SeededTransform):
 
     def _begin(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Draw the biases of robots, and make their packets noisy."""
-        for sensor, channels in NOISE_CHANNELS.items():
+        for sensor, channels in CASSIE.noise_channels.items():
             drawn = torch.zeros(*tensordict.batch_size, channels, dtype=torch.float32)
             if sensor in self._levels:
                 drawn = self._levels[sensor][1] * _normal(drawn.shape, self._of_resets[sensor])
@@ -150,19 +149,19 @@ class ObservationNoise(SeededTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the biases."""
         require_keys(self, observation_spec, self._reads)
-        sizes = dict(zip(_BIAS_KEYS, NOISE_CHANNELS.values(), strict=True))
+        sizes = dict(zip(_BIAS_KEYS, CASSIE.noise_channels.values(), strict=True))
         return extend_spec(observation_spec, sizes)
 
 
 def _checked(levels: Mapping[str, NoiseLevel]) -> dict[str, NoiseLevel]:
     """Levels by sensors there are, with as many values as these have channels."""
     for sensor, level in levels.items():
-        if sensor not in NOISE_CHANNELS:
-            raise UnknownNameError.among("sensor", sensor, NOISE_CHANNELS)
+        if sensor not in CASSIE.noise_channels:
+            raise UnknownNameError.among("sensor", sensor, CASSIE.noise_channels)
         if not isinstance(level, NoiseLevel):
             raise ConfigurationError(f"the level of {sensor!r} must be a NoiseLevel, got {level!r}")
         for name in ("white", "bias"):
-            value, channels = getattr(level, name), NOISE_CHANNELS[sensor]
+            value, channels = getattr(level, name), CASSIE.noise_channels[sensor]
             if isinstance(value, tuple) and len(value) != channels:
                 raise ConfigurationError(
                     f"{name} of {sensor!r} must be one number or {channels}, got the"

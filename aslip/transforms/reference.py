@@ -14,7 +14,7 @@ from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, Reference
-from aslip.robot import MOTOR_NAMES, PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
 
 _MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))
@@ -72,7 +72,7 @@ class ReferenceInjection(SeededTransform):
         sizes: dict[NestedKey, int] = {
             (group, name): 3 for group in self.out_keys for name in _BODY
         }
-        sizes |= {(self.out_keys[0], name): len(MOTOR_NAMES) for name in _MOTORS}
+        sizes |= {(self.out_keys[0], name): len(CASSIE.motor_names) for name in _MOTORS}
         return extend_spec(observation_spec, sizes)
 
 
@@ -82,7 +82,7 @@ def reference_and_goal(
     phase: Tensor,
     *,
     motor_lead: float = 1.0,
-    period: float = POLICY_PERIOD,
+    period: float = CASSIE.policy_period,
 ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Entries of the reference and of the goal; see `ReferenceInjection`.
 
@@ -126,8 +126,8 @@ class Feedforward(SeededTransform):
 
     def __init__(self) -> None:
         super().__init__(in_keys=["reference"], out_keys=[("reference", "motor_target")])
-        self._stiffness = torch.from_numpy(PD_STIFFNESS.copy()).float()
-        self._damping = torch.from_numpy(PD_DAMPING.copy()).float()
+        self._stiffness = torch.from_numpy(CASSIE.stiffness.copy()).float()
+        self._damping = torch.from_numpy(CASSIE.damping.copy()).float()
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         reference = cast("Mapping[str, Tensor]", next_tensordict["reference"])
@@ -137,7 +137,7 @@ class Feedforward(SeededTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the target."""
         require_keys(self, observation_spec, [("reference", "motor_torque")])
-        return extend_spec(observation_spec, {self.out_keys[0]: len(MOTOR_NAMES)})
+        return extend_spec(observation_spec, {self.out_keys[0]: len(CASSIE.motor_names)})
 
 
 class ReferenceDistance(SeededTransform):
@@ -159,10 +159,10 @@ class ReferenceDistance(SeededTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         before = tensordict[self.out_keys[0]]
-        return self._written(next_tensordict, before + POLICY_PERIOD * tensordict["command"])
+        return self._written(next_tensordict, before + CASSIE.policy_period * tensordict["command"])
 
     def _written(self, into: TensorDictBase, distance: Tensor) -> TensorDictBase:
-        into.set(_GOAL_DISTANCE, distance + POLICY_PERIOD * into["command"])
+        into.set(_GOAL_DISTANCE, distance + CASSIE.policy_period * into["command"])
         return into.set(self.out_keys[0], distance)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

@@ -14,8 +14,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from aslip.robot import SIDES, STANDARD_GRAVITY, TOTAL_MASS
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE, SIDES, STANDARD_GRAVITY
+from aslip.robot.model import load_model
 
 SINGLE_REFERENCE_WEIGHTS: Final = MappingProxyType(
     {"joints": 0.5, "pelvis": 0.3, "upright": 0.1, "springs": 0.1}
@@ -84,7 +84,7 @@ def springs(qpos: Tensor, left_foot_velocity: Tensor, right_foot_velocity: Tenso
     speed = torch.stack([left_foot_velocity, right_foot_velocity], dim=-2).norm(dim=-1)
     stance = (speed < _STANCE_SPEED).to(qpos)
     share = stance / stance.sum(-1, keepdim=True).clamp(min=1)
-    reference = SHIN_COMPLIANCE * TOTAL_MASS * STANDARD_GRAVITY * share
+    reference = SHIN_COMPLIANCE * CASSIE.total_mass * STANDARD_GRAVITY * share
     return torch.exp(-1000 * _square(qpos[..., _motors_and_shins()[1]] - reference))
 
 
@@ -93,7 +93,7 @@ def _motors_and_shins() -> tuple[list[int], list[int]]:
     """Where the ten motor joints and the two shins are in `qpos`."""
     model = load_model()
     shins = [int(model.joint(f"{side}_shin").qposadr[0]) for side in SIDES]
-    return CassieIndices.from_model(model).motor_qpos.tolist(), shins
+    return CASSIE.indices.motor_qpos.tolist(), shins
 
 
 def _square(vector: Tensor) -> Tensor:

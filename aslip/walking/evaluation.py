@@ -15,7 +15,7 @@ from tensordict.utils import NestedKey
 
 from aslip.envs import MAX_EPISODE_STEPS, StackEnv
 from aslip.errors import ConfigurationError
-from aslip.robot import POLICY_PERIOD, STANDARD_GRAVITY
+from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.walking.record import record
 from aslip.walking.tables import markdown
 
@@ -64,7 +64,7 @@ class WalkResult:
     @property
     def on_feet(self) -> bool:
         """Whether feet carried the robot; robots also learn to shuffle along on their heels."""
-        return is_on_feet(self.weight_ratio, self.steps * POLICY_PERIOD)
+        return is_on_feet(self.weight_ratio, self.steps * CASSIE.policy_period)
 
     @property
     def tracked(self) -> bool:
@@ -145,7 +145,7 @@ def _results(rows: TensorDict, speeds: Sequence[float], weight: Any) -> list[Wal
             steps=int(steps[i]),
             survived=not fell[i],
             total=float(total[i]),
-            mean_speed=float((position[i, 0] - start[i, 0]) / (steps[i] * POLICY_PERIOD)),
+            mean_speed=float((position[i, 0] - start[i, 0]) / (steps[i] * CASSIE.policy_period)),
             lateral_drift=float(position[i, 1].abs()),
             weight_ratio=float(force[i] / steps[i] / weight[i]),
             terms={name: float(sums[i] / steps[i]) for name, sums in totals.items()},

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 
 
 def policy_steps(time: float) -> int:
     """Number of policy steps in a time [s], rounded up."""
-    return math.ceil(time / POLICY_PERIOD - 1e-9)
+    return math.ceil(time / CASSIE.policy_period - 1e-9)
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Push:
     """Start [s]."""
     force: tuple[float, float, float]
     """Force [N, world]."""
-    duration: float = 4 * POLICY_PERIOD
+    duration: float = 4 * CASSIE.policy_period
     """Duration [s], rounded up to whole policy steps."""
 
     @classmethod

@@ -15,7 +15,7 @@ from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import add_memory, load_policy, policy_stack
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.walking.record import next_start, reset_walks, take_step
 from aslip.walking.schedule import policy_steps
 
@@ -87,7 +87,7 @@ class Walker:
     def command(self, speed: float) -> None:
         self.td["command"] = torch.full((1, 1), self.library.check_speed(speed))
 
-    def push(self, force: Sequence[float], duration: float = 4 * POLICY_PERIOD) -> None:
+    def push(self, force: Sequence[float], duration: float = 4 * CASSIE.policy_period) -> None:
         """Push the pelvis from the next policy step on; replaces a push that is under way.
 
         Args:
@@ -125,7 +125,7 @@ class Walker:
     @property
     def time(self) -> float:
         """Time since the last reset [s]."""
-        return self.steps * POLICY_PERIOD
+        return self.steps * CASSIE.policy_period
 
     def step(self) -> TensorDictBase:
         """Take one policy step.

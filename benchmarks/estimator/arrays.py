@@ -8,12 +8,12 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
-from aslip.robot.sensing import PACKET_SIZES
+from aslip.robot import CASSIE
 
 
 def packets(td: TensorDictBase) -> np.ndarray:
     """(n, w, 42) the sensors' packets, after noise."""
-    return np.concatenate([array(td, ("sensors", name)) for name in PACKET_SIZES], axis=-1)
+    return np.concatenate([array(td, ("sensors", name)) for name in CASSIE.packet_sizes], axis=-1)
 
 
 def array(td: TensorDictBase, key: Any) -> np.ndarray:

@@ -15,7 +15,7 @@ import aslip
 from aslip.envs import ON_TRUTH, BatchEnv, StackEnv
 from aslip.estimation import StateEstimator
 from aslip.policy import policy_stack
-from aslip.robot.model import CassieIndices
+from aslip.robot import Indices
 from aslip.sim import Sensors
 from aslip.walking import markdown
 from benchmarks.estimator.arrays import packets
@@ -25,7 +25,7 @@ from benchmarks.estimator.config import Config
 class _NoSensors:
     """In place of `Sensors`: the PD loop works on the truth, packets stay as they are."""
 
-    def __init__(self, sensors: Sensors, indices: CassieIndices) -> None:
+    def __init__(self, sensors: Sensors, indices: Indices) -> None:
         self._packets = sensors.packets()
         self._indices = indices
         self.motor_position, self.motor_velocity = sensors.motor_position, sensors.motor_velocity

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from benchmarks.estimator.walks import SPEEDS, EstimateErrors
 
 
@@ -13,7 +13,7 @@ def picture(walks: EstimateErrors, repeats: int) -> Figure:
     """Truth and estimate of the first walk through changes of speed."""
     robot = len(SPEEDS) * repeats
     seen = {key: values[:, robot] for key, values in walks.seen.items()}
-    seconds = POLICY_PERIOD * np.arange(1, len(seen["force"]) + 1)
+    seconds = CASSIE.policy_period * np.arange(1, len(seen["force"]) + 1)
     figure = Figure(figsize=(10, 9), layout="constrained")
     axes = figure.subplots(5, 1, sharex=True)
     for i, name in enumerate("xyz"):

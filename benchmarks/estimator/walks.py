@@ -18,7 +18,7 @@ from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
 from aslip.policy import policy_stack
-from aslip.robot import FALL_HEIGHT
+from aslip.robot import CASSIE
 from aslip.walking import markdown
 from benchmarks.estimator.arrays import array, packets
 from benchmarks.estimator.config import Config
@@ -104,7 +104,7 @@ def _walk(config: Config, env: StackEnv) -> dict[str, np.ndarray]:
 
 
 def _compare(seen: dict[str, np.ndarray]) -> EstimateErrors:
-    fallen = np.logical_or.accumulate(seen["truth_position"][..., 2] < FALL_HEIGHT, axis=0)
+    fallen = np.logical_or.accumulate(seen["truth_position"][..., 2] < CASSIE.fall_height, axis=0)
     unfallen = np.where(fallen, np.nan, 1.0)
     velocity = (seen["estimate_velocity"] - seen["truth_velocity"]) * unfallen[..., None]
     position = (seen["estimate_position"] - seen["truth_position"]) * unfallen[..., None]

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 import aslip
 from aslip.envs import StackEnv
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.show.ghost import heading
 from aslip.transforms import PhaseClock
 from aslip.walking import markdown, policy_steps
@@ -65,8 +65,8 @@ def settled(
     Returns:
         The tensordict at that time, and (n,) who has not fallen.
     """
-    steps = round(config.settle / POLICY_PERIOD)
-    start = phase - steps * POLICY_PERIOD / stride(env, config.speed)
+    steps = round(config.settle / CASSIE.policy_period)
+    start = phase - steps * CASSIE.policy_period / stride(env, config.speed)
     td = reset(env, np.full(len(phase), config.speed), start % 1.0)
     return walk(env, actor, td, steps, bar)
 
@@ -81,8 +81,8 @@ def survives(
 ) -> np.ndarray:
     """(n,) who has not fallen a while after a push of impulses (n, 3) [N s, world]."""
     steps = push_steps(config)
-    td, during = walk(env, actor, td, steps, bar, impulse / (steps * POLICY_PERIOD))
-    _, after = walk(env, actor, td, round(config.after / POLICY_PERIOD), bar)
+    td, during = walk(env, actor, td, steps, bar, impulse / (steps * CASSIE.policy_period))
+    _, after = walk(env, actor, td, round(config.after / CASSIE.policy_period), bar)
     return during & after
 
 

@@ -8,7 +8,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from benchmarks.common import write_report
 from benchmarks.perturbation.config import Config
 from benchmarks.perturbation.picture import picture
@@ -28,7 +28,7 @@ def main(config: Config) -> dict[str, Any]:
         sweeps = [survived_sweeps(config, policy, bar) for policy in config.policy]
     numbers = {
         "speed": config.speed,
-        "push_duration": push_steps(config) * POLICY_PERIOD,
+        "push_duration": push_steps(config) * CASSIE.policy_period,
         "resolution": config.largest * 0.5**config.bisections,
         "pushes": push_rows(config, pushes),
         "sweeps": sweep_rows(config, sweeps),
@@ -42,6 +42,6 @@ def main(config: Config) -> dict[str, Any]:
 def robot_steps(config: Config) -> int:
     """Policy steps times robots that one policy takes at most."""
     pushed = config.directions * config.phases * config.repeats
-    once = push_steps(config) + round(config.after / POLICY_PERIOD)
-    each = round(config.settle / POLICY_PERIOD) + config.bisections * once
-    return pushed * each + len(trials(config)) * round(config.episode / POLICY_PERIOD)
+    once = push_steps(config) + round(config.after / CASSIE.policy_period)
+    each = round(config.settle / CASSIE.policy_period) + config.bisections * once
+    return pushed * each + len(trials(config)) * round(config.episode / CASSIE.policy_period)

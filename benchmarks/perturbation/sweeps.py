@@ -11,7 +11,7 @@ from scipy import stats
 from tqdm import tqdm
 
 import aslip
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.walking import markdown
 from benchmarks.common import CONFIDENCE, Interval, environment
 from benchmarks.perturbation.config import SWEEPS, Config
@@ -55,7 +55,7 @@ def survived_sweeps(config: Config, policy: str, bar: tqdm) -> np.ndarray:
         speed, phase = (
             np.array([getattr(t, name) for t in all_trials]) for name in ("speed", "phase")
         )
-        steps = round(config.episode / POLICY_PERIOD)
+        steps = round(config.episode / CASSIE.policy_period)
         return walk(env, actor, reset(env, speed, phase), steps, bar)[1]
     finally:
         env.close()

@@ -13,6 +13,7 @@ import pytest
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.robot import CASSIE
 from aslip.walking import Walks
 from aslip.walking.metrics import Placement
 from benchmarks import claims, foot_placement, ground_reaction, step_frequency, velocity_tracking
@@ -80,7 +81,7 @@ def test_velocity_tracking(tmp_path: Path) -> None:
 
 
 def test_the_mean_of_a_uniform_motion_is_its_velocity() -> None:
-    time = velocity_tracking.POLICY_PERIOD * np.arange(1, 268)
+    time = CASSIE.policy_period * np.arange(1, 268)
     position = np.stack([1.5 * time, 2.0 - 0.1 * time], axis=1)
     np.testing.assert_allclose(velocity_tracking.mean_velocity(position), [1.5, -0.1], rtol=1e-12)
 

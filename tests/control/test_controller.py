@@ -25,7 +25,7 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary, single_reference_library
 from aslip.policy import policy_stack, save_policy
 from aslip.policy.networks import PolicyShape, RunningNormalizer, make_actor
-from aslip.robot.sensing import PACKET_SIZES
+from aslip.robot import CASSIE
 from aslip.transforms import SINGLE_REFERENCE_TABLE, SeededTransform
 
 QUARTER = math.pi / 2
@@ -217,7 +217,7 @@ def test_a_step_changes_no_state_that_it_was_given(controller: Controller) -> No
 def test_one_packet_of_one_robot_and_named_entries_are_packets(controller: Controller) -> None:
     packets = _packets()
     ends = np.cumsum([10, 10, 6, 6, 4, 3])
-    named = dict(zip(PACKET_SIZES, np.split(packets, ends, axis=-1), strict=True))
+    named = dict(zip(CASSIE.packet_sizes, np.split(packets, ends, axis=-1), strict=True))
     expected = controller.start(packets).motor_target
     assert expected.shape == (1, 10)
     assert torch.equal(controller.start(named).motor_target, expected)

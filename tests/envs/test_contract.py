@@ -16,15 +16,8 @@ import aslip
 from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
-from aslip.robot import (
-    FALL_HEIGHT,
-    GEAR,
-    MOTOR_TORQUE_LIMIT,
-    POLICY_PERIOD,
-    TORQUE_DELAY,
-    TOTAL_MASS,
-)
-from aslip.robot.model import TIMESTEPS, load_model
+from aslip.robot import CASSIE
+from aslip.robot.model import load_model, physics_timesteps
 from aslip.transforms import Fall
 from aslip.walking import evaluate
 from tests.helpers import MakeEnv, differing, leaves
@@ -202,7 +195,7 @@ def test_a_fallen_robot_is_terminated(backend: str) -> None:
     base = _base(backend)
     env = TransformedEnv(base, Fall())
     qpos = STANDING.repeat(2, 1)
-    qpos[1, 2] = FALL_HEIGHT - 0.05
+    qpos[1, 2] = CASSIE.fall_height - 0.05
     qpos[1, 3:7] = torch.tensor([0.5, 0, 0.5, 0]) * 2**0.5
     initial = TensorDict(qpos=qpos, qvel=torch.zeros(2, 32), batch_size=2)
     base.reset(TensorDict(initial=initial, batch_size=2))
@@ -306,18 +299,18 @@ def test_the_floor_has_the_friction_asked_for(make: MakeEnv, backend: str) -> No
 
 def test_physics_may_have_half_as_many_steps(make: MakeEnv) -> None:
     """A policy of the 2 kHz physics walks as fast there; a longer delay keeps the timestep."""
-    env = make(num_envs=2, timestep=TIMESTEPS[1])
+    env = make(num_envs=2, timestep=physics_timesteps()[1])
     env.base_env.set_dynamics({"torque_delay": 0.012})
-    env.base_env.set_dynamics({"torque_delay": TORQUE_DELAY + 0.0006})
+    env.base_env.set_dynamics({"torque_delay": CASSIE.torque_delay + 0.0006})
     assert env.base_env.dynamics["torque_delay"] == pytest.approx([0.004, 0.004])
-    assert env.base_env.model.opt.timestep == TIMESTEPS[1]
-    (result,) = evaluate(aslip.load_policy("aslip"), make(timestep=TIMESTEPS[1]), [1.0])
+    assert env.base_env.model.opt.timestep == physics_timesteps()[1]
+    (result,) = evaluate(aslip.load_policy("aslip"), make(timestep=physics_timesteps()[1]), [1.0])
     assert result.survived
     assert result.mean_speed == pytest.approx(1.0, abs=0.05)
     with pytest.raises(ConfigurationError, match=r"0\.0005, 0\.001.*0\.002"):
         make(timestep=0.002)
     with pytest.raises(ConfigurationError, match=r"dm_control.*0\.0005 s, got 0\.001"):
-        make("dm_control", timestep=TIMESTEPS[1])
+        make("dm_control", timestep=physics_timesteps()[1])
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -358,9 +351,9 @@ def test_a_push_gives_its_impulse_to_one_robot_and_ends(backend: str) -> None:
         data.qvel[:] = td["truth", "qvel"][row]
         mujoco.mj_forward(env.model, data)
         mujoco.mj_subtreeVel(env.model, data)
-        momenta.append(TOTAL_MASS * data.subtree_linvel[0, 1])
+        momenta.append(CASSIE.total_mass * data.subtree_linvel[0, 1])
     assert momenta[0] == pytest.approx(0.0, abs=1e-3)
-    assert momenta[1] == pytest.approx(100.0 * POLICY_PERIOD, rel=2e-3)
+    assert momenta[1] == pytest.approx(100.0 * CASSIE.policy_period, rel=2e-3)
 
 
 @pytest.mark.parametrize(
@@ -438,5 +431,5 @@ def test_motor_torque_is_what_mujoco_applies(backend: str) -> None:
     target[0, 3] += 0.3
     td = env.step(TensorDict(motor_target=target, batch_size=1))["next"]
     torque = td["truth", "motor_torque"][0]
-    assert 0 < torque[3] <= MOTOR_TORQUE_LIMIT[3] * GEAR[3] + 1e-4
-    assert (torque.abs().numpy() <= MOTOR_TORQUE_LIMIT * GEAR + 1e-4).all()
+    assert 0 < torque[3] <= CASSIE.torque_limit[3] * CASSIE.gear[3] + 1e-4
+    assert (torque.abs().numpy() <= CASSIE.torque_limit * CASSIE.gear + 1e-4).all()

@@ -15,7 +15,7 @@ from dm_env import test_utils
 
 from aslip.envs import BipedPhysics, Walk, walk_environment
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import FALL_HEIGHT, SIDES, Side
+from aslip.robot import CASSIE, SIDES, Side
 from aslip.robot.model import load_model
 from aslip.sim import Simulations, true_state
 
@@ -117,7 +117,7 @@ def test_reward_is_full_when_upright_high_and_at_speed() -> None:
 def _lay_down(environment: control.Environment) -> None:
     """Just above the floor on the belly."""
     with environment.physics.reset_context():
-        environment.physics.data.qpos[2] = FALL_HEIGHT - 0.05
+        environment.physics.data.qpos[2] = CASSIE.fall_height - 0.05
         environment.physics.data.qpos[3:7] = np.array([1, 0, 1, 0]) / np.sqrt(2)
 
 

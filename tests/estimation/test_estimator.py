@@ -18,8 +18,8 @@ from aslip.estimation import FAULTS, PACKET_SIZE, TRACKING_SIZE, StateEstimator,
 from aslip.estimation.estimator import _DOUBT, _standing
 from aslip.estimation.filter import FilterNoise, P, V
 from aslip.estimation.packets import SLICES, join
-from aslip.robot.model import CassieIndices, load_model
-from aslip.robot.sensing import PACKET_PERIOD, PACKET_SIZES, SENSOR_WINDOW
+from aslip.robot import CASSIE
+from aslip.robot.model import load_model
 from aslip.transforms import TrueState
 
 STEPS, ROBOTS = 50, 3
@@ -42,7 +42,9 @@ class Walk:
         packets, velocity, height = [], [], []
         with torch.no_grad():
             for _ in range(STEPS):
-                entries = [cast("torch.Tensor", td["sensors", name]) for name in PACKET_SIZES]
+                entries = [
+                    cast("torch.Tensor", td["sensors", name]) for name in CASSIE.packet_sizes
+                ]
                 packets.append(torch.cat(entries, -1).double().numpy())
                 velocity.append(np.asarray(td["truth", "pelvis_velocity"]))
                 height.append(np.asarray(td["truth", "pelvis_position"])[:, 2])
@@ -105,11 +107,11 @@ def test_a_stream_of_one_robot_gives_what_the_batch_does(
     """Packet by packet, as on a robot; equal but for the order of sums."""
     estimator = StateEstimator()
     packets = [
-        {name: packet[SLICES[name]] for name in PACKET_SIZES}
+        {name: packet[SLICES[name]] for name in CASSIE.packet_sizes}
         for packet in walk.packets[1].reshape(-1, PACKET_SIZE)
     ]
-    tracking, estimate = estimator.start(packets[SENSOR_WINDOW - 1])
-    for packet in packets[SENSOR_WINDOW:]:
+    tracking, estimate = estimator.start(packets[CASSIE.sensor_window - 1])
+    for packet in packets[CASSIE.sensor_window :]:
         estimate = estimator.update(tracking, packet)
     for name in ("velocity", "height", "orientation", "acceleration"):
         np.testing.assert_allclose(getattr(estimate, name)[0], sound[-1][name][1], atol=1e-9)
@@ -321,7 +323,7 @@ ENCODERS = slice(0, SLICES["orientation"].start)
 
 def _stream(walk: Walk) -> np.ndarray:
     """(k, 42) packets of robot 1 from its reset on."""
-    return walk.packets[1].reshape(-1, PACKET_SIZE)[SENSOR_WINDOW - 1 :].copy()
+    return walk.packets[1].reshape(-1, PACKET_SIZE)[CASSIE.sensor_window - 1 :].copy()
 
 
 def test_a_frozen_imu_leaves_the_encoders_alone(walk: Walk) -> None:
@@ -366,8 +368,8 @@ def test_an_imu_slower_than_the_packets_is_no_fault(walk: Walk) -> None:
         estimate = estimator.update(tracking, packet)
         assert not estimate.faults.any()
         resting.append(estimate.resting.any())
-        if k % SENSOR_WINDOW == 0:
-            errors.append(estimate.velocity[0] - walk.velocity[1, k // SENSOR_WINDOW])
+        if k % CASSIE.sensor_window == 0:
+            errors.append(estimate.velocity[0] - walk.velocity[1, k // CASSIE.sensor_window])
     assert np.mean(resting) > 0.8
     assert (np.sqrt(np.mean(np.square(errors[12:]), 0)) < [0.06, 0.06, 0.04]).all()
 
@@ -378,9 +380,9 @@ def test_after_lost_packets_the_acceleration_is_right(lost: int) -> None:
     arm, alpha = load_model().site("imu").pos, np.array([0.0, 30.0, 0.0])
 
     def packet(k: int) -> np.ndarray:
-        turn = Rotation.from_rotvec(alpha * (k * PACKET_PERIOD) ** 2 / 2)
-        spin = alpha * k * PACKET_PERIOD
-        middle = alpha * (k - 0.5) * PACKET_PERIOD
+        turn = Rotation.from_rotvec(alpha * (k * CASSIE.packet_period) ** 2 / 2)
+        spin = alpha * k * CASSIE.packet_period
+        middle = alpha * (k - 0.5) * CASSIE.packet_period
         felt = np.cross(alpha, arm) + np.cross(middle, np.cross(middle, arm))
         return _packet(turn, spin, felt + turn.inv().apply([0, 0, 9.81]))
 
@@ -400,7 +402,7 @@ def test_after_one_axis_of_the_gyro_was_lost_the_acceleration_is_right() -> None
     arm, alpha = load_model().site("imu").pos, np.array([20.0, 30.0, -10.0])
 
     def packet(k: int) -> np.ndarray:
-        spin, middle = alpha * k * PACKET_PERIOD, alpha * (k - 0.5) * PACKET_PERIOD
+        spin, middle = alpha * k * CASSIE.packet_period, alpha * (k - 0.5) * CASSIE.packet_period
         felt = np.cross(alpha, arm) + np.cross(middle, np.cross(middle, arm))
         return _packet(Rotation.identity(), spin, felt + np.array([0, 0, 9.81]))
 
@@ -438,7 +440,7 @@ def test_orientation_is_a_unit_quaternion_with_w_of_at_least_zero() -> None:
 def test_noise_is_the_same_robots_at_any_period(period: float) -> None:
     """Variances after 0.3 s on its feet, and after 0.3 s more in the air, as for 3 ms."""
     deviations = []
-    for dt in (PACKET_PERIOD, period):
+    for dt in (CASSIE.packet_period, period):
         estimator = StateEstimator(period=dt)
         packet = _standing(load_model())
         packet[ACCELEROMETER] += 1.0
@@ -517,7 +519,7 @@ def test_packets_of_a_wrong_shape_are_refused(walk: Walk) -> None:
 
 
 def test_packets_lacking_an_entry_are_refused() -> None:
-    packet = {name: np.zeros(size) for name, size in PACKET_SIZES.items()}
+    packet = {name: np.zeros(size) for name, size in CASSIE.packet_sizes.items()}
     assert join(packet).shape == (PACKET_SIZE,)
     with pytest.raises(UnknownNameError, match="'gyro' is missing"):
         join({name: value for name, value in packet.items() if name != "gyro"})
@@ -536,7 +538,7 @@ def test_a_period_that_is_none_is_refused(period: float) -> None:
 def _packet(turn: Rotation, gyro: np.ndarray, force: Any) -> np.ndarray:
     """Of the standing robot at an attitude, turning [rad/s], and feeling a force [m/s^2]."""
     model = load_model()
-    at = CassieIndices.from_model(model)
+    at = CASSIE.indices
     qpos = model.key("standing").qpos
     packet = np.zeros(PACKET_SIZE)
     packet[SLICES["motor_position"]] = qpos[at.motor_qpos]
@@ -614,4 +616,4 @@ def test_a_lost_packet_leaves_the_velocity_in_doubt() -> None:
         before = tracking.belief.covariance[0, 0, V, V]
         estimator.update(tracking, None if lost else packet + np.eye(42)[-1] * 1e-6)
         growth.append(tracking.belief.covariance[0, 0, V, V] - before)
-    assert growth[1] - growth[0] == pytest.approx((_DOUBT * PACKET_PERIOD) ** 2, rel=1e-6)
+    assert growth[1] - growth[0] == pytest.approx((_DOUBT * CASSIE.packet_period) ** 2, rel=1e-6)

@@ -12,10 +12,10 @@ import torch
 from numba.core.dispatcher import Dispatcher
 
 from aslip import GaitLibrary
-from aslip.estimation.compiled import compiled
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
-from aslip.robot import SIDES, TOTAL_MASS
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE, SIDES
+from aslip.robot.compiled import compiled
+from aslip.robot.model import load_model
 from aslip.sim import Simulations
 
 
@@ -35,14 +35,14 @@ def _random(model: mujoco.MjModel, num: int) -> np.ndarray:
     qpos = np.tile(model.key("standing").qpos, (num, 1))
     qpos[:, 3:7] = rng.normal(size=(num, 4))
     qpos[:, 3:7] /= np.linalg.norm(qpos[:, 3:7], axis=1, keepdims=True)
-    indices = CassieIndices.from_model(model)
+    indices = CASSIE.indices
     for joints in (indices.motor_qpos, indices.joint_qpos):
         qpos[:, joints] += rng.uniform(-0.4, 0.4, (num, len(joints)))
     return qpos
 
 
 def test_feet_are_where_mujoco_has_them(model: mujoco.MjModel, legs: LegKinematics) -> None:
-    indices, data = CassieIndices.from_model(model), mujoco.MjData(model)
+    indices, data = CASSIE.indices, mujoco.MjData(model)
     qpos = _random(model, 50)
     vectors = legs(qpos[:, indices.motor_qpos], qpos[:, indices.joint_qpos])
     assert vectors.shape == (50, 2, 4, 3)
@@ -62,7 +62,7 @@ def test_feet_are_where_mujoco_has_them(model: mujoco.MjModel, legs: LegKinemati
 
 
 def test_any_leading_shape_will_do(model: mujoco.MjModel, legs: LegKinematics) -> None:
-    indices, qpos = CassieIndices.from_model(model), _random(model, 12)
+    indices, qpos = CASSIE.indices, _random(model, 12)
     motors, joints = qpos[:, indices.motor_qpos], qpos[:, indices.joint_qpos]
     flat = legs(motors, joints)
     np.testing.assert_array_equal(
@@ -73,7 +73,7 @@ def test_any_leading_shape_will_do(model: mujoco.MjModel, legs: LegKinematics) -
 
 def test_a_leg_at_rest_springs_feels_nothing(model: mujoco.MjModel, legs: LegKinematics) -> None:
     """The library's poses have undeflected springs and closed loops."""
-    library, indices = GaitLibrary.load(), CassieIndices.from_model(model)
+    library, indices = GaitLibrary.load(), CASSIE.indices
     phase = torch.linspace(0, 0.95, 20)[:, None]
     qpos, _ = library.initial_state(phase, torch.full_like(phase, 1.0))
     rows = np.asarray(qpos).reshape(20, -1)
@@ -95,7 +95,7 @@ def test_a_standing_robot_feels_its_weight() -> None:
         loads.append(simulations.snapshot().ground_force[0, :, 2].copy())
         felt.append(vectors[0, :, :, FORCE, 2].mean(0))
     load, force = np.array(loads)[4:].mean(0), np.array(felt)[4:].mean(0)
-    assert load.sum() == pytest.approx(9.81 * TOTAL_MASS, rel=0.05)
+    assert load.sum() == pytest.approx(9.81 * CASSIE.total_mass, rel=0.05)
     np.testing.assert_allclose(force, load, rtol=0.25)
 
 
@@ -107,7 +107,7 @@ def test_forces_are_the_slope_of_the_springs_energy(
     With the motors held, shin and tarsus are moved a little; MuJoCo closes the loop of the Achilles
     rod by the heel spring, found here by bisection on the rod's length.
     """
-    indices, data = CassieIndices.from_model(model), mujoco.MjData(model)
+    indices, data = CASSIE.indices, mujoco.MjData(model)
     stiffness = {name: model.joint(f"left_{name}").stiffness[0] for name in ("shin", "heel_spring")}
     addresses = {
         name: model.joint(f"left_{name}").qposadr[0] for name in ("shin", "tarsus", "heel_spring")

@@ -11,8 +11,7 @@ import pytest
 
 from aslip.errors import ShapeError
 from aslip.ik import Kinematics
-from aslip.robot import SIDES, SPRING_NAMES
-from aslip.robot.model import CassieIndices
+from aslip.robot import CASSIE, SIDES
 
 
 def _mujoco_states(model: mujoco.MjModel, qpos: np.ndarray):
@@ -72,7 +71,7 @@ def test_joint_limits_are_mujocos(kinematics, mujoco_model):
 
 
 def test_indices_are_mujocos(kinematics, mujoco_model):
-    indices = CassieIndices.from_model(mujoco_model)
+    indices = CASSIE.indices
     np.testing.assert_array_equal(kinematics.motor_q, indices.motor_qpos)
     np.testing.assert_array_equal(kinematics.motor_v, indices.motor_qvel)
     motors = np.take_along_axis(kinematics.leg_v, kinematics.leg_motors, axis=1)
@@ -86,7 +85,7 @@ def test_indices_are_mujocos(kinematics, mujoco_model):
 
 def test_springs_are_left_out_of_the_legs_velocities(kinematics):
     for names in kinematics.leg_joints:
-        assert not set(names) & set(SPRING_NAMES)
+        assert not set(names) & set(CASSIE.spring_names)
 
 
 def test_search_starts_at_the_standing_keyframe(kinematics, mujoco_model):

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from aslip.ik import BodyTarget, IkSolution, solve
 from aslip.ik.solve import newton
 from aslip.ik.target import FootMotion
-from aslip.robot import MOTOR_NAMES, SPRING_NAMES
+from aslip.robot import CASSIE
 
 
 @pytest.fixture(scope="module")
@@ -74,13 +74,13 @@ def test_newton_needs_few_steps_anywhere_in_the_workspace(kinematics, monkeypatc
 
 def test_springs_are_at_rest(mujoco_model, kinematics, smooth_motion):
     solution = solve(kinematics, *smooth_motion(np.linspace(0, 3, 50)))
-    position, velocity = _slots(mujoco_model, SPRING_NAMES)
+    position, velocity = _slots(mujoco_model, CASSIE.spring_names)
     assert not solution.qpos[:, position].any()
     assert not solution.qvel[:, velocity].any()
 
 
 def test_motor_columns_are_those_of_the_motors_joints(mujoco_model, walking):
-    position, velocity = _slots(mujoco_model, MOTOR_NAMES)
+    position, velocity = _slots(mujoco_model, CASSIE.motor_names)
     np.testing.assert_array_equal(walking.motor_position, walking.qpos[:, position])
     np.testing.assert_array_equal(walking.motor_velocity, walking.qvel[:, velocity])
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from aslip.errors import ShapeError
 from aslip.ik import Kinematics, standing_pose, static_torque
 from aslip.library import GaitLibrary
-from aslip.robot import SIDES, STANDARD_GRAVITY, TOTAL_MASS
+from aslip.robot import CASSIE, SIDES, STANDARD_GRAVITY
 
 
 @pytest.mark.parametrize("row", [0, 7, 20])
@@ -42,7 +42,7 @@ def test_standing_is_carried_by_both_legs_alike() -> None:
     kinematics = Kinematics()
     qpos = standing_pose(kinematics).qpos.reshape(1, -1)
     force = np.zeros((1, 2, 3))
-    force[..., 2] = TOTAL_MASS * STANDARD_GRAVITY / 2
+    force[..., 2] = CASSIE.total_mass * STANDARD_GRAVITY / 2
     torque = static_torque(kinematics, qpos, force).reshape(2, 5)
     # roll and yaw of the right leg turn the other way
     np.testing.assert_allclose(torque[0], torque[1] * [-1, -1, 1, 1, 1], atol=1e-9)

@@ -17,7 +17,8 @@ from torch import Tensor
 
 from aslip.errors import ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary, Reference
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE
+from aslip.robot.model import load_model
 
 NAMES = [field.name for field in fields(Reference)]
 FEET = ("left_foot", "right_foot")
@@ -306,7 +307,7 @@ def test_the_robots_feet_and_pelvis_are_where_the_reference_says(
 def test_the_motors_of_the_initial_state_are_the_references(library: GaitLibrary) -> None:
     phase, speed = _random(50, seed=3)
     qpos, _ = library.initial_state(phase, speed)
-    motors = CassieIndices.from_model(load_model()).motor_qpos.tolist()
+    motors = CASSIE.indices.motor_qpos.tolist()
     expected = library.lookup(phase, speed).motor_position
     torch.testing.assert_close(qpos[:, motors].float(), expected, rtol=0, atol=1e-6)
 

@@ -14,7 +14,7 @@ import aslip
 from aslip.envs import default_stack, randomise_stack
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read
-from aslip.robot import PHYSICS_TIMESTEP
+from aslip.robot import CASSIE
 from tests.log.helpers import MakeRecorded, run
 
 
@@ -30,7 +30,7 @@ def make_recorded(library: GaitLibrary) -> MakeRecorded:
         drop: Sequence[str] = (),
         max_steps: int | None = None,
         dynamics: bool = False,
-        timestep: float = PHYSICS_TIMESTEP,
+        timestep: float = CASSIE.physics_timestep,
         **settings: Any,
     ) -> Any:
         stack = default_stack(library)

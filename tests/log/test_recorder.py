@@ -23,9 +23,8 @@ from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary, single_reference_library
 from aslip.log import Recorder, Recording, check, read, replay
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
-from aslip.robot import JOINT_NAMES, MOTOR_NAMES, POLICY_PERIOD, SIDES
+from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
-from aslip.robot.sensing import PACKET_SIZES
 from aslip.show.ghost import Footholds, Ghost
 from aslip.training.provenance import commit
 from aslip.transforms.rewards import PAPER_WEIGHTS
@@ -44,13 +43,13 @@ def _ends(seen: list[TensorDict]) -> np.ndarray:
 
 def _at(recording: Recording, topic: str, seen: list[TensorDict]) -> np.ndarray:
     """Rows of a topic that belong to the ends of the policy steps."""
-    ticks = np.rint(recording[topic].time / POLICY_PERIOD).astype(int)
+    ticks = np.rint(recording[topic].time / CASSIE.policy_period).astype(int)
     return np.searchsorted(ticks, _ends(seen))
 
 
 def test_steps_have_what_was_done_and_what_came_of_it(walk: Walk, recording: Recording) -> None:
     seen, step = walk[1], recording["/step"]
-    np.testing.assert_allclose(step.time, _ends(seen) * POLICY_PERIOD, atol=1e-12)
+    np.testing.assert_allclose(step.time, _ends(seen) * CASSIE.policy_period, atol=1e-12)
     for i, td in enumerate(seen):
         after: Any = td["next"]
         assert step["phase"][i] == float(td["phase"])
@@ -59,9 +58,9 @@ def test_steps_have_what_was_done_and_what_came_of_it(walk: Walk, recording: Rec
         assert step["terminated"][i] == float(after["terminated"])
         for name, term in after["reward_terms"].items():
             assert step[f"term_{name}"][i] == float(term)
-        actions = [step[f"action_{name}"][i] for name in MOTOR_NAMES]
+        actions = [step[f"action_{name}"][i] for name in CASSIE.motor_names]
         assert actions == td["action"][0].tolist()
-        targets = [step[f"motor_target_{name}"][i] for name in MOTOR_NAMES]
+        targets = [step[f"motor_target_{name}"][i] for name in CASSIE.motor_names]
         assert targets == (td["reference", "motor_target"] + td["action"])[0].tolist()
         force = [step[f"ground_force_{side}_z"][i] for side in ("left", "right")]
         assert force == after["truth", "ground_force"][0, :, 2].tolist()
@@ -79,7 +78,7 @@ def test_instants_have_the_tensordicts_entries(
     for key, values in seen[0]["next", group].items():
         size = values[0].numel()
         names = {1: [key], 3: [f"{key}_{a}" for a in "xyz"], 4: [f"{key}_{a}" for a in "wxyz"]}
-        names[10] = [f"{key}_{motor}" for motor in MOTOR_NAMES]
+        names[10] = [f"{key}_{motor}" for motor in CASSIE.motor_names]
         for i, name in enumerate(names.get(size, [])):
             if name in series.columns:
                 compared += 1
@@ -101,7 +100,7 @@ def test_joints_have_positions_velocities_and_efforts(walk: Walk, recording: Rec
             assert series["position"][rows[k], i] == joint.qpos[0]
             assert series["velocity"][rows[k], i] == joint.qvel[0]
             effort = series["effort"][rows[k], i]
-            if i < len(MOTOR_NAMES):
+            if i < len(CASSIE.motor_names):
                 assert effort == float(td["next", "truth", "motor_torque"][0, i])
             else:
                 np.testing.assert_allclose(effort, joint.qfrc_passive[0], rtol=1e-9, atol=1e-9)
@@ -200,7 +199,7 @@ def test_the_policys_input_and_the_packets_are_logged(walk: Walk, recording: Rec
     assert observation.time[0] == 0
     first = np.stack([column[0] for column in observation.columns.values()])
     np.testing.assert_array_equal(first, seen[0]["observation"][0])
-    for name, size in PACKET_SIZES.items():
+    for name, size in CASSIE.packet_sizes.items():
         columns = [sensors[part] for part in component_names(name, size)]
         packets = torch.cat([td["next", "sensors", name] for td in seen])
         np.testing.assert_array_equal(np.stack(columns, axis=-1)[rows], packets, err_msg=name)
@@ -411,7 +410,7 @@ def test_a_log_names_the_code_that_made_it(recording: Recording) -> None:
 
 def test_numbers_are_named_in_their_order() -> None:
     assert component_names("joint_position", 6) == [
-        f"joint_position_{joint}" for joint in JOINT_NAMES
+        f"joint_position_{joint}" for joint in CASSIE.joint_names
     ]
     assert component_names("contact", 2) == ["contact_left", "contact_right"]
     assert component_names("fault", 4) == [f"fault_{fault}" for fault in FAULTS]

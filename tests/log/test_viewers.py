@@ -18,7 +18,7 @@ from tensordict import TensorDict
 from aslip.files.assets import asset_path
 from aslip.log import Recording
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
-from aslip.robot import MOTOR_NAMES
+from aslip.robot import CASSIE
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
 Walk = tuple[Path, list[TensorDict]]
@@ -274,7 +274,7 @@ def test_foxglove_plots_what_a_log_has(recording: Recording) -> None:
                 assert path["label"] == recording[topic]["name"][0, joint]
                 joints.append((topic, field, path["label"]))
     assert curves == CURVES
-    assert joints == [("/joint_states", "position", name) for name in MOTOR_NAMES]
+    assert joints == [("/joint_states", "position", name) for name in CASSIE.motor_names]
     assert panels["RosOut!log"]["topicToRender"] == "/log"
     assert len(recording["/log"]) > 0
     # every panel has a place, and every place a panel
@@ -323,7 +323,9 @@ def test_plotjuggler_plots_what_a_log_has(recording: Recording) -> None:
     assert len(names) == len(set(names))
     assert {series[name] for name in names if name not in joints} == CURVES
     assert {joints[name] for name in names if name in joints} == {
-        (motor, field) for motor in MOTOR_NAMES for field in ("position", "velocity", "effort")
+        (motor, field)
+        for motor in CASSIE.motor_names
+        for field in ("position", "velocity", "effort")
     }
     tabs = [tab.get("tab_name") for tab in root.iter("Tab")]
     assert tabs == ["Velocity", "Reward", "Ground forces", "Motors"]

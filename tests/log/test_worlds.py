@@ -16,7 +16,7 @@ import torch
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.files.assets import asset_path
 from aslip.log import Recording, check, read, replay
-from aslip.robot.model import TIMESTEPS, load_model
+from aslip.robot.model import load_model, physics_timesteps
 from aslip.sim import DYNAMICS
 from tests.log.helpers import MakeRecorded, run
 
@@ -91,14 +91,14 @@ def test_springs_of_a_robot_that_differs_have_their_own_effort(
 
 def test_physics_at_1_khz_is_recorded(make_recorded: MakeRecorded, tmp_path: Path) -> None:
     path = tmp_path / "walk.mcap"
-    env = make_recorded(path, timestep=TIMESTEPS[1])
+    env = make_recorded(path, timestep=physics_timesteps()[1])
     run(env, 40)
     env.close()
     log = read(path)
-    assert json.loads(log.attachments["model.json"])["timestep"] == TIMESTEPS[1]
+    assert json.loads(log.attachments["model.json"])["timestep"] == physics_timesteps()[1]
     assert log.metadata["timestep_s"] == "0.001"
     assert replay(log).equal
-    settings = {**json.loads(log.attachments["model.json"]), "timestep": TIMESTEPS[0]}
+    settings = {**json.loads(log.attachments["model.json"]), "timestep": physics_timesteps()[0]}
     files = {**log.attachments, "model.json": json.dumps(settings).encode()}
     assert not replay(replace(log, attachments=files), strict=False).equal
 

@@ -22,8 +22,8 @@ import aslip
 from aslip.errors import AslipError, ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import policy_stack, read_card
-from aslip.robot import PHYSICS_TIMESTEP
-from aslip.robot.model import TIMESTEPS
+from aslip.robot import CASSIE
+from aslip.robot.model import physics_timesteps
 from aslip.training.collect import local
 from aslip.training.ppo_settings import with_schedule
 from aslip.training.run import TrainingStoppedError
@@ -299,7 +299,7 @@ def test_robots_differ_in_training_and_not_in_evaluation(
     found = [[type(t) for t in env.transforms if isinstance(t, ObservationNoise)] for env in envs]
     assert found == [noise, [ObservationNoise] * len(noise)]
     steps = [env.base_env.model.opt.timestep for env in envs]
-    assert steps == [TIMESTEPS[settings.get("coarse", False)], PHYSICS_TIMESTEP]
+    assert steps == [physics_timesteps()[settings.get("coarse", False)], CASSIE.physics_timestep]
 
 
 @pytest.mark.parametrize(("own", "trained"), [(20.0, 20.0), (0.3, 0.3), (math.inf, 8.0)])

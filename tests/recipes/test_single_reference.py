@@ -18,8 +18,8 @@ from aslip.envs import STACKS, single_reference_stack
 from aslip.errors import UnknownNameError
 from aslip.library import single_reference_library
 from aslip.policy import policy_stack
-from aslip.robot import MOTOR_NAMES, POLICY_PERIOD, STANDARD_GRAVITY, TOTAL_MASS
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.robot.model import load_model
 from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall, SpeedCommand
 from aslip.transforms import single_reference as terms
 from aslip.walking import Walker, evaluate
@@ -39,9 +39,9 @@ def test_weights_sum_to_one() -> None:
 
 @pytest.mark.parametrize(("motor", "weight"), [("left_hip_roll", 0.15), ("right_knee", 0.05)])
 def test_joints_count_by_their_weights(qpos: torch.Tensor, motor: str, weight: float) -> None:
-    reference = qpos[list(CassieIndices.from_model(load_model()).motor_qpos)]
+    reference = qpos[list(CASSIE.indices.motor_qpos)]
     assert terms.joints(qpos, reference).item() == 1.0
-    reference[MOTOR_NAMES.index(motor)] += 0.2
+    reference[CASSIE.motor_names.index(motor)] += 0.2
     assert terms.joints(qpos, reference).item() == pytest.approx(math.exp(-30 * weight * 0.04))
 
 
@@ -61,8 +61,8 @@ def test_upright_is_one_whichever_sign_the_quaternion_has() -> None:
 
 
 def test_springs_carry_the_weight_in_stance(qpos: torch.Tensor) -> None:
-    shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
-    loaded = terms.SHIN_COMPLIANCE * TOTAL_MASS * STANDARD_GRAVITY
+    shins = CASSIE.indices.joint_qpos[[0, 3]]
+    loaded = terms.SHIN_COMPLIANCE * CASSIE.total_mass * STANDARD_GRAVITY
     single, both = qpos.clone(), qpos.clone()
     single[shins] = torch.tensor([loaded, 0.0], dtype=qpos.dtype)
     both[shins] = loaded / 2
@@ -74,7 +74,7 @@ def test_springs_carry_the_weight_in_stance(qpos: torch.Tensor) -> None:
 
 def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
     """Springs carry nothing where neither foot of the reference stands."""
-    shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
+    shins = CASSIE.indices.joint_qpos[[0, 3]]
     free, loaded = qpos.clone(), qpos.clone()
     free[shins], loaded[shins] = 0.0, -0.02
     assert terms.springs(free, SWINGING, SWINGING).item() == 1.0
@@ -85,7 +85,7 @@ def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
 def test_the_compliance_is_the_robots() -> None:
     """Deflection and force of the shipped policy's robot fit the line that the reward assumes."""
     walker = Walker("aslip", speed=0.5)
-    shins = CassieIndices.from_model(load_model()).joint_qpos[[0, 3]]
+    shins = CASSIE.indices.joint_qpos[[0, 3]]
     deflections, forces = [], []
     for _ in range(100):
         walker.step()
@@ -114,7 +114,7 @@ def test_the_odometer_counts_from_each_reset(make: MakeEnv) -> None:
     td = env.reset()
     assert (td["reference", "distance"] == 0).all()
     rollout = env.rollout(5, auto_reset=False, tensordict=td)
-    expected = 5 * POLICY_PERIOD * rollout["command"][:, 0]
+    expected = 5 * CASSIE.policy_period * rollout["command"][:, 0]
     torch.testing.assert_close(rollout["next", "reference", "distance"][:, -1], expected)
     mask = torch.tensor([[True], [False]])
     again = env.reset(rollout[:, -1]["next"].clone().set("_reset", mask))
@@ -125,7 +125,7 @@ def test_the_odometer_counts_from_each_reset(make: MakeEnv) -> None:
 def test_the_odometer_counts_at_the_speed_of_each_step(make: MakeEnv) -> None:
     """Whenever commands change: it goes where the step's command goes, and the goal was there."""
     library = single_reference_library()
-    restless = SpeedCommand(library, [0.0, 1.0, 2.0], interval=POLICY_PERIOD)
+    restless = SpeedCommand(library, [0.0, 1.0, 2.0], interval=CASSIE.policy_period)
     env = make(
         num_envs=8,
         stack="single_reference",
@@ -136,7 +136,7 @@ def test_the_odometer_counts_at_the_speed_of_each_step(make: MakeEnv) -> None:
     walk = env.rollout(6, break_when_any_done=False)
     assert (walk["command"] != walk["next", "command"]).any()
     way = walk["next", "reference", "distance"] - walk["reference", "distance"]
-    torch.testing.assert_close(way, POLICY_PERIOD * walk["command"], atol=1e-6, rtol=0)
+    torch.testing.assert_close(way, CASSIE.policy_period * walk["command"], atol=1e-6, rtol=0)
     reached = walk["next", "reference", "distance"]
     torch.testing.assert_close(walk["goal", "distance"], reached, atol=0, rtol=0)
 

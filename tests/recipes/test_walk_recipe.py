@@ -25,7 +25,7 @@ from aslip.errors import (
 )
 from aslip.log import read, replay
 from aslip.log.__main__ import main as log_main
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.show.render import render_robot
 from aslip.show.video import write_video
 from recipes import walk
@@ -166,7 +166,7 @@ def test_a_viewer_is_shown_every_step_in_the_time_of_the_clock(
 
     class Pacer:
         def __init__(self, period: float) -> None:
-            assert period == POLICY_PERIOD
+            assert period == CASSIE.policy_period
 
         def wait(self) -> None:
             waits.append(len(shown))
@@ -274,7 +274,7 @@ def test_only_the_frames_of_a_film_are_drawn(
     path = tmp_path / "walk.mp4"
     walk.main(Config(command="1.0", duration=0.3, video=path, steps_per_frame=steps, width=160))
     assert len(drawn) == written["frames"] == count
-    assert written["rate"] * steps == pytest.approx(1 / POLICY_PERIOD)
+    assert written["rate"] * steps == pytest.approx(1 / CASSIE.policy_period)
     assert written["size"] == (160, 480)
 
 

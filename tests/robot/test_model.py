@@ -13,19 +13,8 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError
-from aslip.robot import (
-    GEAR,
-    JOINT_NAMES,
-    MOTOR_NAMES,
-    MOTOR_TORQUE_LIMIT,
-    PHYSICS_TIMESTEP,
-    SIDES,
-    TORQUE_DELAY,
-    TOTAL_MASS,
-    foot_site,
-    mirror_name,
-)
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE, SIDES, mirror_name
+from aslip.robot.model import load_model
 
 ROTOR_INERTIA = [6.1e-5, 6.1e-5, 3.65e-4, 3.65e-4, 4.9e-6] * 2
 
@@ -42,35 +31,35 @@ def test_sizes(model: mujoco.MjModel) -> None:
 
 def test_total_mass(model: mujoco.MjModel) -> None:
     assert model.body_mass.sum() == pytest.approx(33.312, abs=1e-9)
-    assert model.body_mass.sum() == pytest.approx(TOTAL_MASS, abs=1e-9)
+    assert model.body_mass.sum() == pytest.approx(CASSIE.total_mass, abs=1e-9)
     assert model.body("pelvis").mass[0] == pytest.approx(10.33)
 
 
 def test_armature_is_gear_squared_times_rotor_inertia(model: mujoco.MjModel) -> None:
-    armature = [model.joint(name).armature[0] for name in MOTOR_NAMES]
-    np.testing.assert_allclose(armature, GEAR**2 * ROTOR_INERTIA, rtol=1e-12)
+    armature = [model.joint(name).armature[0] for name in CASSIE.motor_names]
+    np.testing.assert_allclose(armature, CASSIE.gear**2 * ROTOR_INERTIA, rtol=1e-12)
 
 
 def test_only_motors_have_armature(model: mujoco.MjModel) -> None:
-    driven = {model.joint(name).dofadr[0] for name in MOTOR_NAMES}
+    driven = {model.joint(name).dofadr[0] for name in CASSIE.motor_names}
     others = [dof for dof in range(model.nv) if dof not in driven]
     np.testing.assert_array_equal(model.dof_armature[others], 0.0)
 
 
 def test_actuators_are_the_motors_in_order(model: mujoco.MjModel) -> None:
     names = [model.actuator(i).name for i in range(model.nu)]
-    assert tuple(names) == MOTOR_NAMES
+    assert tuple(names) == CASSIE.motor_names
     joints = [model.joint(model.actuator_trnid[i, 0]).name for i in range(model.nu)]
-    assert tuple(joints) == MOTOR_NAMES
-    np.testing.assert_array_equal(model.actuator_gear[:, 0], GEAR)
-    np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], MOTOR_TORQUE_LIMIT)
-    np.testing.assert_array_equal(model.actuator_ctrlrange[:, 0], -MOTOR_TORQUE_LIMIT)
+    assert tuple(joints) == CASSIE.motor_names
+    np.testing.assert_array_equal(model.actuator_gear[:, 0], CASSIE.gear)
+    np.testing.assert_array_equal(model.actuator_ctrlrange[:, 1], CASSIE.torque_limit)
+    np.testing.assert_array_equal(model.actuator_ctrlrange[:, 0], -CASSIE.torque_limit)
     assert model.actuator_ctrllimited.all()
 
 
 def test_timestep_and_torque_delay(model: mujoco.MjModel) -> None:
-    assert model.opt.timestep == PHYSICS_TIMESTEP
-    np.testing.assert_array_equal(model.actuator_delay, TORQUE_DELAY)
+    assert model.opt.timestep == CASSIE.physics_timestep
+    np.testing.assert_array_equal(model.actuator_delay, CASSIE.torque_delay)
 
 
 def test_newton_finds_what_the_public_simulators_solver_finds(model: mujoco.MjModel) -> None:
@@ -236,7 +225,7 @@ def test_mirrored_configurations_have_mirrored_bodies_and_sites(model: mujoco.Mj
                 twin.body(right).xmat.reshape(3, 3), rotation, atol=1e-14, err_msg=left
             )
         # a foot's site has x to the toes and z up on both sides: its own y is mirrored
-        left, right = (foot_site(side) for side in SIDES)
+        left, right = (CASSIE.foot_sites[SIDES.index(side)] for side in SIDES)
         np.testing.assert_allclose(twin.site(right).xpos, world @ data.site(left).xpos, atol=1e-14)
         rotation = world @ data.site(left).xmat.reshape(3, 3) @ world
         np.testing.assert_allclose(twin.site(right).xmat.reshape(3, 3), rotation, atol=1e-14)
@@ -336,21 +325,6 @@ def test_a_friction_that_is_no_positive_number_is_refused(friction: float) -> No
         load_model(floor_friction=friction)
 
 
-# ------------------------------------------------------------------- indices
-
-
-def test_indices_point_at_the_named_parts(model: mujoco.MjModel) -> None:
-    indices = CassieIndices.from_model(model)
-    assert indices.motor_qpos.tolist() == [7, 8, 9, 14, 20, 21, 22, 23, 28, 34]
-    assert indices.motor_qvel.tolist() == [6, 7, 8, 12, 18, 19, 20, 21, 25, 31]
-    assert [model.joint(name).qposadr[0] for name in JOINT_NAMES] == indices.joint_qpos.tolist()
-    assert indices.joint_qpos.tolist() == [15, 16, 20, 29, 30, 34]
-    assert indices.joint_qvel.tolist() == [13, 14, 18, 26, 27, 31]
-    assert [model.site(int(i)).name for i in indices.foot_site] == ["left_foot", "right_foot"]
-    with pytest.raises(ValueError, match="read-only"):
-        indices.motor_qpos[0] = 0
-
-
 def test_the_robot_stands_level_with_its_loops_closed(model: mujoco.MjModel) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("standing").id)
@@ -359,7 +333,7 @@ def test_the_robot_stands_level_with_its_loops_closed(model: mujoco.MjModel) -> 
     assert loops.shape == (12,)
     np.testing.assert_allclose(loops, 0.0, atol=1e-9)
     for side in SIDES:
-        site = data.site(foot_site(side))
+        site = data.site(CASSIE.foot_sites[SIDES.index(side)])
         np.testing.assert_allclose(site.xmat.reshape(3, 3), np.eye(3), atol=1e-6)
         assert site.xpos[2] == pytest.approx(0.0, abs=1e-4)  # the sole is on the floor
     # the ground carries no one who is not balanced over the feet

@@ -5,17 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aslip.robot import (
-    GEAR,
-    MOTOR_NO_LOAD_SPEED,
-    MOTOR_TORQUE_LIMIT,
-    PD_DAMPING,
-    PD_STIFFNESS,
-)
-from aslip.sim import Drive, motor_torque
+from aslip.robot import CASSIE
+from aslip.sim import PD, Drive, Torque
+from tests.helpers import motor_torque
 
 ZERO = np.zeros(10)
-NO_LOAD = MOTOR_NO_LOAD_SPEED / GEAR  # at the joint [rad/s]
+NO_LOAD = CASSIE.no_load_speed / CASSIE.gear  # at the joint [rad/s]
 
 
 def test_small_errors_give_proportional_torque() -> None:
@@ -40,7 +35,7 @@ def test_position_and_velocity_add_up() -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_large_errors_are_cut_off_at_the_motor_limit(sign: int) -> None:
     torque = motor_torque(np.full(10, sign * 50.0), ZERO, ZERO)
-    np.testing.assert_array_equal(torque, sign * MOTOR_TORQUE_LIMIT)
+    np.testing.assert_array_equal(torque, sign * CASSIE.torque_limit)
 
 
 @pytest.mark.parametrize(
@@ -63,36 +58,27 @@ def test_torque_falls_from_half_the_no_load_speed(
 ) -> None:
     """Full torque up to half the no-load speed, none from it on, linear between; braking, too."""
     torque = motor_torque(np.full(10, pushing * 50.0), ZERO, turning * speed * NO_LOAD)
-    np.testing.assert_allclose(torque, pushing * share * MOTOR_TORQUE_LIMIT, atol=1e-12)
+    np.testing.assert_allclose(torque, pushing * share * CASSIE.torque_limit, atol=1e-12)
 
 
-def test_drive_equals_motor_torque_and_the_formula() -> None:
+def test_the_drive_equals_the_formula() -> None:
     rng = np.random.default_rng(0)
     target, position = rng.uniform(-2, 2, (2, 50, 10))
     velocity = rng.uniform(-1.2, 1.2, (50, 10)) * NO_LOAD
-    torque = Drive(50).torque(target, position, velocity).copy()
-    np.testing.assert_array_equal(torque, motor_torque(target, position, velocity))
-    joint = PD_STIFFNESS * (target - position) - PD_DAMPING * velocity
+    torque = PD(50).torque(target, position, velocity).copy()
+    joint = CASSIE.stiffness * (target - position) - CASSIE.damping * velocity
     share = np.clip(2 * (1 - np.abs(velocity) / NO_LOAD), 0, 1)
-    limit = MOTOR_TORQUE_LIMIT * share
-    np.testing.assert_allclose(torque, np.clip(joint / GEAR, -limit, limit), atol=1e-12)
+    limit = CASSIE.torque_limit * share
+    np.testing.assert_allclose(torque, np.clip(joint / CASSIE.gear, -limit, limit), atol=1e-12)
     # the draw reaches every regime
-    assert (np.abs(torque) == MOTOR_TORQUE_LIMIT).any()
+    assert (np.abs(torque) == CASSIE.torque_limit).any()
     assert (share == 0).any()
     assert (np.abs(torque) < 0.5 * limit).any()
 
 
-def test_motor_torque_takes_any_leading_shape_and_broadcasts() -> None:
-    rng = np.random.default_rng(1)
-    target, velocity = rng.uniform(-1, 1, (2, 3, 4, 10))
-    torque = motor_torque(target, ZERO, velocity)
-    assert torque.shape == (3, 4, 10)
-    np.testing.assert_array_equal(torque[2, 1], motor_torque(target[2, 1], ZERO, velocity[2, 1]))
-
-
 def test_inputs_are_left_alone() -> None:
     target, position, velocity = np.full((1, 10), 9.0), np.ones((1, 10)), np.full((1, 10), 4.0)
-    Drive(1).torque(target, position, velocity)
+    PD(1).torque(target, position, velocity)
     assert (target == 9).all()
     assert (position == 1).all()
     assert (velocity == 4).all()
@@ -107,7 +93,7 @@ def test_nan_stays_nan() -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_an_infinite_target_asks_for_the_largest_torque(sign: int) -> None:
     torque = motor_torque(np.full(10, sign * np.inf), ZERO, ZERO)
-    np.testing.assert_array_equal(torque, sign * MOTOR_TORQUE_LIMIT)
+    np.testing.assert_array_equal(torque, sign * CASSIE.torque_limit)
 
 
 def test_what_is_no_number_is_not_limited_to_one() -> None:
@@ -122,8 +108,46 @@ def test_what_is_no_number_is_not_limited_to_one() -> None:
 
 
 def test_torques_go_where_they_are_told() -> None:
-    drive, out = Drive(3), np.zeros((3, 20))
+    drive, out = PD(3), np.zeros((3, 20))
     angles = [np.random.default_rng(i).normal(size=(3, 10)) for i in range(3)]
     assert drive.torque(*angles, out=out[:, ::2]).base is out
     np.testing.assert_array_equal(out[:, ::2], motor_torque(*angles))
     assert not out[:, 1::2].any()
+
+
+class _PlainPD(Drive):
+    """PD control as a user would write it."""
+
+    def joint_torque(
+        self, command: np.ndarray, position: np.ndarray, velocity: np.ndarray
+    ) -> np.ndarray:
+        return (command - position) * CASSIE.stiffness - velocity * CASSIE.damping
+
+
+def test_a_drive_in_numpy_equals_the_compiled_one() -> None:
+    rng = np.random.default_rng(2)
+    target, position = rng.uniform(-2, 2, (2, 50, 10))
+    velocity = rng.uniform(-1.2, 1.2, (50, 10)) * NO_LOAD
+    expected = PD(50).torque(target, position, velocity)
+    plain = _PlainPD(50)
+    np.testing.assert_array_equal(plain.torque(target, position, velocity), expected)
+    np.testing.assert_array_equal(plain.initial_command(position), np.zeros((50, 10)))
+    np.testing.assert_array_equal(PD(50).initial_command(position), position)
+
+
+def test_gains_differ_from_robot_to_robot() -> None:
+    drive = PD(2)
+    drive.stiffness[1] *= 0.5
+    drive.damping[1] = 0.0
+    torque = drive.torque(np.full((2, 10), 0.02), np.zeros((2, 10)), np.full((2, 10), 0.1))
+    np.testing.assert_allclose(
+        torque * CASSIE.gear,
+        [0.02 * CASSIE.stiffness - 0.1 * CASSIE.damping, 0.01 * CASSIE.stiffness],
+    )
+
+
+def test_feedforward_torque_is_divided_by_the_gear_and_limited() -> None:
+    joint = np.stack([np.full(10, 20.0), np.full(10, -1e3)])
+    torque = Torque(2).torque(joint, np.ones((2, 10)), np.zeros((2, 10)))
+    np.testing.assert_allclose(torque[0], 20.0 / CASSIE.gear)
+    np.testing.assert_array_equal(torque[1], -CASSIE.torque_limit)

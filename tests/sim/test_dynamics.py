@@ -15,7 +15,7 @@ from tensordict import TensorDict
 
 from aslip.envs import BatchEnv, DmControlEnv, SimulatedEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.sim import DYNAMICS
 
@@ -129,7 +129,7 @@ def test_masses_add_up() -> None:
     env.set_dynamics({"mass": [1.0, 1.2, 0.8], "payload": [5.0, 0.0, 2.0]})
     batch = env.simulations.parts[0].batch
     masses = [batch.get_model(i).body("pelvis").subtreemass[0] for i in range(3)]
-    expected = [TOTAL_MASS + 5, 1.2 * TOTAL_MASS, 0.8 * TOTAL_MASS + 2]
+    expected = [CASSIE.total_mass + 5, 1.2 * CASSIE.total_mass, 0.8 * CASSIE.total_mass + 2]
     np.testing.assert_allclose(masses, expected, rtol=1e-5)
 
 
@@ -153,7 +153,7 @@ def test_gravity_leans_back_uphill() -> None:
     data.qpos[:], data.qvel[:] = truth["qpos"][0], truth["qvel"][0]
     mujoco.mj_forward(model, data)
     mujoco.mj_subtreeVel(model, data)
-    fallen = GRAVITY * POLICY_PERIOD
+    fallen = GRAVITY * CASSIE.policy_period
     expected = [-fallen * np.sin(0.3), 0, -fallen * np.cos(0.3)]
     np.testing.assert_allclose(data.subtree_linvel[0], expected, atol=2e-4)
 
@@ -176,7 +176,7 @@ def test_torques_act_when_they_should(backend: str, steps: int) -> None:
     for offset in (0.0, 0.2):
         env = _base(backend, 1)
         env.watch(0)
-        env.set_dynamics({"torque_delay": steps * PHYSICS_TIMESTEP})
+        env.set_dynamics({"torque_delay": steps * CASSIE.physics_timestep})
         env.reset()
         target = env.model.key("standing").qpos[env.indices.motor_qpos] + offset
         td = TensorDict(motor_target=torch.tensor(target[None]).float(), batch_size=1)
@@ -310,4 +310,4 @@ def test_dynamics_are_copies() -> None:
     env = _base("batch")
     env.dynamics["mass"][:] = 5.0
     assert env.dynamics["mass"].tolist() == [1.0, 1.0]
-    assert DYNAMICS["torque_delay"].high == SUBSTEPS * PHYSICS_TIMESTEP
+    assert DYNAMICS["torque_delay"].high == CASSIE.substeps * CASSIE.physics_timestep

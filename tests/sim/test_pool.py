@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.sim import SimulationPool, Simulations
 
@@ -135,7 +135,9 @@ def test_nothing_steps_on_after_an_error_or_an_interrupt(
     pool.advance(target)  # starts both threads
     with pytest.raises(error):
         pool.advance(target)
-    assert pool.parts[1].batch.bind("time").tolist() == pytest.approx([2 * POLICY_PERIOD] * 2)
+    assert pool.parts[1].batch.bind("time").tolist() == pytest.approx(
+        [2 * CASSIE.policy_period] * 2
+    )
 
 
 def _step_in_child(pool: SimulationPool, target: np.ndarray, answer: Connection) -> None:

@@ -14,17 +14,17 @@ from scipy.signal import lfilter
 
 from aslip.envs import BipedPhysics
 from aslip.files.assets import asset_path
-from aslip.robot import GEAR, PHYSICS_TIMESTEP, SUBSTEPS
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
-from aslip.robot.sensing import PACKET_PERIOD, PACKET_SUBSTEPS, SENSOR_WINDOW
-from aslip.sim import SimulationPool, Simulations, motor_torque
+from aslip.sim import SimulationPool, Simulations
 from aslip.sim.sensors import (
     JOINT_VELOCITY_FILTER,
     MOTOR_VELOCITY_TAPS,
     Sensors,
 )
+from tests.helpers import motor_torque
 
-RATE = 1 / PHYSICS_TIMESTEP
+RATE = 1 / CASSIE.physics_timestep
 # radians of one count, at the joint: hip roll, hip yaw, hip pitch, knee, foot
 MOTOR_STEPS = np.tile([3.07e-5, 3.07e-5, 4.79e-5, 4.79e-5, 4.8e-7], 2)
 JOINT_STEPS = np.tile([2.40e-5, 2.40e-5, 7.67e-4], 2)
@@ -53,15 +53,15 @@ class Bench:
         """Turn motors and joints by one function of time; readings at every substep."""
         records: dict[str, list[np.ndarray]] = {"motor_position": [], "motor_velocity": []}
         windows: dict[str, list[np.ndarray]] = {}
-        for k in range(periods * SUBSTEPS):
-            now = angle(k * PHYSICS_TIMESTEP)
+        for k in range(periods * CASSIE.substeps):
+            now = angle(k * CASSIE.physics_timestep)
             self.qpos[0, self.indices.motor_qpos] = now
             self.qpos[0, self.indices.joint_qpos] = now
-            self.sensors.read(k % SUBSTEPS, self.qpos, self.qvel)
-            self.sensors.feel(k % SUBSTEPS, self.qacc)
+            self.sensors.read(k % CASSIE.substeps, self.qpos, self.qvel)
+            self.sensors.feel(k % CASSIE.substeps, self.qacc)
             for name, record in records.items():
                 record.append(getattr(self.sensors, name)[0].copy())
-            if k % SUBSTEPS == SUBSTEPS - 1:
+            if k % CASSIE.substeps == CASSIE.substeps - 1:
                 self.sensors.finish()
                 for name, window in self.sensors.packets().items():
                     windows.setdefault(name, []).append(window[0].copy())
@@ -86,7 +86,7 @@ MOTOR_FILTER = (MOTOR_VELOCITY_TAPS / np.pi, np.array([1.0]))
 def test_encoders_have_the_declared_resolution(model: mujoco.MjModel) -> None:
     """A slow ramp of a motor is a staircase whose treads are that wide."""
     seen = Bench(model).run(lambda t: 0.5 + 1e-3 * t, 10)["motor_position"]
-    errors = 0.5 + 1e-3 * PHYSICS_TIMESTEP * np.arange(len(seen))[:, None] - seen
+    errors = 0.5 + 1e-3 * CASSIE.physics_timestep * np.arange(len(seen))[:, None] - seen
     assert (errors >= 0).all()
     assert (errors < 1.01 * MOTOR_STEPS).all()
 
@@ -96,7 +96,9 @@ def test_counts_are_cut_toward_zero(model: mujoco.MjModel, sign: float) -> None:
     bench = Bench(model)
     seen = bench.run(lambda t: sign * (0.3 + 0.01 * t), 2)
     for name, steps in (("motor_position", MOTOR_STEPS), ("joint_position", JOINT_STEPS)):
-        times = (np.arange(2 * SENSOR_WINDOW) + 1) * PACKET_PERIOD - PHYSICS_TIMESTEP
+        times = (
+            np.arange(2 * CASSIE.sensor_window) + 1
+        ) * CASSIE.packet_period - CASSIE.physics_timestep
         short = (0.3 + 0.01 * times)[:, None] - sign * seen[f"sent_{name}"]
         assert (short >= 0).all()
         assert (short < 1.01 * steps).all()
@@ -106,7 +108,7 @@ def test_counts_are_cut_toward_zero(model: mujoco.MjModel, sign: float) -> None:
 def test_the_resolution_is_that_of_the_bits(model: mujoco.MjModel, angle: float) -> None:
     seen = Bench(model).run(lambda t: angle, 1)
     for name, bits, gear in (
-        ("motor_position", [13, 13, 13, 13, 18] * 2, GEAR),
+        ("motor_position", [13, 13, 13, 13, 18] * 2, CASSIE.gear),
         ("joint_position", [18, 18, 13] * 2, 1.0),
     ):
         step = 2 * np.pi / 2.0 ** np.array(bits) / gear
@@ -142,8 +144,11 @@ def test_a_sine_comes_out_as_the_transfer_function_says(
     omega = 2 * np.pi * hertz
     bench = Bench(model)
     seen = bench.run(lambda t: amplitude * np.sin(omega * t), periods)
-    times = PHYSICS_TIMESTEP * np.arange(periods * SUBSTEPS)
-    packet_times = PACKET_PERIOD * (np.arange(periods * SENSOR_WINDOW) + 1) - PHYSICS_TIMESTEP
+    times = CASSIE.physics_timestep * np.arange(periods * CASSIE.substeps)
+    packet_times = (
+        CASSIE.packet_period * (np.arange(periods * CASSIE.sensor_window) + 1)
+        - CASSIE.physics_timestep
+    )
     cases = [
         (MOTOR_FILTER, times, seen["motor_velocity"], MOTOR_STEPS * abs(MOTOR_VELOCITY_TAPS).sum()),
         (JOINT_VELOCITY_FILTER, packet_times, seen["sent_joint_velocity"], JOINT_STEPS * 500),
@@ -162,12 +167,12 @@ def test_a_step_of_angle_comes_out_as_the_difference_equations_say(model: mujoco
     bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = -0.2
     bench.reset()
     seen = bench.run(lambda t: -0.2 if t < 0.0101 else 0.1, 3)
-    sent = slice(PACKET_SUBSTEPS - 1, None, PACKET_SUBSTEPS)
+    sent = slice(CASSIE.packet_substeps - 1, None, CASSIE.packet_substeps)
 
     padding = len(MOTOR_VELOCITY_TAPS)
-    angle = np.repeat([-0.2, 0.1], [padding + 21, 3 * SUBSTEPS - 21])[:, None]
+    angle = np.repeat([-0.2, 0.1], [padding + 21, 3 * CASSIE.substeps - 21])[:, None]
     for bits, gear, coefficients, found in (
-        ([13, 13, 13, 13, 18] * 2, GEAR, MOTOR_FILTER, seen["motor_velocity"]),
+        ([13, 13, 13, 13, 18] * 2, CASSIE.gear, MOTOR_FILTER, seen["motor_velocity"]),
         ([18, 18, 13] * 2, 1.0, JOINT_VELOCITY_FILTER, seen["sent_joint_velocity"]),
     ):
         step = 2 * np.pi / 2.0 ** np.array(bits) / gear
@@ -208,7 +213,7 @@ def test_a_reset_in_motion_starts_settled(model: mujoco.MjModel) -> None:
     first = {name: window[0].copy() for name, window in bench.sensors.packets().items()}
     for window in first.values():
         np.testing.assert_array_equal(window, np.broadcast_to(window[0], window.shape))
-    before = 0.7 - PHYSICS_TIMESTEP * speed
+    before = 0.7 - CASSIE.physics_timestep * speed
     np.testing.assert_allclose(first["motor_position"][0], before, atol=5e-5)
     np.testing.assert_allclose(first["joint_position"][0], before, atol=8e-4)
     seen = bench.run(lambda t: 0.7 + speed * t, 1)
@@ -267,12 +272,16 @@ def test_the_imu_equals_mujocos(with_accelerometer: mujoco.MjModel) -> None:
         simulations.advance(standing + rng.normal(0, 0.3, (2, 10)))
         packets = simulations.sensors.packets()
         seen = {name: np.stack([state[name] for state in states], axis=1) for name in names}
-        sent = slice(PACKET_SUBSTEPS - 1, None, PACKET_SUBSTEPS)
+        sent = slice(CASSIE.packet_substeps - 1, None, CASSIE.packet_substeps)
         np.testing.assert_allclose(packets["gyro"], seen["gyro"][:, sent], atol=1e-12)
         turn = seen["orientation"][:, sent]
         turn = turn * np.where(turn[..., :1] < 0, -1, 1)
         np.testing.assert_allclose(packets["orientation"], turn, atol=1e-12)
-        mean = seen["accelerometer"].reshape(2, SENSOR_WINDOW, PACKET_SUBSTEPS, 3).mean(2)
+        mean = (
+            seen["accelerometer"]
+            .reshape(2, CASSIE.sensor_window, CASSIE.packet_substeps, 3)
+            .mean(2)
+        )
         np.testing.assert_allclose(packets["accelerometer"], mean, atol=1e-10)
     assert np.abs(mean).max() > 10
 
@@ -289,7 +298,7 @@ def test_the_first_packets_have_the_force_at_the_reset(with_accelerometer: mujoc
     expected = simulations.snapshot().sensordata[:, None, address : address + 3]
     assert np.abs(expected).max() > 1
     sent = simulations.sensors.packets()["accelerometer"]
-    np.testing.assert_allclose(sent, np.repeat(expected, SENSOR_WINDOW, axis=1), atol=1e-9)
+    np.testing.assert_allclose(sent, np.repeat(expected, CASSIE.sensor_window, axis=1), atol=1e-9)
 
 
 # ------------------------------------------------------------- many, and again
@@ -332,7 +341,7 @@ def test_torque_is_commanded_from_the_state_one_substep_before() -> None:
     standing = simulations.qpos[:, simulations.indices.motor_qpos].copy()
     target = standing + np.random.default_rng(7).normal(0, 0.3, (1, 10))
     simulations.advance(target)
-    step_size = 2 * np.pi / 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / GEAR
+    step_size = 2 * np.pi / 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / CASSIE.gear
     counts = np.trunc(np.array(states) / step_size)
     # the robot has always stood there
     counts = np.concatenate([np.repeat(counts[:1], len(MOTOR_VELOCITY_TAPS), axis=0), counts])
@@ -363,7 +372,7 @@ def test_both_backends_send_the_same_packets() -> None:
     for _ in range(4):
         target = _targets(pool, rng)
         physics.set_control(target[0])
-        physics.step(SUBSTEPS)
+        physics.step(CASSIE.substeps)
         pool.advance(target)
         for name, window in physics.packets().items():
             np.testing.assert_array_equal(window, pool.packets()[name][0], err_msg=name)
@@ -388,10 +397,10 @@ def test_a_copied_physics_has_its_own_sensors() -> None:
     physics, rng = BipedPhysics.load(), np.random.default_rng(5)
     standing = physics.motor_position()
     physics.set_control(standing + rng.normal(0, 0.3, 10))
-    physics.step(SUBSTEPS + 7)
+    physics.step(CASSIE.substeps + 7)
     twin = physics.copy()
     for robot in (physics, twin):
-        robot.step(SUBSTEPS)
+        robot.step(CASSIE.substeps)
     for name, window in physics.packets().items():
         np.testing.assert_array_equal(window, twin.packets()[name], err_msg=name)
     np.testing.assert_array_equal(physics.data.qpos, twin.data.qpos)

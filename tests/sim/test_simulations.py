@@ -13,17 +13,18 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import GEAR, PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TOTAL_MASS
-from aslip.robot.model import TIMESTEPS, CassieIndices, load_model
-from aslip.sim import Simulations, motor_torque
+from aslip.robot import CASSIE
+from aslip.robot.model import load_model, physics_timesteps
+from aslip.sim import Simulations
+from tests.helpers import motor_torque
 
-WEIGHT = TOTAL_MASS * 9.81
+WEIGHT = CASSIE.total_mass * 9.81
 
 
 def _targets(num: int, steps: int, seed: int = 0) -> np.ndarray:
     """(steps, num, 10) targets around the standing pose."""
     model = load_model()
-    standing = model.key("standing").qpos[CassieIndices.from_model(model).motor_qpos]
+    standing = model.key("standing").qpos[CASSIE.indices.motor_qpos]
     noise = np.random.default_rng(seed).uniform(-0.4, 0.4, (steps, num, 10))
     return standing + noise
 
@@ -45,9 +46,9 @@ class NaiveLoop:
     TAPS = (2727, 534, -2658, -795, 72, 110, 19, -6, -3)
     COUNTS = 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / (2 * np.pi)
 
-    def __init__(self, timestep: float = PHYSICS_TIMESTEP) -> None:
+    def __init__(self, timestep: float = CASSIE.physics_timestep) -> None:
         self.model = load_model(timestep=timestep)
-        self.indices = CassieIndices.from_model(self.model)
+        self.indices = CASSIE.indices
         self.data = mujoco.MjData(self.model)
         self.reset()
 
@@ -59,7 +60,8 @@ class NaiveLoop:
             self.data.qvel = qvel
         angle, speed = self._motors()
         self.history = [
-            self._count(angle - k * PHYSICS_TIMESTEP * speed) for k in range(1, len(self.TAPS) + 1)
+            self._count(angle - k * CASSIE.physics_timestep * speed)
+            for k in range(1, len(self.TAPS) + 1)
         ]
 
     def _motors(self) -> tuple[np.ndarray, np.ndarray]:
@@ -67,19 +69,19 @@ class NaiveLoop:
         return self.data.qpos[indices.motor_qpos], self.data.qvel[indices.motor_qvel]
 
     def _count(self, angle: np.ndarray) -> np.ndarray:
-        return np.trunc(angle / (1 / self.COUNTS / GEAR))
+        return np.trunc(angle / (1 / self.COUNTS / CASSIE.gear))
 
     def reading(self) -> tuple[np.ndarray, np.ndarray]:
         """Position and velocity of the motors, from the counts of the last nine substeps."""
         speed = sum(tap * count for tap, count in zip(self.TAPS, self.history, strict=True))
-        radians = 1 / self.COUNTS / GEAR
+        radians = 1 / self.COUNTS / CASSIE.gear
         return self.history[0] * radians, speed * (radians / np.pi)
 
     def advance(self, target: np.ndarray) -> np.ndarray:
         """One policy period; returns the mean ground force."""
         force = np.zeros((2, 3))
-        coarse = self.model.opt.timestep > PHYSICS_TIMESTEP
-        steps = SUBSTEPS // 2 if coarse else SUBSTEPS
+        coarse = self.model.opt.timestep > CASSIE.physics_timestep
+        steps = CASSIE.substeps // 2 if coarse else CASSIE.substeps
         for _ in range(steps):
             # the PD loop has the reading of the substep before
             self.data.ctrl = motor_torque(target, *self.reading())
@@ -89,7 +91,7 @@ class NaiveLoop:
             mujoco.mj_step(self.model, self.data)
             if coarse:
                 angle, speed = self._motors()
-                self._read(angle - PHYSICS_TIMESTEP * speed)
+                self._read(angle - CASSIE.physics_timestep * speed)
             force += self.data.sensordata[self.indices.ground_force]
         return force / steps
 
@@ -97,7 +99,7 @@ class NaiveLoop:
         self.history = [self._count(angle), *self.history[:-1]]
 
 
-@pytest.mark.parametrize("timestep", TIMESTEPS)
+@pytest.mark.parametrize("timestep", physics_timesteps())
 def test_equals_a_loop_over_mj_step_bit_for_bit(timestep: float) -> None:
     """Also where some simulations restart in between, at the keyframe or elsewhere."""
     num, steps = 3, 12
@@ -137,7 +139,7 @@ def test_equals_a_loop_over_mj_step_bit_for_bit(timestep: float) -> None:
 
 def test_half_as_many_physics_steps_find_nearly_the_same_motion() -> None:
     """A quarter of a second from standing, landing and falling, sensors included."""
-    model = load_model(visual=False, timestep=TIMESTEPS[1])
+    model = load_model(visual=False, timestep=physics_timesteps()[1])
     fine, coarse = Simulations(3, num_threads=1), Simulations(3, model=model, num_threads=1)
     start = fine.qpos.copy()
     start[:, 2] += [0.0, 0.02, 1.0]
@@ -164,7 +166,7 @@ def test_physics_steps_are_one_or_two_periods_of_the_motors_loop() -> None:
         Simulations(1, model=model)
     with pytest.raises(ConfigurationError, match=r"timestep.*0\.0005, 0\.001.*0\.002"):
         load_model(timestep=0.002)
-    coarse = Simulations(1, model=load_model(timestep=TIMESTEPS[1]))
+    coarse = Simulations(1, model=load_model(timestep=physics_timesteps()[1]))
     with pytest.raises(ConfigurationError, match=r"0\.0005 s, this is 0\.001 s"):
         coarse.watch(0)
 
@@ -218,7 +220,7 @@ def test_the_delay_is_in_the_batched_simulations_too() -> None:
         target[0], simulations.sensors.motor_position[0], simulations.sensors.motor_velocity[0]
     )
     simulations.advance(target)
-    assert len(seen) == SUBSTEPS
+    assert len(seen) == CASSIE.substeps
     np.testing.assert_array_equal(seen[:6], 0.0)
     np.testing.assert_array_equal(seen[6], expected)
 
@@ -425,20 +427,20 @@ def test_mean_ground_force_is_weight_plus_change_of_momentum() -> None:
         mujoco.mj_subtreeVel(model, data)
         touching = {model.geom(i).name for pair in data.contact.geom for i in pair}
         assert touching <= {"floor", "left_foot", "right_foot"}
-        return TOTAL_MASS * data.subtree_linvel[0]
+        return CASSIE.total_mass * data.subtree_linvel[0]
 
     before, impulse, steps = momentum(), np.zeros(3), 20
     for _ in range(steps):
         simulations.advance(standing)
-        impulse += simulations.snapshot().ground_force[0].sum(axis=0) * POLICY_PERIOD
+        impulse += simulations.snapshot().ground_force[0].sum(axis=0) * CASSIE.policy_period
         after = momentum()
-    gained = after - before + [0, 0, WEIGHT * steps * POLICY_PERIOD]
+    gained = after - before + [0, 0, WEIGHT * steps * CASSIE.policy_period]
     assert np.abs(after - before).max() > 1.0  # it does move
-    np.testing.assert_allclose(impulse, gained, atol=0.01 * WEIGHT * steps * POLICY_PERIOD)
+    np.testing.assert_allclose(impulse, gained, atol=0.01 * WEIGHT * steps * CASSIE.policy_period)
 
 
 def test_a_falling_robots_imu_feels_nothing_with_coarse_steps_either() -> None:
-    model = load_model(visual=False, timestep=TIMESTEPS[1])
+    model = load_model(visual=False, timestep=physics_timesteps()[1])
     coarse = Simulations(1, model=model, num_threads=1)
     start = coarse.qpos.copy()
     target = start[:, coarse.indices.motor_qpos]

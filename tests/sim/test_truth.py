@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.robot.model import CassieIndices, load_model
+from aslip.robot import CASSIE
 from aslip.robot.rotation import rotate_inverse, upper_hemisphere
 from aslip.sim import Simulations, Snapshot, true_state
 
@@ -100,7 +100,7 @@ def test_a_falling_robot_accelerates_with_gravity(simulations: Simulations) -> N
 
 def test_a_robot_at_rest_does_not_accelerate() -> None:
     """Gravity does not show in the acceleration, whichever way the robot is turned."""
-    indices = CassieIndices.from_model(load_model())
+    indices = CASSIE.indices
     quaternions = _random_quaternions(5)
     sensors = np.zeros((5, 19))
     qpos = np.zeros((5, 35))

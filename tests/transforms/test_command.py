@@ -10,7 +10,7 @@ from torch import Tensor
 from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.transforms import SpeedCommand
 from tests.helpers import MakeEnv, leaves
 
@@ -53,7 +53,7 @@ def test_commands_are_speeds_of_the_library(make: MakeEnv, library: GaitLibrary)
 
 def test_commands_change_now_and_then(make: MakeEnv, library: GaitLibrary) -> None:
     """As often as the interval says, to any speed, and one robot's without another's."""
-    interval = 10 * POLICY_PERIOD
+    interval = 10 * CASSIE.policy_period
     command = SpeedCommand(library, [0.5, 1.0, 1.5], interval)
     env = make(num_envs=50, replace={"command": command}, drop=["fall", "low_reward"])
     walk = env.rollout(40, break_when_any_done=False)
@@ -121,7 +121,7 @@ def test_the_clock_advances_by_time_and_wraps(
     for _ in range(4):
         td = env.step(_still(td))["next"]
         phases.append(td["phase"].item())
-    expected = [(0.95 + k * POLICY_PERIOD / stride.item()) % 1 for k in range(5)]
+    expected = [(0.95 + k * CASSIE.policy_period / stride.item()) % 1 for k in range(5)]
     assert phases == pytest.approx(expected, abs=1e-6)
     assert min(phases) < 0.2  # it did wrap
 
@@ -156,7 +156,7 @@ def test_changing_the_command_between_steps_keeps_the_phase(
     td["command"] = torch.full((1, 1), 1.5)
     after = env.step(_still(td))["next"]
     assert after["command"].item() == 1.5
-    advance = POLICY_PERIOD / library.stride(torch.tensor([[1.5]]))
+    advance = CASSIE.policy_period / library.stride(torch.tensor([[1.5]]))
     torch.testing.assert_close(after["phase"], phase + advance.float())
     expected = library.lookup(after["phase"], after["command"])
     torch.testing.assert_close(after["reference", "body_velocity"], expected.body_velocity)
@@ -281,11 +281,11 @@ def test_a_keyword_of_reset_is_not_ignored(make: MakeEnv) -> None:
 def test_a_change_of_command_acts_from_the_next_step_on(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
-    command = SpeedCommand(library, interval=POLICY_PERIOD)
+    command = SpeedCommand(library, interval=CASSIE.policy_period)
     env = make(num_envs=8, replace={"command": command}, drop=["fall", "low_reward"])
     walk = env.rollout(5, break_when_any_done=False)
     assert (walk["command"] != walk["next", "command"]).any()
     advance = (walk["next", "phase"] - walk["phase"]) % 1
     torch.testing.assert_close(
-        advance, POLICY_PERIOD / library.stride(walk["command"]), atol=1e-6, rtol=0
+        advance, CASSIE.policy_period / library.stride(walk["command"]), atol=1e-6, rtol=0
     )

@@ -19,7 +19,7 @@ from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
 from aslip.library import single_reference_library
 from aslip.policy.symmetry import observation_mirror
-from aslip.robot.sensing import PACKET_SIZES
+from aslip.robot import CASSIE
 from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, TrueState
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
 from aslip.walking import evaluate, record_walks
@@ -164,7 +164,7 @@ def test_an_estimator_that_gets_packets_alone_knows_its_heading(library: aslip.G
     policy, td, estimator = aslip.load_policy("aslip"), env.reset(_start()), StateEstimator()
 
     def packets(td: TensorDictBase) -> np.ndarray:
-        entries = [cast("Tensor", td["sensors", name]) for name in PACKET_SIZES]
+        entries = [cast("Tensor", td["sensors", name]) for name in CASSIE.packet_sizes]
         return torch.cat(entries, -1).double().numpy()
 
     tracking, estimate = estimator.start(packets(td))

@@ -20,15 +20,14 @@ from torchrl.envs import EnvBase, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.robot import POLICY_PERIOD
-from aslip.robot.sensing import NOISE_CHANNELS, PACKET_SUBSTEPS
+from aslip.robot import CASSIE
 from aslip.sim.sensors import JOINT_VELOCITY_FILTER
-from aslip.transforms import SENSOR_NOISE, NoiseLevel, ObservationNoise
+from aslip.transforms import NoiseLevel, ObservationNoise
 from tests.helpers import differing, leaves
 
 WINDOW = 10
-SIZES = NOISE_CHANNELS | {"orientation": 4}
-SILENT = dict.fromkeys(NOISE_CHANNELS, NoiseLevel())
+SIZES = CASSIE.noise_channels | {"orientation": 4}
+SILENT = dict.fromkeys(CASSIE.noise_channels, NoiseLevel())
 
 
 def _clean(num: int, window: int = WINDOW, seed: int = 7) -> TensorDict:
@@ -55,7 +54,7 @@ def _next(noise: ObservationNoise, td: TensorDictBase, packets: TensorDict) -> T
 def _errors(noisy: TensorDictBase, clean: TensorDict) -> dict[str, Tensor]:
     """(n, W, k) of each sensor, in double precision; of the orientation the rotation vector."""
     errors = {}
-    for name in NOISE_CHANNELS:
+    for name in CASSIE.noise_channels:
         before, after = (td["sensors", name].double() for td in (clean, noisy))
         errors[name] = _turn(before, after) if name == "orientation" else after - before
     return errors
@@ -77,16 +76,16 @@ def _norm(vector: Tensor) -> Tensor:
 
 
 def _join(by_sensor: dict[str, Tensor]) -> Tensor:
-    return torch.cat([by_sensor[name] for name in NOISE_CHANNELS], dim=-1)
+    return torch.cat([by_sensor[name] for name in CASSIE.noise_channels], dim=-1)
 
 
 def _bias(td: TensorDictBase) -> Tensor:
     """(n, 41)."""
-    return torch.cat([td["sensor_bias", name] for name in NOISE_CHANNELS], dim=-1)
+    return torch.cat([td["sensor_bias", name] for name in CASSIE.noise_channels], dim=-1)
 
 
 def _everywhere(white: float = 0.0, bias: float = 0.0) -> dict[str, NoiseLevel]:
-    return dict.fromkeys(NOISE_CHANNELS, NoiseLevel(white, bias))
+    return dict.fromkeys(CASSIE.noise_channels, NoiseLevel(white, bias))
 
 
 # ------------------------------------------------------------- white noise
@@ -95,7 +94,7 @@ def _everywhere(white: float = 0.0, bias: float = 0.0) -> dict[str, NoiseLevel]:
 def test_every_channel_has_its_own_white_noise() -> None:
     """Of the standard deviation that was asked for, relative error 1 / sqrt(2 N); mean zero."""
     levels, num = {}, 500
-    for name, channels in NOISE_CHANNELS.items():
+    for name, channels in CASSIE.noise_channels.items():
         levels[name] = NoiseLevel(white=0.01 + 0.01 * np.arange(channels))
     clean = _clean(num)
     errors = _errors(_start(ObservationNoise(levels), clean), clean)
@@ -159,7 +158,7 @@ def test_the_bias_is_stationary_and_forgets_in_its_time(bias_time: float, steps:
     for value in (start, end):
         assert abs(value.mean()) < 5 / math.sqrt(count)
         assert abs(value.std() - 1) < 5 / math.sqrt(2 * count)
-    expected = math.exp(-steps * POLICY_PERIOD / bias_time)
+    expected = math.exp(-steps * CASSIE.policy_period / bias_time)
     tolerance = 5 * (1 - expected**2) / math.sqrt(count)
     correlation = torch.corrcoef(torch.stack([start.flatten(), end.flatten()]))[0, 1]
     assert abs(correlation - expected) < tolerance
@@ -319,7 +318,7 @@ def test_the_same_seed_gives_the_same_noise() -> None:
 
 
 def test_what_a_sensor_draws_does_not_depend_on_other_levels() -> None:
-    alone = ObservationNoise({**SILENT, "gyro": SENSOR_NOISE["gyro"]})
+    alone = ObservationNoise({**SILENT, "gyro": CASSIE.sensor_noise["gyro"]})
     among, single = _two_steps(ObservationNoise()), _two_steps(alone)
     for group in ("sensors", "sensor_bias"):
         assert torch.equal(among[group, "gyro"], single[group, "gyro"])
@@ -330,30 +329,30 @@ def test_what_a_sensor_draws_does_not_depend_on_other_levels() -> None:
 
 def test_the_default_levels_are_the_declared_and_the_chosen_ones() -> None:
     """White noise from the model file of the public simulator, where it declares any."""
-    assert SENSOR_NOISE["joint_position"].white == (2e-4, 2e-4, 0.0, 2e-4, 2e-4, 0.0)
-    assert SENSOR_NOISE["gyro"] == NoiseLevel(white=5e-4, bias=1e-3)
-    assert SENSOR_NOISE["accelerometer"] == NoiseLevel(white=1e-2, bias=2e-2)
-    assert SENSOR_NOISE["orientation"] == NoiseLevel(white=5e-4, bias=1.5e-3)
-    silent = {name for name, level in SENSOR_NOISE.items() if level == NoiseLevel()}
+    assert CASSIE.sensor_noise["joint_position"].white == (2e-4, 2e-4, 0.0, 2e-4, 2e-4, 0.0)
+    assert CASSIE.sensor_noise["gyro"] == NoiseLevel(white=5e-4, bias=1e-3)
+    assert CASSIE.sensor_noise["accelerometer"] == NoiseLevel(white=1e-2, bias=2e-2)
+    assert CASSIE.sensor_noise["orientation"] == NoiseLevel(white=5e-4, bias=1.5e-3)
+    silent = {name for name, level in CASSIE.sensor_noise.items() if level == NoiseLevel()}
     assert silent == {"motor_position", "motor_velocity"}
-    assert set(SENSOR_NOISE) == set(NOISE_CHANNELS)
+    assert set(CASSIE.sensor_noise) == set(CASSIE.noise_channels)
 
 
 def test_joint_velocities_err_by_what_the_encoders_noise_becomes_in_their_filter() -> None:
     angle, rate = (
-        np.asarray(SENSOR_NOISE[f"joint_{name}"].white) for name in ("position", "velocity")
+        np.asarray(CASSIE.sensor_noise[f"joint_{name}"].white) for name in ("position", "velocity")
     )
     noise = np.random.default_rng(0).normal(size=(400_000, len(angle))) * angle
     filtered = np.asarray(lfilter(*JOINT_VELOCITY_FILTER, noise, axis=0))[1000:]
     np.testing.assert_allclose(rate, filtered.std(0), rtol=0.01)
-    packets = filtered[::PACKET_SUBSTEPS, 0]
+    packets = filtered[:: CASSIE.packet_substeps, 0]
     # white enough to be drawn anew for every packet
     assert abs(np.corrcoef(packets[1:], packets[:-1])[0, 1]) < 0.1
 
 
 def test_levels_take_the_place_of_those_named_only() -> None:
     noise = ObservationNoise({"gyro": NoiseLevel(0.1)})
-    assert noise.levels == {**SENSOR_NOISE, "gyro": NoiseLevel(0.1)}
+    assert noise.levels == {**CASSIE.sensor_noise, "gyro": NoiseLevel(0.1)}
 
 
 def test_a_level_cannot_be_altered() -> None:
@@ -463,7 +462,7 @@ def test_the_specs_hold() -> None:
     check_env_specs(env)
     spec = env.observation_spec["sensor_bias"]
     assert {name: tuple(leaf.shape) for name, leaf in spec.items()} == {
-        name: (3, channels) for name, channels in NOISE_CHANNELS.items()
+        name: (3, channels) for name, channels in CASSIE.noise_channels.items()
     }
 
 
@@ -478,8 +477,8 @@ def test_the_bias_travels_through_a_rollout() -> None:
     steps = 20
     env = _noisy_env(200)
     bias = _bias(env.rollout(steps)["next"]).double() / 0.1  # (n, steps, 41)
-    moves = bias[:, 1:] - math.exp(-POLICY_PERIOD / 10) * bias[:, :-1]
-    expected = math.sqrt(-math.expm1(-2 * POLICY_PERIOD / 10))
+    moves = bias[:, 1:] - math.exp(-CASSIE.policy_period / 10) * bias[:, :-1]
+    expected = math.sqrt(-math.expm1(-2 * CASSIE.policy_period / 10))
     assert abs(moves.std() / expected - 1) < 5 / math.sqrt(2 * moves.numel())
 
 
@@ -502,7 +501,7 @@ def test_a_partial_reset_draws_for_the_rows_that_are_reset_only(explicit: bool) 
     # what is kept goes on from where it was, and the rest from what was drawn
     following = env.step(after.clone().set("action", torch.zeros(4, 1)))["next"]
     change = (_bias(following) - _bias(after)).std() / 0.1
-    assert change == pytest.approx(math.sqrt(-math.expm1(-2 * POLICY_PERIOD / 10)), rel=0.3)
+    assert change == pytest.approx(math.sqrt(-math.expm1(-2 * CASSIE.policy_period / 10)), rel=0.3)
 
 
 def test_the_bias_drawn_at_partial_resets_is_stationary() -> None:

@@ -13,7 +13,7 @@ from aslip.envs import MAX_EPISODE_STEPS
 from aslip.library import GaitLibrary
 from aslip.library.build import PAPER_SPEEDS
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic
-from aslip.robot import PHYSICS_TIMESTEP, POLICY_PERIOD, SUBSTEPS, TORQUE_DELAY
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.rom import SlipParameters
 from aslip.transforms import LowReward, rewards
@@ -47,10 +47,10 @@ def test_policy_runs_at_33_hz_and_the_drive_at_2_khz() -> None:
     "At a relatively slow 33 Hz, ... the learned policy is evaluated. At a much faster 2000 Hz,
     the joint PD controller is evaluated"
     """
-    assert pytest.approx(2000.0) == 1 / PHYSICS_TIMESTEP
-    assert round(1 / POLICY_PERIOD) == 33
-    assert pytest.approx(SUBSTEPS * PHYSICS_TIMESTEP) == POLICY_PERIOD
-    assert SUBSTEPS == 60
+    assert pytest.approx(2000.0) == 1 / CASSIE.physics_timestep
+    assert round(1 / CASSIE.policy_period) == 33
+    assert pytest.approx(CASSIE.substeps * CASSIE.physics_timestep) == CASSIE.policy_period
+    assert CASSIE.substeps == 60
 
 
 def test_torque_delay_is_three_milliseconds() -> None:
@@ -59,8 +59,8 @@ def test_torque_delay_is_three_milliseconds() -> None:
     "Desired torques only take effect 0.003 seconds (6 time steps of the high frequency, PD
     control loop) after being 'sent' to the simulator."
     """
-    assert pytest.approx(0.003) == TORQUE_DELAY
-    assert pytest.approx(6 * PHYSICS_TIMESTEP) == TORQUE_DELAY
+    assert pytest.approx(0.003) == CASSIE.torque_delay
+    assert pytest.approx(6 * CASSIE.physics_timestep) == CASSIE.torque_delay
     np.testing.assert_allclose(load_model().actuator_delay, 0.003)  # pyright: ignore
 
 
@@ -116,7 +116,7 @@ def test_episodes_end_after_400_steps_or_twelve_seconds() -> None:
     which corresponds to 12 seconds."
     """
     assert MAX_EPISODE_STEPS == 400
-    assert pytest.approx(12.0) == MAX_EPISODE_STEPS * POLICY_PERIOD
+    assert pytest.approx(12.0) == MAX_EPISODE_STEPS * CASSIE.policy_period
 
 
 def test_episodes_end_below_a_reward_of_0_3() -> None:

@@ -13,7 +13,7 @@ from torchrl.envs.transforms import Compose
 from aslip.envs import BatchEnv, default_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
-from aslip.robot import PD_DAMPING, PD_STIFFNESS, POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.transforms import (
     PhaseClock,
     ReferenceInjection,
@@ -34,7 +34,7 @@ def test_the_reference_is_the_librarys(
     if when == "step":
         td = env.step(td.set("action", torch.zeros(16, 10)))["next"]
     present = library.lookup(td["phase"], td["command"])
-    later = td["phase"] + lead * POLICY_PERIOD / library.stride(td["command"])
+    later = td["phase"] + lead * CASSIE.policy_period / library.stride(td["command"])
     ahead = library.lookup(later, td["command"])
     for field in fields(Reference):
         source = ahead if field.name.startswith("motor") else present
@@ -53,8 +53,8 @@ def test_feedforward_aims_where_the_loops_exert_what_the_model_does(make: MakeEn
             td = env.step(td.set("action", torch.zeros(16, 10)))["next"]
         reference = td["reference"]
         error = reference["motor_target"] - reference["motor_position"]
-        torque = error * torch.tensor(PD_STIFFNESS)
-        torque -= torch.tensor(PD_DAMPING) * reference["motor_velocity"]
+        torque = error * torch.tensor(CASSIE.stiffness)
+        torque -= torch.tensor(CASSIE.damping) * reference["motor_velocity"]
         torch.testing.assert_close(torque.float(), reference["motor_torque"], rtol=1e-4, atol=1e-3)
         assert reference["motor_torque"].abs().max() > 100
 

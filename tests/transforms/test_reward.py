@@ -15,7 +15,7 @@ import aslip
 from aslip.envs import default_stack
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.transforms import LowReward, RewardTerm, SpeedCommand, WeightedReward, rewards
 from tests.helpers import MakeEnv
 
@@ -272,7 +272,7 @@ def test_a_command_from_outside_is_not_rewarded_before_the_policy_sees_it(stack:
 def test_a_drawn_command_is_rewarded_from_the_next_step_on(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
-    command = SpeedCommand(library, interval=POLICY_PERIOD)
+    command = SpeedCommand(library, interval=CASSIE.policy_period)
     env = make(num_envs=16, replace={"command": command}, drop=["fall", "low_reward"])
     walk = env.rollout(4, break_when_any_done=False)
     truth, due = walk["next", "truth"], library.lookup(walk["next", "phase"], walk["command"])

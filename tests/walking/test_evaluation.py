@@ -13,7 +13,7 @@ import aslip
 from aslip.envs import EPISODE_ENDS
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.transforms import SpeedCommand
 from aslip.walking import WalkResult, evaluate, tracks_command, walk_table
 from tests.helpers import MakeEnv, limp
@@ -46,7 +46,9 @@ def test_walks_equal_plain_episodes(make: MakeEnv) -> None:
         assert result.total == pytest.approx(total, rel=1e-5)
         assert result.terms["foot_pos"] == pytest.approx(feet / steps, rel=1e-5)
         x, y, _ = after["truth", "pelvis_position"][0].tolist()
-        assert result.mean_speed == pytest.approx((x - start) / (steps * POLICY_PERIOD), rel=1e-4)
+        assert result.mean_speed == pytest.approx(
+            (x - start) / (steps * CASSIE.policy_period), rel=1e-4
+        )
         assert result.lateral_drift == pytest.approx(abs(y), abs=1e-6)
     assert len({result.steps for result in results}) > 1  # they do not end together
 

@@ -12,7 +12,7 @@ from aslip.envs import EPISODE_ENDS, default_stack
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, read, read_walk
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.walking import Walks, record_walks
 from tests.helpers import MakeEnv
 
@@ -66,7 +66,7 @@ def test_a_log_of_a_fall_gives_the_same_walk(library: GaitLibrary, tmp_path: Pat
 
 def test_rows_are_instants_a_policy_step_apart(logged: tuple[Walks, Path]) -> None:
     walk = logged[0]
-    velocity = np.diff(walk.pelvis_position[:, 0], axis=0) / POLICY_PERIOD
+    velocity = np.diff(walk.pelvis_position[:, 0], axis=0) / CASSIE.policy_period
     middle = (walk.pelvis_velocity[1:, 0] + walk.pelvis_velocity[:-1, 0]) / 2
     np.testing.assert_allclose(velocity, middle, atol=0.12)
     assert walk.command[[0, 19, 20, -1], 0].tolist() == [0.5, 0.5, 1.0, 1.0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from aslip.errors import ConfigurationError
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.walking import Push, Schedule, policy_steps
 
 
@@ -28,9 +28,9 @@ def test_a_schedule_that_is_none_is_refused(text: str) -> None:
 @pytest.mark.parametrize("steps", range(1, 60))
 def test_a_time_of_whole_policy_steps_takes_no_step_more(steps: int) -> None:
     """However it is rounded; a little longer takes one more."""
-    for time in (steps * POLICY_PERIOD, float(f"{steps * 0.03:.2f}")):
+    for time in (steps * CASSIE.policy_period, float(f"{steps * 0.03:.2f}")):
         assert policy_steps(time) == steps
-    assert policy_steps(steps * POLICY_PERIOD + 1e-4) == steps + 1
+    assert policy_steps(steps * CASSIE.policy_period + 1e-4) == steps + 1
 
 
 def test_pushes_are_read() -> None:

@@ -13,7 +13,7 @@ from aslip.envs import MAX_EPISODE_STEPS, stack_name
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.transforms import SINGLE_REFERENCE_TABLE
 from aslip.walking import Walker
 
@@ -94,7 +94,7 @@ def test_it_walks_on_for_longer_than_an_episode(walker: Walker) -> None:
     for _ in range(MAX_EPISODE_STEPS + 1):
         walker.step()
     assert not walker.fallen
-    assert walker.time == pytest.approx((MAX_EPISODE_STEPS + 1) * POLICY_PERIOD)
+    assert walker.time == pytest.approx((MAX_EPISODE_STEPS + 1) * CASSIE.policy_period)
 
 
 def test_more_than_one_robot_are_refused(library: GaitLibrary) -> None:

@@ -14,13 +14,13 @@ from typing import Literal
 import numpy as np
 import viser
 
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.show.live.guard import Check, guard, number_within, one_of, switch
 from aslip.show.live.rom import ROM_PLACES, RomPlace
 
 Click = Literal["pause", "step", "reset", "push"]
 
-PUSH_DURATION = 4 * POLICY_PERIOD
+PUSH_DURATION = 4 * CASSIE.policy_period
 """Duration of a push [s], in whole policy steps."""
 
 _SPEED_STEP = 0.05
@@ -76,7 +76,7 @@ class Controls:
         with gui.add_folder("Time"):
             self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
             self.step = gui.add_button(
-                f"Step ({1000 * POLICY_PERIOD:.0f} ms)",
+                f"Step ({1000 * CASSIE.policy_period:.0f} ms)",
                 icon=viser.Icon.PLAYER_TRACK_NEXT,
                 disabled=True,
             )

@@ -14,7 +14,7 @@ from tensordict.nn import TensorDictModuleBase
 
 from aslip.errors import AslipError, ConfigurationError
 from aslip.policy import load_policy
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import yaw_rotation
 from aslip.show.live.controls import PUSH_DURATION, Click, Controls
@@ -25,7 +25,7 @@ from aslip.show.pacing import Pacer
 from aslip.walking import Walker
 
 # the robot lies for so many turns of the loop before it is put up again (1 s)
-_TURNS_ON_THE_GROUND = round(1.0 / POLICY_PERIOD)
+_TURNS_ON_THE_GROUND = round(1.0 / CASSIE.policy_period)
 # numbers change on one turn in so many (5.6 Hz); people cannot read faster
 _TURNS_PER_READOUT = 6
 
@@ -80,7 +80,7 @@ class LivePage:
         self._stopping = threading.Event()
         self._serving = threading.Lock()
         self._closed = False
-        self._pacer = Pacer(POLICY_PERIOD, sleep=self._stopping.wait)
+        self._pacer = Pacer(CASSIE.policy_period, sleep=self._stopping.wait)
         self._turns = 0
         self._turns_down = 0
         self._singles = 0

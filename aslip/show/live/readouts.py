@@ -14,7 +14,7 @@ import viser
 import viser.uplot as uplot
 from tensordict import TensorDictBase
 
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.show.palette import COMMAND, MODEL, ROBOT
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
@@ -75,7 +75,7 @@ class Readouts:
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        self._time = POLICY_PERIOD * np.arange(-round(PLOT_SPAN / POLICY_PERIOD), 1)
+        self._time = CASSIE.policy_period * np.arange(-round(PLOT_SPAN / CASSIE.policy_period), 1)
         self._history: deque[tuple[float, float, float]] = deque(maxlen=len(self._time))
         self._reward: dict[str, float] = {}
         self._redraws = 0

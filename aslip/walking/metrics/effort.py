@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from aslip.robot import STANDARD_GRAVITY, TOTAL_MASS
+from aslip.robot import CASSIE, STANDARD_GRAVITY
 
 
 def cost_of_transport(
@@ -13,7 +13,7 @@ def cost_of_transport(
     distance: float,
     period: float,
     *,
-    mass: float = TOTAL_MASS,
+    mass: float = CASSIE.total_mass,
 ) -> float:
     r"""Mechanical cost of transport.
 

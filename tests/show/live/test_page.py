@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from aslip.errors import AssetError, ConfigurationError
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.show.live import LivePage
 from aslip.walking import Walker
 from recipes.walk import Config
@@ -83,7 +83,7 @@ def test_the_push_says_how_long_it_acts(open_page):
     page = open_page(on_step=steps.append)
     click(page.controls.push)
     walk(page, 6)
-    acted = sum("push" in td and bool(td["push"].any()) for td in steps) * POLICY_PERIOD
+    acted = sum("push" in td and bool(td["push"].any()) for td in steps) * CASSIE.policy_period
     assert page.controls.push.label == f"Push for {acted:g} s" == "Push for 0.12 s"
 
 
@@ -152,7 +152,7 @@ def test_a_push_has_its_direction_size_and_duration(open_page, degrees, ahead, l
     click(page.controls.push)
     walk(page, 6)
     pushed = [td["push"][0].numpy() for td in steps if "push" in td and td["push"].any()]
-    assert len(pushed) * POLICY_PERIOD == pytest.approx(0.12)
+    assert len(pushed) * CASSIE.policy_period == pytest.approx(0.12)
     direction = np.array([ahead, left, 0]) / np.hypot(ahead, left)
     # the robot looks straight ahead to within a degree or two here
     np.testing.assert_allclose(pushed[0], 150 * direction, atol=6)
@@ -196,7 +196,7 @@ def test_every_fall_is_told_and_ends_with_a_reset_a_second_later(open_page):
         while page.walker.fallen:
             page.turn()
             turns += 1
-        assert turns * POLICY_PERIOD == pytest.approx(1.0, abs=POLICY_PERIOD)
+        assert turns * CASSIE.policy_period == pytest.approx(1.0, abs=CASSIE.policy_period)
         assert page.message == ""
         assert page.walker.command == 1.0
     assert fell_after[0] == fell_after[1] > 5

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from aslip.robot import POLICY_PERIOD
+from aslip.robot import CASSIE
 from aslip.show.live.readouts import _CURVES, PLOT_SPAN, Readouts, Status
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import Walker
@@ -83,7 +83,7 @@ def test_curves_fill_the_time_axis_from_the_start(shown, readouts, library):
             readouts.add(walker.step())
         readouts.show(STATUS)
         time, *curves = shown["uplot"][0].data
-        assert time[0] == pytest.approx(-PLOT_SPAN, abs=POLICY_PERIOD)
+        assert time[0] == pytest.approx(-PLOT_SPAN, abs=CASSIE.policy_period)
         # uPlot draws no axis for a range that its data do not fill
         assert shown["uplot"][0].scales["x"]["range"] == (time[0], time[-1]) == (time[0], 0.0)
         for curve in curves:
@@ -138,7 +138,7 @@ def test_curves_are_the_last_seconds_of_model_robot_and_command(shown, readouts,
         readouts.add(td)
     readouts.show(STATUS)
     time, model, robot, command = shown["uplot"][0].data
-    np.testing.assert_allclose(time[-4:], POLICY_PERIOD * np.arange(-3, 1))
+    np.testing.assert_allclose(time[-4:], CASSIE.policy_period * np.arange(-3, 1))
     np.testing.assert_allclose(command[-4:], [0.5, 0.5, 0.5, 1.0])
     for i, td in enumerate(steps, start=-4):
         assert model[i] == float(td["next", "reference", "body_velocity"][0, 0])
@@ -147,5 +147,5 @@ def test_curves_are_the_last_seconds_of_model_robot_and_command(shown, readouts,
         readouts.add(steps[0])
     readouts.show(STATUS)
     data = shown["uplot"][0].data
-    assert {len(column) for column in data} == {round(PLOT_SPAN / POLICY_PERIOD) + 1}
+    assert {len(column) for column in data} == {round(PLOT_SPAN / CASSIE.policy_period) + 1}
     assert np.isfinite(data).all()

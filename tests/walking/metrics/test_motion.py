@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from aslip.robot import STANDARD_GRAVITY, TOTAL_MASS
+from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.walking.metrics import (
     action_roughness,
     cost_of_transport,
@@ -101,7 +101,7 @@ def test_cost_of_transport_is_work_over_weight_and_way() -> None:
     torque[:, 8], velocity[:, 8] = 10.0, -1.0  # brakes: counts as well
     work = (100 + 10) * 100 * PERIOD
     cost = cost_of_transport(torque, velocity, 3.0, PERIOD)
-    assert cost == pytest.approx(work / (TOTAL_MASS * STANDARD_GRAVITY * 3.0))
+    assert cost == pytest.approx(work / (CASSIE.total_mass * STANDARD_GRAVITY * 3.0))
     assert math.isnan(cost_of_transport(torque, velocity, 0.0, PERIOD))
 
 
@@ -109,7 +109,7 @@ def test_cost_of_transport_is_by_the_weight_that_is_carried() -> None:
     torque, velocity = np.full((10, 10), 2.0), np.ones((10, 10))
     bare, loaded = (
         cost_of_transport(torque, velocity, 1.0, PERIOD, mass=mass)
-        for mass in (TOTAL_MASS, 2 * TOTAL_MASS)
+        for mass in (CASSIE.total_mass, 2 * CASSIE.total_mass)
     )
     assert loaded == pytest.approx(bare / 2)
     assert cost_of_transport(torque, velocity, 1.0, PERIOD) == bare

@@ -1,4 +1,4 @@
-"""What runs at every packet is compiled by Numba."""
+"""Compilation by Numba of loops that run at every substep or packet."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function of arrays and numbers at its first call, and keep that on disk.
 
     Division by zero gives what it gives in NumPy. What is kept is renewed when the function's file
-    changes, and only then: constants that it reads must stand there, too.
+    changes, and only then: constants and functions that it reads must stand there, too.
     """
     options = {"nogil": True, "error_model": "numpy"}
     try:

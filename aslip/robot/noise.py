@@ -1,0 +1,48 @@
+"""Noise of a robot's sensors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aslip.errors import ConfigurationError, ShapeError
+
+
+def _frozen(name: str, value: ArrayLike) -> float | tuple[float, ...]:
+    """A standard deviation, or several, if they are such."""
+    try:
+        array = np.asarray(value)
+        numeric = array.dtype.kind in "fiu"
+    except ValueError:  # ragged
+        array, numeric = np.empty(0), False
+    if not numeric or not np.all(np.isfinite(array) & (array >= 0)):
+        raise ConfigurationError(f"{name} must be finite and 0 or more, got {value!r}")
+    if array.ndim > 1:
+        raise ShapeError(
+            f"{name} must be one number or one for each channel, got the shape {array.shape}"
+        )
+    return float(array) if array.ndim == 0 else tuple(array.astype(float).tolist())
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """Standard deviations of a sensor's errors, one for all channels or one for each.
+
+    Units are the sensor's; an orientation errs by a rotation vector in the pelvis frame [rad].
+
+    Raises:
+        ConfigurationError: a value is negative or not finite, or is no number.
+        ShapeError: the values are not in a single row.
+    """
+
+    white: ArrayLike = 0.0
+    """Drawn anew for every packet; kept as a float or a tuple of floats."""
+    bias: ArrayLike = 0.0
+    """Drifts through an episode; kept alike."""
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            # arrays could be altered, and do not compare
+            object.__setattr__(self, field.name, _frozen(field.name, getattr(self, field.name)))

@@ -1,0 +1,240 @@
+"""Robot that is simulated, estimated and controlled: its MJCF, names, low level and timing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from aslip.files.assets import asset_path
+from aslip.robot.names import SIDES
+from aslip.robot.noise import NoiseLevel
+from aslip.robot.skeleton import Skeleton, read_skeleton
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Robot:
+    """Biped with position-controlled motors, encoders and an inertial unit.
+
+    A second robot is an MJCF and an instance of this class. Names are those of the MJCF, left
+    before right. Arrays hold one value per motor, or per joint with an encoder, in the order of the
+    names, and are read-only.
+
+    The MJCF has a free joint at the pelvis, a keyframe `standing`, a geom `floor`, and for each
+    side the sensors `SIDE_ground_force` and `SIDE_foot_velocity`.
+    """
+
+    model_file: str | Path
+    """MJCF: a path, or the name of a shipped asset."""
+    motor_names: tuple[str, ...]
+    """Motors; each drives the joint of the same name."""
+    joint_names: tuple[str, ...]
+    """Joints with an encoder on the joint itself."""
+    spring_names: tuple[str, ...]
+    """Joints that are leaf springs."""
+    foot_sites: tuple[str, str]
+    """Sites at the centres of the soles: x to the toes and z up when level."""
+    pelvis: str
+    """Body with the free joint, of the same name."""
+    imu_site: str
+    """Site of the inertial unit, whose axes are the pelvis'."""
+
+    stiffness: np.ndarray
+    """Position gains of the PD loop at the joint [N m/rad]."""
+    damping: np.ndarray
+    """Velocity gains of the PD loop at the joint [N m s/rad]; the velocity target is zero."""
+    gear: np.ndarray
+    """Motor turns per joint turn."""
+    torque_limit: np.ndarray
+    """Largest torque at the motor shaft [N m]."""
+    no_load_speed: np.ndarray
+    """Motor speed at which no torque is left [rad/s]."""
+    motor_encoder_bits: np.ndarray
+    """Bits of the counts in a turn of the motor, not of the joint."""
+    joint_encoder_bits: np.ndarray
+    """Bits of the counts in a turn of the joint."""
+
+    physics_timestep: float
+    """Period of physics and PD loop [s]."""
+    substeps: int
+    """Physics steps per policy step."""
+    packet_substeps: int
+    """Physics steps between sensor packets."""
+    torque_delay: float
+    """Time from a torque command to its action [s]."""
+
+    total_mass: float
+    """Mass [kg]."""
+    fall_height: float
+    """Height of the pelvis below which the robot has fallen [m]."""
+    sensor_noise: Mapping[str, NoiseLevel]
+    """Sensor -> noise that `aslip.transforms.ObservationNoise` adds by default."""
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, field.name, _read_only(value))
+
+    def __repr__(self) -> str:
+        """Name of the class and the robot."""
+        return f"{type(self).__name__}({self.name!r})"
+
+    @property
+    def name(self) -> str:
+        """Name of the MJCF, without its ending."""
+        return Path(self.model_file).stem
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF.
+
+        Raises:
+            AssetError: no such file is shipped.
+        """
+        file = self.model_file
+        return file if isinstance(file, Path) else asset_path(file)
+
+    @property
+    def policy_period(self) -> float:
+        """Time between two actions [s]."""
+        return self.substeps * self.physics_timestep
+
+    @property
+    def packet_period(self) -> float:
+        """Time between sensor packets [s]."""
+        return self.packet_substeps * self.physics_timestep
+
+    @property
+    def sensor_window(self) -> int:
+        """Packets of a policy period, oldest first; the newest is of the last substep's start."""
+        return self.substeps // self.packet_substeps
+
+    @cached_property
+    def packet_sizes(self) -> dict[str, int]:
+        """Entries of a packet in the order of its numbers.
+
+        Motors and joints [rad, rad/s], orientation (pelvis to world, wxyz), angular velocity
+        [rad/s] and specific force [m/s^2] of the IMU, whose axes are the pelvis'.
+        """
+        motors, joints = len(self.motor_names), len(self.joint_names)
+        encoders = {
+            "motor_position": motors,
+            "motor_velocity": motors,
+            "joint_position": joints,
+            "joint_velocity": joints,
+        }
+        return {**encoders, "orientation": 4, "gyro": 3, "accelerometer": 3}
+
+    @cached_property
+    def packet_slices(self) -> dict[str, slice]:
+        """Entry of a packet -> its place in the packet's numbers."""
+        ends = np.cumsum([0, *self.packet_sizes.values()]).tolist()
+        return {name: slice(*ends[i : i + 2]) for i, name in enumerate(self.packet_sizes)}
+
+    @property
+    def packet_size(self) -> int:
+        """Numbers in a packet."""
+        return sum(self.packet_sizes.values())
+
+    @cached_property
+    def noise_channels(self) -> dict[str, int]:
+        """Sensor -> number of independent errors; that of the orientation is a rotation vector."""
+        return {**self.packet_sizes, "orientation": 3}
+
+    @cached_property
+    def skeleton(self) -> Skeleton:
+        """Numbers of the MJCF; from the JSON file beside it, or else compiled by MuJoCo."""
+        found = read_skeleton(self.mjcf, self.mjcf.with_suffix(".json"))
+        if found is not None:
+            return found
+        from aslip.robot.model import compile_skeleton
+
+        return compile_skeleton(self)
+
+    @cached_property
+    def indices(self) -> Indices:
+        """Places of the robot's parts in MuJoCo's arrays."""
+        return Indices.of(self)
+
+    @cached_property
+    def standing(self) -> np.ndarray:
+        """Configuration `qpos` of a robot that stands upright."""
+        return _read_only(self.skeleton.standing)
+
+
+@dataclass(frozen=True, eq=False)
+class Indices:
+    """Places of a robot's parts in MuJoCo's arrays, in the order of the robot's names."""
+
+    num_qpos: int
+    """Length of `qpos`."""
+    num_qvel: int
+    """Length of `qvel`."""
+    motor_qpos: np.ndarray
+    """Positions of the motors' joints in `qpos`."""
+    motor_qvel: np.ndarray
+    """Velocities of the motors' joints in `qvel`."""
+    joint_qpos: np.ndarray
+    """Positions of the joints with encoders in `qpos`."""
+    joint_qvel: np.ndarray
+    """Velocities of the joints with encoders in `qvel`."""
+    pelvis_position: slice
+    """Position of the pelvis in `qpos` [m, world]."""
+    pelvis_orientation: slice
+    """Orientation of the pelvis in `qpos` (pelvis to world, wxyz)."""
+    pelvis_velocity: slice
+    """Velocity of the pelvis in `qvel` [m/s, world]."""
+    pelvis_angular_velocity: slice
+    """Angular velocity of the pelvis in `qvel` [rad/s, pelvis]."""
+    quaternions: tuple[slice, ...]
+    """All unit quaternions in `qpos`, the pelvis' first."""
+    foot_site: np.ndarray
+    """(2,) ids of the sole-centre sites."""
+    ground_force: np.ndarray
+    """(2, 3) ground reaction of each foot in `sensordata`, world frame."""
+    foot_velocity: np.ndarray
+    """(2, 3) velocity of each sole centre in `sensordata`, world frame."""
+    pelvis_body: int
+    """Id of the pelvis, whose origin is pushed."""
+
+    @classmethod
+    def of(cls, robot: Robot) -> Indices:
+        """Look every name up."""
+        skeleton = robot.skeleton
+        joints, root = skeleton.joints, skeleton.joints[robot.pelvis]
+        balls = [joint.qpos for joint in joints.values() if joint.kind == "ball"]
+        starts = [root.qpos + 3, *sorted(balls)]
+        return cls(
+            num_qpos=skeleton.num_qpos,
+            num_qvel=skeleton.num_qvel,
+            motor_qpos=_read_only([joints[name].qpos for name in robot.motor_names]),
+            motor_qvel=_read_only([joints[name].qvel for name in robot.motor_names]),
+            joint_qpos=_read_only([joints[name].qpos for name in robot.joint_names]),
+            joint_qvel=_read_only([joints[name].qvel for name in robot.joint_names]),
+            pelvis_position=slice(root.qpos, root.qpos + 3),
+            pelvis_orientation=slice(root.qpos + 3, root.qpos + 7),
+            pelvis_velocity=slice(root.qvel, root.qvel + 3),
+            pelvis_angular_velocity=slice(root.qvel + 3, root.qvel + 6),
+            quaternions=tuple(slice(start, start + 4) for start in starts),
+            foot_site=_read_only([skeleton.sites[name].index for name in robot.foot_sites]),
+            ground_force=_sensors(skeleton, "ground_force"),
+            foot_velocity=_sensors(skeleton, "foot_velocity"),
+            pelvis_body=skeleton.bodies[robot.pelvis].index,
+        )
+
+
+def _sensors(skeleton: Skeleton, kind: str) -> np.ndarray:
+    """(2, k) places of both sides' sensors of a kind."""
+    sensors = [skeleton.sensors[f"{side}_{kind}"] for side in SIDES]
+    return _read_only([np.arange(start, start + size) for start, size in sensors])
+
+
+def _read_only(values: object) -> np.ndarray:
+    array = np.array(values)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,136 @@
+"""Numbers of a robot's MJCF as MuJoCo compiles them, by name and readable without MuJoCo.
+
+`assets/cassie.json` holds those of `assets/cassie.xml`; `python -m aslip.robot` writes it anew.
+Quaternions are wxyz, and positions and orientations are in the body above [m].
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+Vector = tuple[float, ...]
+
+
+class Body(NamedTuple):
+    """Rigid body."""
+
+    index: int
+    position: Vector
+    quaternion: Vector
+
+
+class Joint(NamedTuple):
+    """Joint, with its places in `qpos` and `qvel`."""
+
+    body: str
+    kind: str
+    """`free`, `ball`, `slide` or `hinge`."""
+    qpos: int
+    qvel: int
+    zero: float
+    """Position at which the bodies are as the model draws them [rad]."""
+    stiffness: float
+    """Stiffness of its spring [N m/rad]."""
+
+
+class Site(NamedTuple):
+    """Site on a body."""
+
+    index: int
+    body: str
+    position: Vector
+    quaternion: Vector
+
+
+class Geom(NamedTuple):
+    """Named geom; a capsule's size is its radius and half its length [m]."""
+
+    body: str
+    position: Vector
+    quaternion: Vector
+    size: Vector
+
+
+class Connection(NamedTuple):
+    """Point of one body tied to a point of another, which closes a loop."""
+
+    first: str
+    second: str
+    first_point: Vector
+    second_point: Vector
+
+
+class Sensor(NamedTuple):
+    """Place of a sensor's numbers in `sensordata`."""
+
+    start: int
+    size: int
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Parts of a compiled model, by name."""
+
+    num_qpos: int
+    num_qvel: int
+    bodies: Mapping[str, Body]
+    joints: Mapping[str, Joint]
+    sites: Mapping[str, Site]
+    geoms: Mapping[str, Geom]
+    connections: Mapping[str, Connection]
+    sensors: Mapping[str, Sensor]
+    standing: Vector
+    """`qpos` of the keyframe of that name."""
+
+
+_PARTS = {
+    "bodies": Body,
+    "joints": Joint,
+    "sites": Site,
+    "geoms": Geom,
+    "connections": Connection,
+    "sensors": Sensor,
+}
+
+
+def write_skeleton(skeleton: Skeleton, mjcf: Path, path: Path) -> None:
+    """Write a skeleton and the hash of the MJCF that it was compiled from, as JSON."""
+    entries = {"mjcf": _digest(mjcf), **asdict(skeleton)}
+    lines = [f"{json.dumps(name)}: {_text(value)}" for name, value in entries.items()]
+    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+def read_skeleton(mjcf: Path, path: Path) -> Skeleton | None:
+    """Skeleton of an MJCF from its JSON file; None if that is missing or of another MJCF."""
+    if not path.is_file():
+        return None
+    entries = json.loads(path.read_text(encoding="utf-8"))
+    if entries.pop("mjcf") != _digest(mjcf):
+        return None
+    parts = {
+        key: {name: kind(*map(_fixed, row)) for name, row in entries[key].items()}
+        for key, kind in _PARTS.items()
+    }
+    rest = {key: _fixed(value) for key, value in entries.items() if key not in parts}
+    return Skeleton(**parts, **rest)
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _text(value: object) -> str:
+    """One line a part."""
+    if not isinstance(value, Mapping):
+        return json.dumps(value)
+    rows = [f" {json.dumps(name)}: {json.dumps(row)}" for name, row in value.items()]
+    return "{\n" + ",\n".join(rows) + "\n}"
+
+
+def _fixed(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list) else value
