@@ -24,7 +24,6 @@ from typing import TYPE_CHECKING, Literal
 import lazy_loader
 
 if TYPE_CHECKING:
-    from aslip.envs.base import SimulatedEnv
     from aslip.envs.batch import BatchEnv
     from aslip.envs.dm_control import DmControlEnv, Walk, walk_environment
     from aslip.envs.interface import (
@@ -36,8 +35,11 @@ if TYPE_CHECKING:
         policy_interface,
         stack_name,
     )
+    from aslip.envs.keep import KeepKeys
     from aslip.envs.make import make_env
     from aslip.envs.physics import BipedPhysics
+    from aslip.envs.robot_env import RobotEnv
+    from aslip.envs.simulated_env import SimulatedEnv
     from aslip.envs.stack_env import StackEnv, check_seed
     from aslip.envs.stacks import (
         EPISODE_ENDS,
@@ -52,6 +54,7 @@ if TYPE_CHECKING:
         paper_stack,
         randomise_stack,
         reward_terms,
+        robot_stack,
         single_reference_stack,
     )
 
@@ -70,7 +73,9 @@ __all__ = [
     "BatchEnv",
     "BipedPhysics",
     "DmControlEnv",
+    "KeepKeys",
     "RewardSource",
+    "RobotEnv",
     "SimulatedEnv",
     "Stack",
     "StackEnv",
@@ -90,6 +95,7 @@ __all__ = [
     "policy_interface",
     "randomise_stack",
     "reward_terms",
+    "robot_stack",
     "single_reference_stack",
     "stack_name",
     "walk_environment",
@@ -98,7 +104,6 @@ __all__ = [
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "base": ["SimulatedEnv"],
         "batch": ["BatchEnv"],
         "dm_control": ["DmControlEnv", "Walk", "walk_environment"],
         "interface": [
@@ -110,8 +115,11 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "policy_interface",
             "stack_name",
         ],
+        "keep": ["KeepKeys"],
         "make": ["make_env"],
         "physics": ["BipedPhysics"],
+        "robot_env": ["RobotEnv"],
+        "simulated_env": ["SimulatedEnv"],
         "stack_env": ["StackEnv", "check_seed"],
         "stacks": [
             "EPISODE_ENDS",
@@ -126,6 +134,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "paper_stack",
             "randomise_stack",
             "reward_terms",
+            "robot_stack",
             "single_reference_stack",
         ],
     },

@@ -8,7 +8,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from aslip.envs.base import SimulatedEnv
+from aslip.envs.simulated_env import SimulatedEnv
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.sim import SimulationPool, Snapshot
@@ -86,5 +86,6 @@ class BatchEnv(SimulatedEnv):
     def _snapshot(self) -> Snapshot:
         return self.simulations.snapshot()
 
-    def _packets(self) -> dict[str, np.ndarray]:
+    def packets(self) -> dict[str, np.ndarray]:
+        """See `RobotEnv.packets`."""
         return self.simulations.packets()

@@ -25,8 +25,8 @@ with warnings.catch_warnings():
     from dm_control.suite import base
     from dm_control.utils import rewards
 
-from aslip.envs.base import SimulatedEnv
 from aslip.envs.physics import BipedPhysics
+from aslip.envs.simulated_env import SimulatedEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
@@ -238,6 +238,7 @@ class DmControlEnv(SimulatedEnv):
     def _snapshot(self) -> Snapshot:
         return Snapshot.stack([physics.snapshot() for physics in self.physics])
 
-    def _packets(self) -> dict[str, np.ndarray]:
+    def packets(self) -> dict[str, np.ndarray]:
+        """See `RobotEnv.packets`."""
         packets = [physics.packets() for physics in self.physics]
         return {name: np.stack([packet[name] for packet in packets]) for name in packets[0]}

@@ -15,6 +15,7 @@ import torch
 from tensordict.utils import NestedKey, unravel_key
 from torchrl.envs.transforms import Transform
 
+from aslip.envs.keep import KeepKeys
 from aslip.envs.stack_env import StackEnv
 from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError
@@ -105,6 +106,8 @@ def _changes_actions(transform: Transform) -> bool:
     keys = {*map(str, transform.in_keys_inv), *map(str, transform.out_keys_inv)}
     if keys & {"action", "motor_target"}:
         return True
+    if isinstance(transform, KeepKeys):
+        return False
     # TorchRL's own name the keys that they change; others need not
     owner = next(kind for kind in type(transform).__mro__ if "_inv_call" in vars(kind))
     return not owner.__module__.startswith("torchrl.")

@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import get_args
+from inspect import signature
+from typing import Any, get_args
 
+from tensordict.utils import NestedKey, unravel_key
+from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
-from aslip.envs import Backend, BatchEnv, DmControlEnv, RewardSource, SimulatedEnv
+from aslip.envs import Backend, BatchEnv, DmControlEnv, RewardSource, RobotEnv, SimulatedEnv
+from aslip.envs.keep import KeepKeys
 from aslip.envs.stack_env import StackEnv, check_seed, check_wiring
 from aslip.envs.stacks import STACKS, Stack, edit_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
+
+MakeTransform = Transform | Callable[[], Transform]
+"""A transform, or something that makes it."""
 
 
 def make_env(
@@ -22,78 +29,153 @@ def make_env(
     num_envs: int = 1,
     seed: int = 0,
     drop: Iterable[str] = (),
-    replace: Mapping[str, Transform | Callable[[], Transform]] | None = None,
+    replace: Mapping[str, MakeTransform] | None = None,
     stack: Stack | str = "aslip",
     reward_on: RewardSource = "truth",
     library: GaitLibrary | None = None,
+    keep: Iterable[NestedKey] | None = None,
+    base: RobotEnv | Callable[..., RobotEnv] | None = None,
     num_threads: int = 0,
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
     timestep: float = CASSIE.physics_timestep,
 ) -> StackEnv:
-    """A TorchRL environment of n Cassies with the full stack of transforms.
+    """Make a TorchRL environment of n robots with a stack of transforms.
 
     Losses that need the action's range take `env.action_spec_unbatched`, that of one robot. Given
     `env.action_spec`, which is of all n, `SACLoss` aims at n times the entropy.
 
     Args:
-        backend: "batch" for training, "dm_control" for the reference task; same keys, same states.
-        num_envs: number of robots n, at most 65,536, or 1,024 of the "dm_control" backend; all
+        backend: simulator, "batch" for training or "dm_control" as the reference; same keys and
+            same states.
+        num_envs: number of robots n, at most 65,536, or 1,024 with the "dm_control" backend; all
             tensors have it as their first dimension.
-        seed: reaches every random number, also inside transforms.
+        seed: seed of every random number, also inside transforms.
         drop: names of transforms to leave out. Without some reward terms the largest reward is
             smaller, while an episode still ends below 0.3: consider `LowReward` along with them.
         replace: name -> transform, or something that makes it, to take the place of another.
         stack: another stack altogether, or the name of one in `STACKS`.
         reward_on: what the rewards of a stack given by name read, "truth" or "estimate".
         library: gaits of a stack given by name; its own by default.
+        keep: entries of a transition that an algorithm reads beside action, reward, ends and
+            requests such as `command`, for example `["observation"]` for SAC. Collectors then give
+            small batches; see `KeepKeys`. Everything by default.
+        base: robot environment in place of a simulator's, or a function of `num_envs` that makes
+            it, such as a subclass of `RobotEnv`. Stacks for robots that are no simulation come
+            from `robot_stack`.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.
-        timestep: of the batch backend's physics [s]: 0.0005, or 0.001 to train in half the time.
+        timestep: timestep of the batch backend's physics [s]: 0.0005, or 0.001 to train in half
+            the time.
 
     Raises:
-        ConfigurationError: unknown backend, a timestep that it cannot have, a number of
-            environments or a seed that is none, a transform of another environment, settings of a
-            named stack for one that is not, or transforms in an order in which one has no effect.
+        ConfigurationError: unknown backend, a timestep that it cannot have, settings of a simulator
+            beside `base`, an invalid number of environments or seed, a transform of another
+            environment, settings of a named stack for one without a name, or transforms in an
+            order in which one has no effect.
         UnknownNameError: there is no stack of that name, `drop` or `replace` names no transform of
             the stack, or a transform reads what no other writes.
     """
-    if backend not in get_args(Backend):
-        raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
+    seed = check_seed(seed)
+    chosen = edit_stack(_find_stack(stack, library, reward_on), drop, replace or {})
+    simulator = {"floor_friction": floor_friction, "timestep": timestep, "num_threads": num_threads}
+    if base is None:
+        robot = _make_simulator(backend, num_envs, **simulator)
+    else:
+        robot = _make_robot(base, num_envs, {"backend": backend, **simulator})
+    env = StackEnv(robot, _make_transforms(chosen))
+    check_wiring(env)
+    if keep is not None:
+        _hide_others(env, [keep] if isinstance(keep, str) else list(keep))
+    env.set_seed(seed)
+    return env
+
+
+def _hide_others(env: StackEnv, keep: list[NestedKey]) -> None:
+    """Hide all entries but those to keep and those that are asked for anyway.
+
+    Raises:
+        UnknownNameError: there is no such entry.
+    """
+    spec = env.observation_spec
+    known = set(spec.keys(True))
+    for key in keep:
+        if unravel_key(key) not in known:
+            raise UnknownNameError.among("entry", key, sorted(map(str, known)))
+    # recurrent policies and collectors ask for the first step
+    requested = [*env.state_spec.keys(True, True), *(key for key in ("is_init",) if key in spec)]
+    env.append_transform(KeepKeys([*keep, *requested]))
+
+
+def _find_stack(stack: Stack | str, library: GaitLibrary | None, reward_on: RewardSource) -> Stack:
+    """A stack by its name; one that is no name as it is."""
     if reward_on not in get_args(RewardSource):
         raise ConfigurationError(
             f"reward_on must be one of {get_args(RewardSource)}, got {reward_on!r}"
         )
-    seed = check_seed(seed)
     if isinstance(stack, str):
         if stack not in STACKS:
             raise UnknownNameError.among("stack", stack, sorted(STACKS))
-        stack = STACKS[stack](library, reward_on)
-    elif library is not None or reward_on != "truth":
+        return STACKS[stack](library, reward_on)
+    if library is not None or reward_on != "truth":
         raise ConfigurationError(
             "library and reward_on are for a stack that is given by name; give them to what makes"
             " the stack, such as default_stack(library, reward_on)"
         )
-    chosen = edit_stack(stack, drop, replace or {})
-    base: SimulatedEnv
+    return stack
+
+
+def _make_simulator(
+    backend: Backend, num_envs: int, *, floor_friction: float, timestep: float, num_threads: int
+) -> SimulatedEnv:
+    if backend not in get_args(Backend):
+        raise ConfigurationError(f"backend must be one of {get_args(Backend)}, got {backend!r}")
     if backend == "batch":
-        base = BatchEnv(
+        return BatchEnv(
             num_envs, num_threads=num_threads, floor_friction=floor_friction, timestep=timestep
         )
-    else:
-        if timestep != CASSIE.physics_timestep:
+    if timestep != CASSIE.physics_timestep:
+        raise ConfigurationError(
+            f"the dm_control backend has a timestep of {CASSIE.physics_timestep} s,"
+            f" got {timestep!r}"
+        )
+    return DmControlEnv(num_envs, floor_friction=floor_friction)
+
+
+def _make_robot(
+    base: RobotEnv | Callable[..., RobotEnv], num_envs: int, simulator: Mapping[str, Any]
+) -> RobotEnv:
+    """The robot environment that a caller gives or knows how to make.
+
+    Raises:
+        ConfigurationError: it is none, has another number of robots, or settings of a simulator
+            are given beside it.
+    """
+    defaults = signature(make_env).parameters
+    for name, value in simulator.items():
+        if value != defaults[name].default:
             raise ConfigurationError(
-                f"the dm_control backend has a timestep of {CASSIE.physics_timestep} s,"
-                f" got {timestep!r}"
+                f"{name} is for the simulators of this package; with base, give it to what makes"
+                " the base"
             )
-        base = DmControlEnv(num_envs, floor_friction=floor_friction)
-    stack_of = {name: t if isinstance(t, Transform) else t() for name, t in chosen.items()}
-    for name, transform in stack_of.items():
+    robot = base if isinstance(base, EnvBase) else base(num_envs=num_envs)
+    if not isinstance(robot, RobotEnv):
+        raise ConfigurationError(f"base must be a RobotEnv or make one, got {type(robot).__name__}")
+    if num_envs not in (1, robot.num_envs):
+        raise ConfigurationError(f"base has {robot.num_envs} robots, but num_envs is {num_envs}")
+    return robot
+
+
+def _make_transforms(stack: Mapping[str, MakeTransform]) -> dict[str, Transform]:
+    """The transforms of a stack.
+
+    Raises:
+        ConfigurationError: one belongs to another environment.
+    """
+    transforms = {name: t if isinstance(t, Transform) else t() for name, t in stack.items()}
+    for name, transform in transforms.items():
         if transform.container is not None:
             raise ConfigurationError(
                 f"the transform {name!r} belongs to another environment; for several, give what"
                 f" makes one: a class, or lambda: {type(transform).__name__}(...)"
             )
-    env = StackEnv(base, stack_of)
-    check_wiring(env)
-    env.set_seed(seed)
-    return env
+    return transforms

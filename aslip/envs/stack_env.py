@@ -19,8 +19,9 @@ from torchrl.envs.transforms import (
     Transform,
 )
 
-from aslip.envs import SimulatedEnv
-from aslip.envs.base import reset_request
+from aslip.envs.robot_env import RobotEnv
+from aslip.envs.simulated_env import SimulatedEnv, reset_request
+from aslip.envs.stacks import needs_simulation
 from aslip.errors import ConfigurationError
 from aslip.sim.checks import check_count
 from aslip.transforms import (
@@ -45,15 +46,16 @@ class StackEnv(TransformedEnv):
         transforms: name -> transform, first to last.
     """
 
+    # in most stacks; else another RobotEnv
     base_env: SimulatedEnv
 
     # of this environment's own specs; TransformedEnv's, in an environment around this one, is
     # mistaken for one that an environment of its own kind has overwritten, and refused
     rand_action = EnvBase.rand_action
 
-    __reduce_ex__ = SimulatedEnv.__reduce_ex__
+    __reduce_ex__ = RobotEnv.__reduce_ex__
 
-    def __init__(self, env: SimulatedEnv, transforms: Mapping[str, Transform]) -> None:
+    def __init__(self, env: RobotEnv, transforms: Mapping[str, Transform]) -> None:
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
         self.transform_names = tuple(transforms)
@@ -204,7 +206,14 @@ def check_seed(seed: object) -> int:
 
 
 def check_wiring(env: StackEnv) -> None:
-    """Check that what reward terms and the action read is there, before the first step needs it."""
+    """Check that what reward terms and the action read is there, before the first step needs it.
+
+    Raises:
+        ConfigurationError: a transform needs a simulation and the robot is none, or it is in a
+            place where it has no effect.
+        UnknownNameError: a transform reads what no other writes.
+    """
+    _check_simulation(env)
     available = env.full_observation_spec.clone()
     available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
@@ -242,3 +251,27 @@ def check_wiring(env: StackEnv) -> None:
             require_keys(transform, available, transform.in_keys)
         if isinstance(transform, LastAction):
             require_keys(transform, available, ["action"])
+
+
+def _check_simulation(env: StackEnv) -> None:
+    """Check that a robot which is no simulation has no transforms that need one.
+
+    Raises:
+        ConfigurationError: it has; the message names an entry that is missing.
+    """
+    if isinstance(env.base_env, SimulatedEnv):
+        return
+    entries = set(env.base_env.observation_spec.keys(True, True))
+    for name, transform in zip(env.transform_names, env.transforms, strict=True):
+        truth = [key for key in transform.in_keys if key[0] == "truth" and key not in entries]
+        if truth:
+            lacks = f"reads {truth[0]!r}"
+        elif needs_simulation(transform) and not transform.in_keys:
+            lacks = "chooses the initial state or the dynamics"
+        else:
+            continue
+        raise ConfigurationError(
+            f"{name!r} ({type(transform).__name__}) {lacks}, which"
+            f" {type(env.base_env).__name__} does not have; stack=robot_stack() leaves out all"
+            " transforms that need a simulation"
+        )

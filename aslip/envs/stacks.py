@@ -236,6 +236,35 @@ def randomise_stack(stack: Stack) -> Stack:
     return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
 
 
+def robot_stack(stack: Stack | None = None) -> Stack:
+    """A copy of a stack for robots that are no simulation: a real one, a replayed log.
+
+    It is without transforms that need a simulation, see `needs_simulation`, and without
+    `ObservationNoise`: the sensors of a robot have noise of their own.
+
+    Args:
+        stack: `default_stack(reward_on="estimate")` by default.
+
+    Raises:
+        ConfigurationError: the stack is only the name of one.
+    """
+    stack = default_stack(reward_on="estimate") if stack is None else stack
+    _require_names(stack, [])
+    made = {name: make() for name, make in stack.items()}
+    return {
+        name: stack[name]
+        for name, transform in made.items()
+        if not needs_simulation(transform) and not isinstance(transform, ObservationNoise)
+    }
+
+
+def needs_simulation(transform: Transform) -> bool:
+    """True for a transform that reads the truth, or chooses how a simulation starts."""
+    groups = {key if isinstance(key, str) else key[0] for key in transform.in_keys}
+    chooses = isinstance(transform, ReferenceStart | RandomDynamics)
+    return chooses or bool(groups & {"truth", "true_odometry"})
+
+
 def evaluation_stack(stack: Stack) -> Stack:
     """A copy of a stack on which policies of different experiments are judged alike.
 

@@ -60,7 +60,10 @@ class RewardTerm(SeededTransform):
         inputs += [tensordict[key].detach() for key in self.root_keys]
         # a robot that diverged was put back on its feet, for which it deserves nothing; and what
         # made it diverge, an action that is no number, must not become a reward
-        diverged = next_tensordict["truth", "diverged"]
+        diverged = next_tensordict.get(("truth", "diverged"), None)
+        if diverged is None:
+            # a robot that is no simulation
+            diverged = next_tensordict["terminated"]
         value = self.function(*inputs)
         if value.shape != diverged.shape:
             raise ShapeError(

@@ -1,17 +1,14 @@
-"""The contract both environment backends keep.
+"""Simulated robots: what both simulators share.
 
-Keys, for n robots (shapes omit the leading n):
+Keys beside those of `RobotEnv`, for n robots (shapes omit the leading n):
 
 | key | shape | meaning |
 |---|---|---|
-| `motor_target` | 10 | action: joint angles the 2 kHz PD loops track for 30 ms [rad] |
 | `push` | 3 | optional input: force on the pelvis for these 30 ms [N, world] |
-| `("sensors", ...)` | W, k | packets of the policy period, oldest first; see `aslip.sim.Sensors` |
 | `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
 | `("truth", "diverged")` | 1 | the simulation diverged in this policy step and stands now |
 | `("truth", "slope")` | 1 | rise of the floor along the world's x [rad], of `aslip.sim.DYNAMICS` |
-| `reward` | 1 | zero: rewards are transforms |
-| `terminated`, `done` | 1 | the simulation diverged; all else is transforms |
+| `terminated`, `done` | 1 | the simulation diverged |
 
 A reset may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32); without them the robot
 stands, or starts where a stack's `ReferenceStart` puts it. It may also carry `("dynamics", name)`
@@ -36,13 +33,13 @@ import mujoco
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 
+from aslip.envs.robot_env import RobotEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.robot import CASSIE, Indices
+from aslip.robot import Indices
 from aslip.sim import Dynamics, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
@@ -51,8 +48,8 @@ from aslip.sim.dynamics import longest_delay, with_memory_of
 _DOUBLE = ("qpos", "qvel")
 
 
-class SimulatedEnv(EnvBase):
-    """N Cassie robots under motor position targets.
+class SimulatedEnv(RobotEnv):
+    """N simulated robots under motor targets; see the module for the keys.
 
     Args:
         num_envs: number of robots.
@@ -60,21 +57,15 @@ class SimulatedEnv(EnvBase):
     """
 
     def __init__(self, num_envs: int, indices: Indices) -> None:
-        super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
         self.indices = indices
         self.divergences = 0
         """Simulations that diverged, and were put back on their feet, since construction."""
         self._dynamics = Dynamics(num_envs, self.model)
         self.altered = False
-        """Whether any robot has ever had other dynamics than `model`."""
-        self._set_specs()
+        """A robot has had other dynamics than `model`."""
+        super().__init__(num_envs)
 
-    @property
-    def num_envs(self) -> int:
-        """Number of robots."""
-        return self.batch_size[0]
-
-    # -------------------------------------------------- what a backend gives
+    # ----------------------------------------------- what a simulator gives
 
     @abstractmethod
     def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
@@ -92,10 +83,6 @@ class SimulatedEnv(EnvBase):
     @abstractmethod
     def _snapshot(self) -> Snapshot:
         """The arrays of all simulations, leading shape (n,)."""
-
-    @abstractmethod
-    def _packets(self) -> dict[str, np.ndarray]:
-        """What the sensors sent in the last policy period, (n, W, k) each."""
 
     @abstractmethod
     def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
@@ -185,53 +172,33 @@ class SimulatedEnv(EnvBase):
 
     # ---------------------------------------------------------------- EnvBase
 
-    def _set_specs(self) -> None:
-        n, state = self.batch_size, self._observed(np.zeros(self.batch_size, dtype=bool))
-        self.observation_spec = Composite(
-            {
-                group: Composite(
-                    {
-                        key: Binary(shape=value.shape, dtype=torch.bool)
-                        if value.dtype == torch.bool
-                        else Unbounded(value.shape, dtype=value.dtype)
-                        for key, value in entries.items()
-                    },
-                    shape=n,
-                )
-                for group, entries in state.items()
-            },
-            shape=n,
-        )
-        targets, single = torch.Size((*n, len(CASSIE.motor_names))), torch.Size((*n, 1))
-        self.action_spec = Composite(motor_target=Unbounded(targets, dtype=torch.float32), shape=n)
-        self.reward_spec = Unbounded(single, dtype=torch.float32)
-        flag = Binary(shape=single, dtype=torch.bool)
-        self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=n)
+    def track(self, motor_target: np.ndarray) -> np.ndarray:
+        """Track motor targets without a push; see `RobotEnv.track`."""
+        return self._advance(motor_target, None)
+
+    def restart(self, robots: np.ndarray) -> None:
+        """Put robots on their feet; see `RobotEnv.restart`."""
+        self._restart(robots, None, None)
+
+    def _observation_specs(self) -> dict[str, TensorSpec]:
+        nobody = np.zeros(self.batch_size, dtype=bool)
+        truth = {
+            key: Binary(shape=value.shape, dtype=torch.bool)
+            if value.dtype == torch.bool
+            else Unbounded(value.shape, dtype=value.dtype)
+            for key, value in self._truth(nobody).items()
+        }
+        return {**super()._observation_specs(), "truth": Composite(truth, shape=self.batch_size)}
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        target = cast("Tensor", tensordict["motor_target"])
-        expected = (*self.batch_size, len(CASSIE.motor_names))
-        if target.shape != expected:
-            raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
-        push = tensordict.get("push", None)
-        forces = None if push is None else self._checked_push(push)
-        diverged = self._advance(target.detach().double().numpy(), forces)
+        target, push = self._checked_target(tensordict), tensordict.get("push", None)
+        diverged = self._advance(target, None if push is None else self._checked_push(push))
         self.divergences += int(diverged.sum())
-        terminated = torch.tensor(diverged[:, None])
-        return TensorDict(
-            {
-                **self._observed(diverged),
-                "reward": torch.zeros(*self.batch_size, 1, dtype=torch.float32),
-                "terminated": terminated,
-                "done": terminated.clone(),
-            },
-            batch_size=self.batch_size,
-        )
+        return self._result(diverged)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
         del kwargs
-        mask = None if tensordict is None else tensordict.get("_reset", None)
-        rows = np.arange(self.num_envs) if mask is None else np.flatnonzero(mask.numpy())
+        rows = self._robots_to_reset(tensordict)
         initial: list[np.ndarray | None] = [None, None]
         if tensordict is not None:
             start = reset_request(tensordict, "initial")
@@ -242,9 +209,7 @@ class SimulatedEnv(EnvBase):
                     initial[i] = self._checked_initial(name, start[name])[rows]
             self.set_dynamics(self._requested_dynamics(tensordict, rows), rows)
         self._restart(rows, *initial)
-        return TensorDict(
-            self._observed(np.zeros(self.num_envs, dtype=bool)), batch_size=self.batch_size
-        )
+        return self._start()
 
     def _checked_push(self, push: Tensor) -> np.ndarray:
         """Forces on all robots, if they are such.
@@ -289,33 +254,17 @@ class SimulatedEnv(EnvBase):
             values[name] = value.detach().numpy()[rows, 0]
         return values
 
-    def _observed(self, diverged: np.ndarray) -> dict[str, dict[str, Tensor]]:
-        """Sensors and truth."""
+    def _observation(self, stopped: np.ndarray) -> dict[str, dict[str, Tensor]]:
+        return {**super()._observation(stopped), "truth": self._truth(stopped)}
+
+    def _truth(self, diverged: np.ndarray) -> dict[str, Tensor]:
         truth = {
             key: torch.tensor(value, dtype=torch.float64 if key in _DOUBLE else torch.float32)
             for key, value in true_state(self._snapshot(), self.indices).items()
         }
         truth["diverged"] = torch.tensor(diverged[:, None])
         truth["slope"] = torch.tensor(self._dynamics.values["slope"][:, None], dtype=torch.float32)
-        sensors = {
-            key: torch.tensor(value, dtype=torch.float32) for key, value in self._packets().items()
-        }
-        return {"sensors": sensors, "truth": truth}
-
-    def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refused: TorchRL's processes take what makes an environment.
-
-        Raises:
-            ConfigurationError: always.
-        """
-        raise ConfigurationError(
-            "an environment is a running simulation and cannot be copied or pickled; give what"
-            " makes it, such as functools.partial(aslip.make_env, num_envs="
-            f"{self.batch_size.numel()}), to ParallelEnv, EnvCreator and collectors"
-        )
-
-    def _set_seed(self, seed: int | None) -> None:
-        """The robots themselves draw nothing; transforms have their own generators."""
+        return truth
 
 
 def reset_request(tensordict: TensorDictBase, group: str) -> dict[str, Tensor]:

@@ -1,0 +1,82 @@
+"""Small transitions: only the entries that an algorithm reads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import cast
+
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey, unravel_key
+from torchrl.data import Composite
+
+from aslip.transforms.base import SeededTransform
+
+HIDDEN = "_hidden"
+"""Group of the entries that are not kept. TorchRL's collectors carry groups with an underscore from
+step to step, and leave them out of the batches that they give."""
+
+
+class KeepKeys(SeededTransform):
+    """Hide all entries but the named ones in the group `_hidden`; must be the last transform.
+
+    Before the next step the hidden entries are put back, so that other transforms find what they
+    remember. An entry that a caller writes in the meantime takes the place of the hidden one.
+
+    Args:
+        keep: entries or groups that stay where they are.
+    """
+
+    def __init__(self, keep: Iterable[NestedKey]) -> None:
+        super().__init__(in_keys=[], out_keys=[HIDDEN])
+        self.keep = [unravel_key(key) for key in keep]
+        kept = [key if isinstance(key, tuple) else (key,) for key in self.keep]
+        self._kept = set(kept)
+        # groups that are kept in part
+        self._opened = {key[:depth] for key in kept for depth in range(len(key))}
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        hidden = tensordict.get(HIDDEN, None)
+        return tensordict if hidden is None else _fill(tensordict, hidden)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        hidden = TensorDict(batch_size=next_tensordict.batch_size)
+        for key in self._hidden_keys(next_tensordict, ()):
+            hidden.set(key, next_tensordict.pop(key))
+        return next_tensordict.set(HIDDEN, hidden)
+
+    def _hidden_keys(
+        self, entries: TensorDictBase | Composite, above: tuple[str, ...]
+    ) -> list[tuple[str, ...]]:
+        """The fewest keys that cover all that is to be hidden."""
+        keys = []
+        for name in map(str, entries.keys()):
+            key = (*above, name)
+            if key in self._opened:
+                keys += self._hidden_keys(entries[name], key)
+            elif key not in self._kept and name not in _FLAGS:
+                keys.append(key)
+        return keys
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Move the entries that are hidden."""
+        hidden = Composite(shape=observation_spec.shape)
+        for key in self._hidden_keys(observation_spec, ()):
+            hidden[key] = observation_spec[key]
+            del observation_spec[key]
+        observation_spec[HIDDEN] = hidden
+        return observation_spec
+
+
+# written by the environment beside its observations
+_FLAGS = frozenset({"reward", "done", "terminated", "truncated"})
+
+
+def _fill(tensordict: TensorDictBase, hidden: TensorDictBase) -> TensorDictBase:
+    """Add hidden entries to a tensordict, except those that it has."""
+    for name, value in hidden.items():
+        present = tensordict.get(name, None)
+        if present is None:
+            tensordict.set(name, value)
+        elif isinstance(present, TensorDictBase):
+            _fill(present, cast("TensorDictBase", value))
+    return tensordict

@@ -1,0 +1,185 @@
+"""The robot's seam: motor targets in, sensor packets out, and nothing else.
+
+A real robot, a replayed log and a simulator are all a `RobotEnv`. Keys, for n robots (shapes omit
+the leading n):
+
+| key | shape | meaning |
+|---|---|---|
+| `motor_target` | 10 | action: joint angles that PD loops track for 30 ms [rad] |
+| `("sensors", name)` | W, k | packets of the last policy period, oldest first |
+| `reward` | 1 | zero: rewards are transforms |
+| `terminated`, `done` | 1 | the robot has stopped; all other ends are transforms |
+
+Names and sizes of the packets are those of `robot.packet_sizes`. `SimulatedEnv` adds the
+simulator's truth, and what only a simulator can do.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+from torchrl.data import Binary, Composite, TensorSpec, Unbounded
+from torchrl.envs import EnvBase
+
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import CASSIE, Robot
+
+
+class RobotEnv(EnvBase):
+    """N robots under motor targets; see the module for the keys.
+
+    A subclass gives three methods: `track`, `restart` and `packets`. `make_env(base=...)` puts a
+    stack of transforms around it.
+
+    Args:
+        num_envs: number of robots.
+        robot: which robot they are.
+    """
+
+    def __init__(self, num_envs: int = 1, robot: Robot = CASSIE) -> None:
+        super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
+        self.robot = robot
+        self._set_specs()
+
+    @property
+    def num_envs(self) -> int:
+        """Number of robots."""
+        return self.batch_size[0]
+
+    # ---------------------------------------------------- what a robot gives
+
+    @abstractmethod
+    def track(self, motor_target: np.ndarray) -> np.ndarray:
+        """Track motor targets for one policy period, 30 ms.
+
+        Args:
+            motor_target: (n, 10) [rad].
+
+        Returns:
+            (n,) bool: the robot has stopped, and its episode ends.
+        """
+
+    @abstractmethod
+    def restart(self, robots: np.ndarray) -> None:
+        """Begin new episodes of some robots.
+
+        Args:
+            robots: (k,) sorted indices.
+        """
+
+    @abstractmethod
+    def packets(self) -> Mapping[str, np.ndarray]:
+        """Packets of the last policy period, (n, W, k) each, by the names of `packet_sizes`."""
+
+    # ---------------------------------------------------------------- EnvBase
+
+    def _set_specs(self) -> None:
+        n = self.batch_size
+        self.observation_spec = Composite(self._observation_specs(), shape=n)
+        targets, single = torch.Size((*n, len(self.robot.motor_names))), torch.Size((*n, 1))
+        self.action_spec = Composite(motor_target=Unbounded(targets, dtype=torch.float32), shape=n)
+        self.reward_spec = Unbounded(single, dtype=torch.float32)
+        flag = Binary(shape=single, dtype=torch.bool)
+        self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=n)
+
+    def _observation_specs(self) -> dict[str, TensorSpec]:
+        n = self.batch_size
+        entries = {
+            name: Unbounded(torch.Size((*n, self.robot.sensor_window, size)), dtype=torch.float32)
+            for name, size in self.robot.packet_sizes.items()
+        }
+        return {"sensors": Composite(entries, shape=n)}
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        _refuse_requests(tensordict, ["push"])
+        return self._result(self.track(self._checked_target(tensordict)))
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
+        del kwargs
+        _refuse_requests(tensordict, ["initial", "dynamics"])
+        self.restart(self._robots_to_reset(tensordict))
+        return self._start()
+
+    def _set_seed(self, seed: int | None) -> None:
+        """Do nothing: robots draw no numbers, and transforms have their own generators."""
+
+    def _robots_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
+        """(k,) indices of the robots that the mask of a reset names; all without one."""
+        mask = None if tensordict is None else tensordict.get("_reset", None)
+        return np.arange(self.num_envs) if mask is None else np.flatnonzero(mask.numpy())
+
+    def _checked_target(self, tensordict: TensorDictBase) -> np.ndarray:
+        """(n, 10) motor targets in double precision.
+
+        Raises:
+            ShapeError: wrong shape.
+        """
+        target = cast("Tensor", tensordict["motor_target"])
+        expected = (*self.batch_size, len(self.robot.motor_names))
+        if target.shape != expected:
+            raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
+        return target.detach().double().numpy()
+
+    def _result(self, stopped: np.ndarray) -> TensorDict:
+        """Entries after a step."""
+        terminated = torch.tensor(np.asarray(stopped, dtype=bool)[:, None])
+        return TensorDict(
+            {
+                **self._observation(stopped),
+                "reward": torch.zeros(*self.batch_size, 1, dtype=torch.float32),
+                "terminated": terminated,
+                "done": terminated.clone(),
+            },
+            batch_size=self.batch_size,
+        )
+
+    def _start(self) -> TensorDict:
+        """Entries after a reset."""
+        nobody = np.zeros(self.num_envs, dtype=bool)
+        return TensorDict(self._observation(nobody), batch_size=self.batch_size)
+
+    def _observation(self, stopped: np.ndarray) -> dict[str, dict[str, Tensor]]:
+        """Groups of entries that the environment observes.
+
+        Raises:
+            ShapeError: `packets` lacks a sensor, or gives one in the wrong shape.
+        """
+        del stopped
+        sensors, packets = {}, self.packets()
+        for name, size in self.robot.packet_sizes.items():
+            expected = (self.num_envs, self.robot.sensor_window, size)
+            value = packets.get(name)
+            shape = None if value is None else np.shape(value)
+            if shape != expected:
+                raise ShapeError(f"packets of {name!r} must have shape {expected}, got {shape}")
+            sensors[name] = torch.tensor(value, dtype=torch.float32)
+        return {"sensors": sensors}
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Refuse to be copied or pickled: TorchRL's processes take what makes an environment.
+
+        Raises:
+            ConfigurationError: always.
+        """
+        raise ConfigurationError(
+            "an environment is a running robot or simulation and cannot be copied or pickled; give"
+            " what makes it, such as functools.partial(aslip.make_env, num_envs="
+            f"{self.batch_size.numel()}), to ParallelEnv, EnvCreator and collectors"
+        )
+
+
+def _refuse_requests(tensordict: TensorDictBase | None, keys: Sequence[str]) -> None:
+    """Check that nothing is asked for that only a simulation can do.
+
+    Raises:
+        ConfigurationError: a tensordict has one of the keys.
+    """
+    for key in keys:
+        if tensordict is not None and key in tensordict:
+            raise ConfigurationError(f"{key!r} is for simulated robots; take it out")
