@@ -68,7 +68,7 @@ def walk() -> TensorDictBase:
 def log(walk: TensorDictBase) -> dict[str, np.ndarray]:
     first = walk["sensors"][:, :1]
     packets = cast("TensorDictBase", torch.cat([first, walk["next", "sensors"]], dim=1))
-    return {name: packets[name].transpose(0, 1).numpy() for name in CASSIE.packet_sizes}
+    return {name: np.asarray(packets[name].transpose(0, 1)) for name in CASSIE.packet_sizes}
 
 
 def test_a_replayed_log_gives_the_motor_targets_of_the_walk(
