@@ -17,7 +17,7 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.estimation import PACKET_SIZE, StateEstimator, Tracking
+from aslip.estimation import StateEstimator, Tracking
 from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, load_policy, read_card
@@ -254,7 +254,7 @@ def _completed(begun: TensorDict, like: TensorDictBase) -> TensorDictBase:
 def _rows(packets: Packets | None, num: int = 1) -> np.ndarray:
     """(n, w, 42) from any way to write packets; NaN for what `num` robots lost."""
     if packets is None:
-        return np.full((num, 1, PACKET_SIZE), np.nan)
+        return np.full((num, 1, CASSIE.packet_size), np.nan)
     if isinstance(packets, TensorDictBase | Mapping):
         packets = join({str(name): np.asarray(value) for name, value in packets.items()})
     rows = np.asarray(packets, dtype=np.float64)

@@ -4,24 +4,19 @@
 turned into foot positions and forces (`legs`), and both joined with the IMU (`filter`).
 """
 
-from aslip.estimation.estimator import (
-    TRACKING_SIZE,
-    Estimate,
-    StateEstimator,
-    Tracking,
-)
+from aslip.estimation.estimator import StateEstimator
 from aslip.estimation.filter import Belief, FilterNoise
 from aslip.estimation.legs import LegKinematics
-from aslip.estimation.packets import FAULTS, PACKET_SIZE
+from aslip.estimation.packets import FAULTS
+from aslip.estimation.state import Estimate, Tracking, tracking_size
 
 __all__ = [
     "FAULTS",
-    "PACKET_SIZE",
-    "TRACKING_SIZE",
     "Belief",
     "Estimate",
     "FilterNoise",
     "LegKinematics",
     "StateEstimator",
     "Tracking",
+    "tracking_size",
 ]

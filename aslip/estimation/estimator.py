@@ -4,27 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.estimation.filter import Belief, ContactFilter, FilterNoise, Motion, P, V
+from aslip.estimation.filter import TUNED_PERIOD, ContactFilter, FilterNoise, Motion, P, V
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
-from aslip.estimation.packets import PACKET_SIZE, SLICES, PacketMemory, Screen, Screened, join
-from aslip.robot import CASSIE, STANDARD_GRAVITY
-from aslip.robot.model import load_model
-from aslip.robot.rotation import (
-    cross,
-    normalize,
-    orientation_to_heading,
-    vector_to_heading,
-    yaw,
-)
+from aslip.estimation.packets import PacketMemory, Screen, Screened, read_windows
+from aslip.estimation.state import Estimate, Tracking
+from aslip.robot import CASSIE, STANDARD_GRAVITY, Robot
+from aslip.robot.rotation import normalize, orientation_to_heading, vector_to_heading, yaw
 
 # standard deviation [m/s^2] of the mean over 3 ms of an acceleration that had to be made up
 _DOUBT = 5.0
@@ -32,139 +23,18 @@ _DOUBT = 5.0
 _DIFFERENCE = 1e-5
 
 
-@dataclass
-class Tracking:
-    """All that is remembered of n robots between packets."""
-
-    belief: Belief
-    packets: PacketMemory
-    angular_acceleration: np.ndarray
-    """(n, 3) between the last two readings of the gyro [rad/s^2, pelvis]."""
-    heading: np.ndarray
-    """(n,) yaw, in the frame of the IMU's attitude, that is straight ahead for the robot [rad]."""
-
-    def to_rows(self) -> np.ndarray:
-        """(n, `TRACKING_SIZE`) all of it as numbers."""
-        belief, packets = self.belief, self.packets
-        fields = (
-            belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
-            belief.adrift, packets.reading, packets.jumps, packets.repeats, packets.age,
-            self.angular_acceleration, self.heading,
-        )  # fmt: skip
-        num = len(packets.reading)
-        return np.concatenate([field.reshape(num, -1) for field in fields], axis=1)
-
-    @classmethod
-    def from_rows(cls, rows: np.ndarray) -> Tracking:
-        """What `to_rows` wrote; copies.
-
-        Raises:
-            ShapeError: the rows have another length.
-        """
-        if rows.ndim != 2 or rows.shape[1] != TRACKING_SIZE:
-            raise ShapeError(f"rows must have the shape (n, {TRACKING_SIZE}), got {rows.shape}")
-        num = len(rows)
-        (
-            mean, covariance, half_sole, loaded, resting, adrift, reading, jumps, repeats, age,
-            angular_acceleration, heading,
-        ) = np.split(rows.copy(), _TRACKING_ENDS, axis=1)  # fmt: skip
-        belief = Belief(
-            mean=mean.reshape(num, 3, 5).copy(),
-            covariance=covariance.reshape(num, 3, 5, 5).copy(),
-            half_sole=half_sole.reshape(num, 2, 3).copy(),
-            loaded=loaded != 0,
-            resting=resting != 0,
-            adrift=adrift[:, 0].copy(),
-            innovation=np.full((num, 2, 3), np.nan),
-        )
-        packets = PacketMemory(reading, jumps[:, 0], repeats[:, 0], age)
-        return cls(belief, packets, angular_acceleration, heading[:, 0])
-
-
-_TRACKING_SIZES = (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, PACKET_SIZE, 1, 1, 4, 3, 1)
-_TRACKING_ENDS = np.cumsum(_TRACKING_SIZES)[:-1]
-
-TRACKING_SIZE = sum(_TRACKING_SIZES)
-"""Numbers to remember of a robot between packets."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """State of n robots after their last packet.
-
-    The heading frame has z up against gravity, x along the robot's heading, and its origin on the
-    ground where the pelvis was at the start.
-    """
-
-    height: np.ndarray
-    """(n, 1) of the pelvis above the ground [m]."""
-    orientation: np.ndarray
-    """(n, 4) pelvis to heading frame, unit, wxyz with w >= 0."""
-    velocity: np.ndarray
-    """(n, 3) of the pelvis [m/s, heading frame]."""
-    angular_velocity: np.ndarray
-    """(n, 3) [rad/s, pelvis]."""
-    acceleration: np.ndarray
-    """(n, 3) of the pelvis' origin, without gravity [m/s^2, pelvis]."""
-    motor_position: np.ndarray
-    """(n, 10) [rad]."""
-    motor_velocity: np.ndarray
-    """(n, 10) [rad/s]."""
-    joint_position: np.ndarray
-    """(n, 6) [rad]."""
-    joint_velocity: np.ndarray
-    """(n, 6) [rad/s]."""
-    position: np.ndarray
-    """(n, 3) of the pelvis, its height above the ground below it [m, heading frame]."""
-    sole: np.ndarray
-    """(n, 2, 3) centres of the axes of the soles' contact capsules from the pelvis [m, heading
-    frame]."""
-    forward: np.ndarray
-    """(n, 2, 3) unit vectors to the toes [heading frame]."""
-    left: np.ndarray
-    """(n, 2, 3) unit vectors to the left, across the feet [heading frame]."""
-    sole_radius: float
-    """Of the capsules [m]."""
-    contact: np.ndarray
-    """(n, 2) bool, the leg's springs say that its foot is loaded."""
-    innovation: np.ndarray
-    """(n, w, 2, 3) normalised innovation squared by packet, foot and axis; NaN in the air."""
-    resting: np.ndarray
-    """(n, w, 2) bool, the foot took part in the update."""
-    faults: np.ndarray
-    """(n, 4) bool, what was wrong with any of the packets; see `FAULTS`."""
-
-    # not every packet's feet are looked at, and a robot has little time
-    @cached_property
-    def up(self) -> np.ndarray:
-        """(n, 2, 3) unit vectors out of the feet, opposite to the soles [heading frame]."""
-        return cross(self.forward, self.left)
-
-    @cached_property
-    def foot_position(self) -> np.ndarray:
-        """(n, 2, 3) sole centres [m, heading frame]."""
-        return self.position[:, None] + self.sole - self.sole_radius * self.up
-
-    @cached_property
-    def foot_orientation(self) -> np.ndarray:
-        """(n, 2, 4) soles to heading frame, wxyz, w >= 0; identity when level with toes along x."""
-        frame = np.stack([self.forward, self.left, self.up], axis=-1)
-        turn = Rotation.from_matrix(frame.reshape(-1, 3, 3))
-        return turn.as_quat(canonical=True, scalar_first=True).reshape(-1, 2, 4)
-
-
 class StateEstimator:
-    """Pelvis, legs and feet of n robots from packets of their sensors.
+    """State of the pelvis, legs and feet of n robots from packets of their sensors.
 
-    It holds no state: what it remembers of the robots is a `Tracking`. As on a robot:
+    The estimator holds no state: its memory of the robots is a `Tracking`. As on a robot:
 
         estimator = StateEstimator()
         tracking, estimate = estimator.start(packet)
         while True:
             estimate = estimator.update(tracking, packet)
 
-    A packet is a mapping of the entries of `aslip.robot.Robot.packet_sizes`, or those joined to
-    an array. Windows of packets of several robots, oldest first, have the leading shape (n, w).
+    A packet is a mapping of the entries of `Robot.packet_sizes`, or those joined to an array of p
+    numbers. Windows of packets of several robots, oldest first, have the leading shape (n, w).
     The accelerometer's value is the mean since the packet before.
 
     A packet with NaN, with values out of range, with a spike of the IMU, or of an IMU that is
@@ -174,9 +44,10 @@ class StateEstimator:
     do not touch each other.
 
     Args:
-        model: the robot; `assets/cassie.xml` by default.
-        period: time between packets [s]; the filter assumes the same robot at any.
-        noise: what the filter assumes.
+        robot: robot that sends the packets, with legs such as `LegKinematics` takes.
+        period: time between packets [s], the robot's by default; the filter assumes the same robot
+            at any.
+        noise: noise that the filter assumes.
 
     Raises:
         ConfigurationError: `period` is not between 0 and 1 s.
@@ -184,22 +55,25 @@ class StateEstimator:
 
     def __init__(
         self,
-        model: mujoco.MjModel | None = None,
+        robot: Robot = CASSIE,
         *,
-        period: float = CASSIE.packet_period,
+        period: float | None = None,
         noise: FilterNoise | None = None,
     ) -> None:
-        if not 0 < period < 1:
-            raise ConfigurationError(f"period must be the seconds between packets, got {period!r}")
-        robot: Any = load_model(visual=False) if model is None else model
-        self.period = period
-        self._screen = Screen(period)
-        self._doubt = _DOUBT * (CASSIE.packet_period / period) ** 0.5
+        self.robot = robot
+        """Robot that sends the packets."""
+        self.period = robot.packet_period if period is None else period
+        """Time between packets [s]."""
+        if not 0 < self.period < 1:
+            raise ConfigurationError(f"period must be between 0 and 1 s, got {period!r}")
+        self._at = robot.packet_slices
+        self._screen = Screen(self.period, robot)
+        self._doubt = _DOUBT * (TUNED_PERIOD / self.period) ** 0.5
         self._legs = LegKinematics(robot)
         self._filter = ContactFilter(
-            period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
+            self.period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
         )
-        self._imu = robot.site("imu").pos.copy()
+        self._imu = np.array(robot.skeleton.sites[robot.imu_site].position)
         # alpha x r = alpha @ arm
         self._arm = np.cross(np.eye(3), self._imu)
         self._standing = _standing(robot)
@@ -225,7 +99,7 @@ class StateEstimator:
                 there are not as many headings as robots.
             ConfigurationError: a heading is not finite.
         """
-        rows = _windows(packets)[:, -1:]
+        rows = read_windows(packets, self.robot)[:, -1:]
         num = len(rows)
         blind = PacketMemory.of(np.tile(self._standing, (num, 1)))
         # what was before is not known: nothing is a jump, and nothing repeats itself
@@ -236,7 +110,7 @@ class StateEstimator:
         motions, geometry = self._interpret(memory.reading, np.zeros((num, 3)), _good(screened))
         belief = self._filter.start(motions[0], self._sole_velocity(memory.reading))
         ahead = (
-            yaw(memory.reading[:, SLICES["orientation"]])
+            yaw(memory.reading[:, self._at["orientation"]])
             if heading is None
             else _headings(heading, num)
         )
@@ -258,7 +132,11 @@ class StateEstimator:
                 of another number of robots.
         """
         num = len(tracking.packets.reading)
-        rows = np.full((num, 1, PACKET_SIZE), np.nan) if packets is None else _windows(packets)
+        rows = (
+            np.full((num, 1, self.robot.packet_size), np.nan)
+            if packets is None
+            else read_windows(packets, self.robot)
+        )
         if len(rows) != num:
             raise ShapeError(f"packets must be those of {num} robots, got {len(rows)}")
         before = tracking.packets.reading
@@ -280,16 +158,16 @@ class StateEstimator:
         readings, age = screened.readings, screened.age
         num, window, _ = readings.shape
         both = np.concatenate([before[:, None], readings], axis=1)
-        orientation = both[..., SLICES["orientation"]].reshape(-1, 4)
+        orientation = both[..., self._at["orientation"]].reshape(-1, 4)
         turn = Rotation.from_quat(orientation, scalar_first=True).as_matrix()
         turn = turn.reshape(num, window + 1, 3, 3)
-        gyro = both[..., SLICES["gyro"]]
+        gyro = both[..., self._at["gyro"]]
         angular = self._angular_acceleration(gyro, angular_before, age[..., :3])
         # the accelerometer gives means over the time since the packet before, also after a gap
         middle = (gyro[:, 1:] + gyro[:, :-1]) / 2
         middle = np.where(age[..., :3] > 1, gyro[:, 1:] - angular * (self.period / 2), middle)
         # of the pelvis' origin: a - alpha x r - omega x (omega x r)
-        proper = readings[..., SLICES["accelerometer"]] - angular @ self._arm
+        proper = readings[..., self._at["accelerometer"]] - angular @ self._arm
         proper -= (middle @ self._imu)[..., None] * middle
         proper += (middle**2).sum(-1, keepdims=True) * self._imu
         mean_turn = (turn[:, 1:] + turn[:, :-1]) / 2
@@ -298,7 +176,7 @@ class StateEstimator:
         acceleration[..., 2] -= STANDARD_GRAVITY
 
         vectors = self._legs(
-            readings[..., SLICES["motor_position"]], readings[..., SLICES["joint_position"]]
+            readings[..., self._at["motor_position"]], readings[..., self._at["joint_position"]]
         )
         vectors = vectors @ turn[:, 1:, None].swapaxes(-1, -2)
         sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
@@ -333,8 +211,8 @@ class StateEstimator:
         """(n, 2, 3) velocities of the soles relative to the pelvis [m/s, world]."""
         motors, joints = (
             (
-                reading[:, SLICES[f"{kind}_position"]],
-                reading[:, SLICES[f"{kind}_velocity"]] * _DIFFERENCE,
+                reading[:, self._at[f"{kind}_position"]],
+                reading[:, self._at[f"{kind}_velocity"]] * _DIFFERENCE,
             )
             for kind in ("motor", "joint")
         )
@@ -344,9 +222,11 @@ class StateEstimator:
         ]
         soles = [foot[:, :, [HEEL, TOE]].mean(2) for foot in feet]
         velocity = (soles[1] - soles[0]) / (2 * _DIFFERENCE)
-        gyro = reading[:, None, SLICES["gyro"]]
+        gyro = reading[:, None, self._at["gyro"]]
         velocity += np.cross(gyro, (soles[0] + soles[1]) / 2)
-        turn = Rotation.from_quat(reading[:, SLICES["orientation"]], scalar_first=True).as_matrix()
+        turn = Rotation.from_quat(
+            reading[:, self._at["orientation"]], scalar_first=True
+        ).as_matrix()
         return velocity @ turn.swapaxes(-1, -2)
 
     def _describe(
@@ -362,15 +242,15 @@ class StateEstimator:
         return Estimate(
             height=position[:, 2:],
             orientation=normalize(
-                orientation_to_heading(heading, reading[:, SLICES["orientation"]])
+                orientation_to_heading(heading, reading[:, self._at["orientation"]])
             ),
             velocity=vector_to_heading(heading, mean[..., V]),
-            angular_velocity=reading[:, SLICES["gyro"]],
+            angular_velocity=reading[:, self._at["gyro"]],
             acceleration=geometry.acceleration,
-            motor_position=reading[:, SLICES["motor_position"]],
-            motor_velocity=reading[:, SLICES["motor_velocity"]],
-            joint_position=reading[:, SLICES["joint_position"]],
-            joint_velocity=reading[:, SLICES["joint_velocity"]],
+            motor_position=reading[:, self._at["motor_position"]],
+            motor_velocity=reading[:, self._at["motor_velocity"]],
+            joint_position=reading[:, self._at["joint_position"]],
+            joint_velocity=reading[:, self._at["joint_velocity"]],
             position=position,
             sole=vector_to_heading(heading, geometry.sole),
             forward=vector_to_heading(heading, geometry.half_sole) / self._legs.half_length,
@@ -410,25 +290,12 @@ def _good(screened: Screened) -> Screened:
     return screened._replace(legs=legs, imu=imu, age=age)
 
 
-def _windows(packets: Mapping[str, np.ndarray] | np.ndarray) -> np.ndarray:
-    """(n, w, 42) from any way to write packets."""
-    rows = join(packets) if isinstance(packets, Mapping) else np.asarray(packets, dtype=np.float64)
-    if rows.ndim not in (1, 3) or rows.shape[-1] != PACKET_SIZE:
-        raise ShapeError(
-            f"packets must have the shape ({PACKET_SIZE},) or (n, w, {PACKET_SIZE}),"
-            f" got {rows.shape}"
-        )
-    if rows.ndim == 1:
-        return rows[None, None]
-    return rows
-
-
-def _standing(model: mujoco.MjModel) -> np.ndarray:
-    """(42,) readings of a robot that stands upright."""
-    indices, qpos = CASSIE.indices, model.key("standing").qpos
-    reading = np.zeros(PACKET_SIZE)
-    reading[SLICES["motor_position"]] = qpos[indices.motor_qpos]
-    reading[SLICES["joint_position"]] = qpos[indices.joint_qpos]
-    reading[SLICES["orientation"]] = [1.0, 0.0, 0.0, 0.0]
-    reading[SLICES["accelerometer"]] = [0.0, 0.0, STANDARD_GRAVITY]
+def _standing(robot: Robot) -> np.ndarray:
+    """(p,) readings of a robot that stands upright."""
+    at, qpos, part = robot.indices, robot.standing, robot.packet_slices
+    reading = np.zeros(robot.packet_size)
+    reading[part["motor_position"]] = qpos[at.motor_qpos]
+    reading[part["joint_position"]] = qpos[at.joint_qpos]
+    reading[part["orientation"]] = [1.0, 0.0, 0.0, 0.0]
+    reading[part["accelerometer"]] = [0.0, 0.0, STANDARD_GRAVITY]
     return reading

@@ -30,13 +30,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from numbers import Real
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.robot import CASSIE
 from aslip.robot.compiled import compiled
+
+TUNED_PERIOD: Final = 0.003
+"""Time between packets for which `FilterNoise` gives the errors of single readings [s]."""
 
 P, V, B, LEFT, RIGHT = range(5)
 """Position, velocity, acceleration error, and soles, in the state of an axis."""
@@ -52,8 +54,8 @@ class FilterNoise:
     """Standard deviations and thresholds of the filter; tuned on walks of the shipped policy.
 
     None depends on the time between packets. Errors of single readings are given for packets 3 ms
-    apart, and stand for white noise of that density: at another period their variance is
-    multiplied by 3 ms over the period.
+    apart (`TUNED_PERIOD`), and stand for white noise of that density: at another period their
+    variance is multiplied by 3 ms over the period.
 
     Raises:
         ConfigurationError: a value is not a finite number, is negative, or is zero where the
@@ -190,7 +192,7 @@ class ContactFilter:
         self.noise = noise
         steps = np.array([noise.slip, noise.slip, noise.sink])
         # one at the default period: white noise is given for readings so far apart
-        density = CASSIE.packet_period / timestep
+        density = TUNED_PERIOD / timestep
         walk = np.zeros((3, 5))
         walk[:, V] = (timestep * noise.acceleration) ** 2 * density
         walk[:, B] = timestep * noise.acceleration_error**2

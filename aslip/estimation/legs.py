@@ -21,14 +21,15 @@ Weight and inertia below the springs (1.6 kg) are neglected.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.robot import CASSIE, SIDES, Side
+from aslip.robot import CASSIE, SIDES, Robot, Side
 from aslip.robot.compiled import compiled
+from aslip.robot.skeleton import Body, Skeleton
 
 HEEL, TOE, LATERAL, FORCE = range(4)
 """Rows of what `LegKinematics` returns: the ends of the axis of the sole's contact capsule [m], the
@@ -38,25 +39,33 @@ that plane [N]."""
 # hinges whose angles add up in the plane of a leg, and those above it
 _PLANAR = ("hip_pitch", "knee", "shin", "tarsus", "foot")
 _HIPS = ("hip_roll", "hip_yaw", "hip_pitch")
+# readings that the legs are computed from
+_MOTORS = (*_HIPS, "knee", "foot")
+_JOINTS = ("shin", "tarsus", "foot")
 _PARALLEL = 1e-4
 
 
 class LegKinematics:
-    """Both legs of a compiled model, for readings of any leading shape.
+    """Kinematics and forces of both legs, for readings of any leading shape.
 
     Args:
-        model: the robot.
+        robot: robot with the motors hip roll, yaw and pitch, knee and foot, encoders at shin,
+            tarsus and foot, and an Achilles rod.
 
     Raises:
-        ConfigurationError: the hinges of a leg are not parallel, or its rod closes no loop.
+        ConfigurationError: motors or encoders are others, the hinges of a leg are not parallel, or
+            its rod closes no loop.
     """
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._left, self._right = (_chain(model, side) for side in SIDES)
-        self.sole_radius = float(model.geom("left_foot").size[0])
-        """Radius of the soles' contact capsules [m]."""
-        self.half_length = float(model.geom("left_foot").size[1])
-        """Half the length of their axes [m]."""
+    def __init__(self, robot: Robot = CASSIE) -> None:
+        for names, parts in ((robot.motor_names, _MOTORS), (robot.joint_names, _JOINTS)):
+            if names != tuple(f"{side}_{part}" for side in SIDES for part in parts):
+                raise ConfigurationError(
+                    f"the legs need {parts} of both sides in this order, {robot} has {names}"
+                )
+        self._left, self._right = (_chain(robot, side) for side in SIDES)
+        self.sole_radius, self.half_length, *_ = robot.skeleton.geoms["left_foot"].size
+        """Radius of the soles' contact capsules, and half the length of their axes [m]."""
 
     def __call__(self, motor_position: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
         """Feet and forces from readings.
@@ -204,13 +213,14 @@ def _plane(vector: np.ndarray) -> np.ndarray:
     return vector[..., 0] + 1j * vector[..., 1]
 
 
-def _chain(model: mujoco.MjModel, side: Side) -> _Chain:
-    joints = {name: model.joint(f"{side}_{name}") for name in {*_PLANAR, *_HIPS, "heel_spring"}}
-    bodies = {name: int(joint.bodyid[0]) for name, joint in joints.items()}
-    zero = {name: float(model.qpos0[joint.qposadr[0]]) for name, joint in joints.items()}
+def _chain(robot: Robot, side: Side) -> _Chain:
+    skeleton = robot.skeleton
+    joints = {name: skeleton.joints[f"{side}_{name}"] for name in (*_PLANAR, *_HIPS, "heel_spring")}
+    bodies = {name: skeleton.bodies[joint.body] for name, joint in joints.items()}
+    zero = {name: joint.zero for name, joint in joints.items()}
 
-    rotations = {name: _matrix(model.body_quat[body]) for name, body in bodies.items()}
-    positions = {name: model.body_pos[body].copy() for name, body in bodies.items()}
+    rotations = {name: _matrix(body.quaternion) for name, body in bodies.items()}
+    positions = {name: np.array(body.position) for name, body in bodies.items()}
     for name in _PLANAR[1:]:
         if abs(rotations[name][2, 2] - 1) > _PARALLEL:
             raise ConfigurationError(
@@ -219,14 +229,9 @@ def _chain(model: mujoco.MjModel, side: Side) -> _Chain:
     # the hip pitch body's own rotation is one of the hips'
     turned = [0.0, *(np.angle(_plane(rotations[name][:, 0])) for name in _PLANAR[1:])]
     links = np.array([positions[name] for name in _PLANAR[1:]])
+    ends, left = _sole(robot, side)
 
-    sole, site = model.geom(f"{side}_foot"), model.site(CASSIE.foot_sites[SIDES.index(side)])
-    to_foot = _matrix(site.quat)
-    half = _matrix(sole.quat)[:, 2] * sole.size[1]
-    half *= np.sign(half @ to_foot[:, 0])  # toes are where the site's x axis points
-    ends = sole.pos + np.outer([-1.0, 1.0], half)
-
-    rod, rod_end, tip_end = _rod(model, side)
+    rod, rod_end, tip_end = _rod(skeleton, side)
     heel = rotations["heel_spring"]
     tip = positions["heel_spring"] + heel @ tip_end
     slope = np.cross(heel[:, 2], heel @ tip_end)
@@ -235,32 +240,47 @@ def _chain(model: mujoco.MjModel, side: Side) -> _Chain:
         links=_plane(links),
         ends=_plane(ends),
         depth=links[:, 2].sum() + ends[:, 2],
-        left=np.sign(to_foot[2, 1]),
+        left=left,
         hip_zero=np.array([zero[name] for name in _HIPS[:2]]),
         hip_frame=np.array([rotations[name] for name in _HIPS]),
         hip_position=np.array([positions[name] for name in _HIPS]),
         tip=complex(*tip[:2]),
         tip_slope=complex(*slope[:2]),
-        tip_height=links[:3, 2].sum() + tip[2] - model.body_pos[rod][2],
+        tip_height=links[:3, 2].sum() + tip[2] - rod.position[2],
         tip_height_slope=slope[2],
         rod_squared=float(rod_end @ rod_end),
-        shin_stiffness=float(model.jnt_stiffness[joints["shin"].id]),
-        heel_stiffness=float(model.jnt_stiffness[joints["heel_spring"].id]),
+        shin_stiffness=joints["shin"].stiffness,
+        heel_stiffness=joints["heel_spring"].stiffness,
     )
 
 
-def _rod(model: mujoco.MjModel, side: Side) -> tuple[int, np.ndarray, np.ndarray]:
+def _sole(robot: Robot, side: Side) -> tuple[np.ndarray, float]:
+    """(2, 3) heel and toe ends of the sole's axis in the foot [m], and the normal's side."""
+    capsule = robot.skeleton.geoms[f"{side}_foot"]
+    to_foot = _matrix(robot.skeleton.sites[robot.foot_sites[SIDES.index(side)]].quaternion)
+    half = _matrix(capsule.quaternion)[:, 2] * capsule.size[1]
+    half *= np.sign(half @ to_foot[:, 0])  # toes are where the site's x axis points
+    return capsule.position + np.outer([-1.0, 1.0], half), np.sign(to_foot[2, 1])
+
+
+def _rod(skeleton: Skeleton, side: Side) -> tuple[Body, np.ndarray, np.ndarray]:
     """Body of the Achilles rod, and the points it ties together: of the rod, of the heel spring."""
-    rod, spring = (model.body(f"{side}_{name}").id for name in ("achilles_rod", "heel_spring"))
-    for first, second, data in zip(model.eq_obj1id, model.eq_obj2id, model.eq_data, strict=True):
-        if {int(first), int(second)} == {rod, spring}:
-            points = (data[:3], data[3:6]) if first == rod else (data[3:6], data[:3])
-            return rod, points[0].copy(), points[1].copy()
+    rod, spring = f"{side}_achilles_rod", f"{side}_heel_spring"
+    for loop in skeleton.connections.values():
+        if {loop.first, loop.second} == {rod, spring}:
+            points = np.array([loop.first_point, loop.second_point])
+            own, others = points if loop.first == rod else points[::-1]
+            return skeleton.bodies[rod], own, others
     raise ConfigurationError(f"the model does not close the loop of the {side} Achilles rod")
 
 
-def _matrix(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a wxyz quaternion."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
+def _matrix(quaternion: Sequence[float]) -> np.ndarray:
+    """Rotation matrix of a wxyz quaternion, by the terms of MuJoCo's."""
+    w, x, y, z = quaternion
+    return np.array(
+        [
+            [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+        ]
+    )

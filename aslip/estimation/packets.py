@@ -13,23 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from aslip.errors import ShapeError, UnknownNameError
-from aslip.robot import CASSIE
-
-PACKET_SIZE: Final = sum(CASSIE.packet_sizes.values())
-"""Numbers in a packet."""
-
-_ENDS = np.cumsum([0, *CASSIE.packet_sizes.values()])
-
-SLICES: Final = MappingProxyType(
-    {name: slice(int(_ENDS[i]), int(_ENDS[i + 1])) for i, name in enumerate(CASSIE.packet_sizes)}
-)
-"""Where the entries are in a packet."""
+from aslip.estimation.filter import TUNED_PERIOD
+from aslip.robot import CASSIE, Robot
 
 FAULTS: Final = ("missing", "implausible", "jump", "frozen")
 """What can be wrong with a packet: a reading that is no number; one the device cannot have made;
@@ -49,6 +39,7 @@ _LARGEST = {
     "gyro": 34.9,
     "accelerometer": 157.0,
 }
+_ENCODERS = ("motor_position", "motor_velocity", "joint_position", "joint_velocity")
 # unit quaternions are that long, give or take
 _UNIT = 0.02
 # changes within 3 ms or less; walking stays below 0.7 rad/s and 20 m/s^2
@@ -58,29 +49,23 @@ _PERSISTENT = 0.009
 # inertial units give 200 values a second or more: one that repeats itself longer is frozen [s]
 _SLOWEST_IMU = 0.005
 
-_LIMIT = np.concatenate(
-    [np.full(size, _LARGEST[name]) for name, size in CASSIE.packet_sizes.items()]
-)
-_ORIENTATION, _IMU = SLICES["orientation"], slice(SLICES["gyro"].start, PACKET_SIZE)
-_GYRO = SLICES["gyro"]
 
-# channels of either leg: half of each entry before the IMU's
-_ENCODERS = np.split(np.arange(_ORIENTATION.start), _ENDS[1:4])
-_LEG = [np.concatenate([np.split(entry, 2)[leg] for entry in _ENCODERS]) for leg in (0, 1)]
+def join(packet: Mapping[str, np.ndarray], robot: Robot = CASSIE) -> np.ndarray:
+    """Join the entries of packets, each (*b, k), to one array (*b, p).
 
-
-def join(packet: Mapping[str, np.ndarray]) -> np.ndarray:
-    """One array (*b, 42) of the entries of `CASSIE.packet_sizes`, each (*b, k).
+    Args:
+        packet: entries of `Robot.packet_sizes`.
+        robot: robot that sends the packets.
 
     Raises:
         UnknownNameError: an entry is missing.
         ShapeError: an entry has another size.
     """
     entries = []
-    for name, size in CASSIE.packet_sizes.items():
+    for name, size in robot.packet_sizes.items():
         if name not in packet:
             raise UnknownNameError(
-                f"a packet needs {list(CASSIE.packet_sizes)}; {name!r} is missing"
+                f"a packet needs {list(robot.packet_sizes)}; {name!r} is missing"
                 " (send NaN for what was lost)"
             )
         entry = np.asarray(packet[name], dtype=np.float64)
@@ -98,7 +83,7 @@ class PacketMemory:
     """Memory of n robots' packets."""
 
     reading: np.ndarray
-    """(n, 42) last good readings."""
+    """(n, p) last good readings."""
     jumps: np.ndarray
     """(n,) packets in a row whose IMU was not believed."""
     repeats: np.ndarray
@@ -108,7 +93,7 @@ class PacketMemory:
 
     @classmethod
     def of(cls, reading: np.ndarray) -> PacketMemory:
-        """Memory of robots with (n, 42) new and good readings."""
+        """Memory of robots with (n, p) new and good readings."""
         num = len(reading)
         return cls(reading, np.zeros(num), np.zeros(num), np.zeros((num, 4)))
 
@@ -117,7 +102,7 @@ class Screened(NamedTuple):
     """Windows of packets of n robots without their bad readings."""
 
     readings: np.ndarray
-    """(n, w, 42), the packets themselves if nothing is wrong."""
+    """(n, w, p), the packets themselves if nothing is wrong."""
     faults: np.ndarray
     """(n, w, 4) bool, the `FAULTS`."""
     legs: np.ndarray
@@ -134,20 +119,29 @@ class Screen:
 
     Args:
         period: time between packets [s].
+        robot: robot that sends the packets.
     """
 
-    def __init__(self, period: float) -> None:
-        self._largest_jump = _LARGEST_JUMP * max(1.0, period / CASSIE.packet_period)
+    def __init__(self, period: float, robot: Robot = CASSIE) -> None:
+        at, sizes = robot.packet_slices, robot.packet_sizes
+        self._limit = np.concatenate([np.full(n, _LARGEST[name]) for name, n in sizes.items()])
+        self._orientation, self._gyro = at["orientation"], at["gyro"]
+        self._imu = slice(self._gyro.start, robot.packet_size)
+        # channels of either leg: half of each encoders' entry
+        numbers = np.arange(robot.packet_size)
+        encoders = [np.split(numbers[at[name]], 2) for name in _ENCODERS]
+        self._legs = [np.concatenate([entry[leg] for entry in encoders]) for leg in (0, 1)]
+        self._largest_jump = _LARGEST_JUMP * max(1.0, period / TUNED_PERIOD)
         self._persistent = round(_PERSISTENT / period)
         self._most_repeats = int(_SLOWEST_IMU / period)
 
     def __call__(self, packets: np.ndarray, memory: PacketMemory) -> Screened:
-        """Screen (n, w, 42) packets, oldest first; `memory` changes in place."""
+        """Screen (n, w, p) packets, oldest first; `memory` changes in place."""
         num, window, _ = packets.shape
-        good = np.abs(packets) <= _LIMIT
-        length = (packets[..., _ORIENTATION] ** 2).sum(-1)
-        good[..., _ORIENTATION] &= (np.abs(length - 1) <= _UNIT)[..., None]
-        imu = np.concatenate([memory.reading[:, None, _IMU], packets[..., _IMU]], axis=1)
+        good = np.abs(packets) <= self._limit
+        length = (packets[..., self._orientation] ** 2).sum(-1)
+        good[..., self._orientation] &= (np.abs(length - 1) <= _UNIT)[..., None]
+        imu = np.concatenate([memory.reading[:, None, self._imu], packets[..., self._imu]], axis=1)
         change = np.abs(imu[:, 1:] - imu[:, :-1])
         smooth = (change <= self._largest_jump).all(-1)
         # not equal, rather than more: a change of NaN is no standstill
@@ -173,25 +167,43 @@ class Screen:
             packet, valid = packets[:, k], good[:, k]
             memory.repeats = np.where(moving[:, k], 0, memory.repeats + 1)
             frozen = memory.repeats > self._most_repeats
-            valid[:, _IMU] &= ~frozen[:, None]
+            valid[:, self._imu] &= ~frozen[:, None]
             # the whole packet repeats: nothing new from the legs either
             valid &= ~(frozen & (packet == memory.reading).all(-1))[:, None]
             jump = self._jumps(packet, memory, valid)
-            valid[:, _IMU] &= ~jump[:, None]
+            valid[:, self._imu] &= ~jump[:, None]
             faults[:, k, FROZEN], faults[:, k, JUMP] = frozen, jump
             memory.reading = np.where(valid, packet, memory.reading)
             readings[:, k] = memory.reading
-            attitude = valid[:, _ORIENTATION].all(-1, keepdims=True)
-            new = np.concatenate([valid[:, _GYRO], attitude], axis=1) & moving[:, k, None]
+            attitude = valid[:, self._orientation].all(-1, keepdims=True)
+            new = np.concatenate([valid[:, self._gyro], attitude], axis=1) & moving[:, k, None]
             age[:, k] = np.where(new, memory.age + 1, 0)
             memory.age = np.where(new, 0, memory.age + 1)
-        legs = np.stack([good[..., channels].min(-1) for channels in _LEG], axis=-1)
-        return Screened(readings, faults, legs, good[..., _ORIENTATION.start :].min(-1), age)
+        legs = np.stack([good[..., channels].min(-1) for channels in self._legs], axis=-1)
+        return Screened(readings, faults, legs, good[..., self._orientation.start :].min(-1), age)
 
     def _jumps(self, packet: np.ndarray, memory: PacketMemory, valid: np.ndarray) -> np.ndarray:
-        """(n,) bool, whose IMU jumped in (n, 42) packets; those in a row are counted."""
-        change = np.abs(packet[:, _IMU] - memory.reading[:, _IMU])
-        fast = (change > self._largest_jump).any(-1) & valid[:, _IMU].all(-1)
+        """(n,) bool, whose IMU jumped in (n, p) packets; those in a row are counted."""
+        change = np.abs(packet[:, self._imu] - memory.reading[:, self._imu])
+        fast = (change > self._largest_jump).any(-1) & valid[:, self._imu].all(-1)
         jump = fast & (memory.jumps < self._persistent)
         memory.jumps[:] = np.where(jump, memory.jumps + 1, 0)
         return jump
+
+
+def read_windows(
+    packets: Mapping[str, np.ndarray] | np.ndarray, robot: Robot = CASSIE
+) -> np.ndarray:
+    """Read one packet of one robot, or (n, w) packets, as (n, w, p) numbers.
+
+    Raises:
+        ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape.
+    """
+    mapping = isinstance(packets, Mapping)
+    rows = join(packets, robot) if mapping else np.asarray(packets, dtype=np.float64)
+    size = robot.packet_size
+    if rows.ndim not in (1, 3) or rows.shape[-1] != size:
+        raise ShapeError(
+            f"packets must have the shape ({size},) or (n, w, {size}), got {rows.shape}"
+        )
+    return rows[None, None] if rows.ndim == 1 else rows

@@ -14,10 +14,10 @@ from torchrl.data import Binary, Composite, Unbounded
 
 from aslip.estimation import (
     FAULTS,
-    TRACKING_SIZE,
     Estimate,
     StateEstimator,
     Tracking,
+    tracking_size,
 )
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
@@ -122,7 +122,7 @@ class EstimatedState(_Estimator):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict["estimator", "memory"])
-        tracking = Tracking.from_rows(memory.numpy())
+        tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
         heading = next_tensordict.get("heading", None)
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
@@ -159,9 +159,9 @@ class EstimatedState(_Estimator):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES`, `ODOMETRY_SIZES`, and the estimator's own."""
         spec = super().transform_observation_spec(observation_spec)
-        shape = tuple(spec.shape)
+        shape, size = tuple(spec.shape), tracking_size(self.estimator.robot)
         spec["estimator"] = Composite(
-            memory=Unbounded(torch.Size((*shape, TRACKING_SIZE)), dtype=torch.float64),
+            memory=Unbounded(torch.Size((*shape, size)), dtype=torch.float64),
             faults=Binary(shape=torch.Size((*shape, len(FAULTS))), dtype=torch.bool),
             contact=Binary(shape=torch.Size((*shape, len(SIDES))), dtype=torch.bool),
             shape=spec.shape,

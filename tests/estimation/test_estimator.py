@@ -14,14 +14,14 @@ from torchrl.envs.utils import step_mdp
 
 import aslip
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.estimation import FAULTS, PACKET_SIZE, TRACKING_SIZE, StateEstimator, Tracking
+from aslip.estimation import FAULTS, StateEstimator, Tracking, tracking_size
 from aslip.estimation.estimator import _DOUBT, _standing
 from aslip.estimation.filter import FilterNoise, P, V
-from aslip.estimation.packets import SLICES, join
+from aslip.estimation.packets import join
 from aslip.robot import CASSIE
-from aslip.robot.model import load_model
 from aslip.transforms import TrueState
 
+AT = CASSIE.packet_slices
 STEPS, ROBOTS = 50, 3
 JUDGES = ["low_reward", "fall", "step_limit"]
 
@@ -107,8 +107,8 @@ def test_a_stream_of_one_robot_gives_what_the_batch_does(
     """Packet by packet, as on a robot; equal but for the order of sums."""
     estimator = StateEstimator()
     packets = [
-        {name: packet[SLICES[name]] for name in CASSIE.packet_sizes}
-        for packet in walk.packets[1].reshape(-1, PACKET_SIZE)
+        {name: packet[AT[name]] for name in CASSIE.packet_sizes}
+        for packet in walk.packets[1].reshape(-1, CASSIE.packet_size)
     ]
     tracking, estimate = estimator.start(packets[CASSIE.sensor_window - 1])
     for packet in packets[CASSIE.sensor_window :]:
@@ -139,7 +139,7 @@ def test_what_is_remembered_can_be_handed_on(walk: Walk) -> None:
     for step in range(1, 20):
         estimator.update(tracking, walk.packets[:, step])
     rows = tracking.to_rows()
-    assert rows.shape == (ROBOTS, TRACKING_SIZE)
+    assert rows.shape == (ROBOTS, tracking_size())
     copy = Tracking.from_rows(rows)
     np.testing.assert_array_equal(copy.to_rows(), rows)
     before = rows.copy()
@@ -187,9 +187,9 @@ def _freeze(step: int, windows: np.ndarray) -> np.ndarray:
     return windows
 
 
-GYRO, ACCELEROMETER = SLICES["gyro"], SLICES["accelerometer"]
+GYRO, ACCELEROMETER = AT["gyro"], AT["accelerometer"]
 ONE_GYRO = slice(GYRO.start + 1, GYRO.start + 2)
-ONE_JOINT = slice(SLICES["joint_position"].start + 4, SLICES["joint_position"].start + 5)
+ONE_JOINT = slice(AT["joint_position"].start + 4, AT["joint_position"].start + 5)
 
 
 @pytest.mark.parametrize(
@@ -200,7 +200,7 @@ ONE_JOINT = slice(SLICES["joint_position"].start + 4, SLICES["joint_position"].s
         pytest.param("missing", _set(ONE_JOINT, np.nan, slice(2, 6)), id="NaN of an encoder"),
         pytest.param("missing", _set(ONE_GYRO, np.nan, slice(2, 3)), id="NaN of the gyro"),
         pytest.param(
-            "missing", _set(SLICES["orientation"], np.nan, slice(2, 4)), id="NaN of the attitude"
+            "missing", _set(AT["orientation"], np.nan, slice(2, 4)), id="NaN of the attitude"
         ),
         pytest.param("frozen", _freeze, id="frozen packets"),
         pytest.param(
@@ -212,7 +212,7 @@ ONE_JOINT = slice(SLICES["joint_position"].start + 4, SLICES["joint_position"].s
         pytest.param("jump", _set(ONE_GYRO, 10.0, slice(5, 6), add=True), id="spike of the gyro"),
         pytest.param("implausible", _set(ONE_JOINT, 40.0, slice(5, 6)), id="encoder out of range"),
         pytest.param(
-            "implausible", _set(SLICES["orientation"], 0.1, slice(5, 6)), id="no unit quaternion"
+            "implausible", _set(AT["orientation"], 0.1, slice(5, 6)), id="no unit quaternion"
         ),
     ],
 )
@@ -252,7 +252,7 @@ def test_a_moderate_spike_that_looks_possible_does_little(
 
 def test_spikes_that_do_not_last_are_never_believed() -> None:
     """However many there are, with a good packet after each."""
-    packet, estimator = _standing(load_model()), StateEstimator()
+    packet, estimator = _standing(CASSIE), StateEstimator()
     tracking, _ = estimator.start(packet)
     for k in range(40):
         packet[GYRO] = 10.0 * (k % 2) + 1e-6 * k
@@ -295,7 +295,7 @@ def test_with_an_encoder_dead_for_good_the_other_leg_carries_on(
 
 def test_a_lost_packet_of_a_stream_is_none(walk: Walk) -> None:
     estimator = StateEstimator()
-    packets = walk.packets[0].reshape(-1, PACKET_SIZE)
+    packets = walk.packets[0].reshape(-1, CASSIE.packet_size)
     tracking, _ = estimator.start(packets[9])
     for packet in packets[10:200]:
         estimator.update(tracking, packet)
@@ -307,7 +307,7 @@ def test_a_lost_packet_of_a_stream_is_none(walk: Walk) -> None:
 def test_a_robot_that_starts_blind_sees_later(walk: Walk) -> None:
     """Nothing but NaN at first: a standing robot is assumed, until packets come."""
     estimator = StateEstimator()
-    tracking, first = estimator.start(np.full((ROBOTS, 1, PACKET_SIZE), np.nan))
+    tracking, first = estimator.start(np.full((ROBOTS, 1, CASSIE.packet_size), np.nan))
     assert np.isfinite(first.velocity).all()
     assert first.faults.tolist() == [[True, False, False, False]] * ROBOTS
     for step in range(1, 40):
@@ -317,13 +317,13 @@ def test_a_robot_that_starts_blind_sees_later(walk: Walk) -> None:
 
 # ---------------------------------------------------------------- slow and frozen IMUs
 
-IMU = slice(GYRO.start, PACKET_SIZE)
-ENCODERS = slice(0, SLICES["orientation"].start)
+IMU = slice(GYRO.start, CASSIE.packet_size)
+ENCODERS = slice(0, AT["orientation"].start)
 
 
 def _stream(walk: Walk) -> np.ndarray:
     """(k, 42) packets of robot 1 from its reset on."""
-    return walk.packets[1].reshape(-1, PACKET_SIZE)[CASSIE.sensor_window - 1 :].copy()
+    return walk.packets[1].reshape(-1, CASSIE.packet_size)[CASSIE.sensor_window - 1 :].copy()
 
 
 def test_a_frozen_imu_leaves_the_encoders_alone(walk: Walk) -> None:
@@ -344,8 +344,8 @@ def test_a_frozen_imu_leaves_the_encoders_alone(walk: Walk) -> None:
 
 def test_a_stream_that_is_stuck_gives_no_measurement_of_the_legs() -> None:
     """Encoders that moved with the IMU and stop with it say nothing new."""
-    packet, estimator = _standing(load_model()), StateEstimator()
-    packet[SLICES["joint_position"]][[0, 3]] = -0.06
+    packet, estimator = _standing(CASSIE), StateEstimator()
+    packet[AT["joint_position"]][[0, 3]] = -0.06
     tracking, _ = estimator.start(packet)
     for k in range(1, 20):
         packet[GYRO] = 1e-6 * (k % 2)
@@ -359,7 +359,7 @@ def test_an_imu_slower_than_the_packets_is_no_fault(walk: Walk) -> None:
     packets = _stream(walk)
     mean = (packets[1:-1:2, ACCELEROMETER] + packets[2::2, ACCELEROMETER]) / 2
     packets[2::2, ACCELEROMETER] = mean
-    packets[1::2, SLICES["orientation"].start :] = packets[:-1:2, SLICES["orientation"].start :]
+    packets[1::2, AT["orientation"].start :] = packets[:-1:2, AT["orientation"].start :]
     packets[1, IMU.stop - 1] += 1e-3  # the first one's means something else
     estimator = StateEstimator()
     tracking, _ = estimator.start(packets[0])
@@ -377,7 +377,7 @@ def test_an_imu_slower_than_the_packets_is_no_fault(walk: Walk) -> None:
 @pytest.mark.parametrize("lost", [0, 1, 3, 9])
 def test_after_lost_packets_the_acceleration_is_right(lost: int) -> None:
     """The pelvis' origin rests, turning faster and faster; its IMU feels that beside it."""
-    arm, alpha = load_model().site("imu").pos, np.array([0.0, 30.0, 0.0])
+    arm, alpha = np.array(CASSIE.skeleton.sites["imu"].position), np.array([0.0, 30.0, 0.0])
 
     def packet(k: int) -> np.ndarray:
         turn = Rotation.from_rotvec(alpha * (k * CASSIE.packet_period) ** 2 / 2)
@@ -399,7 +399,7 @@ def test_after_lost_packets_the_acceleration_is_right(lost: int) -> None:
 
 
 def test_after_one_axis_of_the_gyro_was_lost_the_acceleration_is_right() -> None:
-    arm, alpha = load_model().site("imu").pos, np.array([20.0, 30.0, -10.0])
+    arm, alpha = np.array(CASSIE.skeleton.sites["imu"].position), np.array([20.0, 30.0, -10.0])
 
     def packet(k: int) -> np.ndarray:
         spin, middle = alpha * k * CASSIE.packet_period, alpha * (k - 0.5) * CASSIE.packet_period
@@ -423,7 +423,7 @@ def test_orientation_is_a_unit_quaternion_with_w_of_at_least_zero() -> None:
     expected = turn.as_quat(canonical=True, scalar_first=True)
     for factor in (1.0, -1.0, 1.009, -0.991):
         packet = _packet(turn, np.zeros(3), turn.inv().apply([0, 0, 9.81]))
-        packet[SLICES["orientation"]] *= factor
+        packet[AT["orientation"]] *= factor
         estimator = StateEstimator()
         tracking, first = estimator.start(packet, heading=0.0)
         packet[GYRO] += 1e-3
@@ -442,14 +442,14 @@ def test_noise_is_the_same_robots_at_any_period(period: float) -> None:
     deviations = []
     for dt in (CASSIE.packet_period, period):
         estimator = StateEstimator(period=dt)
-        packet = _standing(load_model())
+        packet = _standing(CASSIE)
         packet[ACCELEROMETER] += 1.0
         tracking, _ = estimator.start(packet)
         row = []
         for k in range(2 * round(0.3 / dt)):
             packet[GYRO] = 1e-6 * (k % 2)  # it is not frozen
             in_air = k >= round(0.3 / dt)
-            packet[SLICES["joint_position"]][[0, 3]] = 0.0 if in_air else -0.06
+            packet[AT["joint_position"]][[0, 3]] = 0.0 if in_air else -0.06
             packet[ACCELEROMETER] = [0, 0, 9.81]
             estimator.update(tracking, packet)
             if k + 1 in (round(0.3 / dt), 2 * round(0.3 / dt)):
@@ -463,7 +463,7 @@ def test_noise_is_the_same_robots_at_any_period(period: float) -> None:
 def test_a_change_may_be_as_large_as_the_time_allows(period: float, most: float) -> None:
     """The gyro may change by 3 rad/s in 3 ms or less, in proportion over longer gaps."""
     for change, jumped in ((0.95 * most, False), (1.05 * most, True)):
-        packet, estimator = _standing(load_model()), StateEstimator(period=period)
+        packet, estimator = _standing(CASSIE), StateEstimator(period=period)
         tracking, _ = estimator.start(packet)
         packet[GYRO.start] += change
         faults = estimator.update(tracking, packet).faults
@@ -473,7 +473,7 @@ def test_a_change_may_be_as_large_as_the_time_allows(period: float, most: float)
 def test_faults_are_timed_in_seconds() -> None:
     """An IMU may repeat itself for 5 ms, and jumps are believed after 9 ms, at any period."""
     for period in (5e-4, 1e-3, 3e-3):
-        packet, estimator = _standing(load_model()), StateEstimator(period=period)
+        packet, estimator = _standing(CASSIE), StateEstimator(period=period)
         tracking, _ = estimator.start(packet)
         frozen = [bool(estimator.update(tracking, packet).faults[0, 3]) for _ in range(20)]
         assert (frozen.index(True) + 1) * period == pytest.approx(0.0055, abs=period / 2 + 5e-4)
@@ -514,13 +514,13 @@ def test_packets_of_a_wrong_shape_are_refused(walk: Walk) -> None:
     tracking, _ = estimator.start(walk.packets[:, 0])
     with pytest.raises(ShapeError, match="3 robots, got 2"):
         estimator.update(tracking, walk.packets[:2, 1])
-    with pytest.raises(ShapeError, match=str(TRACKING_SIZE)):
+    with pytest.raises(ShapeError, match=str(tracking_size())):
         Tracking.from_rows(np.zeros((2, 7)))
 
 
 def test_packets_lacking_an_entry_are_refused() -> None:
     packet = {name: np.zeros(size) for name, size in CASSIE.packet_sizes.items()}
-    assert join(packet).shape == (PACKET_SIZE,)
+    assert join(packet).shape == (CASSIE.packet_size,)
     with pytest.raises(UnknownNameError, match="'gyro' is missing"):
         join({name: value for name, value in packet.items() if name != "gyro"})
     with pytest.raises(ShapeError, match=r"orientation.*4 numbers.*\(3,\)"):
@@ -537,20 +537,19 @@ def test_a_period_that_is_none_is_refused(period: float) -> None:
 
 def _packet(turn: Rotation, gyro: np.ndarray, force: Any) -> np.ndarray:
     """Of the standing robot at an attitude, turning [rad/s], and feeling a force [m/s^2]."""
-    model = load_model()
     at = CASSIE.indices
-    qpos = model.key("standing").qpos
-    packet = np.zeros(PACKET_SIZE)
-    packet[SLICES["motor_position"]] = qpos[at.motor_qpos]
-    packet[SLICES["joint_position"]] = qpos[at.joint_qpos]
-    packet[SLICES["orientation"]] = turn.as_quat(canonical=True, scalar_first=True)
-    packet[SLICES["gyro"]], packet[SLICES["accelerometer"]] = gyro, force
+    qpos = CASSIE.standing
+    packet = np.zeros(CASSIE.packet_size)
+    packet[AT["motor_position"]] = qpos[at.motor_qpos]
+    packet[AT["joint_position"]] = qpos[at.joint_qpos]
+    packet[AT["orientation"]] = turn.as_quat(canonical=True, scalar_first=True)
+    packet[AT["gyro"]], packet[AT["accelerometer"]] = gyro, force
     return packet
 
 
 def test_the_acceleration_is_the_pelvis_origins_in_its_frame() -> None:
     """Of a robot that turns faster and faster, from what an IMU beside the origin feels."""
-    arm = load_model().site("imu").pos
+    arm = np.array(CASSIE.skeleton.sites["imu"].position)
     turns = [
         Rotation.from_euler("xyz", angles) for angles in ([0.4, -0.3, 1.0], [0.41, -0.32, 1.01])
     ]
@@ -591,7 +590,7 @@ def test_acceleration_is_turned_by_the_mean_attitude_of_its_time() -> None:
         return Rotation.from_euler("y", rate * 0.003 * k)
 
     spin = np.array([0.0, rate, 0.0])
-    arm = load_model().site("imu").pos
+    arm = np.array(CASSIE.skeleton.sites["imu"].position)
 
     def force(k: int) -> np.ndarray:  # mean over the packet before
         felt = [turn(k - 1 + s).inv().apply([0, 0, 9.81]) for s in np.linspace(0, 1, 11)]
@@ -602,13 +601,13 @@ def test_acceleration_is_turned_by_the_mean_attitude_of_its_time() -> None:
     before = first.velocity[0].copy()
     for k in range(1, 51):
         packet = _packet(turn(k), spin, force(k))
-        packet[SLICES["joint_position"]][[0, 3]] = 0.0  # springs at rest: no contact
+        packet[AT["joint_position"]][[0, 3]] = 0.0  # springs at rest: no contact
         estimate = estimator.update(tracking, packet)
     np.testing.assert_allclose(estimate.velocity[0], before, atol=2e-3)
 
 
 def test_a_lost_packet_leaves_the_velocity_in_doubt() -> None:
-    packet = _standing(load_model())
+    packet = _standing(CASSIE)
     growth = []
     for lost in (False, True):
         estimator = StateEstimator()

@@ -25,8 +25,8 @@ def model() -> mujoco.MjModel:
 
 
 @pytest.fixture(scope="module")
-def legs(model: mujoco.MjModel) -> LegKinematics:
-    return LegKinematics(model)
+def legs() -> LegKinematics:
+    return LegKinematics()
 
 
 def _random(model: mujoco.MjModel, num: int) -> np.ndarray:
@@ -84,10 +84,10 @@ def test_a_leg_at_rest_springs_feels_nothing(model: mujoco.MjModel, legs: LegKin
 def test_a_standing_robot_feels_its_weight() -> None:
     """Within what is neglected: 16 N below the springs of each leg, and the ankles' torque."""
     simulations = Simulations(1, num_threads=1)
-    model, indices = simulations.model, simulations.indices
+    indices = simulations.indices
     target = simulations.qpos[:, indices.motor_qpos].copy()
     loads, felt = [], []
-    legs = LegKinematics(model)
+    legs = LegKinematics()
     for _ in range(12):
         simulations.advance(target)
         packets = simulations.sensors.packets()

@@ -115,6 +115,7 @@ def test_indices_point_at_the_named_parts(model: mujoco.MjModel) -> None:
 def test_indices_split_the_pelvis_and_find_all_quaternions(model: mujoco.MjModel) -> None:
     at, data = CASSIE.indices, mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
     np.testing.assert_array_equal(data.qpos[at.pelvis_position], data.body("pelvis").xpos)
     np.testing.assert_array_equal(data.qpos[at.pelvis_orientation], [1, 0, 0, 0])
     free = model.joint("pelvis")
