@@ -47,6 +47,7 @@ _FOREIGN = {
     "rom": _HEAVY - {"casadi"},
     "ik": _HEAVY - {"pinocchio"},
     "library": {"mujoco", "dm_control", "torchrl"},
+    "estimation": _HEAVY,
     "sim": _HEAVY - {"mujoco"},
     "envs": {"casadi", "pinocchio"},
     "transforms": {"mujoco", "casadi", "pinocchio", "dm_control"},
@@ -161,6 +162,16 @@ def test_the_inverse_kinematics_needs_pinocchio_only() -> None:
     loaded = _loaded_after("import aslip.ik")
     assert "pinocchio" in loaded
     assert not loaded & {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"}
+
+
+def test_state_estimation_needs_numpy_and_numba_only() -> None:
+    loaded = _loaded_after(
+        "import numpy as np; from aslip.estimation import StateEstimator, tracking_size\n"
+        "estimator = StateEstimator(); lost = np.full((2, 1, estimator.robot.packet_size), np.nan)\n"
+        "tracking, _ = estimator.start(lost); estimator.update(tracking, None)"
+    )
+    assert "numba" in loaded
+    assert not loaded & _HEAVY
 
 
 def test_an_unknown_public_name_lists_the_known_ones() -> None:
