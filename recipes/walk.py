@@ -18,7 +18,7 @@ from pathlib import Path
 
 from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.log.rates import JointRate
+from aslip.log import JointRate
 from aslip.training.command_line import command_line
 
 
@@ -89,15 +89,10 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import contextlib
-import os
-import sys
-import time
 from functools import partial
-from typing import Any, cast
 
 import numpy as np
 from tensordict import TensorDictBase
-from torch import Tensor
 from tqdm import tqdm
 
 import aslip
@@ -105,9 +100,7 @@ from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.log import Recorder
 from aslip.policy import policy_stack
 from aslip.robot import CASSIE
-from aslip.robot.model import load_model
-from aslip.show.ghost import Ghost
-from aslip.show.pacing import Pacer
+from aslip.show.film import Frame, Look, make_film, seconds_per_frame
 from aslip.training.run import sigterm_exits
 from aslip.walking import Push, Schedule, Walker, markdown, policy_steps
 
@@ -117,16 +110,6 @@ _AXES = ("velocity_x", "velocity_y")
 _LAST_SPEED = 4.0
 
 
-@dataclass(frozen=True)
-class Frame:
-    """One instant to draw."""
-
-    qpos: np.ndarray
-    """(35,) the robot."""
-    ghost: Ghost
-    """The reduced-order model."""
-
-
 def main(config: Config) -> None:
     """Walk."""
     check_policies(config)
@@ -134,7 +117,7 @@ def main(config: Config) -> None:
     pushes = [Push.parse(text) for text in config.push]
     check_pushes(pushes, duration(config, schedule))
     if config.video is not None:
-        announce_film(config, check_rendering(config), duration(config, schedule))
+        announce_film(config, seconds_per_frame(look(config)), duration(config, schedule))
     walker = make_walker(config, schedule)
     try:
         with sigterm_exits(), contextlib.closing(walker.env):
@@ -257,9 +240,13 @@ def walk(
 ) -> list[dict[str, float]]:
     """Walk through the schedule, or until a fall; returns a row a policy step."""
     waiting = sorted(pushes, key=lambda push: push.time, reverse=True)
-    rows, frames = [], [frame(walker.td)]
+    rows, frames = [], [Frame.of(walker.td)]
     with contextlib.ExitStack() as stack:
-        show = stack.enter_context(viewer(config)) if config.viewer else None
+        show = None
+        if config.viewer:
+            from aslip.show.viewer import open_viewer
+
+            show = stack.enter_context(open_viewer(ghost=config.rom))
         for _ in tqdm(range(policy_steps(duration(config, schedule))), unit="step"):
             walker.command = schedule.at(walker.time)
             if waiting and waiting[-1].time <= walker.time + 1e-9:
@@ -268,13 +255,14 @@ def walk(
             td = walker.step()
             rows.append(row(walker, td))
             if config.video is not None and walker.steps % config.steps_per_frame == 0:
-                frames.append(frame(td["next"]))
+                frames.append(Frame.of(td["next"]))
             if show is not None:
-                show(frame(td["next"]))
+                show(Frame.of(td["next"]))
             if walker.fallen:
                 break
     if config.video is not None:
-        film(config, frames)
+        rate = 1 / (config.steps_per_frame * CASSIE.policy_period)
+        make_film(config.video, frames, rate, look(config))
     return rows
 
 
@@ -287,12 +275,6 @@ def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
         "velocity_y": float(td["next", "truth", "pelvis_velocity"][0, 1]),
         "reward": float(td["next", "reward"]),
     }
-
-
-def frame(td: TensorDictBase) -> Frame:
-    """What is to be drawn of an instant."""
-    qpos = cast("Tensor", td["truth", "qpos"])
-    return Frame(qpos[0].numpy().copy(), Ghost.of(td))
 
 
 def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
@@ -310,25 +292,6 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     return markdown(["from s", "command m/s", "speed m/s", "mean reward"], lines)
 
 
-def check_rendering(config: Config) -> float:
-    """Draw two pictures of the film's size; the time that the second took [s].
-
-    Raises:
-        RenderingError: no OpenGL works.
-        UnknownNameError: there is no such camera.
-        ConfigurationError: pictures cannot have that size.
-    """
-    from aslip.show.render import render_frames
-
-    qpos = np.tile(load_model().key("standing").qpos, (2, 1))
-    look: dict[str, Any] = {"camera": config.camera, "width": config.width, "height": config.height}
-    pictures = render_frames(qpos, **look)
-    next(pictures)  # sets up OpenGL
-    start = time.perf_counter()
-    next(pictures)
-    return time.perf_counter() - start
-
-
 def announce_film(config: Config, seconds: float, duration: float) -> None:
     """Say how long the film of a walk [s] will take, from the time for a frame [s]."""
     frames = policy_steps(duration) // config.steps_per_frame + 1
@@ -340,66 +303,9 @@ def announce_film(config: Config, seconds: float, duration: float) -> None:
     )
 
 
-def film(config: Config, frames: list[Frame]) -> None:
-    """Render and write the film."""
-    from aslip.show.render import render_frames
-    from aslip.show.video import write_video
-
-    assert config.video is not None
-    pictures = render_frames(
-        np.stack([frame.qpos for frame in frames]),
-        camera=config.camera,
-        width=config.width,
-        height=config.height,
-        ghosts=[frame.ghost for frame in frames] if config.rom else None,
-    )
-    shown = tqdm(pictures, total=len(frames), unit="frame")
-    rate = 1 / (config.steps_per_frame * CASSIE.policy_period)
-    write_video(config.video, shown, rate, (config.width, config.height))
-
-
-@contextlib.contextmanager
-def viewer(config: Config) -> Any:
-    """MuJoCo's viewer; yields what shows an instant, and waits for its time.
-
-    Raises:
-        RenderingError: there is no display.
-    """
-    import mujoco
-    import mujoco.viewer
-
-    from aslip.errors import RenderingError
-    from aslip.show.render import add_ghost
-
-    # without one, MuJoCo says so in a thread of its own, and waits
-    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
-        raise RenderingError("MuJoCo's viewer needs a display; without one use --video")
-    model = load_model()
-    data = mujoco.MjData(model)
-    try:
-        window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
-    except Exception as error:  # each platform has its own
-        raise RenderingError(
-            f"MuJoCo's viewer cannot open a window ({error}); without a display use --video"
-        ) from error
-    with window:
-        window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-        window.cam.trackbodyid = model.body("pelvis").id
-        pacer = Pacer(CASSIE.policy_period)
-
-        def show(instant: Frame) -> None:
-            if not window.is_running():
-                raise KeyboardInterrupt
-            with window.lock():
-                data.qpos[:] = instant.qpos
-                mujoco.mj_forward(model, data)
-                if config.rom and window.user_scn is not None:
-                    window.user_scn.ngeom = 0
-                    add_ghost(window.user_scn, instant.ghost)
-            window.sync()
-            pacer.wait()
-
-        yield show
+def look(config: Config) -> Look:
+    """Look of the film."""
+    return Look(config.camera, config.width, config.height, config.rom)
 
 
 if __name__ == "__main__":

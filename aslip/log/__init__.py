@@ -9,14 +9,13 @@ The same from a shell: `python -m aslip.log info | check | recover | replay --ve
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.log.integrity import check
     from aslip.log.playback import Replay, replay
-    from aslip.log.rates import JointRate
     from aslip.log.reader import Recording, Series, read
     from aslip.log.recorder import Recorder
     from aslip.log.recovery import Recovery, recover
@@ -36,11 +35,13 @@ __all__ = [
     "replay",
 ]
 
+JointRate = Literal["policy", "physics"]
+"""Rate at which joints are logged: every policy step, or every substep."""
+
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "integrity": ["check"],
-        "rates": ["JointRate"],
         "reader": ["Recording", "Series", "read"],
         "recorder": ["Recorder"],
         "recovery": ["Recovery", "recover"],

@@ -23,9 +23,8 @@ from aslip.envs import SimulatedEnv, StackEnv, describe_transforms, observation_
 from aslip.errors import AslipError, ConfigurationError
 from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
-from aslip.log import messages
+from aslip.log import JointRate, messages
 from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
-from aslip.log.rates import JointRate
 from aslip.log.session import Session
 from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy

@@ -11,9 +11,8 @@ from tensordict import TensorDictBase
 
 from aslip.envs import SimulatedEnv
 from aslip.log import messages
-from aslip.log.kinematics import LoggedKinematics
+from aslip.log.bodies import LoggedKinematics, robot_description
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
-from aslip.log.robot_description import robot_description
 from aslip.log.template import Marks, Template, joints_template, state_template, transforms_template
 from aslip.log.writer import LogWriter
 from aslip.robot import CASSIE, SIDES

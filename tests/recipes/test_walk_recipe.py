@@ -27,10 +27,10 @@ from aslip.log import read, replay
 from aslip.log.__main__ import main as log_main
 from aslip.robot import CASSIE
 from aslip.show.render import render_robot
-from aslip.show.video import write_video
 from recipes import walk
 from recipes.walk import Config
 from tests.helpers import started
+from tests.show.test_film import decoded_film, leaves_pipes
 
 
 def test_it_walks_the_schedule_and_logs_it(
@@ -175,7 +175,7 @@ def test_a_viewer_is_shown_every_step_in_the_time_of_the_clock(
     viewer = SimpleNamespace(launch_passive=lambda *_, **__: Window())
     monkeypatch.setitem(sys.modules, "mujoco.viewer", viewer)
     monkeypatch.setattr("mujoco.viewer", viewer, raising=False)
-    monkeypatch.setattr(walk, "Pacer", Pacer)
+    monkeypatch.setattr("aslip.show.viewer.Pacer", Pacer)
     walk.main(Config(command="0.5", duration=0.3, viewer=True))
     assert waits == list(range(1, 11))
 
@@ -189,60 +189,6 @@ def test_a_viewer_without_a_display_is_told_what_to_use(monkeypatch: pytest.Monk
 
 
 # ---------------------------------------------------------------------- films
-
-
-@pytest.fixture
-def frames() -> Callable[[int], list[np.ndarray]]:
-    """Frames that get brighter."""
-
-    def make(count: int) -> list[np.ndarray]:
-        return [np.full((48, 64, 3), 20 * i, dtype=np.uint8) for i in range(count)]
-
-    return make
-
-
-def _decoded(path: Path) -> tuple[dict, np.ndarray]:
-    ffmpeg = pytest.importorskip("imageio_ffmpeg")
-    stream = ffmpeg.read_frames(str(path))
-    about = next(stream)
-    width, height = about["size"]
-    return about, np.array([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in stream])
-
-
-# imageio-ffmpeg leaves its pipes to the garbage collector
-leaves_pipes = pytest.mark.filterwarnings(
-    "ignore:unclosed file:ResourceWarning",
-    "ignore::pytest.PytestUnraisableExceptionWarning",
-)
-
-
-@leaves_pipes
-def test_a_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.ndarray]]) -> None:
-    write_video(tmp_path / "film.mp4", frames(10), 100 / 3, (64, 48))
-    about, decoded = _decoded(tmp_path / "film.mp4")
-    assert about["size"] == (64, 48)
-    assert about["fps"] == pytest.approx(33.33, abs=0.01)
-    np.testing.assert_allclose(decoded.mean(axis=(1, 2, 3)), 20 * np.arange(10), atol=6)
-    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
-
-
-def test_a_film_that_fails_leaves_no_file(
-    tmp_path: Path, frames: Callable[[int], list[np.ndarray]]
-) -> None:
-    def broken():
-        yield from frames(2)
-        raise RuntimeError("the renderer died")
-
-    with pytest.raises(RuntimeError, match="renderer"):
-        write_video(tmp_path / "film.mp4", broken(), 30, (64, 48))
-    assert not list(tmp_path.iterdir())
-
-
-def test_films_of_other_kinds_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match=r"\.mp4"):
-        write_video(tmp_path / "film.gif", [], 30, (64, 48))
-    with pytest.raises(ConfigurationError, match="even"):
-        write_video(tmp_path / "film.mp4", [], 30, (63, 48))
 
 
 def test_a_film_is_announced_with_its_frames_and_time(capsys: pytest.CaptureFixture[str]) -> None:
@@ -269,8 +215,8 @@ def test_only_the_frames_of_a_film_are_drawn(
         written.update(frames=len(list(frames)), rate=rate, size=size)
 
     monkeypatch.setattr("aslip.show.render.render_frames", render_frames)
-    monkeypatch.setattr("aslip.show.video.write_video", write_video)
-    monkeypatch.setattr(walk, "check_rendering", lambda _: 0.1)
+    monkeypatch.setattr("aslip.show.film.write_video", write_video)
+    monkeypatch.setattr(walk, "seconds_per_frame", lambda _: 0.1)
     path = tmp_path / "walk.mp4"
     walk.main(Config(command="1.0", duration=0.3, video=path, steps_per_frame=steps, width=160))
     assert len(drawn) == written["frames"] == count
@@ -286,7 +232,7 @@ def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
         pytest.skip(str(error))
     path = tmp_path / "walk.mp4"
     walk.main(Config(command="1.0", duration=0.15, video=path, width=160, height=120))
-    about, decoded = _decoded(path)
+    about, decoded = decoded_film(path)
     assert about["size"] == (160, 120)
     assert len(decoded) == 6
     assert decoded.std() > 10  # something is seen

@@ -15,8 +15,8 @@ import numpy as np
 import viser
 
 from aslip.robot import CASSIE
-from aslip.show.live.guard import Check, guard, number_within, one_of, switch
-from aslip.show.live.rom import ROM_PLACES, RomPlace
+from aslip.show.live.scene import ROM_PLACES, RomPlace
+from aslip.show.live.server import Check, guard, number_within, one_of, switch
 
 Click = Literal["pause", "step", "reset", "push"]
 

@@ -1,15 +1,154 @@
-"""The robot in a browser's scene: its visible shapes, hung from each other as its bodies are."""
+"""The robot on the page: meshes of its visible shapes on a tree of its bodies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 import viser
 
+from aslip.errors import ConfigurationError
 from aslip.robot.model import APPEARANCE_GROUP, geom_color
-from aslip.show.live.shapes import Mesh, geom_mesh
+
+# of a full turn; a multiple of 4, so that the corners reach out to the bounds of the shape
+_SECTIONS = 24
+# from a pole to the equator
+_LATITUDES = 6
+# around the wire of a tube
+_WIRE_SECTIONS = 8
+
+
+class Mesh(NamedTuple):
+    """Triangles; where two faces meet at an edge, their corners are not shared."""
+
+    vertices: np.ndarray
+    """(n, 3) [m]."""
+    faces: np.ndarray
+    """(k, 3) indices of vertices, counter-clockwise from outside."""
+
+    @classmethod
+    def join(cls, meshes: Sequence[Mesh]) -> Mesh:
+        """All of them as one."""
+        starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+        faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
+        return cls(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+    def moved(self, position: np.ndarray, quaternion: np.ndarray) -> Mesh:
+        """The mesh at a position (3,) [m] and orientation (4,), wxyz."""
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, quaternion)
+        return Mesh(self.vertices @ rotation.reshape(3, 3).T + position, self.faces)
+
+
+def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
+    """The surface of a geom, in the frame of its body.
+
+    Args:
+        model: the compiled model.
+        geom: id of a sphere, capsule, ellipsoid, cylinder or box.
+
+    Raises:
+        ConfigurationError: the geom is of another type.
+    """
+    kinds = mujoco.mjtGeom
+    kind, size = model.geom_type[geom], model.geom_size[geom]
+    radius, half = size[:2]
+    if kind == kinds.mjGEOM_SPHERE:
+        mesh = sphere(radius)
+    elif kind == kinds.mjGEOM_ELLIPSOID:
+        unit = sphere(1.0)
+        mesh = Mesh(unit.vertices * size, unit.faces)
+    elif kind == kinds.mjGEOM_CAPSULE:
+        ends = _arc(radius, -half, -1.0, 0.0), _arc(radius, half, 0.0, 1.0)
+        mesh = revolve([np.concatenate(ends)])
+    elif kind == kinds.mjGEOM_CYLINDER:
+        mesh = cylinder(radius, half)
+    elif kind == kinds.mjGEOM_BOX:
+        mesh = _box(size)
+    else:
+        raise ConfigurationError(f"geom {geom} is no primitive shape: type {kind}")
+    return mesh.moved(model.geom_pos[geom], model.geom_quat[geom])
+
+
+def sphere(radius: float) -> Mesh:
+    """A sphere about the origin, radius [m]."""
+    return revolve([_arc(radius, 0.0, -1.0, 1.0)])
+
+
+def cylinder(radius: float, half: float) -> Mesh:
+    """A cylinder about the z axis, from -half to half [m]."""
+    rim = np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]])
+    return revolve([rim[:2], rim[1:3], rim[2:]])
+
+
+def revolve(profiles: Sequence[np.ndarray]) -> Mesh:
+    """The surface that profiles sweep out in a turn about the z axis.
+
+    Args:
+        profiles: each (n, 2), distance from the axis and height [m], from below to above as seen
+            with the outside to the right; the surface is smooth along a profile and has an edge
+            between one and the next.
+    """
+    angle = np.linspace(0.0, 2 * np.pi, _SECTIONS, endpoint=False)
+    turn = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
+    meshes = []
+    for profile in profiles:
+        rings = profile[:, None, :1] * turn + profile[:, None, 1:] * np.array([0.0, 0.0, 1.0])
+        meshes.append(_skin(rings))
+    return Mesh.join(meshes)
+
+
+def tube(path: np.ndarray, radius: float) -> Mesh:
+    """A round wire.
+
+    Args:
+        path: (n, 3) along its middle [m].
+        radius: of the wire [m].
+    """
+    along = np.gradient(path, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    # any direction across the wire would do, if it changes little from ring to ring
+    across = np.empty_like(path)
+    across[0] = np.cross(along[0], np.eye(3)[np.abs(along[0]).argmin()])
+    for i in range(1, len(path)):
+        across[i] = across[i - 1] - (across[i - 1] @ along[i]) * along[i]
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    third = np.cross(along, across)
+    angle = np.linspace(0.0, 2 * np.pi, _WIRE_SECTIONS, endpoint=False)[:, None]
+    circle = np.cos(angle) * across[:, None] + np.sin(angle) * third[:, None]
+    return _skin(path[:, None] + radius * circle)
+
+
+def _arc(radius: float, height: float, start: float, end: float) -> np.ndarray:
+    """Profile of a part of a sphere at a height, from start to end in quarter turns of latitude."""
+    steps = round(_LATITUDES * (end - start))
+    latitude = np.linspace(start, end, steps + 1) * np.pi / 2
+    return np.stack([radius * np.cos(latitude), radius * np.sin(latitude) + height], axis=-1)
+
+
+def _skin(rings: np.ndarray) -> Mesh:
+    """The surface through (n, k, 3) rings, counter-clockwise about the way from ring to ring."""
+    count, sections = rings.shape[:2]
+    ring, section = np.meshgrid(np.arange(count - 1), np.arange(sections), indexing="ij")
+    a = (ring * sections + section).ravel()
+    b = (ring * sections + (section + 1) % sections).ravel()
+    c, d = a + sections, b + sections
+    faces = np.concatenate([np.stack([a, b, d], axis=-1), np.stack([a, d, c], axis=-1)])
+    return Mesh(rings.reshape(-1, 3), faces)
+
+
+def _box(half: np.ndarray) -> Mesh:
+    """A box about the origin, (3,) half sizes [m]."""
+    square = np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
+    sides = []
+    for axis in range(3):
+        top = np.roll(square, axis + 1, axis=1)
+        for vertices in (top, -top[::-1]):
+            sides.append(Mesh(vertices * half, np.array([[0, 1, 2], [0, 2, 3]])))
+    return Mesh.join(sides)
+
 
 Color = tuple[int, int, int]
 

@@ -8,8 +8,7 @@ import torch
 from aslip.robot.model import load_model
 from aslip.show.ghost import Footholds, Ghost
 from aslip.show.live.robot import RobotView
-from aslip.show.live.rom import RomView
-from aslip.show.live.scene import SceneView
+from aslip.show.live.scene import RomView, SceneView
 from aslip.walking import Walker
 
 

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from aslip.robot.model import load_model
-from aslip.show.live.robot import body_meshes, to_color
-from aslip.show.live.shapes import Mesh, geom_mesh, revolve, sphere, tube
+from aslip.show.live.robot import Mesh, body_meshes, geom_mesh, revolve, sphere, to_color, tube
 
 # a body with one geom of each type, none of them at the origin or straight
 XML = """

@@ -1,0 +1,61 @@
+"""MuJoCo's viewer, in real time."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+
+import mujoco
+import mujoco.viewer
+
+from aslip.errors import RenderingError
+from aslip.robot import CASSIE
+from aslip.robot.model import load_model
+from aslip.show.film import Frame
+from aslip.show.pacing import Pacer
+from aslip.show.render import add_ghost
+
+
+@contextlib.contextmanager
+def open_viewer(*, ghost: bool = True) -> Iterator[Callable[[Frame], None]]:
+    """Open a window; yields a function that shows a frame and waits until its time is over.
+
+    It raises KeyboardInterrupt once the window is closed.
+
+    Args:
+        ghost: draw the reduced-order model, too.
+
+    Raises:
+        RenderingError: there is no display.
+    """
+    # without one, MuJoCo says so in a thread of its own, and waits
+    if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        raise RenderingError("MuJoCo's viewer needs a display; without one use --video")
+    model = load_model()
+    data = mujoco.MjData(model)
+    try:
+        window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
+    except Exception as error:  # each platform has its own
+        raise RenderingError(
+            f"MuJoCo's viewer cannot open a window ({error}); without a display use --video"
+        ) from error
+    with window:
+        window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
+        window.cam.trackbodyid = model.body("pelvis").id
+        pacer = Pacer(CASSIE.policy_period)
+
+        def show(frame: Frame) -> None:
+            if not window.is_running():
+                raise KeyboardInterrupt
+            with window.lock():
+                data.qpos[:] = frame.qpos
+                mujoco.mj_forward(model, data)
+                if ghost and window.user_scn is not None:
+                    window.user_scn.ngeom = 0
+                    add_ghost(window.user_scn, frame.ghost)
+            window.sync()
+            pacer.wait()
+
+        yield show

@@ -1,0 +1,67 @@
+"""Films."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aslip.errors import ConfigurationError
+from aslip.show.film import write_video
+
+
+def decoded_film(path: Path) -> tuple[dict, np.ndarray]:
+    """Header and pictures of a film."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    stream = ffmpeg.read_frames(str(path))
+    about = next(stream)
+    width, height = about["size"]
+    return about, np.array([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in stream])
+
+
+# imageio-ffmpeg leaves its pipes to the garbage collector
+leaves_pipes = pytest.mark.filterwarnings(
+    "ignore:unclosed file:ResourceWarning",
+    "ignore::pytest.PytestUnraisableExceptionWarning",
+)
+
+
+@pytest.fixture
+def frames() -> Callable[[int], list[np.ndarray]]:
+    """Frames that get brighter."""
+
+    def make(count: int) -> list[np.ndarray]:
+        return [np.full((48, 64, 3), 20 * i, dtype=np.uint8) for i in range(count)]
+
+    return make
+
+
+@leaves_pipes
+def test_a_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.ndarray]]) -> None:
+    write_video(tmp_path / "film.mp4", frames(10), 100 / 3, (64, 48))
+    about, decoded = decoded_film(tmp_path / "film.mp4")
+    assert about["size"] == (64, 48)
+    assert about["fps"] == pytest.approx(33.33, abs=0.01)
+    np.testing.assert_allclose(decoded.mean(axis=(1, 2, 3)), 20 * np.arange(10), atol=6)
+    assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+def test_a_film_that_fails_leaves_no_file(
+    tmp_path: Path, frames: Callable[[int], list[np.ndarray]]
+) -> None:
+    def broken():
+        yield from frames(2)
+        raise RuntimeError("the renderer died")
+
+    with pytest.raises(RuntimeError, match="renderer"):
+        write_video(tmp_path / "film.mp4", broken(), 30, (64, 48))
+    assert not list(tmp_path.iterdir())
+
+
+def test_films_of_other_kinds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"\.mp4"):
+        write_video(tmp_path / "film.gif", [], 30, (64, 48))
+    with pytest.raises(ConfigurationError, match="even"):
+        write_video(tmp_path / "film.mp4", [], 30, (63, 48))
