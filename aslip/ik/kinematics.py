@@ -12,21 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Final
 
 import numpy as np
 import pinocchio as pin
 
 from aslip.errors import ShapeError
-from aslip.files.assets import asset_path
-from aslip.robot import CASSIE, SIDES
+from aslip.robot import CASSIE, SIDES, Robot
 from aslip.robot.rotation import cross
-
-PELVIS_POSITION: Final = slice(0, 3)
-PELVIS_ORIENTATION: Final = slice(3, 7)
-PELVIS_VELOCITY: Final = slice(0, 3)
-PELVIS_ANGULAR_VELOCITY: Final = slice(3, 6)
 
 _AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 _HIP = 2  # depth of a leg's first joint: world, pelvis, hip
@@ -68,10 +60,9 @@ class Kinematics:
     """Pinocchio's model of a biped whose legs may hold closed loops and springs.
 
     Attributes:
+        robot: the robot.
         model: the Pinocchio model.
-        start: (nq,) configuration of the MJCF's keyframe "standing", pelvis at the origin.
-        motor_q: (motors,) where the motors are in `qpos`, in motor order.
-        motor_v: (motors,) where they are in `qvel`.
+        start: (nq,) configuration of the standing robot, pelvis at the origin.
         leg_q: (2, k) where the angles of each leg are in `qpos`, springs left out; three entries
             of the quaternion stand for a ball joint.
         leg_v: (2, k) where their velocities are in `qvel`.
@@ -83,56 +74,50 @@ class Kinematics:
         upper: (2, k) largest angles.
     """
 
-    def __init__(self, path: Path | None = None) -> None:
-        """Read an MJCF, the shipped one by default.
+    def __init__(self, robot: Robot = CASSIE) -> None:
+        """Read the robot's MJCF.
 
         Raises:
             AssetError: the shipped file is missing.
         """
-        path = asset_path("cassie.xml") if path is None else path
-        self.model, loops, _ = pin.buildModelAndConstraintsFromMJCF(str(path))
+        self.robot = robot
+        self.model, loops, _ = pin.buildModelAndConstraintsFromMJCF(str(robot.mjcf))
         self._data = self.model.createData()
         self._feet = [
-            self.model.getFrameId(site, pin.FrameType.OP_FRAME) for site in CASSIE.foot_sites
+            self.model.getFrameId(site, pin.FrameType.OP_FRAME) for site in robot.foot_sites
         ]
-        self.start = np.array(self.model.referenceConfigurations["standing"])
-        self.start[PELVIS_POSITION], self.start[PELVIS_ORIENTATION] = 0, (0, 0, 0, 1)
         self._index_joints()
         self._read_limits()
         self._read_loops(loops)
+        self.start = self.below_origin(self.to_pinocchio(robot.standing))
 
     def _index_joints(self) -> None:
         """Resolve every index once, by name."""
-        model = self.model
+        model, indices = self.model, self.robot.indices
         q, v, width = (list(x) for x in (model.idx_qs, model.idx_vs, model.nvs))
-        motors = [model.getJointId(name) for name in CASSIE.motor_names]
-        self.motor_q = np.array([q[joint] for joint in motors])
-        self.motor_v = np.array([v[joint] for joint in motors])
+        self._wxyz_to_xyzw = np.arange(model.nq)
+        for quaternion in indices.quaternions:
+            self._wxyz_to_xyzw[quaternion] = np.roll(self._wxyz_to_xyzw[quaternion], -1)
+        self._xyzw_to_wxyz = np.argsort(self._wxyz_to_xyzw)
         hips = [model.supports[model.frames[foot].parentJoint][_HIP] for foot in self._feet]
-        springs = [model.getJointId(name) for name in CASSIE.spring_names]
+        self.hips = np.array([model.jointPlacements[hip].translation for hip in hips])
+        springs = [model.getJointId(name) for name in self.robot.spring_names]
         self._joints = [[j for j in model.subtrees[hip] if j not in springs] for hip in hips]
+        self.leg_joints = [
+            [model.names[j] for j in leg for _ in range(width[j])] for leg in self._joints
+        ]
         self.leg_q, self.leg_v = (
             np.array(
                 [np.concatenate([first[j] + np.arange(width[j]) for j in leg]) for leg in legs]
             )
             for first, legs in ((q, self._joints), (v, self._joints))
         )
-        self.leg_joints = [
-            [model.names[j] for j in leg for _ in range(width[j])] for leg in self._joints
-        ]
-        self.hips = np.array([model.jointPlacements[hip].translation for hip in hips])
         self.leg_motors = np.array(
             [
-                [list(leg).index(motor) for motor in self.motor_v if motor in leg]
-                for leg in self.leg_v
+                [names.index(motor) for motor in self.robot.motor_names if motor in names]
+                for names in self.leg_joints
             ]
         )
-        balls = [q[j] for leg in self._joints for j in leg if model.nqs[j] > width[j]]
-        self._wxyz_to_xyzw = np.arange(model.nq)
-        for first in (PELVIS_ORIENTATION.start, *balls):
-            slots = np.arange(first, first + 4)
-            self._wxyz_to_xyzw[slots] = np.roll(slots, -1)
-        self._xyzw_to_wxyz = np.argsort(self._wxyz_to_xyzw)
 
     def _read_limits(self) -> None:
         """Read the limits of the legs' hinges.
@@ -178,6 +163,13 @@ class Kinematics:
     def to_mujoco(self, configuration: np.ndarray) -> np.ndarray:
         """MuJoCo's `qpos` (..., nq) of Pinocchio's configuration (..., nq)."""
         return configuration[..., self._xyzw_to_wxyz]
+
+    def below_origin(self, configuration: np.ndarray) -> np.ndarray:
+        """Configurations (..., nq) with the pelvis at the origin of the world, upright."""
+        moved = configuration.copy()
+        moved[..., self.robot.indices.pelvis_position] = 0
+        moved[..., self.robot.indices.pelvis_orientation] = (0, 0, 0, 1)
+        return moved
 
     def legs(self, configuration: np.ndarray) -> LegState:
         """Feet and loops of Pinocchio's configurations (n, nq).

@@ -35,7 +35,7 @@ def unreachable(
     return UnreachablePoseError(
         f"pose {pose}: the {SIDES[side]} foot misses its target by {np.linalg.norm(miss):.4f} m "
         f"and its direction by {direction:.4f} rad: "
-        f"{', '.join(reasons) or 'its loops cannot be closed there'}"
+        f"{', '.join(reasons) or 'no posture of the leg comes closer'}"
     )
 
 

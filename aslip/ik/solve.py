@@ -8,13 +8,7 @@ from typing import Final
 import numpy as np
 
 from aslip.ik.equations import POSITION, Equations, least_squares
-from aslip.ik.kinematics import (
-    PELVIS_ANGULAR_VELOCITY,
-    PELVIS_ORIENTATION,
-    PELVIS_POSITION,
-    PELVIS_VELOCITY,
-    Kinematics,
-)
+from aslip.ik.kinematics import Kinematics
 from aslip.ik.reach import unreachable
 from aslip.ik.target import BodyTarget, FootMotion, Motion
 from aslip.robot.rotation import quaternion_to_matrix, rotate_back
@@ -92,8 +86,8 @@ def solve(
     return IkSolution(
         qpos=qpos,
         qvel=qvel,
-        motor_position=qpos[:, kinematics.motor_q],
-        motor_velocity=qvel[:, kinematics.motor_v],
+        motor_position=qpos[:, kinematics.robot.indices.motor_qpos],
+        motor_velocity=qvel[:, kinematics.robot.indices.motor_qvel],
         residual=_largest_residual(kinematics, equations),
     )
 
@@ -135,13 +129,14 @@ def _whole_body(
     kinematics: Kinematics, base: Motion, configuration: np.ndarray, leg_velocity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """`qpos` (n, nq) and `qvel` (n, nv) of a pelvis motion and what the legs do below it."""
+    indices = kinematics.robot.indices
     qpos = kinematics.to_mujoco(configuration)
-    qpos[:, PELVIS_POSITION] = base.position
-    qpos[:, PELVIS_ORIENTATION] = base.orientation
-    qvel = np.zeros((len(qpos), kinematics.model.nv))
+    qpos[:, indices.pelvis_position] = base.position
+    qpos[:, indices.pelvis_orientation] = base.orientation
+    qvel = np.zeros((len(qpos), indices.num_qvel))
     qvel[:, kinematics.leg_v] = leg_velocity
-    qvel[:, PELVIS_VELOCITY] = base.velocity
-    qvel[:, PELVIS_ANGULAR_VELOCITY] = rotate_back(
+    qvel[:, indices.pelvis_velocity] = base.velocity
+    qvel[:, indices.pelvis_angular_velocity] = rotate_back(
         quaternion_to_matrix(base.orientation), base.angular_velocity
     )
     return qpos, qvel

@@ -6,7 +6,7 @@ import numpy as np
 
 from aslip.errors import ShapeError, UnreachablePoseError
 from aslip.ik.equations import least_squares
-from aslip.ik.kinematics import PELVIS_ORIENTATION, PELVIS_POSITION, Kinematics
+from aslip.ik.kinematics import Kinematics
 from aslip.ik.solve import IkSolution, solve
 from aslip.ik.target import BodyTarget
 from aslip.robot.rotation import quaternion_to_matrix, rotate_back
@@ -63,11 +63,9 @@ def static_torque(kinematics: Kinematics, qpos: np.ndarray, force: np.ndarray) -
     """
     if qpos.ndim != 2 or force.shape != (len(qpos), 2, 3):
         raise ShapeError(f"qpos (n, nq) needs force (n, 2, 3), got {qpos.shape}, {force.shape}")
-    configuration = kinematics.to_pinocchio(qpos)
-    configuration[:, PELVIS_POSITION] = 0
-    configuration[:, PELVIS_ORIENTATION] = kinematics.start[PELVIS_ORIENTATION]
-    legs = kinematics.legs(configuration)
-    local = rotate_back(quaternion_to_matrix(qpos[:, None, PELVIS_ORIENTATION]), force)
+    legs = kinematics.legs(kinematics.below_origin(kinematics.to_pinocchio(qpos)))
+    orientation = qpos[:, None, kinematics.robot.indices.pelvis_orientation]
+    local = rotate_back(quaternion_to_matrix(orientation), force)
     count = kinematics.leg_motors.shape[1]
     motors = np.eye(kinematics.leg_v.shape[1])[kinematics.leg_motors]
     rows = np.broadcast_to(motors, (len(qpos), *motors.shape))

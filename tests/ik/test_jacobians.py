@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from aslip.ik.equations import Equations, least_squares
-from aslip.ik.kinematics import PELVIS_ORIENTATION, PELVIS_POSITION
 from aslip.ik.target import FootMotion
 from aslip.robot import SIDES
 from aslip.robot.rotation import quaternion_to_matrix
@@ -21,10 +20,7 @@ STEP = 1e-6
 @pytest.fixture(scope="module")
 def configuration(kinematics, random_qpos) -> np.ndarray:
     """(20, nq) with the pelvis at the origin, loops open."""
-    configuration = kinematics.to_pinocchio(random_qpos[:20])
-    configuration[:, PELVIS_POSITION] = 0
-    configuration[:, PELVIS_ORIENTATION] = kinematics.start[PELVIS_ORIENTATION]
-    return configuration
+    return kinematics.below_origin(kinematics.to_pinocchio(random_qpos[:20]))
 
 
 def test_jacobian_of_the_equations_is_their_derivative(kinematics, configuration):

@@ -11,6 +11,7 @@ import pytest
 
 from aslip.errors import UnreachablePoseError
 from aslip.ik import standing_pose
+from aslip.robot import CASSIE
 
 
 @pytest.fixture
@@ -47,9 +48,9 @@ def test_soles_are_flat_on_the_floor_below_the_centre_of_mass(mujoco_model, stan
         np.testing.assert_allclose(ends - geom.size[0], 0, atol=1e-6)
 
 
-def test_left_and_right_legs_mirror(kinematics, mujoco_model):
+def test_left_and_right_legs_mirror(mujoco_model):
     qpos = mujoco_model.key("standing").qpos
-    left, right = qpos[kinematics.motor_q].reshape(2, 5)
+    left, right = qpos[CASSIE.indices.motor_qpos].reshape(2, 5)
     np.testing.assert_allclose(left * (-1, -1, 1, 1, 1), right, atol=1e-15)
     balls = mujoco_model.jnt_type == mujoco.mjtJoint.mjJNT_BALL
     left, right = qpos[mujoco_model.jnt_qposadr[balls][:, None] + np.arange(4)]
