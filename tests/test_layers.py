@@ -166,8 +166,9 @@ def test_the_inverse_kinematics_needs_pinocchio_only() -> None:
 
 def test_state_estimation_needs_numpy_and_numba_only() -> None:
     loaded = _loaded_after(
-        "import numpy as np; from aslip.estimation import StateEstimator, tracking_size\n"
-        "estimator = StateEstimator(); lost = np.full((2, 1, estimator.robot.packet_size), np.nan)\n"
+        "import numpy as np; from aslip.estimation import StateEstimator\n"
+        "estimator = StateEstimator()\n"
+        "lost = np.full((2, 1, estimator.robot.packet_size), np.nan)\n"
         "tracking, _ = estimator.start(lost); estimator.update(tracking, None)"
     )
     assert "numba" in loaded

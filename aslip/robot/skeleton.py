@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 Vector = tuple[float, ...]
 
@@ -121,7 +122,9 @@ def read_skeleton(mjcf: Path, path: Path) -> Skeleton | None:
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """Hash of an MJCF without its comments."""
+    text = ElementTree.canonicalize(from_file=str(path), strip_text=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _text(value: object) -> str:
