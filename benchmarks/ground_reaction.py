@@ -132,7 +132,7 @@ def model_force(gait: Gait, samples: int = 4000) -> np.ndarray:
     """(samples,) force of the model's left leg along z over a stride from its touchdown [N]."""
     time = np.arange(samples) / samples * gait.stride
     axial = np.interp(time, gait.time, gait.leg_force[:, 0])
-    leg = gait.body_position - gait.left_foot_position
+    leg = gait.body.position - gait.feet.position[:, 0]
     share = np.interp(time, gait.time, leg[:, 2] / np.linalg.norm(leg, axis=1))
     return np.roll(axial * share, -round(touchdown_phases(gait)[0] * samples))
 

@@ -36,7 +36,7 @@ import time
 from aslip.walking import markdown
 
 _GAITS = """
-from aslip.library.build import PAPER_SPEEDS
+from aslip.library import PAPER_SPEEDS
 from aslip.rom import optimize_gaits
 gaits = optimize_gaits(PAPER_SPEEDS)
 assert all(gait.certificate.ok for gait in gaits)
@@ -47,16 +47,20 @@ import time
 import numpy as np
 from aslip.ik import BodyTarget, Kinematics, solve
 from aslip.library import GaitLibrary
+from aslip.rom import Track
 
 phase = np.arange(128) / 128
-motions = [gait.sample(phase) for gait in GaitLibrary.load().gaits]
+samples = [motion.sample(phase) for motion in GaitLibrary.load().motions]
+tracks = [
+    [sample.body for sample in samples],
+    *([Track(s.feet.position[:, i], s.feet.velocity[:, i]) for s in samples] for i in range(2)),
+]
 
-def target(body):
-    position = np.concatenate([getattr(motion, f"{body}_position") for motion in motions])
-    velocity = np.concatenate([getattr(motion, f"{body}_velocity") for motion in motions])
-    return BodyTarget(position, velocity=velocity)
+def target(tracks):
+    position = np.concatenate([track.position for track in tracks])
+    return BodyTarget(position, velocity=np.concatenate([track.velocity for track in tracks]))
 
-targets = [target(body) for body in ("body", "left_foot", "right_foot")]
+targets = [target(track) for track in tracks]
 kinematics = Kinematics()
 start = time.perf_counter()
 solution = solve(kinematics, *targets)

@@ -152,10 +152,22 @@ def test_the_package_alone_imports_nothing_heavy() -> None:
     assert not loaded & {"torch", "torchrl", "mujoco", "casadi", "pinocchio", "dm_control"}
 
 
-def test_the_reduced_order_model_needs_neither_torch_nor_mujoco() -> None:
-    loaded = _loaded_after("import aslip.rom; import aslip; aslip.Gait")
-    assert "casadi" in loaded
-    assert not loaded & {"torch", "torchrl", "tensordict", "mujoco", "pinocchio", "dm_control"}
+def test_a_motion_of_a_reduced_order_model_needs_nothing_heavy() -> None:
+    code = "import aslip, numpy as np\nfrom aslip.rom import Gait, Motion, MotionSample\n"
+    loaded = _loaded_after(f"{code}aslip.rom.PendulumWalk().sample(np.zeros(1))")
+    assert not loaded & _HEAVY
+
+
+def test_optimising_gaits_needs_casadi_only() -> None:
+    loaded = _loaded_after("from aslip.rom import optimize_gait")
+    assert loaded & _HEAVY == {"casadi"}
+
+
+def test_a_look_up_needs_torch_only() -> None:
+    code = "import aslip, torch\nzero = torch.zeros(1, 1)\n"
+    loaded = _loaded_after(f"{code}aslip.GaitLibrary.load().lookup(zero, zero)")
+    assert "torch" in loaded
+    assert not loaded & (_HEAVY - {"torch", "tensordict"})
 
 
 def test_the_inverse_kinematics_needs_pinocchio_only() -> None:

@@ -154,7 +154,11 @@ def _told(transform: Transform) -> list[str]:
     keys = {key: getattr(transform, key) for key in ("in_keys", "out_keys")}
     own = {
         name: value
-        for name, value in {**vars(transform), **dict(transform.named_buffers())}.items()
+        for name, value in {
+            **vars(transform),
+            **dict(transform.named_buffers(recurse=False)),
+            **dict(transform.named_children()),
+        }.items()
         if not name.startswith("_") and name not in usual and name not in _LEFT_OUT
     }
     return [f"{name}={_text(value)}" for name, value in sorted({**keys, **own}.items())]
@@ -199,7 +203,7 @@ def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
     if not libraries:
         return []
     library = libraries[0]
-    lowest, *_, highest = library.speeds.tolist()
+    lowest, highest = library.speeds[[0, -1]].tolist()
     points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
     motion = library.lookup(points[:, :1], points[:, 1:])
     return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()

@@ -13,8 +13,7 @@ from torchrl.envs.transforms import StepCounter, Transform
 
 from aslip.envs import RewardSource
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.library import GaitLibrary, single_reference_library
-from aslip.library.build import PAPER_SPEEDS
+from aslip.library import PAPER_SPEEDS, GaitLibrary, single_reference_library
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
     ActionDelta,

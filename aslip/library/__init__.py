@@ -1,4 +1,14 @@
-"""Motions at all commands with the joint angles of the robot, in one table."""
+"""Motions at all commands with the joint angles of the robot, in one table.
+
+    walks = optimize_gaits((0.0, 0.5, 1.0), parameters=SlipParameters(mass=33.3))
+    library = GaitLibrary.from_motions(walks)      # inverse kinematics
+    library.save("gaits.npz")
+    library = GaitLibrary.load("gaits.npz")        # by default the library that ships
+    library(phase, command).motor_position
+
+Motions of any reduced-order model will do, see `aslip.rom.Motion`. Looking motions up loads neither
+an optimiser nor the inverse kinematics nor a simulator.
+"""
 
 from __future__ import annotations
 
@@ -7,24 +17,27 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from aslip.library.build import build_library
     from aslip.library.library import GaitLibrary, Reference
-    from aslip.library.pendulum import PendulumWalk, pendulum_library, single_reference_library
+    from aslip.library.pendulum import pendulum_library, single_reference_library
+    from aslip.library.table import PAPER_SPEEDS, GaitTable
+    from aslip.library.tabulate import tabulate
 
 __all__ = [
+    "PAPER_SPEEDS",
     "GaitLibrary",
-    "PendulumWalk",
+    "GaitTable",
     "Reference",
-    "build_library",
     "pendulum_library",
     "single_reference_library",
+    "tabulate",
 ]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "build": ["build_library"],
         "library": ["GaitLibrary", "Reference"],
-        "pendulum": ["PendulumWalk", "pendulum_library", "single_reference_library"],
+        "pendulum": ["pendulum_library", "single_reference_library"],
+        "table": ["PAPER_SPEEDS", "GaitTable"],
+        "tabulate": ["tabulate"],
     },
 )

@@ -1,33 +1,36 @@
-"""Look a reference motion up by phase and speed.
+"""Look a reference motion up by phase and command.
 
-Guarantees: continuous in phase and speed, periodic and once continuously differentiable in phase,
-linear in speed between neighbouring gaits; at a gait's own speed and a stored phase it returns what
-was stored.
+Guarantees: continuous in phase and command, periodic and once continuously differentiable in phase,
+linear along each axis of the command between neighbouring motions; at a motion's own command and a
+stored phase the stored numbers are returned.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline, PchipInterpolator
 from tensordict import TensorDict
-from torch import Tensor
+from torch import Tensor, nn
 
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.files.assets import asset_path
-from aslip.library.file import GaitTable, read_library
-from aslip.rom import Gait
+from aslip.library.file import read_library, write_library
+from aslip.library.interpolation import CommandGrid, PeriodicTable, multilinear
+from aslip.library.table import GaitTable
+from aslip.robot import CASSIE, SIDES
+from aslip.rom.gait import Gait
+from aslip.rom.motion import PHASE_SAMPLES, Motion
 
 GAITS_ASSET = "gaits.npz"
 
 
 @dataclass(frozen=True)
 class Reference:
-    """One instant of a gait, in the walking frame: x forward, y left, z up, batch shape b.
+    """One instant of a motion, in the walking frame: x forward, y left, z up, batch shape b.
 
     Body and feet are the reduced-order model's. The body is mapped to the pelvis origin, a foot to
     the centre of the sole.
@@ -38,7 +41,7 @@ class Reference:
     motor_velocity: Tensor
     """(*b, 10) their rates [rad/s]."""
     motor_torque: Tensor
-    """(*b, 10) torques at the joints, with which legs carry what the model's do [N m]."""
+    """(*b, 10) joint torques that balance the model's leg forces [N m]."""
     body_position: Tensor
     """(*b, 3) forward deviation from uniform motion at the mean speed, sway, height above ground
     [m]. Public code lets x grow from 0 to a stride and jump back; we subtract the mean motion so
@@ -55,46 +58,74 @@ class Reference:
     """(*b, 3) as the left foot's."""
 
     def to_tensordict(self) -> TensorDict:
-        """The same as a tensordict, one entry a field."""
+        """Tensordict with one entry a field."""
         entries = {field.name: getattr(self, field.name) for field in fields(self)}
         return TensorDict(entries, batch_size=self.motor_position.shape[:-1])
 
 
-class GaitLibrary:
-    """Optimal walking gaits over speed, with their inverse kinematics.
+class GaitLibrary(nn.Module):
+    """Motions over a grid of commands, with their inverse kinematics.
+
+    A module without parameters: tables are buffers, which move to another device with `to` and are
+    left out of `state_dict`, because they come from a file. One library serves any number of
+    environments.
 
     Args:
-        gaits: the gaits in order of speed.
-        table: the gaits sampled at equal steps of phase, with the robot's configuration.
-        torque_jumps: whether motor torques jump between samples, as when a pendulum changes its
-            stance foot; they are then interpolated such that they never overshoot the samples.
+        motions: the motions in order of the table's commands.
+        table: the motions sampled at equal steps of phase, with the robot's configuration.
+        made_by: a note about its origin, such as the command and the versions; kept in its file.
 
     Raises:
-        ConfigurationError: there are gaits, but of other speeds than the table's.
+        ConfigurationError: the motions have other commands than the table.
     """
 
     def __init__(
-        self, gaits: Sequence[Gait], table: GaitTable, *, torque_jumps: bool = False
+        self,
+        motions: Sequence[Motion],
+        table: GaitTable,
+        *,
+        made_by: Mapping[str, str] | None = None,
     ) -> None:
-        self.gaits = tuple(gaits)
-        speeds = [gait.speed for gait in gaits]
-        if speeds and speeds != table.speeds.tolist():
+        super().__init__()
+        self.made_by = dict(made_by or {})
+        self.motions = tuple(motions)
+        commands = [np.asarray(motion.command).tolist() for motion in motions]
+        if commands != table.commands.tolist():
             raise ConfigurationError(
-                f"gaits must be those of the table's speeds, {table.speeds.tolist()} m/s, got"
-                f" {len(speeds)} of {speeds} m/s"
+                f"motions must be those of the table's commands, {table.commands.tolist()}, got"
+                f" {len(commands)} of {commands}"
             )
         self.table = table
-        columns = {field.name: getattr(table, field.name) for field in fields(Reference)}
+        columns = _reference_columns(table)
         self._widths = [column.shape[-1] for column in columns.values()]
         jumps = np.repeat(
-            [torque_jumps and name == "motor_torque" for name in columns], self._widths
+            [table.torque_jumps and name == "motor_torque" for name in columns], self._widths
         )
-        self._reference = _PeriodicTable(
-            np.concatenate(list(columns.values()), axis=-1), table.speeds, jumps
-        )
-        self._qpos = _PeriodicTable(table.qpos, table.speeds)
-        self._qvel = _PeriodicTable(table.qvel, table.speeds)
-        self._strides = torch.tensor(table.strides)
+        self._grid = CommandGrid(table.axes)
+        self._reference = PeriodicTable(np.concatenate(list(columns.values()), axis=-1), jumps)
+        self._qpos = PeriodicTable(_flat(table, table.qpos))
+        self._qvel = PeriodicTable(_flat(table, table.qvel))
+        self._strides: Tensor
+        strides = torch.tensor(table.strides.reshape(-1, 1))
+        self.register_buffer("_strides", strides, persistent=False)
+
+    @classmethod
+    def from_motions(
+        cls,
+        motions: Sequence[Motion],
+        *,
+        samples: int = PHASE_SAMPLES,
+        torque_jumps: bool = False,
+        made_by: Mapping[str, str] | None = None,
+    ) -> GaitLibrary:
+        """Library of motions whose inverse kinematics is solved by `tabulate`.
+
+        Arguments and errors are those of `tabulate` and of the class.
+        """
+        from aslip.library.tabulate import tabulate
+
+        table = tabulate(motions, samples=samples, torque_jumps=torque_jumps)
+        return cls(motions, table, made_by=made_by)
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> GaitLibrary:
@@ -104,12 +135,42 @@ class GaitLibrary:
             AssetError: there is no such file.
             FileDamagedError: the file is truncated, altered, or no gait library.
         """
-        return cls(*read_library(asset_path(GAITS_ASSET) if path is None else Path(path)))
+        path = asset_path(GAITS_ASSET) if path is None else Path(path)
+        motions, table, made_by = read_library(path)
+        return cls(motions, table, made_by=made_by)
+
+    def save(self, path: str | Path) -> None:
+        """Write motions and table; `load` gives the same bits back.
+
+        Motions other than optimal gaits come back as `aslip.rom.SampledMotion`.
+
+        Args:
+            path: the file; replaced as a whole.
+
+        Raises:
+            OSError: the file cannot be written; an older file of the name is then untouched.
+        """
+        write_library(Path(path), self.motions, self.table, self.made_by)
 
     @property
     def speeds(self) -> np.ndarray:
-        """(g,) speeds of the gaits [m/s], ascending, read-only."""
-        return self.table.speeds
+        """(g,) forward speeds of the grid [m/s], ascending, read-only."""
+        return self.table.axes[0]
+
+    @property
+    def gaits(self) -> tuple[Gait, ...]:
+        """Optimal gaits of the actuated SLIP, with forces and certificates.
+
+        Raises:
+            ConfigurationError: the library has other motions, see `motions`.
+        """
+        gaits = tuple(motion for motion in self.motions if isinstance(motion, Gait))
+        if len(gaits) < len(self.motions):
+            kinds = sorted({type(motion).__name__ for motion in self.motions})
+            raise ConfigurationError(
+                f"this library has no optimal gaits but motions of type {', '.join(kinds)}"
+            )
+        return gaits
 
     def check_speed(self, speed: float) -> float:
         """The speed, if the library covers it.
@@ -124,15 +185,19 @@ class GaitLibrary:
             )
         return float(speed)
 
-    def lookup(self, phase: Tensor, speed: Tensor) -> Reference:
+    def forward(self, phase: Tensor, command: Tensor) -> Reference:
+        """Reference motion, see `lookup`."""
+        return self.lookup(phase, command)
+
+    def lookup(self, phase: Tensor, command: Tensor) -> Reference:
         """Reference motion at a point of the stride (Sec. III-A).
 
-        Between samples: cubic in phase, linear in speed. Phase wraps. A speed outside the library
-        is clamped to its range, so that a command from a joystick can do no harm.
+        Between samples: cubic in phase, multilinear in the command. Phase wraps. A command outside
+        the library is clamped to its range, so that a joystick can do no harm.
 
         Args:
             phase: (*b, 1) stride fraction; 0 is left lift-off.
-            speed: (*b, 1) commanded forward speed [m/s].
+            command: (*b, c) a value per axis of the grid; today forward speed [m/s], c = 1.
 
         Returns:
             Reference with batch shape b, single precision.
@@ -140,87 +205,57 @@ class GaitLibrary:
         Raises:
             ShapeError: one is no tensor of such a shape.
         """
-        for name, value in (("phase", phase), ("speed", speed)):
-            if not isinstance(value, Tensor) or value.shape[-1:] != (1,):
-                got = tuple(value.shape) if isinstance(value, Tensor) else value
-                raise ShapeError(f"{name} must be a tensor of shape (..., 1), got {got!r}")
-        values = self._reference(phase, speed).float()
+        values = self._interpolate(self._reference, phase, command).float()
         return Reference(*values.split(self._widths, dim=-1))
 
-    def stride(self, speed: Tensor) -> Tensor:
-        """Duration of a stride [s], shape of `speed`; linear between gaits, clamped outside."""
-        row, weight = self._reference.locate_speed(speed)
-        return torch.lerp(self._strides[row], self._strides[row + 1], weight).to(speed.dtype)
+    def stride(self, command: Tensor) -> Tensor:
+        """Duration of a stride [s], (*b, 1); multilinear between motions, clamped outside."""
+        _check_width("command", command, len(self.table.axes))
+        motion, weights = self._grid.corners(command)
+        return multilinear(self._strides[motion], weights).to(command.dtype)
 
-    def initial_state(self, phase: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
+    def initial_state(self, phase: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
         """The robot's configuration and velocity on the reference.
 
         Args:
             phase: (*b, 1) stride fraction.
-            speed: (*b, 1) forward speed [m/s].
+            command: (*b, c) as in `lookup`.
 
         Returns:
             `qpos` (*b, 35) and `qvel` (*b, 32), double precision, MuJoCo's conventions; the pelvis
-            is at x = 0. At a speed between two gaits the loops close to a fraction of a millimetre.
+            is at x = 0. Between two motions the loops close to a fraction of a millimetre.
         """
-        qpos = self._qpos(phase, speed)
-        for quaternion in self.table.quaternions:
-            qpos[..., quaternion] = torch.nn.functional.normalize(qpos[..., quaternion], dim=-1)
-        return qpos, self._qvel(phase, speed)
+        qpos = self._interpolate(self._qpos, phase, command)
+        for quaternion in CASSIE.indices.quaternions:
+            qpos[..., quaternion] = nn.functional.normalize(qpos[..., quaternion], dim=-1)
+        return qpos, self._interpolate(self._qvel, phase, command)
+
+    def _interpolate(self, table: PeriodicTable, phase: Tensor, command: Tensor) -> Tensor:
+        _check_width("phase", phase, 1)
+        _check_width("command", command, len(self.table.axes))
+        motion, weights = self._grid.corners(command)
+        return multilinear(table(phase, motion), weights)
 
 
-class _PeriodicTable:
-    """(g, m, k) samples over speed and phase, interpolated; phase k of m is at k / m.
-
-    Columns (k,) with `jumps` are monotone between samples, the others twice differentiable.
-    """
-
-    def __init__(
-        self, values: np.ndarray, speeds: np.ndarray, jumps: np.ndarray | None = None
-    ) -> None:
-        samples = values.shape[1]
-        closed = np.concatenate([values, values[:, :1]], axis=1)
-        spline = CubicSpline(np.arange(samples + 1), closed, axis=1, bc_type="periodic")
-        slopes = spline(np.arange(samples), 1)
-        if jumps is not None and jumps.any():
-            around = np.concatenate([values[:, -1:], closed], axis=1)[..., jumps]
-            monotone = PchipInterpolator(np.arange(-1, samples + 1), around, axis=1)
-            slopes[..., jumps] = monotone(np.arange(samples), 1)
-        # (g, m, 2, k): value and slope per sample, gathered together
-        self._nodes = torch.as_tensor(np.stack([values, slopes], axis=2), dtype=torch.float64)
-        self._speeds = torch.as_tensor(np.array(speeds), dtype=torch.float64)
-
-    def locate_speed(self, speed: Tensor) -> tuple[Tensor, Tensor]:
-        """Row below a speed, and the weight of the row above; shapes of `speed`."""
-        speed = speed.double().clamp(self._speeds[0], self._speeds[-1])
-        # of so few gaits, counting those below is faster than a search
-        row = (speed.unsqueeze(-1) >= self._speeds[1:-1]).sum(-1)
-        low, high = self._speeds[row], self._speeds[row + 1]
-        return row, (speed - low) / (high - low)
-
-    def __call__(self, phase: Tensor, speed: Tensor) -> Tensor:
-        row, weight = self.locate_speed(speed)
-        samples = self._nodes.shape[1]
-        position = (phase.double() % 1.0) * samples
-        left = position.floor()
-        t = position - left
-        column = left.long().squeeze(-1) % samples
-        after = (column + 1) % samples
-        row = row.squeeze(-1)
-        low = _hermite(self._at(row, column), self._at(row, after), t)
-        high = _hermite(self._at(row + 1, column), self._at(row + 1, after), t)
-        return torch.lerp(low, high, weight)
-
-    def _at(self, row: Tensor, column: Tensor) -> Tensor:
-        """(*b, 2, k) nodes; selecting whole rows is several times faster than indexing twice."""
-        index = row * self._nodes.shape[1] + column
-        nodes = self._nodes.flatten(0, 1).index_select(0, index.flatten())
-        return nodes.reshape(*index.shape, *nodes.shape[1:])
+def _check_width(name: str, value: Tensor, width: int) -> None:
+    if not isinstance(value, Tensor) or value.shape[-1:] != (width,):
+        got = tuple(value.shape) if isinstance(value, Tensor) else value
+        raise ShapeError(f"{name} must be a tensor of shape (..., {width}), got {got!r}")
 
 
-def _hermite(left: Tensor, right: Tensor, t: Tensor) -> Tensor:
-    """Cubic through two (*b, 2, k) nodes of value and slope, at t (*b, 1) in [0, 1]."""
-    step = right[..., 0, :] - left[..., 0, :]
-    a = left[..., 1, :] - step
-    b = step - right[..., 1, :]
-    return left[..., 0, :] + t * (step + (1 - t) * ((1 - t) * a + t * b))
+def _reference_columns(table: GaitTable) -> dict[str, np.ndarray]:
+    """Fields of a `Reference` by name, (n, m, k) for n points of the grid."""
+    feet = {
+        f"{side}_foot_{kind}": getattr(table, f"foot_{kind}")[..., i, :]
+        for i, side in enumerate(SIDES)
+        for kind in ("position", "velocity")
+    }
+    return {
+        f.name: _flat(table, feet[f.name] if f.name in feet else getattr(table, f.name))
+        for f in fields(Reference)
+    }
+
+
+def _flat(table: GaitTable, values: np.ndarray) -> np.ndarray:
+    """(*g, m, k) values as (n, m, k)."""
+    return values.reshape(-1, *values.shape[len(table.axes) :])

@@ -1,32 +1,58 @@
-"""Actuated-SLIP walking gaits: the model, its optimal gaits and the swing foot profile.
+"""Reduced-order models and their motions: actuated SLIP, linear inverted pendulum, recorded walks.
 
     gait = optimize_gait(1.0)          # 1 m/s, in a fraction of a second
     gait.stride, gait.double_stance    # [s]
-    gait.sample(np.linspace(0, 1, 24, endpoint=False)).body_position    # (24, 3) [m]
+    gait.sample(np.linspace(0, 1, 24, endpoint=False)).body.position    # (24, 3) [m]
 
-Imports CasADi, NumPy and SciPy; knows neither the robot nor any learning library.
+Imports NumPy and SciPy, and CasADi for what optimises; knows neither the robot nor any learning
+library.
 """
 
-from aslip.rom.certificate import Certificate
-from aslip.rom.dynamics import Mode, energy_function, flow_function, leg_force, leg_function
-from aslip.rom.gait import Gait, GaitSample
-from aslip.rom.optimize import optimize_gait, optimize_gaits
-from aslip.rom.parameters import SlipParameters
-from aslip.rom.swing import lift, swing_foot, travel
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from aslip.rom.certificate import Certificate
+    from aslip.rom.gait import Gait, GaitSample
+    from aslip.rom.motion import (
+        PHASE_SAMPLES,
+        Angle,
+        Motion,
+        MotionSample,
+        SampledMotion,
+        Track,
+    )
+    from aslip.rom.optimize import optimize_gait, optimize_gaits
+    from aslip.rom.pendulum import PendulumWalk, pendulum_walks
+    from aslip.rom.slip import Mode, Objective, SlipParameters
+
+_FILES = {
+    "certificate": ["Certificate"],
+    "gait": ["Gait", "GaitSample"],
+    "motion": ["PHASE_SAMPLES", "Angle", "Motion", "MotionSample", "SampledMotion", "Track"],
+    "optimize": ["optimize_gait", "optimize_gaits"],
+    "pendulum": ["PendulumWalk", "pendulum_walks"],
+    "slip": ["Mode", "Objective", "SlipParameters"],
+}
 
 __all__ = [
+    "PHASE_SAMPLES",
+    "Angle",
     "Certificate",
     "Gait",
     "GaitSample",
     "Mode",
+    "Motion",
+    "MotionSample",
+    "Objective",
+    "PendulumWalk",
+    "SampledMotion",
     "SlipParameters",
-    "energy_function",
-    "flow_function",
-    "leg_force",
-    "leg_function",
-    "lift",
+    "Track",
     "optimize_gait",
     "optimize_gaits",
-    "swing_foot",
-    "travel",
+    "pendulum_walks",
 ]
+
+__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs=_FILES)

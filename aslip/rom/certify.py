@@ -5,9 +5,9 @@ from scipy.integrate import solve_ivp
 
 from aslip.rom import collocation
 from aslip.rom.certificate import Certificate
-from aslip.rom.dynamics import Mode, flow_function
-from aslip.rom.parameters import SlipParameters
+from aslip.rom.dynamics import flow_function
 from aslip.rom.problem import INTERVALS, HalfStride, WalkingProblem
+from aslip.rom.slip import Mode, SlipParameters
 
 _RELATIVE, _ABSOLUTE = 1e-10, 1e-12
 """Tolerances of the adaptive integrator, far below the 1e-3 m that a certificate allows."""

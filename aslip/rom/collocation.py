@@ -44,7 +44,7 @@ def weights(intervals: int) -> np.ndarray:
 
 
 def quadratic(values: np.ndarray, fraction: float) -> np.ndarray:
-    """Input inside one interval: the parabola through start, middle and end.
+    """Input inside one interval, the parabola through start, middle and end.
 
     Args:
         values: (k, 3), the input at start, middle and end of the interval.
@@ -55,27 +55,3 @@ def quadratic(values: np.ndarray, fraction: float) -> np.ndarray:
     """
     s = fraction
     return values @ np.array([(2 * s - 1) * (s - 1), 4 * s * (1 - s), s * (2 * s - 1)])
-
-
-def hermite(
-    knots: np.ndarray, value: np.ndarray, slope: np.ndarray, time: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Cubic Hermite interpolant and its time derivative.
-
-    Args:
-        knots: (n,), strictly increasing [s].
-        value: (n, k) at the knots.
-        slope: (n, k), derivatives at the knots.
-        time: (m,) within the knots [s].
-
-    Returns:
-        Two arrays (m, k): the interpolant and its exact derivative, both continuous in time.
-    """
-    i = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(knots) - 2)
-    h = (knots[i + 1] - knots[i])[:, None]
-    s = (time - knots[i])[:, None] / h
-    rise = (value[i + 1] - value[i]) / h
-    m0, m1 = slope[i], slope[i + 1]
-    # Newton form on [0, 1]: x = x0 + h s (m0 + s (c + s e))
-    c, e = 3 * rise - 2 * m0 - m1, m0 + m1 - 2 * rise
-    return value[i] + h * s * (m0 + s * (c + s * e)), m0 + s * (2 * c + 3 * s * e)

@@ -2,53 +2,29 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from aslip.errors import FileDamagedError, ShapeError
-from aslip.rom import collocation
 from aslip.rom.certificate import Certificate
-from aslip.rom.dynamics import Mode, leg_force
-from aslip.rom.parameters import SlipParameters
-from aslip.rom.swing import foot_motion
+from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
+from aslip.rom.slip import Mode, SlipParameters, leg_force
+from aslip.rom.swing import swing_foot
 
-_COLUMNS = {
-    "body_position": 3,
-    "body_velocity": 3,
-    "left_foot_position": 3,
-    "left_foot_velocity": 3,
-    "right_foot_position": 3,
-    "right_foot_velocity": 3,
-    "leg_force": 2,
-    "set_point": 2,
-    "set_point_velocity": 2,
-    "control": 2,
-}
-_ARRAYS = ("time", "mode", *_COLUMNS)
+_TRACKS = {"body": ("body_position", "body_velocity"), "feet": ("foot_position", "foot_velocity")}
+"""Names of the tracks of a gait, and of their arrays in a file."""
+_COLUMNS = ("leg_force", "set_point", "set_point_velocity", "control")
 _SCALARS = ("speed", "stride", "cost")
 
 
-@dataclass(frozen=True, eq=False)
-class GaitSample:
-    """A gait at m given phases, world frame (x forward, y left, z up); see `Gait`."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GaitSample(MotionSample):
+    """A gait at m phases, with the state of its legs."""
 
-    phase: np.ndarray
-    """(m,) stride fraction as asked for."""
     mode: np.ndarray
     """(m,) contact mode, values of `Mode`."""
-    body_position: np.ndarray
-    """(m, 3) [m]."""
-    body_velocity: np.ndarray
-    """(m, 3) [m/s], the exact time derivative of `body_position`."""
-    left_foot_position: np.ndarray
-    """(m, 3) [m]."""
-    left_foot_velocity: np.ndarray
-    """(m, 3) [m/s]."""
-    right_foot_position: np.ndarray
-    """(m, 3) [m]."""
-    right_foot_velocity: np.ndarray
-    """(m, 3) [m/s]."""
     leg_force: np.ndarray
     """(m, 2) axial force of the left and right leg [N], 0 in swing."""
     set_point: np.ndarray
@@ -75,18 +51,10 @@ class Gait:
     """(n,) from 0 to `stride` [s]: nodes and midpoints of the collocation intervals."""
     mode: np.ndarray
     """(n,) contact mode, values of `Mode`."""
-    body_position: np.ndarray
-    """(n, 3) [m]."""
-    body_velocity: np.ndarray
-    """(n, 3) [m/s]."""
-    left_foot_position: np.ndarray
-    """(n, 3) [m]."""
-    left_foot_velocity: np.ndarray
-    """(n, 3) [m/s]."""
-    right_foot_position: np.ndarray
-    """(n, 3) [m]."""
-    right_foot_velocity: np.ndarray
-    """(n, 3) [m/s]."""
+    body: Track
+    """(n, 3) point mass."""
+    feet: Track
+    """(n, 2, 3) left and right foot."""
     leg_force: np.ndarray
     """(n, 2) axial force of the left and right leg [N], 0 in swing."""
     set_point: np.ndarray
@@ -104,17 +72,22 @@ class Gait:
 
     def __post_init__(self) -> None:
         """Check shapes and make the arrays read-only."""
-        shapes: dict[str, tuple[int, ...]] = {"time": np.shape(self.time)}
-        if len(shapes["time"]) != 1 or shapes["time"][0] < 2:
-            raise ShapeError(f"time must be (n,) with n >= 2, got {shapes['time']}")
-        count = shapes["time"][0]
-        shapes |= {"mode": (count,)} | {name: (count, k) for name, k in _COLUMNS.items()}
-        for name, shape in shapes.items():
-            array = np.array(getattr(self, name), dtype=int if name == "mode" else float)
-            if array.shape != shape:
-                raise ShapeError(f"{name} must have shape {shape}, got {array.shape}")
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+        shape = np.shape(self.time)
+        if len(shape) != 1 or shape[0] < 2:
+            raise ShapeError(f"time must be (n,) with n >= 2, got {shape}")
+        (n,) = shape
+        arrays = {"time": _frozen("time", self.time, (n,))}
+        arrays["mode"] = _frozen("mode", self.mode, (n,), int)
+        arrays |= {name: _frozen(name, getattr(self, name), (n, 2)) for name in _COLUMNS}
+        body = _frozen_track("body", self.body, (n, 3))
+        feet = _frozen_track("feet", self.feet, (n, 2, 3))
+        for name, value in {**arrays, "body": body, "feet": feet}.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def command(self) -> np.ndarray:
+        """(1,) mean forward speed [m/s]."""
+        return np.array([self.speed])
 
     @property
     def single_stance(self) -> float:
@@ -153,69 +126,64 @@ class Gait:
         Raises:
             ShapeError: phase is not one-dimensional, or not finite.
         """
-        phase = np.asarray(phase, dtype=float)
-        if phase.ndim != 1 or not np.isfinite(phase).all():
-            raise ShapeError(f"phase must be (m,) and finite, got shape {phase.shape}")
-        strides = np.floor(phase)
-        time = (phase - strides) * self.stride
-        travelled = np.outer(strides, [self.speed * self.stride, 0.0, 0.0])
+        strides, within = split_phase(phase)
+        time, travelled = within * self.stride, displacement(self, strides)
         # the last point is the first of the next stride, so the search stops short of it
         mode = self.mode[np.searchsorted(self.time[:-1], time, side="right") - 1]
-        body, velocity = self._interpolate("body_position", "body_velocity", time)
-        set_point, rate = self._interpolate("set_point", "set_point_velocity", time)
-        left, left_velocity = self._foot(Mode.RIGHT, time)
-        right, right_velocity = self._foot(Mode.LEFT, time)
+        body, velocity = self._interpolate(self.body.position, self.body.velocity, time)
+        set_point, rate = self._interpolate(self.set_point, self.set_point_velocity, time)
+        footholds = np.stack([self.feet.position[0], self.feet.position[-1]], axis=1)
+        feet = swinging_feet(time, self.stride, footholds, self.parameters)
         # (m, 2, 3): from each foot to the body
-        leg = body[:, None, :] - np.stack([left, right], axis=1)
+        leg = body[:, None, :] - feet.position
         length = np.linalg.norm(leg, axis=2)
         length_rate = np.einsum("mlk,mk->ml", leg, velocity) / length
         force = leg_force(length, length_rate, set_point, rate, self.parameters)
         in_swing = np.stack([mode == Mode.RIGHT, mode == Mode.LEFT], axis=1)
+        force = np.where(in_swing, 0.0, force)
         return GaitSample(
-            phase=phase,
+            body=Track(body + travelled, velocity),
+            feet=Track(feet.position + travelled[:, None], feet.velocity),
+            ground_force=force[..., None] * leg / length[..., None],
+            heading=Angle.zeros(len(time)),
+            foot_heading=np.zeros((len(time), 2)),
             mode=mode,
-            body_position=body + travelled,
-            body_velocity=velocity,
-            left_foot_position=left + travelled,
-            left_foot_velocity=left_velocity,
-            right_foot_position=right + travelled,
-            right_foot_velocity=right_velocity,
-            leg_force=np.where(in_swing, 0.0, force),
+            leg_force=force,
             set_point=set_point,
             set_point_velocity=rate,
         )
 
     def _interpolate(
-        self, value: str, slope: str, time: np.ndarray
+        self, value: np.ndarray, slope: np.ndarray, time: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        return collocation.hermite(self.time, getattr(self, value), getattr(self, slope), time)
-
-    def _foot(self, swing: Mode, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Position and velocity of the foot that swings in the given mode, each (m, 3)."""
-        side = "left" if swing is Mode.RIGHT else "right"
-        foothold = getattr(self, f"{side}_foot_position")
-        lift_off = 0.0 if swing is Mode.RIGHT else self.stride / 2
-        return foot_motion(time - lift_off, foothold[0], foothold[-1], self.parameters)
+        spline = CubicHermiteSpline(self.time, value, slope)
+        return spline(time), spline(time, 1)
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """All fields as arrays that `numpy.savez` stores without pickle.
 
         Scalars become zero-dimensional; certificate and parameters become strings of JSON.
         """
-        plain = {name: np.array(getattr(self, name)) for name in (*_SCALARS, *_ARRAYS)}
+        named = (*_SCALARS, "time", "mode", *_COLUMNS)
+        plain = {name: np.array(getattr(self, name)) for name in named}
+        for track, (position, velocity) in _TRACKS.items():
+            plain[position] = np.array(getattr(self, track).position)
+            plain[velocity] = np.array(getattr(self, track).velocity)
         plain["certificate"] = np.array(self.certificate.to_json())
         plain["parameters"] = np.array(json.dumps(asdict(self.parameters)))
         return plain
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> "Gait":
-        """Gait from what `to_arrays` returned, bit for bit.
+        """Gait from the arrays of `to_arrays`, bit for bit.
 
         Raises:
             FileDamagedError: a field is missing, or certificate or parameters cannot be read.
             ShapeError: an array has the wrong shape.
         """
-        missing = [f.name for f in fields(cls) if f.name not in arrays]
+        tracks = [name for names in _TRACKS.values() for name in names]
+        needed = (*_SCALARS, "time", "mode", *_COLUMNS, *tracks, "certificate", "parameters")
+        missing = [name for name in needed if name not in arrays]
         if missing:
             raise FileDamagedError(f"a gait needs {', '.join(missing)}; got {sorted(arrays)}")
         try:
@@ -227,7 +195,50 @@ class Gait:
             speed=float(arrays["speed"]),
             stride=float(arrays["stride"]),
             cost=float(arrays["cost"]),
-            **{name: arrays[name] for name in _ARRAYS},
+            **{name: arrays[name] for name in ("time", "mode", *_COLUMNS)},
+            body=Track(*(arrays[name] for name in _TRACKS["body"])),
+            feet=Track(*(arrays[name] for name in _TRACKS["feet"])),
             certificate=certificate,
             parameters=parameters,
         )
+
+
+def swinging_feet(
+    time: np.ndarray, stride: float, footholds: np.ndarray, p: SlipParameters
+) -> Track:
+    """Feet of a gait, (m, 2, 3): the left swings from time 0, the right half a stride later.
+
+    Args:
+        time: (m,) since left lift-off, at most a stride [s].
+        stride: duration of a stride [s].
+        footholds: (2, 2, 3) start and end of the left and of the right swing [m].
+        p: duration of the swing and clearance.
+    """
+    feet = [
+        swing_foot(
+            time - lift_off, start, end, duration=p.single_stance, clearance=p.swing_clearance
+        )
+        for lift_off, (start, end) in zip((0.0, stride / 2), footholds, strict=True)
+    ]
+    return Track(
+        np.stack([foot.position for foot in feet], axis=1),
+        np.stack([foot.velocity for foot in feet], axis=1),
+    )
+
+
+def _frozen(
+    name: str, value: np.ndarray, shape: tuple[int, ...], kind: type[int | float] = float
+) -> np.ndarray:
+    """Read-only copy of an array of a shape."""
+    array = np.array(value, dtype=kind)
+    if array.shape != shape:
+        raise ShapeError(f"{name} must have shape {shape}, got {array.shape}")
+    array.setflags(write=False)
+    return array
+
+
+def _frozen_track(name: str, track: Track, shape: tuple[int, ...]) -> Track:
+    return Track(
+        _frozen(f"{name}.position", track.position, shape),
+        _frozen(f"{name}.velocity", track.velocity, shape),
+    )

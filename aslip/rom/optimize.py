@@ -14,8 +14,8 @@ import numpy as np
 from aslip.errors import GaitOptimizationError, SpeedOutOfRangeError
 from aslip.rom.certify import certify, slacks
 from aslip.rom.gait import Gait
-from aslip.rom.parameters import SlipParameters
-from aslip.rom.problem import HalfStride, Objective, WalkingProblem, walking_problem
+from aslip.rom.problem import HalfStride, WalkingProblem, walking_problem
+from aslip.rom.slip import Objective, SlipParameters
 from aslip.rom.unfold import fold, unfold
 
 
@@ -119,7 +119,7 @@ def _solve(problem: WalkingProblem, speed: float, start: HalfStride) -> Gait:
 
 
 def _failure(problem: WalkingProblem, speed: float) -> str:
-    """What went wrong, from the solver's last iterate."""
+    """Error message from the solver's last iterate."""
     opti = problem.opti
     x, lam = opti.debug.value(opti.x), np.zeros(opti.ng)
     _, g, lower, upper = (v.full().ravel() for v in problem.optimality(x, lam, speed))

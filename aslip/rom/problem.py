@@ -12,17 +12,13 @@ beginning of a contact mode ends within a micrometre of its collocated end.
 
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Literal
 
 import casadi as ca
 import numpy as np
 
 from aslip.rom import collocation
-from aslip.rom.dynamics import CONTROL_SIZE, STATE_SIZE, Mode, flow_function, leg_function
-from aslip.rom.parameters import SlipParameters
-
-Objective = Literal["mean", "integral"]
-"""What is minimised: the mean of u_l^2 + u_r^2 over the stride, or its integral."""
+from aslip.rom.dynamics import CONTROL_SIZE, STATE_SIZE, flow_function, leg_function
+from aslip.rom.slip import Mode, Objective, SlipParameters
 
 INTERVALS = 25
 """Hermite-Simpson intervals per contact mode: 51 points; the published gaits have 50."""

@@ -5,13 +5,13 @@ one collocation node early, after 48/49 of the single stance; ours fills the sin
 lift-off to touchdown, because a foot that waits on the ground is not in swing. Forward, one
 rest-to-rest quintic; vertical, two quintics that meet at the clearance height.
 
-Both profiles are functions of swing fraction s in [0, 1]; velocities and accelerations are per unit
-of s (divide by the duration, once and twice). Outside [0, 1] they hold the value of the nearer end.
+Both profiles are functions of swing fraction s in [0, 1]; derivatives are per unit of s. Outside
+[0, 1] a profile holds the value of the nearer end.
 """
 
 import numpy as np
 
-from aslip.rom.parameters import SlipParameters
+from aslip.rom.motion import Track
 
 # s^3 (10 - 15 s + 6 s^2), the quintic with zero velocity and acceleration at 0 and 1
 _TRAVEL = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
@@ -53,41 +53,25 @@ def lift(fraction: np.ndarray, order: int = 0) -> np.ndarray:
 
 
 def swing_foot(
-    fraction: np.ndarray, start: np.ndarray, end: np.ndarray, clearance: float, duration: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, velocity and acceleration of a swing foot, world frame.
+    time: np.ndarray, start: np.ndarray, end: np.ndarray, *, duration: float, clearance: float
+) -> Track:
+    """Motion of a foot that swings once.
 
     Args:
-        fraction: swing fraction, (m,); 0 at lift-off, 1 at touchdown.
-        start: foothold left (3,) [m].
-        end: foothold reached (3,) [m], at the same height.
-        clearance: height at half swing [m].
+        time: (m,) since lift-off [s]; negative before it.
+        start: foothold until lift-off (3,) [m].
+        end: foothold from touchdown on (3,) [m], at the same height.
         duration: of the swing [s].
+        clearance: height at half swing [m].
 
     Returns:
-        Three arrays (m, 3) [m, m/s, m/s^2].
+        Track of shape (m, 3).
     """
+    fraction = time / duration
     way, up = np.subtract(end, start), np.array([0.0, 0.0, clearance])
 
     def motion(order: int) -> np.ndarray:
         path = np.multiply.outer(travel(fraction, order), way)
         return (path + np.multiply.outer(lift(fraction, order), up)) / duration**order
 
-    return motion(0) + start, motion(1), motion(2)
-
-
-def foot_motion(
-    since_lift_off: np.ndarray, start: np.ndarray, end: np.ndarray, p: SlipParameters
-) -> tuple[np.ndarray, np.ndarray]:
-    """Position [m] and velocity [m/s] of a foot that swings once, each (m, 3), world frame.
-
-    Args:
-        since_lift_off: (m,) time since its lift-off [s]; negative before.
-        start: foothold until lift-off (3,) [m].
-        end: foothold from touchdown on (3,) [m].
-        p: gives swing duration and clearance.
-    """
-    duration = p.single_stance
-    fraction = since_lift_off / duration
-    position, velocity, _ = swing_foot(fraction, start, end, p.swing_clearance, duration)
-    return position, velocity
+    return Track(motion(0) + start, motion(1))

@@ -5,11 +5,11 @@ import numpy as np
 from aslip.errors import ShapeError
 from aslip.rom import collocation
 from aslip.rom.certificate import Certificate
-from aslip.rom.dynamics import Mode, leg_function
-from aslip.rom.gait import Gait
-from aslip.rom.parameters import SlipParameters
+from aslip.rom.dynamics import leg_function
+from aslip.rom.gait import Gait, swinging_feet
+from aslip.rom.motion import Track
 from aslip.rom.problem import INTERVALS, MIRROR, MIRROR_SIGN, HalfStride
-from aslip.rom.swing import foot_motion
+from aslip.rom.slip import Mode, SlipParameters
 
 _POINTS = 2 * INTERVALS
 """Collocation points per contact mode, without the last one, which opens the next mode."""
@@ -36,19 +36,13 @@ def unfold(half: HalfStride, speed: float, certificate: Certificate, p: SlipPara
     right, left = half.right_foothold, half.right_foothold + step
     footholds = _footholds(left, right, step, p)
     force = _forces(state, mode, footholds, half_period, time, p)
-    left_position, left_velocity = foot_motion(time, *footholds[0], p)
-    right_position, right_velocity = foot_motion(time - half_period, *footholds[1], p)
     return Gait(
         speed=speed,
         stride=2 * half_period,
         time=time,
         mode=mode,
-        body_position=state[0:3].T,
-        body_velocity=state[3:6].T,
-        left_foot_position=left_position,
-        left_foot_velocity=left_velocity,
-        right_foot_position=right_position,
-        right_foot_velocity=right_velocity,
+        body=Track(state[0:3].T, state[3:6].T),
+        feet=swinging_feet(time, 2 * half_period, footholds, p),
         leg_force=force,
         set_point=state[6:8].T,
         set_point_velocity=state[8:10].T,
@@ -69,14 +63,14 @@ def fold(gait: Gait) -> HalfStride:
         raise ShapeError(f"a guess needs {4 * _POINTS + 1} points, got {len(gait.time)}")
     half = slice(0, 2 * _POINTS + 1)
     state = np.hstack(
-        [gait.body_position, gait.body_velocity, gait.set_point, gait.set_point_velocity]
+        [gait.body.position, gait.body.velocity, gait.set_point, gait.set_point_velocity]
     )
     return HalfStride(
         state=state[half].T,
         single_control=gait.control[: _POINTS + 1].T,
         double_control=gait.control[_POINTS : 2 * _POINTS + 1].T,
         double_stance=gait.double_stance,
-        right_foothold=float(gait.right_foot_position[0, 0]),
+        right_foothold=float(gait.feet.position[0, 1, 0]),
     )
 
 
@@ -87,22 +81,21 @@ def mirrored(state: np.ndarray, step: float) -> np.ndarray:
     return image
 
 
-def _footholds(
-    left: float, right: float, step: float, p: SlipParameters
-) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Start and end of the left and of the right swing, (3,) each [m]."""
-    side = p.foot_separation / 2
-
-    def pair(end: float, y: float) -> tuple[np.ndarray, np.ndarray]:
-        return np.array([end - 2 * step, y, 0.0]), np.array([end, y, 0.0])
-
-    return pair(left, side), pair(right + 2 * step, -side)
+def _footholds(left: float, right: float, step: float, p: SlipParameters) -> np.ndarray:
+    """(2, 2, 3) start and end of the left and of the right swing [m]."""
+    side, stride = p.foot_separation / 2, 2 * step
+    return np.array(
+        [
+            [[left - stride, side, 0.0], [left, side, 0.0]],
+            [[right, -side, 0.0], [right + stride, -side, 0.0]],
+        ]
+    )
 
 
 def _forces(
     state: np.ndarray,
     mode: np.ndarray,
-    footholds: tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]],
+    footholds: np.ndarray,
     half_period: float,
     time: np.ndarray,
     p: SlipParameters,
@@ -110,8 +103,8 @@ def _forces(
     """Leg forces (n, 2) [N], 0 in swing."""
     # left stands on its second foothold from its touchdown on; right does so after its own swing
     landed = time >= half_period + p.single_stance
-    left = np.repeat(footholds[0][1][:, None], len(time), axis=1)
-    right = np.where(landed, footholds[1][1][:, None], footholds[1][0][:, None])
+    left = np.repeat(footholds[0, 1][:, None], len(time), axis=1)
+    right = np.where(landed, footholds[1, 1][:, None], footholds[1, 0][:, None])
     force = np.array(leg_function(p)(state, left, right)[0]).T
     in_swing = np.stack([mode == Mode.RIGHT, mode == Mode.LEFT], axis=1)
     return np.where(in_swing, 0.0, force)

@@ -19,11 +19,15 @@ from tensordict import TensorDictBase
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import SIDES, Side
-from aslip.rom import Gait, Mode
+from aslip.rom import Motion
 from aslip.show.palette import LEFT, MODEL, RIGHT, rgba
 
 # a foot of the reference that moves slower over ground is in stance [m/s]
 _STANCE_SPEED = 0.05
+# height above its lowest point up to which a foot of a motion is in stance [m]
+_STANCE_HEIGHT = 0.005
+# instants of a stride at which a touchdown is looked for
+_INSTANTS = 4096
 
 BODY_COLOR = rgba(MODEL)
 """Of its body wherever it is drawn, red, green, blue and opacity."""
@@ -80,24 +84,17 @@ class Ghost:
 
 
 class Footholds:
-    """Where the reduced-order model would put its next foot down.
+    """Planned footholds: where the reduced-order model would put its next foot down.
 
     Args:
-        library: the gaits; between two of them the step is interpolated linearly.
-
-    Raises:
-        ConfigurationError: the library has motions, but no gaits.
+        library: the motions, each with one swing per foot; between two of them the step is
+            interpolated linearly.
     """
 
     def __init__(self, library: GaitLibrary) -> None:
-        if not library.gaits:
-            raise ConfigurationError(
-                "footholds are planned from gaits, and this library, of a pendulum's motion or a"
-                " single reference, has none; leave it out for the library that ships"
-            )
         self._speeds = library.speeds
-        self._phases = np.array([touchdown_phases(gait) for gait in library.gaits])
-        self._strides = np.array([gait.stride for gait in library.gaits])
+        self._phases = np.array([touchdown_phases(motion) for motion in library.motions])
+        self._strides = np.array([motion.stride for motion in library.motions])
         speeds = torch.tensor(np.array(library.speeds))[:, None]
         self._steps = np.empty((2, len(speeds), 2))
         for i, side in enumerate(SIDES):
@@ -150,10 +147,24 @@ def yaw_rotation(orientation: np.ndarray) -> np.ndarray:
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def touchdown_phases(gait: Gait) -> tuple[float, float]:
-    """Stride fractions at which left and right foot of a gait touch down."""
-    mode, time = gait.mode, gait.time
-    begins = np.flatnonzero(np.diff(mode)) + 1
-    double = [k for k in begins if mode[k] == Mode.DOUBLE]
-    after = {int(mode[k - 1]): float(time[k] / time[-1]) for k in double}
-    return after[Mode.RIGHT], after[Mode.LEFT]
+def touchdown_phases(motion: Motion) -> tuple[float, float]:
+    """Stride fractions at which left and right foot of a motion come to rest on the ground.
+
+    Raises:
+        ConfigurationError: a foot does not swing once.
+    """
+    phase = np.arange(_INSTANTS) / _INSTANTS
+    feet = motion.sample(phase).feet
+    speed, height = np.linalg.norm(feet.velocity, axis=-1), feet.position[..., 2]
+    stance = (speed < _STANCE_SPEED) & (height < height.min(axis=0) + _STANCE_HEIGHT)
+    begins = stance & ~np.roll(stance, 1, axis=0)
+    if (begins.sum(axis=0) != 1).any():
+        raise ConfigurationError(
+            "footholds are planned for motions in which each foot swings once a stride; swings of"
+            f" left and right foot at command {motion.command}: {begins.sum(axis=0).tolist()}"
+        )
+    first = begins.argmax(axis=0)
+    # and on until it moves no slower
+    slower = [np.diff(np.roll(v, -k)) < 0 for v, k in zip(speed.T, first, strict=True)]
+    left, right = ((first + [s.argmin() for s in slower]) % _INSTANTS / _INSTANTS).tolist()
+    return left, right

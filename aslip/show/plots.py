@@ -22,8 +22,8 @@ from aslip.show.palette import LEFT, RIGHT
 MODE_COLORS = {Mode.LEFT: LEFT, Mode.RIGHT: RIGHT, Mode.DOUBLE: "tab:purple"}
 _PATHS: dict[str, dict[str, Any]] = {
     "body": {"lw": 2.5},
-    "left_foot": {"lw": 1.5, "ls": "--"},
-    "right_foot": {"lw": 1.5, "ls": ":"},
+    "left foot": {"lw": 1.5, "ls": "--"},
+    "right foot": {"lw": 1.5, "ls": ":"},
 }
 _MODE_LABELS = {
     Mode.LEFT: "left single stance",
@@ -43,10 +43,11 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
     figure = Figure(figsize=(9, 4.6), layout="constrained")
     axes = figure.add_subplot(projection="3d")
     assert isinstance(axes, Axes3D)
-    for path, style in _PATHS.items():
-        for mode, points in _pieces(motion.mode, getattr(motion, f"{path}_position")):
+    paths = (motion.body.position, *motion.feet.position.swapaxes(0, 1))
+    for path, style in zip(paths, _PATHS.values(), strict=True):
+        for mode, points in _pieces(motion.mode, path):
             axes.plot(*points.T, color=MODE_COLORS[mode], **style)
-    span = np.ptp(motion.body_position[:, 0])
+    span = np.ptp(motion.body.position[:, 0])
     axes.set_box_aspect((max(span, 0.5), 0.45, 1.0), zoom=1.25)  # pyright: ignore[reportArgumentType]
     axes.set(xlabel="x [m]", zlim=(0, 1))
     axes.set_ylabel("y [m]", labelpad=-2)
@@ -67,13 +68,13 @@ def gait_sheet(gaits: Sequence[Gait]) -> Figure:
     phase = np.linspace(0.0, 1.0, 400, endpoint=False)
     for gait, color in zip(gaits, colors, strict=True):
         motion = gait.sample(phase)
-        rows[0].plot(phase, motion.body_position[:, 2], color=color)
+        rows[0].plot(phase, motion.body.position[:, 2], color=color)
         if gait.speed > 0:
-            rows[1].plot(phase, motion.body_velocity[:, 0] / gait.speed, color=color)
+            rows[1].plot(phase, motion.body.velocity[:, 0] / gait.speed, color=color)
         rows[2].plot(phase, motion.leg_force[:, 0], color=color)
         rows[2].plot(phase, motion.leg_force[:, 1], color=color, ls=":")
-        rows[3].plot(phase, motion.left_foot_position[:, 2], color=color)
-        rows[3].plot(phase, motion.right_foot_position[:, 2], color=color, ls=":")
+        rows[3].plot(phase, motion.feet.position[:, 0, 2], color=color)
+        rows[3].plot(phase, motion.feet.position[:, 1, 2], color=color, ls=":")
     for axes, quantity in zip(rows, quantities, strict=True):
         axes.set_ylabel(quantity)
         axes.grid(alpha=0.3)
@@ -139,5 +140,5 @@ def _shade_modes(axes: Axes, gait: Gait) -> None:
 def _gait_legend() -> list[Line2D]:
     handles = [Line2D([], [], color=MODE_COLORS[m], lw=2.5, label=_MODE_LABELS[m]) for m in Mode]
     for path, style in _PATHS.items():
-        handles.append(Line2D([], [], color="0.3", label=path.replace("_", " "), **style))
+        handles.append(Line2D([], [], color="0.3", label=path, **style))
     return handles

@@ -1,7 +1,7 @@
 r"""Rewards of the single-reference method of Xie et al. 2018, the paper's baseline (Sec. V).
 
 One walking motion is imitated in joint space at every speed; of the command only the way of the
-pelvis knows. Our motion is a linear inverted pendulum's (`aslip.library.pendulum`), in place of the
+pelvis knows. Our motion is a linear inverted pendulum's (`aslip.rom.pendulum`), in place of the
 recorded one. Shapes: (*b, k) in, (*b, 1) out.
 """
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,9 @@ from tensordict import TensorDict
 import aslip
 from aslip.files.archive import as_json
 from aslip.library import GaitLibrary
-from aslip.library.file import GaitTable, read_made_by, write_library
+from aslip.library.table import ARRAYS
 from aslip.policy import CARD, PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
+from aslip.rom import SampledMotion
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint
 from benchmarks.faults.archives import forged, unzipped
 from benchmarks.faults.logs import FORGED_LOGS, load_log, write_log
@@ -101,23 +102,27 @@ def _other_sizes(data: bytes, rng: np.random.Generator) -> bytes:
 
 def _write_library(path: Path) -> None:
     library = GaitLibrary.load()
-    rows = {f.name: getattr(library.table, f.name)[[5, 10]] for f in fields(GaitTable)}
-    thinned = {name: v[:, ::16] if v.ndim == 3 else v for name, v in rows.items()}
-    gaits = [library.gaits[5], library.gaits[10]]
-    write_library(path, gaits, GaitTable(**thinned), {"command": "none"})
+    rows = {name: getattr(library.table, name)[[5, 10]] for name in ARRAYS}
+    thinned = {name: v[:, ::16] if v.ndim > 1 else v for name, v in rows.items()}
+    table = replace(library.table, axes=(library.speeds[[5, 10]],), **thinned)
+    walk = SampledMotion.from_motion(library.motions[10], 8)
+    GaitLibrary([library.motions[5], walk], table, made_by={"command": "none"}).save(path)
 
 
 def _load_library(path: Path) -> Any:
     library = GaitLibrary.load(path)
     point = torch.full((1, 1), 0.7)
-    arrays = [gait.to_arrays() for gait in library.gaits]
+    stored: Any = library.motions
+    arrays = [motion.to_arrays() for motion in stored]
     return _finite(
         {
-            "table": [_tensor(getattr(library.table, f.name)) for f in fields(GaitTable)],
-            "gaits": [{k: _content(v) for k, v in gait.items()} for gait in arrays],
+            "table": [_tensor(getattr(library.table, name)) for name in ARRAYS],
+            "axes": [_tensor(axis) for axis in library.table.axes],
+            "torque_jumps": library.table.torque_jumps,
+            "motions": [{k: _content(v) for k, v in motion.items()} for motion in arrays],
             "reference": library.lookup(point, point).motor_position,
             "start": library.initial_state(point, point),
-            "made_by": read_made_by(path),
+            "made_by": library.made_by,
         }
     )
 

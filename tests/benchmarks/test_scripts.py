@@ -16,7 +16,6 @@ from aslip.errors import (
     SpeedOutOfRangeError,
     one_line_errors,
 )
-from aslip.library.file import read_made_by
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.training.run import steps_done
 from benchmarks import black_box, collectors, film_strip, learning_curves, throughput
@@ -50,7 +49,7 @@ def test_a_library_of_other_speeds_can_be_built(
     gait_library.main(config)
     library = GaitLibrary.load(tmp_path / "mine.npz")
     assert library.speeds.tolist() == [0.5, 0.75]
-    assert read_made_by(tmp_path / "mine.npz")["command"].startswith("python recipes/")
+    assert library.made_by["command"].startswith("python recipes/")
     for picture in ("gait.png", "gaits.png"):
         assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
     table = capsys.readouterr().out

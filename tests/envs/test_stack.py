@@ -25,8 +25,7 @@ from aslip.envs import (
     stack_name,
 )
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.library import GaitLibrary
-from aslip.library.pendulum import pendulum_library
+from aslip.library import GaitLibrary, pendulum_library
 from aslip.transforms import (
     ActionDelta,
     AssembleObservation,

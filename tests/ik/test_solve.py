@@ -243,9 +243,11 @@ def test_shipped_library_is_solved_again(kinematics, library):
         motion = library.gaits[row].sample(phase)
         solution = solve(
             kinematics,
-            BodyTarget(motion.body_position, velocity=motion.body_velocity),
-            BodyTarget(motion.left_foot_position, velocity=motion.left_foot_velocity),
-            BodyTarget(motion.right_foot_position, velocity=motion.right_foot_velocity),
+            BodyTarget(motion.body.position, velocity=motion.body.velocity),
+            *(
+                BodyTarget(motion.feet.position[:, i], velocity=motion.feet.velocity[:, i])
+                for i in range(2)
+            ),
         )
         for name in ("motor_position", "motor_velocity", "qvel"):
             expected = getattr(library.table, name)[row]

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from aslip.errors import ShapeError
 from aslip.ik import Kinematics, standing_pose, static_torque
 from aslip.library import GaitLibrary
-from aslip.robot import CASSIE, SIDES, STANDARD_GRAVITY
+from aslip.robot import CASSIE, STANDARD_GRAVITY
 
 
 @pytest.mark.parametrize("row", [0, 7, 20])
@@ -19,7 +19,7 @@ def test_motors_and_ground_do_the_same_work(library: GaitLibrary, row: int) -> N
     force = np.random.default_rng(row).normal(size=(table.qpos.shape[1], 2, 3))
     torque = static_torque(Kinematics(), table.qpos[row], force)
     # the reference's feet, and with them the robot's, relative to a pelvis that does not turn
-    velocity = np.stack([getattr(table, f"{side}_foot_velocity")[row] for side in SIDES], axis=1)
+    velocity = table.foot_velocity[row]
     velocity = velocity - table.body_velocity[row][:, None]
     by_ground = (force * velocity).sum((1, 2))
     by_motors = (torque * table.motor_velocity[row]).sum(1)

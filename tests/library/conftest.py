@@ -1,29 +1,57 @@
-"""A small library to damage."""
+"""A small library to damage, and a motion of one's own."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from aslip.library import GaitLibrary
-from aslip.library.file import GaitTable, write_library
+from aslip.library.table import ARRAYS
+from aslip.rom import Angle, MotionSample, PendulumWalk, Track
 from tests.helpers import MADE_BY
+
+
+class Shuffle:
+    """A user's motion, which inherits from nothing: a pendulum's walk that drifts sideways.
+
+    Its toes point outwards, and its command has two axes, forward and sideways.
+    """
+
+    def __init__(self, forward: float, sideways: float, toes: float = 0.1) -> None:
+        self.command = np.array([forward, sideways])
+        self.stride = 0.8
+        self.toes = toes
+
+    def sample(self, phase: np.ndarray) -> MotionSample:
+        """A walk forward, moved sideways at the commanded speed."""
+        walk = PendulumWalk(speed=self.command[0], stride=self.stride).sample(phase)
+        drift = np.multiply.outer(phase * self.stride, [0.0, self.command[1], 0.0])
+        rate = np.array([0.0, self.command[1], 0.0])
+        return MotionSample(
+            body=Track(walk.body.position + drift, walk.body.velocity + rate),
+            feet=Track(walk.feet.position + drift[:, None], walk.feet.velocity + rate),
+            ground_force=walk.ground_force,
+            heading=Angle.zeros(len(phase)),
+            foot_heading=np.tile([self.toes, -self.toes], (len(phase), 1)),
+        )
 
 
 @pytest.fixture(scope="session")
 def small(library: GaitLibrary) -> GaitLibrary:
     """Two gaits of eight samples."""
     table = library.table
-    per_gait = {f.name: getattr(table, f.name)[[5, 10]] for f in fields(GaitTable)}
-    thinned = {n: v[:, ::16] if v.ndim == 3 else v for n, v in per_gait.items()}
-    return GaitLibrary([library.gaits[5], library.gaits[10]], GaitTable(**thinned))
+    rows = {name: getattr(table, name)[[5, 10]] for name in ARRAYS}
+    thinned = {name: v[:, ::16] if v.ndim > 1 else v for name, v in rows.items()}
+    table = replace(table, axes=(library.speeds[[5, 10]],), **thinned)
+    return GaitLibrary([library.motions[5], library.motions[10]], table, made_by=MADE_BY)
 
 
 @pytest.fixture
 def file(small: GaitLibrary, tmp_path: Path) -> Path:
     """The small library in a file."""
     path = tmp_path / "gaits.npz"
-    write_library(path, small.gaits, small.table, MADE_BY)
+    small.save(path)
     return path

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
 from dataclasses import fields
 from typing import Any
 
@@ -15,9 +17,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from aslip.envs import make_env
 from aslip.errors import ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary, Reference
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 
 NAMES = [field.name for field in fields(Reference)]
@@ -47,7 +50,9 @@ def test_stored_nodes_are_returned(library: GaitLibrary, gait: int) -> None:
     phase = _column(torch.arange(samples, dtype=torch.float64) / samples)
     reference = library.lookup(phase, _column(library.speeds[gait], phase))
     for name in NAMES:
-        expected = torch.tensor(getattr(library.table, name)[gait]).float()
+        side, _, kind = name.partition("_")
+        rows = getattr(library.table, kind if side in SIDES else name)[gait]
+        expected = torch.tensor(rows[:, SIDES.index(side)] if side in SIDES else rows).float()
         torch.testing.assert_close(getattr(reference, name), expected, rtol=0, atol=1e-6)
 
 
@@ -87,7 +92,7 @@ def test_nothing_jumps_between_gaits(library: GaitLibrary) -> None:
 
 
 LARGEST_CHANGES = {"velocity": (0.2, 0.02), "torque": (8.0, 1.0)}
-"""Of rates and torques, with a thousandth of a stride and a millimetre a second."""
+"""Bounds for rates and torques over a thousandth of a stride, and over 1 mm/s of speed."""
 
 
 def test_small_steps_of_phase_and_speed_are_small_changes(library: GaitLibrary) -> None:
@@ -106,13 +111,15 @@ def test_small_steps_of_phase_and_speed_are_small_changes(library: GaitLibrary) 
 
 def test_the_slope_in_phase_is_continuous(library: GaitLibrary) -> None:
     """Once continuously differentiable, across the nodes and the wrap, in double precision."""
-    table, step = library._qpos, 1e-6
+    step = 1e-6
     samples = library.table.qpos.shape[1]
     for column in (0, 1, 40, 127):
         for speed in (0.0, 0.55, 2.0):
             node, v = _column(column / samples), _column(speed)
-            left = (table(node, v) - table(node - step, v)) / step
-            right = (table(node + step, v) - table(node, v)) / step
+            before, at, after = (
+                library.initial_state(p, v)[0] for p in (node - step, node, node + step)
+            )
+            left, right = (at - before) / step, (after - at) / step
             # the second derivative times the step is what may remain
             torch.testing.assert_close(left, right, rtol=0, atol=2e-3)
 
@@ -169,10 +176,10 @@ def test_check_speed_returns_what_the_library_covers(library: GaitLibrary, speed
 def test_strides_are_the_gaits_and_linear_between(library: GaitLibrary) -> None:
     speeds = torch.tensor(library.speeds.copy())
     expected = torch.tensor([gait.stride for gait in library.gaits], dtype=torch.float64)
-    torch.testing.assert_close(library.stride(speeds), expected, rtol=0, atol=1e-12)
-    middle = library.stride((speeds[1:] + speeds[:-1]) / 2)
+    torch.testing.assert_close(library.stride(speeds[:, None])[:, 0], expected, rtol=0, atol=1e-12)
+    middle = library.stride((speeds[1:, None] + speeds[:-1, None]) / 2)[:, 0]
     torch.testing.assert_close(middle, (expected[1:] + expected[:-1]) / 2, rtol=1e-12, atol=0)
-    assert library.stride(speeds.float()).dtype == torch.float32
+    assert library.stride(speeds[:, None].float()).dtype == torch.float32
 
 
 # ------------------------------------------------------------- consistency
@@ -328,6 +335,62 @@ def test_lookups_share_no_memory_with_the_library(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize("phase", [0.25, torch.tensor(0.25), torch.zeros(5), np.zeros((5, 1))])
-def test_what_is_no_column_is_refused(library: GaitLibrary, phase: Any) -> None:
+def test_a_phase_of_another_shape_is_refused(library: GaitLibrary, phase: Any) -> None:
     with pytest.raises(ShapeError, match=r"phase must be a tensor of shape \(..., 1\)"):
         library.lookup(phase, torch.ones(5, 1))
+
+
+# ------------------------------------------------------------ the library as a module
+
+
+def _reference_bits(library: GaitLibrary) -> list[Tensor]:
+    phase, speed = _random(20)
+    reference = library.lookup(phase, speed)
+    return [*(getattr(reference, name) for name in NAMES), *library.initial_state(phase, speed)]
+
+
+def test_calling_a_library_is_looking_up(library: GaitLibrary) -> None:
+    phase, speed = _random(5)
+    called, looked_up = library(phase, speed), library.lookup(phase, speed)
+    assert all(torch.equal(getattr(called, n), getattr(looked_up, n)) for n in NAMES)
+
+
+def test_all_tables_move_to_another_device(small: GaitLibrary) -> None:
+    """Checked on torch's device without memory, which refuses tensors of another device."""
+    moved = copy.deepcopy(small).to("meta")
+    phase, speed = (torch.zeros(3, 1, device="meta") for _ in range(2))
+    reference = moved.lookup(phase, speed)
+    tensors = [*(getattr(reference, name) for name in NAMES), *moved.initial_state(phase, speed)]
+    assert {tensor.device.type for tensor in [*tensors, moved.stride(speed)]} == {"meta"}
+    assert {buffer.device.type for buffer in small.buffers()} == {"cpu"}
+
+
+def test_a_library_in_single_precision_is_close(library: GaitLibrary) -> None:
+    single = copy.deepcopy(library).float()
+    for found, expected in zip(_reference_bits(single), _reference_bits(library), strict=True):
+        torch.testing.assert_close(found.double(), expected.double(), rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+def test_copies_look_up_the_same_bits(library: GaitLibrary, copied: Any) -> None:
+    twin = copied(library)
+    assert twin is not library
+    for found, expected in zip(_reference_bits(twin), _reference_bits(library), strict=True):
+        assert torch.equal(found, expected)
+
+
+def test_tables_are_no_part_of_a_checkpoint(library: GaitLibrary) -> None:
+    assert not library.state_dict()
+    assert not list(library.parameters())
+    assert sum(buffer.nbytes for buffer in library.buffers()) < 6e6
+
+
+def test_environments_share_a_library(library: GaitLibrary) -> None:
+    envs = [make_env(num_envs=1, library=library, num_threads=1) for _ in range(2)]
+    try:
+        used = [t.library for env in envs for t in env.transforms if hasattr(t, "library")]
+        assert len(used) == 8
+        assert all(one is library for one in used)
+    finally:
+        for env in envs:
+            env.close()

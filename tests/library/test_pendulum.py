@@ -1,4 +1,4 @@
-"""The linear inverted pendulum's walk obeys its dynamics, repeats itself, and can be looked up."""
+"""Libraries of the linear inverted pendulum."""
 
 from __future__ import annotations
 
@@ -8,64 +8,15 @@ import torch
 
 from aslip.errors import ConfigurationError
 from aslip.ik import Kinematics, static_torque
-from aslip.library import (
-    GaitLibrary,
-    PendulumWalk,
-    pendulum_library,
-    single_reference_library,
-)
-from aslip.library.pendulum import pendulum_motion
-from aslip.robot import STANDARD_GRAVITY
-from aslip.rom import SlipParameters
+from aslip.library import GaitLibrary, pendulum_library, single_reference_library
+from aslip.rom import PendulumWalk, SlipParameters
 
 WALK = PendulumWalk(speed=0.8, stride=0.8, height=0.9, width=0.24)
-PHASE = np.arange(4000) / 4000
 
 
 @pytest.fixture(scope="module")
 def single() -> GaitLibrary:
     return single_reference_library(WALK, samples=64)
-
-
-def test_the_body_is_driven_by_its_stance_foot_alone() -> None:
-    motion = pendulum_motion(WALK, PHASE)
-    dt = WALK.stride / len(PHASE)
-    acceleration = np.gradient(motion.body_velocity, dt, axis=0)
-    omega_squared = STANDARD_GRAVITY / WALK.height
-    # the right foot carries while the left swings
-    for half, stance in ((slice(2, 1998), 1), (slice(2002, 3998), 0)):
-        lever = motion.body[half] - motion.foot[stance, half]
-        expected = omega_squared * lever[:, :2]
-        np.testing.assert_allclose(acceleration[half, :2], expected, atol=2e-3)
-        assert np.ptp(motion.foot[stance, half], axis=0).max() == 0
-    assert (motion.body[:, 2] == WALK.height).all()
-
-
-def test_velocities_are_derivatives() -> None:
-    motion = pendulum_motion(WALK, PHASE)
-    dt = WALK.stride / len(PHASE)
-    pairs = [(motion.body, motion.body_velocity)]
-    pairs += list(zip(motion.foot, motion.foot_velocity, strict=True))
-    for position, velocity in pairs:
-        middle = (velocity[1:] + velocity[:-1]) / 2
-        np.testing.assert_allclose(np.diff(position, axis=0) / dt, middle, atol=2e-3)
-
-
-def test_the_walk_repeats_itself_mirrored_after_half_a_stride() -> None:
-    motion = pendulum_motion(WALK, PHASE)
-    half, mirror = len(PHASE) // 2, np.array([1.0, -1.0, 1.0])
-    step = np.array([WALK.speed * WALK.stride / 2, 0, 0])
-    body = motion.body[:half] * mirror + step
-    np.testing.assert_allclose(motion.body[half:], body, atol=1e-12)
-    left = motion.foot[0, :half] * mirror + step
-    np.testing.assert_allclose(motion.foot[1, half:], left, atol=1e-12)
-
-
-def test_feet_keep_their_distance_and_clear_the_ground() -> None:
-    motion = pendulum_motion(WALK, PHASE)
-    np.testing.assert_allclose(motion.foot[0, :, 1] - motion.foot[1, :, 1], WALK.width)
-    assert motion.foot[..., 2].min() >= 0
-    assert motion.foot[..., 2].max() == pytest.approx(WALK.clearance, abs=1e-3)
 
 
 def test_the_command_stretches_the_pelvis_way_and_nothing_else(single: GaitLibrary) -> None:
@@ -101,38 +52,15 @@ def test_a_pendulum_of_every_gait_lifts_its_feet_as_high_below_the_body(
 ) -> None:
     table = pendulum_library(library.gaits, samples=32).table
     phase = np.arange(320) / 320
-    for lowest, gait in zip(-table.left_foot_position[..., 2].max(1), library.gaits, strict=True):
+    for lowest, gait in zip(-table.foot_position[..., 0, 2].max(1), library.gaits, strict=True):
         sample = gait.sample(phase)
-        leg = sample.body_position[:, 2] - sample.left_foot_position[:, 2]
+        leg = sample.body.position[:, 2] - sample.feet.position[:, 0, 2]
         assert lowest == pytest.approx(leg.min(), abs=5e-3)  # of 32 samples
-
-
-@pytest.mark.parametrize(
-    ("setting", "value"),
-    [
-        ("mass", 0.0),
-        ("stride", 0.0),
-        ("height", -1.0),
-        ("width", np.inf),
-        ("swing_share", 1.1),
-        ("speed", np.nan),
-    ],
-)
-def test_walks_that_are_none_are_refused(setting: str, value: float) -> None:
-    with pytest.raises(ConfigurationError, match=setting):
-        PendulumWalk(**{setting: value})
 
 
 def test_a_walk_on_the_spot_cannot_be_stretched() -> None:
     with pytest.raises(ConfigurationError, match="forward"):
         single_reference_library(PendulumWalk(speed=0.0))
-
-
-def test_the_ground_pushes_on_the_foot_that_stands() -> None:
-    motion = pendulum_motion(WALK, PHASE)
-    swinging = np.linalg.norm(motion.foot_velocity, axis=-1) > 1e-6
-    assert not motion.ground_force[swinging].any()
-    np.testing.assert_allclose(motion.ground_force[..., 2].sum(0), WALK.mass * STANDARD_GRAVITY)
 
 
 def test_a_pendulum_in_a_gaits_place_is_as_heavy_and_lifts_its_feet_as_high(
@@ -146,15 +74,15 @@ def test_a_pendulum_in_a_gaits_place_is_as_heavy_and_lifts_its_feet_as_high(
     for row, (qpos, torque, gait) in enumerate(pairs):
         p = gait.parameters
         height = pendulums.table.body_position[row, 0, 2]
-        foot = pendulums.table.left_foot_position[row, :, 2] + height
+        foot = pendulums.table.foot_position[row, :, 0, 2] + height
         phase = np.arange(320) / 320
-        lifted = gait.sample(phase).left_foot_position[:, 2].max()
+        lifted = gait.sample(phase).feet.position[:, 0, 2].max()
         assert foot.max() == pytest.approx(lifted, abs=4e-3)  # of 32 samples
         walk = PendulumWalk(
             speed=gait.speed, stride=gait.stride, height=height, clearance=p.swing_clearance,
             width=p.foot_separation, mass=p.mass,
         )  # fmt: skip
-        force = pendulum_motion(walk, np.arange(32) / 32).ground_force.swapaxes(0, 1)
+        force = walk.sample(np.arange(32) / 32).ground_force
         expected = static_torque(kinematics, qpos, force)
         np.testing.assert_allclose(torque, expected, atol=1e-9)
         carried = gait.sample(phase).leg_force.sum(-1).mean()
@@ -164,7 +92,7 @@ def test_a_pendulum_in_a_gaits_place_is_as_heavy_and_lifts_its_feet_as_high(
 
 def test_the_shipped_baselines_motion_is_the_one_it_was_trained_on() -> None:
     table = single_reference_library(samples=128).table
-    feet = table.left_foot_position[0, :, 2] + table.body_position[0, :, 2]
+    feet = table.foot_position[0, :, 0, 2] + table.body_position[0, :, 2]
     assert feet.max() == pytest.approx(0.15, abs=5e-4)
     assert PendulumWalk().clearance == SlipParameters().swing_clearance == 0.2
     assert PendulumWalk().mass == SlipParameters().mass == 30.0
@@ -183,3 +111,20 @@ def test_torques_never_overshoot_at_the_change_of_stance(library: GaitLibrary) -
     assert (found >= np.minimum(left, right) - 1e-3).all()
     assert (found <= np.maximum(left, right) + 1e-3).all()
     assert np.abs(left - right).max() > 50  # there is a jump
+
+
+def test_motions_of_a_stretched_walk_are_those_of_its_table(single: GaitLibrary) -> None:
+    phase = np.arange(64) / 64
+    for row, motion in enumerate(single.motions):
+        sample, ahead = (
+            motion.sample(phase),
+            np.outer(phase, [motion.command[0] * WALK.stride, 0, 0]),
+        )
+        table = single.table
+        np.testing.assert_allclose(
+            sample.body.position - ahead, table.body_position[row], atol=1e-12
+        )
+        np.testing.assert_allclose(sample.body.velocity, table.body_velocity[row], atol=1e-12)
+        np.testing.assert_array_equal(sample.feet.velocity, table.foot_velocity[row])
+        offset = sample.feet.position - sample.body.position[:, None]
+        np.testing.assert_allclose(offset, table.foot_position[row], atol=1e-12)

@@ -20,7 +20,7 @@ from aslip.envs import default_stack
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.estimation import FAULTS
 from aslip.files.assets import asset_path
-from aslip.library import GaitLibrary, single_reference_library
+from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, check, read, replay
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
 from aslip.robot import CASSIE, SIDES
@@ -449,8 +449,3 @@ def test_footholds_are_planned_in_the_robots_heading(
         np.testing.assert_allclose(
             [events["x_planned"][i], events["y_planned"][i]], expected, atol=1e-9
         )
-
-
-def test_a_library_without_gaits_has_no_footholds() -> None:
-    with pytest.raises(ConfigurationError, match="leave it out"):
-        Footholds(single_reference_library())

@@ -39,11 +39,3 @@ def test_input_parabola_is_exact(fraction):
     f = polynomial(2)
     values = f(np.array([[0.0, 0.5, 1.0]]))
     assert collocation.quadratic(values, fraction)[0] == pytest.approx(f(fraction), rel=1e-14)
-
-
-def test_hermite_reproduces_cubics_and_their_slopes():
-    x, knots = polynomial(3), np.array([0.0, 0.1, 0.4, 1.0])
-    at = np.linspace(0.0, 1.0, 37)
-    value, slope = collocation.hermite(knots, x(knots)[:, None], x.deriv()(knots)[:, None], at)
-    np.testing.assert_allclose(value[:, 0], x(at), rtol=1e-13)
-    np.testing.assert_allclose(slope[:, 0], x.deriv()(at), rtol=1e-12)

@@ -2,7 +2,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from aslip.rom import Mode, SlipParameters, energy_function, flow_function, leg_force, leg_function
+from aslip.rom import Mode, SlipParameters
+from aslip.rom.dynamics import flow_function, leg_function
+from aslip.rom.slip import leg_force
+
+from .energy import energy_function
 
 P = SlipParameters()
 FEET = np.array([0.15, 0.1, 0.0]), np.array([-0.15, -0.1, 0.0])

@@ -2,27 +2,30 @@
 
 import copy
 import dataclasses
+from operator import attrgetter
 
 import numpy as np
 import pytest
 
 from aslip.errors import FileDamagedError, ShapeError
-from aslip.rom import Certificate, Gait, Mode, energy_function
+from aslip.rom import Certificate, Gait, Mode, Track
 from aslip.rom.collocation import weights
 from aslip.rom.problem import INTERVALS
 
 from .conftest import SPEEDS
+from .energy import energy_function
 
 EVERY_SPEED = pytest.mark.parametrize("index", range(len(SPEEDS)), ids=SPEEDS.astype(str))
 QUARTER = 2 * INTERVALS
 """Points per contact mode."""
-ARRAYS = [f.name for f in dataclasses.fields(Gait) if "ndarray" in str(f.type)]
+PATHS = ("body.position", "body.velocity", "feet.position", "feet.velocity")
+LEGS = ("leg_force", "set_point", "set_point_velocity")
+ARRAYS = ("time", "mode", "control", *PATHS, *LEGS)
 
 
 def vertical_force(gait):
     """Sum over both feet of the vertical ground reaction (n,) [N]."""
-    feet = np.stack([gait.left_foot_position, gait.right_foot_position], axis=1)
-    leg = gait.body_position[:, None] - feet
+    leg = gait.body.position[:, None] - gait.feet.position
     return np.sum(gait.leg_force * leg[:, :, 2] / np.linalg.norm(leg, axis=2), axis=1)
 
 
@@ -44,17 +47,16 @@ def test_gait_is_certified(gaits, index):
 @EVERY_SPEED
 def test_stride_is_periodic_with_the_speed_asked_for(gaits, index):
     g = gaits[index]
-    moved = g.body_position[-1] - g.body_position[0]
+    moved = g.body.position[-1] - g.body.position[0]
     np.testing.assert_allclose(moved, [SPEEDS[index] * g.stride, 0.0, 0.0], atol=1e-9)
-    for name in ("body_velocity", "set_point", "set_point_velocity"):
-        array = getattr(g, name)
+    for array in (g.body.velocity, g.set_point, g.set_point_velocity):
         np.testing.assert_allclose(array[-1], array[0], atol=1e-8)
 
 
 @EVERY_SPEED
 def test_second_half_mirrors_the_first(gaits, index):
     g, half = gaits[index], 2 * QUARTER
-    step = g.body_position[half:] - g.body_position[: half + 1] * [1.0, -1.0, 1.0]
+    step = g.body.position[half:] - g.body.position[: half + 1] * [1.0, -1.0, 1.0]
     np.testing.assert_allclose(step, np.tile([g.step_length, 0.0, 0.0], (half + 1, 1)), atol=1e-9)
     for name in ("leg_force", "set_point", "control"):
         array = getattr(g, name)
@@ -65,7 +67,7 @@ def test_second_half_mirrors_the_first(gaits, index):
 def test_body_peaks_in_single_stance_and_dips_in_double_stance(gaits, index):
     """Sec. III-A: "peak height in single stance and the minimum height in double stance"."""
     g = gaits[index]
-    height = g.sample(np.linspace(0.0, 0.5, 1001)).body_position[:, 2]
+    height = g.sample(np.linspace(0.0, 0.5, 1001)).body.position[:, 2]
     time = np.linspace(0.0, g.stride / 2, 1001)
     mid_single, mid_double = g.single_stance / 2, g.single_stance + g.double_stance / 2
     assert time[height.argmax()] == pytest.approx(mid_single, abs=0.02)
@@ -95,8 +97,8 @@ def test_vertical_impulse_carries_the_weight(gaits, index):
 @EVERY_SPEED
 def test_energy_changes_by_actuator_work_minus_damper_loss(gaits, index):
     g = gaits[index]
-    state = np.hstack([g.body_position, g.body_velocity, g.set_point, g.set_point_velocity]).T
-    feet = g.left_foot_position.T, g.right_foot_position.T
+    state = np.hstack([g.body.position, g.body.velocity, g.set_point, g.set_point_velocity]).T
+    feet = g.feet.position[:, 0].T, g.feet.position[:, 1].T
     for number, mode in enumerate((Mode.RIGHT, Mode.DOUBLE, Mode.LEFT, Mode.DOUBLE)):
         function = energy_function(mode, g.parameters)
         energy, supplied, lost = (v.full().ravel() for v in function(state, g.control.T, *feet))
@@ -112,23 +114,23 @@ def test_bounds_hold_between_the_collocation_points(gaits, index):
     dense = g.sample(np.linspace(0.0, 1.0, 4001))
     # of 440 N: between two points the force may dip where it touches zero
     assert dense.leg_force.min() > -0.5
-    assert dense.body_position[:, 2].min() > g.parameters.min_body_height - 1e-5
-    left = np.linalg.norm(dense.body_position - dense.left_foot_position, axis=1)
+    assert dense.body.position[:, 2].min() > g.parameters.min_body_height - 1e-5
+    left = np.linalg.norm(dense.body.position - dense.feet.position[:, 0], axis=1)
     assert left[dense.mode != Mode.RIGHT].max() < g.parameters.max_leg_length
 
 
 @EVERY_SPEED
 def test_feet_are_still_and_on_the_ground_in_stance(gaits, index):
     g = gaits[index]
-    for side, swing in (("left", Mode.RIGHT), ("right", Mode.LEFT)):
+    for side, swing in enumerate((Mode.RIGHT, Mode.LEFT)):
         stance = g.mode != swing
-        np.testing.assert_allclose(getattr(g, f"{side}_foot_position")[stance, 2], 0.0, atol=1e-12)
-        np.testing.assert_allclose(getattr(g, f"{side}_foot_velocity")[stance], 0.0, atol=1e-9)
+        np.testing.assert_allclose(g.feet.position[stance, side, 2], 0.0, atol=1e-12)
+        np.testing.assert_allclose(g.feet.velocity[stance, side], 0.0, atol=1e-9)
 
 
 def test_landing_spring_is_slack_at_touchdown(gait):
     touchdown = QUARTER
-    length = np.linalg.norm(gait.body_position - gait.left_foot_position, axis=1)[touchdown]
+    length = np.linalg.norm(gait.body.position - gait.feet.position[:, 0], axis=1)[touchdown]
     assert gait.set_point[touchdown, 0] == pytest.approx(length, abs=1e-9)
 
 
@@ -152,35 +154,34 @@ def test_modes_are_right_double_left_double(gait):
 
 def test_sample_at_collocation_points_returns_them(gait):
     sample = gait.sample(gait.time[:-1] / gait.stride)
-    for name in ARRAYS:
-        if hasattr(sample, name) and name != "mode":
-            expected = getattr(gait, name)[:-1]
-            np.testing.assert_allclose(getattr(sample, name), expected, atol=1e-6, err_msg=name)
+    for name in (*PATHS, *LEGS):
+        get = attrgetter(name)
+        np.testing.assert_allclose(get(sample), get(gait)[:-1], atol=1e-6, err_msg=name)
+    np.testing.assert_array_equal(sample.mode, gait.mode[:-1])
 
 
 def test_sampled_velocities_are_derivatives(gait):
     step = 1e-6
     phase = np.linspace(0.003, 0.997, 200)
     before, middle, after = (gait.sample(phase + d) for d in (-step, 0.0, step))
-    for name in ("body", "left_foot", "right_foot"):
-        ends = getattr(before, f"{name}_position"), getattr(after, f"{name}_position")
+    for name in ("body", "feet"):
+        ends = getattr(before, name).position, getattr(after, name).position
         difference = (ends[1] - ends[0]) / (2 * step * gait.stride)
-        np.testing.assert_allclose(getattr(middle, f"{name}_velocity"), difference, atol=1e-4)
+        np.testing.assert_allclose(getattr(middle, name).velocity, difference, atol=1e-4)
 
 
 def test_sample_one_stride_later_is_one_stride_ahead(gait):
     now, later = gait.sample(np.array([0.3])), gait.sample(np.array([1.3]))
     ahead = [[gait.speed * gait.stride, 0.0, 0.0]]
-    np.testing.assert_allclose(later.body_position - now.body_position, ahead, atol=1e-12)
-    moved = later.right_foot_position - now.right_foot_position
+    np.testing.assert_allclose(later.body.position - now.body.position, ahead, atol=1e-12)
+    moved = later.feet.position[:, 1] - now.feet.position[:, 1]
     np.testing.assert_allclose(moved, ahead, atol=1e-12)
     np.testing.assert_allclose(later.leg_force, now.leg_force, atol=1e-9)
 
 
 def test_sample_is_continuous_over_the_end_of_the_stride(gait):
     sample = gait.sample(np.array([1.0 - 1e-9, 1.0]))
-    for name in ("body_position", "left_foot_position", "right_foot_position", "body_velocity"):
-        array = getattr(sample, name)
+    for array in (sample.body.position, sample.feet.position, sample.body.velocity):
         np.testing.assert_allclose(array[0], array[1], atol=1e-6)
 
 
@@ -195,14 +196,15 @@ def test_arrays_survive_a_file_without_pickle(gait, tmp_path):
     with np.load(tmp_path / "gait.npz", allow_pickle=False) as file:
         again = Gait.from_arrays(dict(file))
     for name in ARRAYS:
-        np.testing.assert_array_equal(getattr(again, name), getattr(gait, name))
+        np.testing.assert_array_equal(attrgetter(name)(again), attrgetter(name)(gait))
     assert (again.speed, again.stride, again.cost) == (gait.speed, gait.stride, gait.cost)
     assert (again.certificate, again.parameters) == (gait.certificate, gait.parameters)
 
 
 def test_arrays_are_read_only_copies(gait):
-    with pytest.raises(ValueError, match="read-only"):
-        gait.time[0] = 1.0
+    for name in ARRAYS:
+        with pytest.raises(ValueError, match="read-only"):
+            attrgetter(name)(gait)[0] = 1
     arrays = gait.to_arrays()
     arrays["time"][0] = 1.0
     assert gait.time[0] == 0.0
@@ -224,6 +226,8 @@ def test_unreadable_certificate_is_reported(gait):
 def test_wrong_shape_is_named(gait):
     with pytest.raises(ShapeError, match="control"):
         dataclasses.replace(gait, control=gait.control[:-1])
+    with pytest.raises(ShapeError, match=r"feet\.velocity must have shape \(201, 2, 3\)"):
+        dataclasses.replace(gait, feet=Track(gait.feet.position, gait.feet.velocity[:, 0]))
 
 
 def test_certificate_names_what_failed(gait):
@@ -255,3 +259,13 @@ def test_gait_can_be_copied_deeply(gait):
 
 def test_certificate_survives_json(gait):
     assert Certificate.from_json(gait.certificate.to_json()) == gait.certificate
+
+
+def test_ground_force_acts_along_the_legs_and_carries_the_weight(gait):
+    sample = gait.sample(np.arange(4000) / 4000)
+    leg = sample.body.position[:, None] - sample.feet.position
+    np.testing.assert_allclose(np.cross(sample.ground_force, leg), 0.0, atol=1e-9)
+    size = np.linalg.norm(sample.ground_force, axis=-1)
+    np.testing.assert_allclose(size, np.abs(sample.leg_force), atol=1e-9)
+    carried = sample.ground_force[..., 2].sum(axis=1).mean()
+    assert carried == pytest.approx(gait.parameters.weight, rel=0.005)

@@ -42,13 +42,13 @@ def test_stride_within_half_a_millisecond(pair):
 
 def test_body_height_within_half_a_millimetre(pair):
     gait, published = pair
-    height = gait.body_position[:, 2]
+    height = gait.body.position[:, 2]
     np.testing.assert_allclose([height.min(), height.max()], published[1:3], atol=5e-4)
 
 
 def test_sway_within_a_third_of_a_millimetre(pair):
     gait, published = pair
-    assert np.abs(gait.body_position[:, 1]).max() == pytest.approx(published[3], abs=3e-4)
+    assert np.abs(gait.body.position[:, 1]).max() == pytest.approx(published[3], abs=3e-4)
 
 
 def test_force_humps_within_half_a_percent(pair):
@@ -60,12 +60,12 @@ def test_force_humps_within_half_a_percent(pair):
 
 def test_vertical_speed_within_1_percent(pair):
     gait, published = pair
-    assert np.abs(gait.body_velocity[:, 2]).max() == pytest.approx(published[6], rel=0.01)
+    assert np.abs(gait.body.velocity[:, 2]).max() == pytest.approx(published[6], rel=0.01)
 
 
 def test_shortest_leg_within_1_millimetre(pair):
     gait, published = pair
-    length = np.linalg.norm(gait.body_position - gait.right_foot_position, axis=1)
+    length = np.linalg.norm(gait.body.position - gait.feet.position[:, 1], axis=1)
     assert length[gait.mode != Mode.LEFT].min() == pytest.approx(published[7], abs=1e-3)
 
 

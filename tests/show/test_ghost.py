@@ -82,7 +82,7 @@ def test_steps_are_those_of_the_gaits(library: GaitLibrary) -> None:
     for i, side in enumerate(SIDES):
         phase = footholds.touchdown_phase(side, gait.speed)
         k = int(np.searchsorted(gait.time, phase * gait.stride + 1e-9))
-        feet = gait.left_foot_position[k], gait.right_foot_position[k]
+        feet = gait.feet.position[k]
         np.testing.assert_allclose(
             footholds.step(side, gait.speed), (feet[i] - feet[1 - i])[:2], atol=1e-3
         )

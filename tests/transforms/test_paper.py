@@ -10,8 +10,7 @@ import pytest
 import torch
 
 from aslip.envs import MAX_EPISODE_STEPS
-from aslip.library import GaitLibrary
-from aslip.library.build import PAPER_SPEEDS
+from aslip.library import PAPER_SPEEDS, GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
@@ -190,7 +189,7 @@ def test_swing_clearance(library: GaitLibrary) -> None:
     """
     assert SlipParameters().swing_clearance == 0.2
     for gait in library.gaits:
-        height = gait.sample(np.linspace(0, 1, 2001)).left_foot_position[:, 2]
+        height = gait.sample(np.linspace(0, 1, 2001)).feet.position[:, 0, 2]
         assert height.max() == pytest.approx(0.2, abs=1e-4)
         assert height.min() >= -1e-9
 
@@ -216,6 +215,6 @@ def test_the_body_is_highest_in_single_stance_and_lowest_in_double_stance(
 
     for gait in library.gaits:
         motion = gait.sample(np.linspace(0, 1, 2000, endpoint=False))
-        height = motion.body_position[:, 2]
+        height = motion.body.position[:, 2]
         assert motion.mode[height.argmax()] != Mode.DOUBLE
         assert motion.mode[height.argmin()] == Mode.DOUBLE

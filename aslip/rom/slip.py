@@ -1,9 +1,27 @@
-"""Numbers of the actuated spring-loaded inverted pendulum and of the gaits asked of it."""
+"""The actuated spring-loaded inverted pendulum: parameters, contact modes, force of a leg."""
 
 import math
 from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any, Literal
 
 from aslip.errors import ConfigurationError
+
+Objective = Literal["mean", "integral"]
+"""Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral."""
+
+
+class Mode(IntEnum):
+    """Contact mode: which feet are on the ground."""
+
+    LEFT = 0
+    RIGHT = 1
+    DOUBLE = 2
+
+    @property
+    def stance(self) -> tuple[bool, bool]:
+        """Whether the left and the right foot are on the ground."""
+        return self is not Mode.RIGHT, self is not Mode.LEFT
 
 
 @dataclass(frozen=True)
@@ -72,3 +90,26 @@ class SlipParameters:
     def weight(self) -> float:
         """Body weight m g [N]."""
         return self.mass * self.gravity
+
+
+def leg_force(
+    length: Any, length_rate: Any, set_point: Any, set_point_rate: Any, p: SlipParameters
+) -> Any:
+    r"""Axial force of one leg [N], positive when it pushes the body away from the foot.
+
+    .. math:: F = k\,(d - \ell) + b\,(\dot d - \dot\ell)
+
+    Spring and damper of Green et al. 2021, Table I. Plain arithmetic: floats, NumPy arrays and
+    CasADi expressions of any one shape are accepted.
+
+    Args:
+        length: leg length l, foot to body [m].
+        length_rate: its rate [m/s].
+        set_point: actuator set point d [m].
+        set_point_rate: its rate [m/s].
+        p: model parameters.
+
+    Returns:
+        Force in the shape of the inputs [N].
+    """
+    return p.stiffness * (set_point - length) + p.damping * (set_point_rate - length_rate)

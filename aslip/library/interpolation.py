@@ -1,0 +1,103 @@
+"""Interpolation of tables over a grid of commands and over phase, in torch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from scipy.interpolate import CubicSpline, PchipInterpolator
+from torch import Tensor, nn
+
+
+class CommandGrid(nn.Module):
+    """Grid of commands, one ascending row of values per axis.
+
+    Args:
+        axes: values along each axis.
+    """
+
+    def __init__(self, axes: Sequence[np.ndarray]) -> None:
+        super().__init__()
+        self._count = len(axes)
+        for i, axis in enumerate(axes):
+            self.register_buffer(f"_axis{i}", torch.tensor(np.array(axis)), persistent=False)
+
+    def corners(self, command: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Points of the grid around commands (*b, c), which are clamped to the grid.
+
+        Returns:
+            Indices (*b, 2^c) of the points in order of the flattened grid, and for each axis the
+            weight (*b, 1) of its upper neighbours. An axis of one value has no neighbours.
+        """
+        index = torch.zeros_like(command[..., :1], dtype=torch.long)
+        weights = []
+        for i in range(self._count):
+            axis = self.get_buffer(f"_axis{i}")
+            size = len(axis)
+            if size == 1:
+                continue
+            value = command[..., i : i + 1].to(axis.dtype).clamp(axis[0], axis[-1])
+            # of so few commands, counting those below is faster than a search
+            row = (value.unsqueeze(-1) >= axis[1:-1]).sum(-1)
+            low, high = axis[row], axis[row + 1]
+            weights.append((value - low) / (high - low))
+            neighbours = torch.cat([row, row + 1], dim=-1)
+            index = (index.unsqueeze(-1) * size + neighbours.unsqueeze(-2)).flatten(-2)
+        return index, weights
+
+
+def multilinear(values: Tensor, weights: Sequence[Tensor]) -> Tensor:
+    """Values (*b, 2^c, k) at the corners of cells, interpolated to (*b, k)."""
+    for weight in reversed(weights):
+        low, high = values.unflatten(-2, (-1, 2)).unbind(-2)
+        values = torch.lerp(low, high, weight.unsqueeze(-1))
+    return values.squeeze(-2)
+
+
+class PeriodicTable(nn.Module):
+    """(n, m, k) samples of n motions over phase, interpolated; phase j of m is at j / m.
+
+    Args:
+        values: samples.
+        jumps: (k,) columns that are monotone between samples; the others are twice differentiable.
+    """
+
+    nodes: Tensor
+    """(n, m, 2, k) value and slope per sample, gathered together."""
+
+    def __init__(self, values: np.ndarray, jumps: np.ndarray | None = None) -> None:
+        super().__init__()
+        samples = values.shape[1]
+        closed = np.concatenate([values, values[:, :1]], axis=1)
+        spline = CubicSpline(np.arange(samples + 1), closed, axis=1, bc_type="periodic")
+        slopes = spline(np.arange(samples), 1)
+        if jumps is not None and jumps.any():
+            around = np.concatenate([values[:, -1:], closed], axis=1)[..., jumps]
+            monotone = PchipInterpolator(np.arange(-1, samples + 1), around, axis=1)
+            slopes[..., jumps] = monotone(np.arange(samples), 1)
+        nodes = torch.as_tensor(np.stack([values, slopes], axis=2), dtype=torch.float64)
+        self.register_buffer("nodes", nodes, persistent=False)
+
+    def forward(self, phase: Tensor, motion: Tensor) -> Tensor:
+        """Values (*b, r, k) of motions (*b, r), by index, at phases (*b, 1)."""
+        samples = self.nodes.shape[1]
+        position = (phase.to(self.nodes.dtype) % 1.0) * samples
+        left = position.floor()
+        column = left.long() % samples
+        first = motion * samples
+        after = self._at(first + (column + 1) % samples)
+        return _hermite(self._at(first + column), after, (position - left).unsqueeze(-1))
+
+    def _at(self, index: Tensor) -> Tensor:
+        """(*b, 2, k) nodes; selecting whole rows is several times faster than indexing twice."""
+        nodes = self.nodes.flatten(0, 1).index_select(0, index.flatten())
+        return nodes.reshape(*index.shape, *nodes.shape[1:])
+
+
+def _hermite(left: Tensor, right: Tensor, t: Tensor) -> Tensor:
+    """Cubic through two (*b, 2, k) nodes of value and slope, at t (*b, 1) in [0, 1]."""
+    step = right[..., 0, :] - left[..., 0, :]
+    a = left[..., 1, :] - step
+    b = step - right[..., 1, :]
+    return left[..., 0, :] + t * (step + (1 - t) * ((1 - t) * a + t * b))

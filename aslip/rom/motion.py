@@ -1,0 +1,251 @@
+"""Motions: the output of any reduced-order model or planner, sampled by phase.
+
+A motion is any object with a command, a stride and `sample`; it needs no base class:
+
+    class Shuffle:
+        command = np.array([0.3])      # forward speed [m/s]
+        stride = 0.8                   # [s]
+
+        def sample(self, phase: np.ndarray) -> MotionSample: ...
+
+Frame of all samples: the ground below the body's mean path, x along the heading at phase 0, y left,
+z up, ground at z = 0. A point moves on from stride to stride: phase 1.25 is phase 0.25 one stride
+further along the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
+
+PHASE_SAMPLES = 128
+"""Samples of a stride in a table: one every 6 ms, five a policy step."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Points that move: position and velocity of equal shape, (m, 3) for the body."""
+
+    position: np.ndarray
+    """(..., 3) [m]."""
+    velocity: np.ndarray
+    """(..., 3) time derivative of the position [m/s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Angle:
+    """Angle about the vertical at m instants."""
+
+    angle: np.ndarray
+    """(m,) [rad]."""
+    rate: np.ndarray
+    """(m,) time derivative of the angle [rad/s]."""
+
+    @classmethod
+    def zeros(cls, count: int) -> Angle:
+        """Angle of a body that does not turn."""
+        return cls(np.zeros(count), np.zeros(count))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MotionSample:
+    """A motion at m phases; left before right on every foot axis.
+
+    Raises:
+        ShapeError: an array has another shape than documented, or entries that are not finite.
+    """
+
+    body: Track
+    """(m, 3) point body, mapped to the origin of the pelvis."""
+    feet: Track
+    """(m, 2, 3) point feet, mapped to the centres of the soles."""
+    ground_force: np.ndarray
+    """(m, 2, 3) force of the ground on each foot [N], 0 in swing."""
+    heading: Angle
+    """(m,) heading of the body, measured from the x axis."""
+    foot_heading: np.ndarray
+    """(m, 2) direction of the toes, measured from the x axis [rad]."""
+
+    def __post_init__(self) -> None:
+        """Check shapes."""
+        m = len(self.body.position)
+        for name, array, shape in (
+            ("body.position", self.body.position, (m, 3)),
+            ("body.velocity", self.body.velocity, (m, 3)),
+            ("feet.position", self.feet.position, (m, 2, 3)),
+            ("feet.velocity", self.feet.velocity, (m, 2, 3)),
+            ("ground_force", self.ground_force, (m, 2, 3)),
+            ("heading.angle", self.heading.angle, (m,)),
+            ("heading.rate", self.heading.rate, (m,)),
+            ("foot_heading", self.foot_heading, (m, 2)),
+        ):
+            if np.shape(array) != shape or not np.isfinite(array).all():
+                raise ShapeError(
+                    f"{name} of a motion must have shape {shape} and finite entries, got"
+                    f" {np.shape(array)}"
+                )
+
+
+class Motion(Protocol):
+    """Periodic motion of a body and two feet: a gait, a recorded walk, a plan."""
+
+    @property
+    def command(self) -> np.ndarray:
+        """(c,) command that the motion obeys: mean forward speed [m/s], c = 1.
+
+        The order of further axes is sideways speed [m/s], then yaw rate [rad/s].
+        """
+        ...
+
+    @property
+    def stride(self) -> float:
+        """Duration of a stride [s]; infinite for standing."""
+        ...
+
+    def sample(self, phase: np.ndarray, /) -> MotionSample:
+        """Motion at phases (m,); 0 is left lift-off."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMotion:
+    """Motion known at equal steps of phase, such as a recorded one.
+
+    Positions between two samples are cubics with the samples' velocities, so that a foot at rest at
+    both stays at rest; forces and toe directions are linear.
+
+    Raises:
+        ConfigurationError: fewer than two samples, or a stride that is not positive and finite.
+    """
+
+    command: np.ndarray
+    """(c,) as in `Motion`."""
+    stride: float
+    """Duration of a stride [s]."""
+    samples: MotionSample
+    """Samples at phases k / m, k = 0 ... m - 1."""
+
+    def __post_init__(self) -> None:
+        """Check stride and number of samples."""
+        if not 0 < self.stride < np.inf or len(self.samples.foot_heading) < 2:
+            raise ConfigurationError(
+                "a sampled motion needs two or more samples and a positive, finite stride, got"
+                f" {len(self.samples.foot_heading)} samples and a stride of {self.stride} s"
+            )
+
+    @classmethod
+    def from_motion(cls, motion: Motion, samples: int = PHASE_SAMPLES) -> SampledMotion:
+        """Motion sampled at equal steps of phase."""
+        sample = motion.sample(np.arange(samples) / samples)
+        return cls(np.array(motion.command, dtype=float), float(motion.stride), sample)
+
+    def sample(self, phase: np.ndarray) -> MotionSample:
+        """Motion at phases (m,)."""
+        strides, within = split_phase(phase)
+        body, feet = (
+            self._track(track, within, strides) for track in (self.samples.body, self.samples.feet)
+        )
+        heading = self.samples.heading
+        angle = self._hermite(_closed(heading.angle), _closed(heading.rate))
+        return MotionSample(
+            body=body,
+            feet=feet,
+            ground_force=self._linear(self.samples.ground_force, within),
+            heading=Angle(angle(within), angle(within, 1) / self.stride),
+            foot_heading=self._linear(self.samples.foot_heading, within),
+        )
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """All numbers as named arrays."""
+        s = self.samples
+        return {
+            "command": np.array(self.command),
+            "stride": np.array(self.stride),
+            "body_position": s.body.position,
+            "body_velocity": s.body.velocity,
+            "foot_position": s.feet.position,
+            "foot_velocity": s.feet.velocity,
+            "ground_force": s.ground_force,
+            "heading": s.heading.angle,
+            "heading_rate": s.heading.rate,
+            "foot_heading": s.foot_heading,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> SampledMotion:
+        """Motion from the arrays of `to_arrays`, bit for bit.
+
+        Raises:
+            FileDamagedError: an array is missing.
+        """
+        try:
+            samples = MotionSample(
+                body=Track(arrays["body_position"], arrays["body_velocity"]),
+                feet=Track(arrays["foot_position"], arrays["foot_velocity"]),
+                ground_force=arrays["ground_force"],
+                heading=Angle(arrays["heading"], arrays["heading_rate"]),
+                foot_heading=arrays["foot_heading"],
+            )
+            return cls(arrays["command"], float(arrays["stride"]), samples)
+        except KeyError as error:
+            raise FileDamagedError(f"a motion needs {error}; got {sorted(arrays)}") from error
+
+    def _track(self, track: Track, within: np.ndarray, strides: np.ndarray) -> Track:
+        ahead = displacement(self, np.ones(1))[0]
+        path = self._hermite(_closed(track.position, ahead), _closed(track.velocity))
+        moved = np.multiply.outer(strides, ahead)
+        position = path(within) + moved.reshape(-1, *(1,) * (track.position.ndim - 2), 3)
+        return Track(position, path(within, 1) / self.stride)
+
+    def _hermite(self, value: np.ndarray, rate: np.ndarray) -> CubicHermiteSpline:
+        """Cubics over phase through m + 1 samples and their time derivatives."""
+        return CubicHermiteSpline(np.linspace(0.0, 1.0, len(value)), value, self.stride * rate)
+
+    def _linear(self, values: np.ndarray, within: np.ndarray) -> np.ndarray:
+        closed, place = _closed(values), within * len(values)
+        left = np.minimum(place.astype(int), len(values) - 1)
+        weight = (place - left).reshape(-1, *(1,) * (values.ndim - 1))
+        return closed[left] + weight * (closed[left + 1] - closed[left])
+
+
+def displacement(motion: Motion, phase: np.ndarray) -> np.ndarray:
+    """(m, 3) way from phase 0 to phases (m,) at the commanded velocity [m].
+
+    Raises:
+        ConfigurationError: the motion stands, or its command has a yaw rate.
+    """
+    command = np.asarray(motion.command, dtype=float)
+    if command.ndim != 1 or not 1 <= len(command) <= 2:
+        raise ConfigurationError(
+            "the command of a motion must be (forward speed,) or (forward, sideways speed), got"
+            f" {command.tolist()}"
+        )
+    if not 0 < motion.stride < np.inf:
+        raise ConfigurationError(f"stride must be positive and finite, got {motion.stride} s")
+    velocity = np.zeros(3)
+    velocity[: len(command)] = command
+    return np.outer(phase * motion.stride, velocity)
+
+
+def split_phase(phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Whole strides of phases (m,), and the phases within a stride.
+
+    Raises:
+        ShapeError: phase is not one-dimensional, or not finite.
+    """
+    phase = np.asarray(phase, dtype=float)
+    if phase.ndim != 1 or not np.isfinite(phase).all():
+        raise ShapeError(f"phase must be (m,) and finite, got shape {phase.shape}")
+    strides = np.floor(phase)
+    return strides, phase - strides
+
+
+def _closed(values: np.ndarray, ahead: np.ndarray | float = 0.0) -> np.ndarray:
+    """Samples of a stride, and the first of the next stride."""
+    return np.concatenate([values, values[:1] + ahead])

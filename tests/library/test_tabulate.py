@@ -1,0 +1,228 @@
+"""Tables: motions on a grid of commands, any user's own among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.ik import Kinematics
+from aslip.library import GaitLibrary, GaitTable, tabulate
+from aslip.library.table import ARRAYS
+from aslip.rom import (
+    Angle,
+    MotionSample,
+    Objective,
+    PendulumWalk,
+    SlipParameters,
+    Track,
+    optimize_gaits,
+)
+
+from .conftest import Shuffle
+
+
+@pytest.fixture(scope="module")
+def shuffles() -> list[Shuffle]:
+    """Motions on a grid of 2 forward speeds and 3 sideways speeds."""
+    return [Shuffle(x, y) for x in (0.2, 0.6) for y in (-0.1, 0.0, 0.1)]
+
+
+@pytest.fixture(scope="module")
+def grid(shuffles: list[Shuffle]) -> GaitLibrary:
+    """Library of the shuffles."""
+    return GaitLibrary.from_motions(shuffles, samples=16, torque_jumps=True)
+
+
+def test_a_built_library_is_the_shipped_one(library: GaitLibrary) -> None:
+    """Two of its gaits, optimised anew."""
+    table = tabulate(optimize_gaits(library.speeds[:2].tolist()), samples=16)
+    for name in ARRAYS:
+        shipped = getattr(library.table, name)[:2]
+        shipped = shipped if name == "strides" else shipped[:, ::8]
+        np.testing.assert_allclose(getattr(table, name), shipped, atol=1e-6, err_msg=name)
+
+
+def test_a_heavier_model_needs_more_torque() -> None:
+    """Parameters and objective of the optimisation reach a library."""
+    heavy = SlipParameters(mass=33.3)
+    settings: list[tuple[SlipParameters | None, Objective]]
+    settings = [(None, "mean"), (heavy, "mean"), (heavy, "integral")]
+    libraries = [
+        GaitLibrary.from_motions(
+            optimize_gaits((1.0,), parameters=p, objective=objective), samples=16
+        )
+        for p, objective in settings
+    ]
+    one, two, three = (library.table for library in libraries)
+    assert np.abs(two.motor_torque).max() > 1.05 * np.abs(one.motor_torque).max()
+    assert three.strides[0] < two.strides[0]
+    assert libraries[1].gaits[0].parameters == heavy
+
+
+def test_a_motion_of_ones_own_is_tabulated_and_looked_up(
+    grid: GaitLibrary, shuffles: list[Shuffle]
+) -> None:
+    assert grid.table.qpos.shape == (2, 3, 16, 35)
+    assert grid.motions == tuple(shuffles)
+    phase = torch.arange(16, dtype=torch.float64)[:, None] / 16
+    for motion in shuffles:
+        sample = motion.sample(phase[:, 0].numpy())
+        found = grid.lookup(phase, torch.tensor(motion.command).expand(16, 2))
+        np.testing.assert_allclose(found.body_velocity, sample.body.velocity, atol=1e-6)
+        left = sample.feet.position[:, 0] - sample.body.position
+        np.testing.assert_allclose(found.left_foot_position, left, atol=1e-6)
+        assert abs(float(found.body_position[:, :2].mean())) < 0.02
+
+
+def test_soles_point_where_the_motion_has_the_toes(grid: GaitLibrary) -> None:
+    kinematics = Kinematics()
+    sole = kinematics.legs(kinematics.to_pinocchio(grid.table.qpos[1, 2])).rotation
+    toes = np.arctan2(sole[..., 1, 0], sole[..., 0, 0])
+    np.testing.assert_allclose(toes, np.tile([0.1, -0.1], (16, 1)), atol=1e-9)
+
+
+def test_between_commands_of_a_grid_the_lookup_is_multilinear(grid: GaitLibrary) -> None:
+    """Exact at the corners, linear along each axis, clamped outside, in any batch."""
+    generator = torch.Generator().manual_seed(0)
+    x, y, phase = torch.rand(3, 40, 1, generator=generator, dtype=torch.float64)
+    command = torch.cat([0.2 + 0.4 * x, -0.1 + 0.2 * y], dim=-1)
+    found = grid.lookup(phase, command).motor_position
+
+    def corner(forward: float, row: torch.Tensor) -> torch.Tensor:
+        sideways = torch.tensor(grid.table.axes[1].copy())[row]
+        at = torch.stack([torch.full_like(sideways, forward), sideways], dim=-1)
+        return grid.lookup(phase, at).motor_position
+
+    row = (2 * y[:, 0]).long()
+    share = (2 * y[:, 0] - row)[:, None]
+    slow, fast = ((1 - share) * corner(v, row) + share * corner(v, row + 1) for v in (0.2, 0.6))
+    torch.testing.assert_close(found, ((1 - x) * slow + x * fast).float(), rtol=0, atol=1e-6)
+    outside = torch.tensor([[9.0, -9.0]]).expand(40, 2)
+    bound = torch.tensor([[0.6, -0.1]], dtype=torch.float64).expand(40, 2)
+    assert torch.equal(
+        grid.lookup(phase, outside).motor_torque, grid.lookup(phase, bound).motor_torque
+    )
+    assert grid.stride(command).shape == (40, 1)
+    assert torch.equal(grid.lookup(phase[7], command[7]).motor_position, found[7])
+
+
+def test_commands_of_another_width_are_refused(grid: GaitLibrary) -> None:
+    with pytest.raises(ShapeError, match=r"command must be a tensor of shape \(\.\.\., 2\)"):
+        grid.lookup(torch.zeros(3, 1), torch.zeros(3, 1))
+    with pytest.raises(ShapeError, match="command must be"):
+        grid.stride(torch.zeros(3))
+
+
+def test_one_motion_is_a_library_of_its_own_command() -> None:
+    library = GaitLibrary.from_motions([PendulumWalk(speed=0.5)], samples=16)
+    phase = torch.rand(5, 1)
+    slow, fast = (library.lookup(phase, torch.full((5, 1), v)) for v in (0.0, 1.0))
+    assert torch.equal(slow.motor_position, fast.motor_position)
+    assert float(library.stride(torch.zeros(1, 1))) == pytest.approx(0.84)
+
+
+@pytest.mark.parametrize(
+    "commands",
+    [
+        [],
+        [[1.0], [0.5]],
+        [[0.5], [0.5]],
+        [[0.5], [0.5, 0.0]],
+        [[0.2, 0.0], [0.2, 0.1], [0.6, 0.0]],
+    ],
+)
+def test_commands_must_form_a_grid(commands: Sequence[Sequence[float]]) -> None:
+    motions = [Shuffle(0.5, 0.0) for _ in commands]
+    for motion, command in zip(motions, commands, strict=True):
+        motion.command = np.array(command)
+    with pytest.raises(ConfigurationError, match="ascending and form a grid"):
+        tabulate(motions)
+
+
+def test_a_motion_that_turns_is_refused() -> None:
+    class Turning(Shuffle):
+        def sample(self, phase: np.ndarray) -> MotionSample:
+            turned = Angle(0.3 * phase, np.full(len(phase), 0.3 / self.stride))
+            return replace(super().sample(phase), heading=turned)
+
+    with pytest.raises(ConfigurationError, match=r"turns by 0\.3 rad a stride"):
+        tabulate([Turning(0.5, 0.0)])
+
+
+@pytest.mark.parametrize("stride", [0.0, np.inf])
+def test_strides_must_be_finite(stride: float) -> None:
+    motion = Shuffle(0.5, 0.0)
+    motion.stride = stride
+    with pytest.raises((ConfigurationError, ShapeError), match=r"stride|finite"):
+        tabulate([motion])
+
+
+def test_a_stride_needs_samples_to_interpolate() -> None:
+    with pytest.raises(ConfigurationError, match="samples must be 4 or more, got 3"):
+        tabulate([PendulumWalk()], samples=3)
+
+
+# ------------------------------------------------------------------ the table itself
+
+
+def test_arrays_are_read_only(small: GaitLibrary) -> None:
+    for array in (*small.table.axes, *(getattr(small.table, name) for name in ARRAYS)):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0
+
+
+@pytest.mark.parametrize("axis", [[], [0.5, 0.5], [1.0, 0.5], [0.5, np.nan]])
+def test_values_along_an_axis_must_ascend(small: GaitLibrary, axis: list[float]) -> None:
+    with pytest.raises(ConfigurationError, match="ascending commands"):
+        replace(small.table, axes=(np.array(axis),))
+
+
+def test_a_table_with_holes_is_refused(small: GaitLibrary) -> None:
+    qpos = small.table.qpos.copy()
+    qpos[0, 0, 2] = np.nan
+    with pytest.raises(ConfigurationError, match="qpos"):
+        replace(small.table, qpos=qpos)
+    with pytest.raises(ShapeError, match="qpos"):
+        replace(small.table, qpos=qpos[:1])
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("change", ["column", "sample", "axis"])
+def test_a_table_of_another_shape_is_refused(small: GaitLibrary, name: str, change: str) -> None:
+    """With fewer columns, with one sample more than the others, as one number a gait or two."""
+    array = getattr(small.table, name)
+    flat = array.ndim == 1
+    wrong = {
+        "column": np.stack([array, array], -1) if flat else array[..., :-1],
+        "sample": array[..., None] if flat else np.concatenate([array, array[:, :1]], 1),
+        "axis": array[:, None, None] if flat else array[:, 0],
+    }[change]
+    with pytest.raises(ShapeError, match="must have shape"):
+        replace(small.table, **{name: wrong})
+
+
+@pytest.mark.parametrize("stride", [0.0, -0.7])
+def test_strides_must_be_positive(small: GaitLibrary, stride: float) -> None:
+    with pytest.raises(ConfigurationError, match="strides must be positive"):
+        replace(small.table, strides=np.array([0.7, stride]))
+
+
+def test_a_table_of_too_few_samples_is_refused(small: GaitLibrary) -> None:
+    arrays = {name: getattr(small.table, name) for name in ARRAYS}
+    thin = {name: a[:, :3] if a.ndim > 1 else a for name, a in arrays.items()}
+    with pytest.raises(ShapeError, match="4 or more samples"):
+        GaitTable(axes=small.table.axes, **thin)
+
+
+def test_samples_of_a_motion_have_their_shapes() -> None:
+    sample = Shuffle(0.5, 0.0).sample(np.zeros(3))
+    flat = Track(sample.feet.position[:, 0], sample.feet.velocity[:, 0])
+    with pytest.raises(ShapeError, match=r"feet\.position of a motion must have shape \(3, 2, 3\)"):
+        replace(sample, feet=flat)
+    with pytest.raises(ShapeError, match=r"foot_heading .* finite"):
+        replace(sample, foot_heading=np.full((3, 2), np.nan))

@@ -1,0 +1,76 @@
+"""Motions known by their samples."""
+
+import numpy as np
+import pytest
+
+from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
+from aslip.rom import Angle, MotionSample, SampledMotion, Track
+
+
+class Swaying:
+    """A body that sways and turns its heading as sines, at rest above two feet that do not move."""
+
+    command = np.array([0.5])
+    stride = 0.8
+
+    def sample(self, phase):
+        m, omega = len(phase), 2 * np.pi / self.stride
+        time, zero = phase * self.stride, np.zeros(len(phase))
+        sway, rate = 0.02 * np.sin(omega * time), 0.02 * omega * np.cos(omega * time)
+        forward = np.stack([0.5 * time, sway, zero + 0.9], axis=1)
+        feet = np.tile([[0.0, 0.1, 0.0], [0.0, -0.1, 0.0]], (m, 1, 1))
+        feet[..., 0] += 0.5 * time[:, None]
+        return MotionSample(
+            body=Track(forward, np.stack([zero + 0.5, rate, zero], axis=1)),
+            feet=Track(feet, np.tile([0.5, 0.0, 0.0], (m, 2, 1))),
+            ground_force=np.tile([0.0, 0.0, 150.0], (m, 2, 1)) * (1 + sway[:, None, None]),
+            heading=Angle(sway, rate),
+            foot_heading=np.stack([sway, -sway], axis=1),
+        )
+
+
+@pytest.fixture(scope="module")
+def sampled():
+    return SampledMotion.from_motion(Swaying(), 64)
+
+
+def test_samples_are_returned(sampled):
+    again = SampledMotion.from_motion(sampled, 64)
+    for name, value in sampled.to_arrays().items():
+        np.testing.assert_allclose(again.to_arrays()[name], value, atol=1e-14, err_msg=name)
+
+
+def test_between_samples_and_strides_the_motion_goes_on(sampled):
+    """Positions and angles to the error of a cubic, forces to that of a line."""
+    phase = np.linspace(-1.3, 2.7, 301)
+    found = SampledMotion(sampled.command, sampled.stride, sampled.sample(phase)).to_arrays()
+    exact = SampledMotion(Swaying.command, Swaying.stride, Swaying().sample(phase)).to_arrays()
+    for name, value in exact.items():
+        tolerance = {"ground_force": 5e-3, "foot_heading": 5e-5}.get(name, 1e-5)
+        np.testing.assert_allclose(found[name], value, atol=tolerance, err_msg=name)
+
+
+def test_arrays_give_the_same_motion(sampled):
+    again = SampledMotion.from_arrays(sampled.to_arrays())
+    np.testing.assert_equal(again.to_arrays(), sampled.to_arrays())
+    arrays = sampled.to_arrays()
+    del arrays["foot_heading"]
+    with pytest.raises(FileDamagedError, match="needs 'foot_heading'"):
+        SampledMotion.from_arrays(arrays)
+
+
+@pytest.mark.parametrize("stride", [0.0, -1.0, np.inf, np.nan])
+def test_a_stride_must_be_positive_and_finite(sampled, stride):
+    with pytest.raises(ConfigurationError, match="stride"):
+        SampledMotion(sampled.command, stride, sampled.samples)
+
+
+def test_one_sample_is_no_motion():
+    with pytest.raises(ConfigurationError, match="got 1 samples"):
+        SampledMotion.from_motion(Swaying(), 1)
+
+
+@pytest.mark.parametrize("phase", [0.5, [[0.5]], [np.nan]])
+def test_bad_phases_are_refused(sampled, phase):
+    with pytest.raises(ShapeError, match="phase"):
+        sampled.sample(np.asarray(phase))
