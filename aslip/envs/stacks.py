@@ -13,7 +13,7 @@ from torchrl.envs.transforms import StepCounter, Transform
 
 from aslip.envs import RewardSource
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.library import PAPER_SPEEDS, GaitLibrary, single_reference_library
+from aslip.library import PAPER_SPEEDS, GaitLibrary
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
     ActionDelta,
@@ -153,7 +153,8 @@ def single_reference_stack(
     the command; the policy sees clock and speed instead of a reduced-order model.
 
     Args:
-        library: of one motion, see `single_reference_library`; that of a pendulum by default.
+        library: of one motion, see `aslip.library.single_reference_library`; the shipped one of a
+            pendulum by default.
         reward_on: as for the default stack; joints and springs are always the truth's.
     """
     library = _pendulum() if library is None else library
@@ -206,7 +207,7 @@ def _shipped() -> GaitLibrary:
 
 @functools.cache
 def _pendulum() -> GaitLibrary:
-    return single_reference_library()
+    return GaitLibrary.load("single_reference")
 
 
 STACKS: Final[Mapping[str, Callable[..., Stack]]] = {

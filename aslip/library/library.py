@@ -25,7 +25,8 @@ from aslip.robot import CASSIE, SIDES
 from aslip.rom.gait import Gait
 from aslip.rom.motion import PHASE_SAMPLES, Motion
 
-GAITS_ASSET = "gaits.npz"
+SHIPPED = ("gaits", "single_reference")
+"""Names of shipped libraries."""
 
 
 @dataclass(frozen=True)
@@ -128,15 +129,19 @@ class GaitLibrary(nn.Module):
         return cls(motions, table, made_by=made_by)
 
     @classmethod
-    def load(cls, path: str | Path | None = None) -> GaitLibrary:
-        """Read a library; by default the one that ships with the package.
+    def load(cls, path: str | Path = "gaits") -> GaitLibrary:
+        """Read a library.
+
+        Args:
+            path: a file, or the name of a shipped library: "gaits", the 21 optimal gaits of the
+                paper, or "single_reference", the one motion of the baseline.
 
         Raises:
             AssetError: there is no such file.
             FileDamagedError: the file is truncated, altered, or no gait library.
         """
-        path = asset_path(GAITS_ASSET) if path is None else Path(path)
-        motions, table, made_by = read_library(path)
+        file = asset_path(f"{path}.npz") if path in SHIPPED else Path(path)
+        motions, table, made_by = read_library(file)
         return cls(motions, table, made_by=made_by)
 
     def save(self, path: str | Path) -> None:

@@ -22,7 +22,7 @@ from aslip.control import Controller
 from aslip.envs import BatchEnv, StackEnv, insert_before
 from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.library import GaitLibrary, single_reference_library
+from aslip.library import GaitLibrary
 from aslip.policy import policy_stack, save_policy
 from aslip.policy.networks import PolicyShape, RunningNormalizer, make_actor
 from aslip.robot import CASSIE
@@ -54,7 +54,7 @@ class Losses(SeededTransform):
 
 @cache
 def gaits(stack: str) -> GaitLibrary:
-    return single_reference_library() if stack == "single_reference" else GaitLibrary.load()
+    return GaitLibrary.load("single_reference" if stack == "single_reference" else "gaits")
 
 
 def make_rollout_env(name: str, num: int) -> StackEnv:

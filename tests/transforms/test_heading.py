@@ -17,7 +17,7 @@ import aslip
 from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation import StateEstimator
-from aslip.library import single_reference_library
+from aslip.library import GaitLibrary
 from aslip.policy.symmetry import observation_mirror
 from aslip.robot import CASSIE
 from aslip.transforms import ODOMETRY_SIZES, EstimatedState, ReferenceStart, TrueState
@@ -132,7 +132,7 @@ def test_the_reference_backend_knows_headings_too(library: aslip.GaitLibrary) ->
 @pytest.mark.parametrize("policy", ["robust", "single_reference"])
 def test_other_policies_walk_turned_too(library: aslip.GaitLibrary, policy: str) -> None:
     stack = "aslip" if policy == "robust" else policy
-    gaits = library if policy == "robust" else single_reference_library()
+    gaits = library if policy == "robust" else GaitLibrary.load("single_reference")
     env = _turned(library, stack=stack, replace={"start": TurnedStart(gaits)})
     results = evaluate(aslip.load_policy(policy), env, [SPEED] * NUM, 60)
     straight = results[0]
