@@ -1,11 +1,11 @@
-"""What a log costs, and what survives: overhead, size, crashes, cuts and replays.
+"""Logs of a walk: overhead, size, crashes, cuts and replays.
 
     python -m benchmarks.black_box                       # everything
     python -m benchmarks.black_box --rounds 5 --kills 0 --cuts 0 --replays 0
 
-One robot walks under a policy with and without a recorder, side by side: in each round both walk
-the same steps one after the other, in small portions, so that whatever else the machine does
-touches both alike. Logs are then killed while being written, cut anywhere, and replayed.
+One robot walks under a policy with and without a recorder: in each round both walk the same steps
+in turn, in small portions, so that other load on the machine affects both alike. Processes are then
+killed while they write a log, logs are cut anywhere, and walks are replayed.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ class Config:
     rounds: int = 3
     """Walks of 12 s, each with and without a log."""
     kills: int = 50
-    """Writers to kill."""
+    """Number of processes to kill while they write a log."""
     cuts: int = 200
-    """Places to cut a log at."""
+    """Number of places to cut a log at."""
     replays: int = 20
-    """Walks with random commands and pushes to replay."""
+    """Number of walks with random commands and pushes to replay."""
     policy: str = "aslip"
-    """Who walks."""
+    """Policy that walks, as `aslip.load_policy` takes it."""
     seed: int = 0
     """Seed of all random numbers."""
     report: Path = Path("runs/black_box.json")
@@ -42,80 +42,86 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import json
+import multiprocessing
 import os
 import signal
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import partial
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
 
 import numpy as np
 import torch
 from tqdm import trange
 
-import aslip
-from aslip.envs import EPISODE_ENDS, STACKS
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, Recorder, check, read, recover, replay
-from aslip.policy import policy_stack
 from aslip.robot import CASSIE
 from aslip.training.run import write_text
 from aslip.walking import Walker
+from benchmarks.common import MakeEnv, Policy, Subject
+from benchmarks.flags import Common
 
-# an episode of the paper [policy steps]
+# length of the paper's episodes [policy steps]
 _EPISODE = 400
-# steps that are timed together, so that a pause of the machine hits one portion only
+# policy steps that are timed together, so that a pause of the machine affects one portion only
 _PORTION = 20
 
 
-def main(config: Config) -> None:
-    """Measure, and print tables."""
+def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
+    """Measure, and print tables.
+
+    Args:
+        config: the settings.
+        policy: policy that walks instead of that in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`; kills need one that
+            can be pickled.
+    """
     torch.set_num_threads(1)
-    library = GaitLibrary.load()
+    subject = Subject.load(policy or config.policy, make_env)
     numbers: dict[str, object] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if config.rounds:
-            numbers["overhead"] = overhead(config, library, folder)
+            numbers["overhead"] = overhead(config, subject, folder)
         if config.kills:
-            numbers["kills"] = kills(config, folder)
+            numbers["kills"] = kills(config, subject, folder)
         if config.cuts:
-            numbers["cuts"] = cuts(config, library, folder)
+            numbers["cuts"] = cuts(config, subject, folder)
         if config.replays:
-            numbers["replays"] = replays(config, library, folder)
+            numbers["replays"] = replays(config, subject, folder)
     config.report.parent.mkdir(parents=True, exist_ok=True)
     write_text(config.report, json.dumps(numbers, indent=1) + "\n")
 
 
-def walking(
-    library: GaitLibrary, policy: str, path: Path | None, rate: JointRate = "policy", seed: int = 0
+def make_walker(
+    subject: Subject, path: Path | None, rate: JointRate = "policy", seed: int = 0
 ) -> Walker:
-    """A robot, recorded if there is a path."""
-    stack = STACKS[policy_stack(policy)]()
+    """Walker that logs if there is a path."""
+    library = GaitLibrary.load()
+    env = subject.walking_env(Common(seed=seed), 1, num_threads=1)
     if path is not None:
-        stack["recorder"] = partial(Recorder, path, joint_rate=rate, policy=policy, library=library)
-    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, seed=seed, num_threads=1)
-    return Walker(policy, env, library=library, speed=0.5)
+        policy = subject.name if subject.stored else None
+        env.append_transform(Recorder(path, joint_rate=rate, policy=policy, library=library))
+    return Walker(subject.policy, env, library=library, speed=0.5)
 
 
 # --------------------------------------------------------------------- overhead
 
 
-def overhead(config: Config, library: GaitLibrary, folder: Path) -> dict[str, float]:
-    """Time of a logged walk over that of the same walk without a log, and sizes."""
+def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
+    """Measure the time of a logged walk over that of the same walk without a log, and sizes."""
     print("\n| log | time of 12 s | slower by | size |\n|---|---:|---:|---:|")
     ratios: dict[str, list[float]] = {"policy": [], "physics": []}
     seconds: dict[str, list[float]] = {"none": [], "policy": [], "physics": []}
     sizes: dict[str, int] = {}
     for round_number in trange(config.rounds, unit="round", leave=False):
-        walkers = {"none": walking(library, config.policy, None)}
+        walkers = {"none": make_walker(subject, None)}
         paths = {rate: folder / f"{rate}-{round_number}.mcap" for rate in ratios}
         for rate, path in paths.items():
-            walkers[rate] = walking(library, config.policy, path, rate)  # pyright: ignore
+            walkers[rate] = make_walker(subject, path, rate)  # pyright: ignore
         spent = portions(walkers)
         for name, walker in walkers.items():
             walker.env.close()
@@ -137,7 +143,7 @@ def overhead(config: Config, library: GaitLibrary, folder: Path) -> dict[str, fl
 
 
 def portions(walkers: dict[str, Walker]) -> dict[str, np.ndarray]:
-    """Seconds of each portion of an episode, of all walkers in turn."""
+    """Seconds of each portion of an episode, all walkers in turn."""
     spent: dict[str, list[float]] = {name: [] for name in walkers}
     order = list(walkers)
     for _ in range(_EPISODE // _PORTION):
@@ -152,26 +158,14 @@ def portions(walkers: dict[str, Walker]) -> dict[str, np.ndarray]:
 
 # ------------------------------------------------------------------------ kills
 
-_VICTIM = """
-import sys
-from pathlib import Path
-from benchmarks.black_box import walking
-from aslip.library import GaitLibrary
-from aslip.policy import policy_stack
-walker = walking(GaitLibrary.load(), sys.argv[1], Path(sys.argv[2]))
-while True:
-    walker.step()
-    print(walker.steps, flush=True)
-"""
 
-
-def kills(config: Config, folder: Path) -> dict[str, float]:
-    """Kill writers at random times; recover what they have left."""
+def kills(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
+    """Kill processes that write a log at random times, and recover their logs."""
     rng = np.random.default_rng(config.seed)
     lost, failures = [], 0
     for i in trange(config.kills, unit="kill", leave=False):
         path = folder / f"victim-{i}.mcap"
-        reached = killed(config.policy, path, int(rng.integers(34, _EPISODE)), rng)
+        reached = kill_writer(subject, path, int(rng.integers(34, _EPISODE)), rng)
         saved = recover(path.with_name(path.name + ".part"))
         loss = reached * CASSIE.policy_period - saved.until
         lost.append(loss)
@@ -184,30 +178,40 @@ def kills(config: Config, folder: Path) -> dict[str, float]:
     return {"kills": config.kills, "failures": failures, "worst_loss": max(lost)}
 
 
-def killed(policy: str, path: Path, steps: int, rng: np.random.Generator) -> int:
-    """Kill a writer a random instant after so many steps; returns the last step it told of."""
-    command, told = [sys.executable, "-c", _VICTIM, policy, str(path)], 0
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as victim:
-        assert victim.stdout is not None
-        for line in victim.stdout:
-            told = int(line)
-            if told >= steps:
-                time.sleep(float(rng.uniform(0, 0.02)))
-                os.kill(victim.pid, signal.SIGKILL)
-                break
-        # what it told of before it died
-        for line in victim.stdout:
-            told = int(line) if line.endswith("\n") else told
-    return told
+def kill_writer(subject: Subject, path: Path, steps: int, rng: np.random.Generator) -> int:
+    """Kill a process that logs a walk soon after some steps; returns the last step it reported."""
+    context, reached = multiprocessing.get_context("spawn"), 0
+    ours, theirs = context.Pipe(duplex=False)
+    victim = context.Process(target=_walk_on, args=(subject, path, theirs), daemon=True)
+    victim.start()
+    theirs.close()
+    with suppress(EOFError, OSError):
+        while reached < steps:
+            reached = ours.recv()
+        time.sleep(float(rng.uniform(0, 0.02)))
+        assert victim.pid is not None
+        os.kill(victim.pid, signal.SIGKILL)
+        while True:  # reports sent before its end
+            reached = ours.recv()
+    victim.join()
+    return reached
+
+
+def _walk_on(subject: Subject, path: Path, reports: Connection) -> None:
+    """Log a walk without end, and report each step."""
+    walker = make_walker(subject, path)
+    while True:
+        walker.step()
+        reports.send(walker.steps)
 
 
 # ------------------------------------------------------------------------- cuts
 
 
-def cuts(config: Config, library: GaitLibrary, folder: Path) -> dict[str, int]:
-    """Cut a log anywhere: it is read up to the cut, or there is a clear error."""
+def cuts(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
+    """Cut a log anywhere, and count logs recovered up to the cut and clear errors."""
     path = folder / "whole.mcap"
-    with closed(walking(library, config.policy, path)) as walker:
+    with closing_env(make_walker(subject, path)) as walker:
         for _ in range(200):
             walker.step()
     data, whole = path.read_bytes(), read(path)
@@ -222,7 +226,7 @@ def cuts(config: Config, library: GaitLibrary, folder: Path) -> dict[str, int]:
 
 
 def outcome(cut: Path, time: np.ndarray) -> str:
-    """What became of a cut log: "saved", "clear error" or "wrong"."""
+    """Outcome of reading a cut log: "saved", "clear error" or "wrong"."""
     if not check(cut):
         return "wrong"
     try:
@@ -243,13 +247,13 @@ def outcome(cut: Path, time: np.ndarray) -> str:
 # ---------------------------------------------------------------------- replays
 
 
-def replays(config: Config, library: GaitLibrary, folder: Path) -> dict[str, int]:
+def replays(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
     """Replay walks with random commands and pushes, from the start and from the middle."""
     rng = np.random.default_rng(config.seed)
     equal, states, falls = 0, 0, 0
     for i in trange(config.replays, unit="walk", leave=False):
         path = folder / f"replay-{i}.mcap"
-        with closed(walking(library, config.policy, path, seed=i)) as walker:
+        with closing_env(make_walker(subject, path, seed=i)) as walker:
             for step in range(_EPISODE):
                 if step % 50 == 0:
                     walker.command = float(rng.uniform(0, 2))
@@ -272,8 +276,8 @@ def replays(config: Config, library: GaitLibrary, folder: Path) -> dict[str, int
 
 
 @contextmanager
-def closed(walker: Walker) -> Iterator[Walker]:
-    """A walker whose environment, and log, is closed in the end."""
+def closing_env(walker: Walker) -> Iterator[Walker]:
+    """Close a walker's environment, and its log, in the end."""
     try:
         yield walker
     finally:

@@ -3,13 +3,13 @@
     python -m benchmarks.collectors
     python -m benchmarks.collectors --num-collectors 8 --kinds single distributed
 
-All kinds collect the same number of samples from as many robots, one kind after the other in every
-round, so that whatever else the machine does touches all alike; who is not collecting waits. Each
-has all processors for its physics: one process has a thread for each, others share them. A batch of
-other processes is by weights that were sent for it, and has arrived here. A table row is the median
-over rounds; the ratio is that of the same round.
+All kinds collect the same number of samples from the same number of robots, in turn in every round,
+so that other load on the machine affects all alike. Each kind has all processors for its physics:
+a single process has a thread for each, several share them. The time of a batch includes sending
+weights to other processes and receiving the samples. A table row is the median over rounds; ratios
+are taken within a round.
 
-On one machine this is what processes cost or save; several machines have more processors.
+On one machine this is the cost or gain of processes; several machines have more processors.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from aslip.training.settings import CollectorKind
 
 @dataclass(frozen=True)
 class Config:
-    """What to measure."""
+    """Settings of the benchmark."""
 
     kinds: tuple[CollectorKind, ...] = ("single", "distributed", "ray")
-    """Collectors; ratios are to the first."""
+    """Kinds of collectors; ratios are to the first."""
     num_envs: int = 256
-    """Robots."""
+    """Number of robots."""
     samples: int = 2048
-    """Policy steps of a batch."""
+    """Policy steps in a batch."""
     num_collectors: int = 2
-    """Processes or actors."""
+    """Number of processes or actors."""
     rounds: int = 9
     """Rounds to take the median over, after a batch to warm up."""
     policy: str = "aslip"
-    """Who walks, as `aslip.load_policy` names it, with exploration noise."""
+    """Policy that acts, with exploration noise, as `aslip.load_policy` takes it."""
 
 
 if __name__ == "__main__":
@@ -47,30 +47,33 @@ import statistics
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from functools import partial
 
 import torch
 from tensordict import TensorDict
 
-import aslip
-from aslip.policy import policy_stack
 from aslip.training.collect import make_collector
 from aslip.walking import markdown
+from benchmarks.common import MakeEnv, Policy, Subject
 
 
-def main(config: Config) -> None:
-    """Measure and print."""
-    # as the other processes have; with more, those would wait for threads that spin
+def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
+    """Measure and print.
+
+    Args:
+        config: the settings.
+        policy: policy that acts instead of that in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`.
+    """
+    # as in the other processes, which would wait for spinning threads of more
     torch.set_num_threads(1)
-    policy = aslip.load_policy(config.policy)
-    make_env = partial(aslip.make_env, stack=policy_stack(config.policy))
+    subject = Subject.load(policy or config.policy, make_env)
     with ExitStack() as stack:
         batches: dict[CollectorKind, Iterator[TensorDict]] = {}
         first: dict[CollectorKind, float] = {}
         for kind in config.kinds:
             collector = make_collector(
-                make_env,
-                policy,
+                subject.env,
+                subject.policy,
                 kind=kind,
                 num_envs=config.num_envs,
                 samples=config.samples,
@@ -93,7 +96,7 @@ def main(config: Config) -> None:
 
 
 def _seconds(batches: Iterator[TensorDict]) -> float:
-    """Until the next batch is there."""
+    """Seconds until the next batch has arrived."""
     start = time.perf_counter()
     next(batches)
     return time.perf_counter() - start

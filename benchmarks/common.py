@@ -1,122 +1,157 @@
-"""What the benchmarks of a policy share: flags, walks, intervals, reports."""
+"""Subjects, walks and reports that the benchmarks of a policy share.
+
+A subject is a policy and a way to make its environment. On the command line a policy is the name of
+a shipped one, a file or a run folder, and its environment follows from its card. In Python `main`
+of a benchmark also takes any TensorDict module, and a function that makes environments:
+
+    def my_env(**settings):                    # num_envs, seed, drop, ... of `aslip.make_env`
+        return aslip.make_env(stack=my_stack(), **settings)
+
+    foot_placement.main(foot_placement.Config(), policy=my_actor, make_env=my_env)
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from matplotlib.figure import Figure
-from scipy import stats
+from tensordict.nn import TensorDictModuleBase
+from torchrl import torchrl_logger
 
 import aslip
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits
 from aslip.library import GaitLibrary
-from aslip.policy import policy_stack
+from aslip.policy import add_memory, policy_stack
 from aslip.robot import CASSIE
 from aslip.rom import Gait
 from aslip.show.plots import save_figure
 from aslip.training.run import write_text
-from aslip.walking import Walks, record_walks
+from aslip.walking import Interval, Walks, record_walks
 from benchmarks.flags import Common
+
+__all__ = [
+    "WALKING_LENGTH",
+    "Common",
+    "Interval",
+    "MakeEnv",
+    "Policy",
+    "Subject",
+    "constant_walks",
+    "load_subjects",
+    "nearest_gait",
+    "quiet",
+    "shortest_swing",
+    "strides",
+    "walks_of",
+    "write_report",
+    "write_results",
+]
 
 WALKING_LENGTH = 350
 """Mean length of training episodes that counts as having learned to walk, of 400 [policy steps]."""
 
-CONFIDENCE = 0.95
-"""Of all intervals."""
+Policy = TensorDictModuleBase | str | Path
+"""Policy module, or what `aslip.load_policy` takes."""
 
-_RESAMPLES = 2000
-# a bootstrap of fewer is too narrow
-_LEAST_VALUES = 10
+MakeEnv = Callable[..., StackEnv]
+"""Function that makes an environment, with the keywords of `aslip.make_env`."""
 
 
 @dataclass(frozen=True)
-class Interval:
-    """A mean and its 95 % confidence interval, which single values may well be outside."""
+class Subject:
+    """Policy to measure, and a way to make its environment."""
 
-    mean: float
-    low: float
-    high: float
+    name: str
+    """Name in reports: the name or path of the policy, or the class of a module."""
+    policy: TensorDictModuleBase
+    """Policy that acts."""
+    make_env: MakeEnv
+    """Function that makes environments of its stack."""
+    stored: bool
+    """Whether the policy has a card, by which environments are checked."""
 
     @classmethod
-    def of(cls, groups: Sequence[np.ndarray]) -> Interval:
-        """Of the mean over groups, one a seed.
+    def load(cls, policy: Policy, make_env: MakeEnv | None = None) -> Subject:
+        """Load a policy by name or path, or take a module.
 
-        With several groups Student's interval over their means; with one group a bootstrap over its
-        values, none if they are fewer than ten. NaN are left out.
+        Args:
+            policy: the policy.
+            make_env: function that makes its environment; by default `aslip.make_env` with the
+                stack that the policy's card names, or with the default stack for a module.
+
+        Raises:
+            AssetError: no such policy exists.
+            ConfigurationError: the card names no stack, and `make_env` is not given.
         """
-        kept = [group[np.isfinite(group)] for group in map(np.asarray, groups)]
-        kept = [group for group in kept if len(group)]
-        if not kept:
-            return cls(np.nan, np.nan, np.nan)
-        means = np.array([group.mean() for group in kept])
-        mean = float(means.mean())
-        values = means if len(means) > 1 else kept[0]
-        if np.ptp(values) == 0:
-            mean = float(values[0])  # without what rounding adds
-            return cls(mean, mean, mean)
-        if len(means) > 1:
-            half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
-            return cls(mean, mean - float(half), mean + float(half))
-        if len(values) < _LEAST_VALUES:
-            return cls(mean, mean, mean)
-        rng = np.random.default_rng(0)
-        drawn = rng.choice(values, (_RESAMPLES, len(values))).mean(axis=1)
-        low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
-        return cls(mean, float(low), float(high))
+        if not isinstance(policy, str | Path):
+            return cls(str(policy.__class__.__name__), policy, make_env or aslip.make_env, False)
+        make_env = make_env or partial(aslip.make_env, stack=policy_stack(policy))
+        return cls(str(policy), aslip.load_policy(policy), make_env, True)
 
-    @classmethod
-    def of_row(cls, row: Mapping[str, Any]) -> Interval:
-        """From numbers that `vars` of one are among."""
-        return cls(row["mean"], row["low"], row["high"])
+    def env(self, num_envs: int, **settings: Any) -> StackEnv:
+        """Environment of the policy, where episodes end as in training.
 
-    def text(self, digits: int, scale: float = 1.0) -> str:
-        """Mean and, if it has one, interval, with so many digits, times `scale`."""
-        mean, low, high = (f"{scale * v:.{digits}f}" for v in (self.mean, self.low, self.high))
-        return mean if self.low == self.high else f"{mean} [{low}, {high}]"
+        Raises:
+            ConfigurationError: the environment has another observation than the policy's card, or
+                adds its action to something else.
+        """
+        env = self.make_env(num_envs=num_envs, **settings)
+        if self.stored:
+            check_policy_fits(self.name, env)
+        add_memory(env, self.policy)
+        return env
+
+    def walking_env(self, config: Common, num_envs: int, **settings: Any) -> StackEnv:
+        """Environment of the policy, where episodes end in falls only."""
+        drop = [*EPISODE_ENDS]
+        if config.truth:
+            drop += ON_TRUTH["drop"]
+            settings["replace"] = ON_TRUTH["replace"]
+        return self.env(num_envs, seed=config.seed, drop=drop, **settings)
 
 
-def environment(config: Common, policy: str, num_envs: int, **settings: Any) -> StackEnv:
-    """The stack of a policy without an end of episodes but falls."""
-    edits = ON_TRUTH if config.truth else {}
-    env = aslip.make_env(
-        num_envs=num_envs,
-        seed=config.seed,
-        stack=policy_stack(policy),
-        drop=[*EPISODE_ENDS, *edits.get("drop", ())],
-        replace=edits.get("replace"),
-        **settings,
-    )
-    check_policy_fits(policy, env)
-    return env
+def load_subjects(
+    config: Common, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> list[Subject]:
+    """Subjects of a benchmark: a policy given in Python, or those of the command line."""
+    policies = config.policy if policy is None else [policy]
+    return [Subject.load(one, make_env) for one in policies]
 
 
-def constant_walks(config: Common, speeds: Sequence[float], duration: float) -> list[Walks]:
-    """Walks at constant speeds side by side, one `Walks` a policy.
+def constant_walks(
+    config: Common, subjects: Sequence[Subject], speeds: Sequence[float], duration: float
+) -> list[Walks]:
+    """Record walks at constant speeds side by side, one `Walks` a subject.
 
     Args:
-        config: which policies.
-        speeds: commanded [m/s].
-        duration: [s].
+        config: settings of the walks.
+        subjects: the subjects.
+        speeds: commanded speeds [m/s].
+        duration: duration [s].
     """
     steps = round(duration / CASSIE.policy_period)
     command = np.tile(np.array(speeds), (steps, 1))
-    return [walks_of(config, policy, command) for policy in config.policy]
+    return [walks_of(config, subject, command) for subject in subjects]
 
 
-def walks_of(config: Common, policy: str, command: np.ndarray) -> Walks:
-    """Walks of one policy through commands (m, n) [m/s]."""
-    env = environment(config, policy, command.shape[1])
-    try:
-        return record_walks(aslip.load_policy(policy), env, command)
-    finally:
-        env.close()
+def walks_of(config: Common, subject: Subject, command: np.ndarray) -> Walks:
+    """Record walks of one subject through commands (m, n) [m/s]."""
+    with contextlib.closing(subject.walking_env(config, command.shape[1])) as env:
+        return record_walks(subject.policy, env, command)
+
+
+# ---------------------------------------------------------------------------- gaits
 
 
 def strides(library: GaitLibrary, speeds: Sequence[float]) -> np.ndarray:
@@ -126,12 +161,12 @@ def strides(library: GaitLibrary, speeds: Sequence[float]) -> np.ndarray:
 
 
 def nearest_gait(library: GaitLibrary, speed: float) -> Gait:
-    """The gait whose speed is nearest to one [m/s]."""
+    """Gait whose speed is nearest to a speed [m/s]."""
     return min(library.gaits, key=lambda gait: abs(gait.speed - speed))
 
 
 def shortest_swing(library: GaitLibrary, speed: float) -> float:
-    """Half of the model's swing [s]: a robot's foot without load for a shorter time has not swung.
+    """Half of the model's swing [s], the least time without load that counts as a robot's swing.
 
     A leg that follows the model carries nothing for a while in the middle of its stance.
     """
@@ -139,31 +174,59 @@ def shortest_swing(library: GaitLibrary, speed: float) -> float:
     return (1 - gait.duty_factor) * gait.stride / 2
 
 
+# -------------------------------------------------------------------------- reports
+
+
 def write_report(
-    config: Common, name: str, numbers: dict[str, Any], table: str, figure: Figure | None = None
+    config: Common,
+    subjects: Sequence[Subject],
+    name: str,
+    numbers: dict[str, Any],
+    table: str,
+    figure: Figure | None = None,
 ) -> None:
-    """Report about policies: `write_results` with what every benchmark of them is told."""
-    about = {"policies": list(config.policy), "seed": config.seed, "truth": config.truth}
+    """Write the results of subjects, with their names and the settings of all benchmarks."""
+    names = [subject.name for subject in subjects]
+    about = {"policies": names, "seed": config.seed, "truth": config.truth}
     write_results(config.out, name, {**about, **numbers}, table, figure)
 
 
 def write_results(
     out: Path, name: str, numbers: dict[str, Any], table: str, figure: Figure | None = None
 ) -> None:
-    """Print a table; write it, numbers and picture into a folder, by name."""
+    """Print a table, and write table, numbers and picture into a folder, by name."""
     print(table)
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / f"{name}.md", table + "\n")
-    text = json.dumps(_finite(numbers), indent=1, allow_nan=False)
+    text = json.dumps(_without_nan(numbers), indent=1, allow_nan=False)
     write_text(out / f"{name}.json", text + "\n")
     if figure is not None:
         save_figure(figure, out / f"{name}.png")
 
 
-def _finite(value: Any) -> Any:
-    """The same with None in place of numbers that JSON does not have."""
+def _without_nan(value: Any) -> Any:
+    """Copy of nested numbers with None for those that JSON lacks."""
     if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
+        return {key: _without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+        return [_without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[list[str]]:
+    """Print nothing and show no bars; yields the list that collects TorchRL's log messages."""
+    messages: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            messages.append(record.getMessage())
+
+    handlers = torchrl_logger.handlers[:]
+    torchrl_logger.handlers[:] = [Listener()]
+    silence = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+            yield messages
+    finally:
+        torchrl_logger.handlers[:] = handlers

@@ -4,8 +4,9 @@
     python -m benchmarks.film_strip --policy runs/ppo_aslip --overlay
     python -m benchmarks.film_strip --reference --out docs/images/reference.png
 
-Above: body and spring legs of the actuated SLIP as the policy is told to follow them. Below: the
-robot at the same instants. Without a display: MUJOCO_GL=egl, or MUJOCO_GL=osmesa in software.
+The upper strip shows body and spring legs of the actuated SLIP that the policy follows, the lower
+one the robot at the same instants. Without a display set MUJOCO_GL=egl, or MUJOCO_GL=osmesa for
+software rendering.
 """
 
 from __future__ import annotations
@@ -21,31 +22,31 @@ from aslip.training.command_line import command_line
 
 @dataclass(frozen=True)
 class Config:
-    """What to draw."""
+    """Settings of the picture."""
 
     policy: str = "aslip"
     """Name of a shipped policy, its file, or the folder of a run."""
     reference: bool = False
-    """Put the robot on the reference motion, without physics and policy."""
+    """Draw the robot on the reference motion, without physics and policy."""
     speed: float = 1.0
     """Commanded speed [m/s]."""
     out: Path = Path("runs/film_strip.png")
-    """Where the picture goes."""
+    """File for the picture."""
     frames: int = 6
-    """Instants of the stride, at equal steps of phase."""
+    """Number of instants, at equal steps of phase."""
     settle: float = 3.0
-    """Walk for so long before the stride that is drawn [s]."""
+    """Duration of the walk before the stride that is drawn [s]."""
     camera: str = "side"
-    """Camera of the model: side, follow or front."""
+    """Camera: side, follow or front."""
     overlay: bool = False
-    """Draw the reduced-order model through the robot as well."""
+    """Draw the reduced-order model over the robot, too."""
     width: int = 320
-    """Of one frame [pixels]."""
+    """Width of one frame [pixels]."""
     height: int = 400
-    """Of one frame [pixels]."""
+    """Height of one frame [pixels]."""
 
     def __post_init__(self) -> None:
-        """Check what would fail late."""
+        """Check the settings."""
         if self.frames < 1:
             raise ConfigurationError(f"frames must be 1 or more, got {self.frames}")
         if not 0 <= self.settle <= 10:
@@ -75,37 +76,46 @@ from aslip.show.ghost import Ghost
 from aslip.show.plots import save_figure
 from aslip.show.render import render_frames, strip
 from aslip.walking import Walker
+from benchmarks.common import MakeEnv, Policy, Subject
+from benchmarks.flags import Common
 
 
 @dataclass(frozen=True)
 class Stride:
-    """Instants of a walk."""
+    """Instants of one stride, n of them."""
 
     phase: np.ndarray
     """(n,) stride fraction."""
     qpos: np.ndarray
-    """(n, 35) the robot."""
+    """(n, 35) configuration of the robot."""
     ghosts: list[Ghost]
     """The reduced-order model at each instant."""
 
 
-def main(config: Config) -> None:
-    """Walk, choose the instants, draw."""
+def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
+    """Walk, choose the instants, draw.
+
+    Args:
+        config: the settings.
+        policy: policy to draw instead of that in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`.
+    """
     library = aslip.GaitLibrary.load()
     speed = library.check_speed(config.speed)
     wanted = np.arange(config.frames) / config.frames
     if config.reference:
         stride = kinematic_stride(library, speed, wanted)
     else:
-        walker = Walker(config.policy, library=library, speed=speed)
-        with closing(walker.env):
+        subject = Subject.load(policy or config.policy, make_env)
+        with closing(subject.walking_env(Common(), 1, num_threads=1)) as env:
+            walker = Walker(subject.policy, env, library=library, speed=speed)
             stride = simulated_stride(walker, wanted, config.settle)
     save_figure(draw(stride, config), config.out)
     print(config.out)
 
 
 def kinematic_stride(library: aslip.GaitLibrary, speed: float, phase: np.ndarray) -> Stride:
-    """The robot on the reference at (n,) phases."""
+    """Stride of the robot on the reference at (n,) phases."""
     column = torch.from_numpy(phase)[:, None]
     speeds = torch.full_like(column, speed)
     qpos, _ = library.initial_state(column, speeds)
@@ -122,12 +132,12 @@ def kinematic_stride(library: aslip.GaitLibrary, speed: float, phase: np.ndarray
 
 
 def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Stride:
-    """The first whole stride after a while of walking, at the policy steps nearest to the phases.
+    """First whole stride after `settle`, at the policy steps nearest to the phases.
 
     Args:
-        walker: at its start.
+        walker: walker after its reset.
         wanted: (n,) ascending phases in [0, 1).
-        settle: time to walk before [s].
+        settle: duration to walk before [s].
 
     Raises:
         ConfigurationError: the robot fell before the stride was over.
@@ -157,7 +167,7 @@ def stride_duration(library: aslip.GaitLibrary, speed: float) -> float:
 
 
 def draw(stride: Stride, config: Config) -> Figure:
-    """Two film strips: the reduced-order model, and the robot beneath it."""
+    """Draw two film strips: the reduced-order model, and the robot below it."""
     look: dict[str, Any] = {"camera": config.camera, "width": config.width, "height": config.height}
     count = len(stride.phase)
     rom = render_frames(stride.qpos, ghosts=stride.ghosts, robot=False, supersampling=2, **look)

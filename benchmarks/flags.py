@@ -13,15 +13,15 @@ class Common:
     """Flags of every benchmark of a policy."""
 
     policy: tuple[str, ...] = ("aslip",)
-    """Policies to measure, as `aslip.load_policy` takes them; several count as seeds of one."""
+    """Policies to measure: shipped names, files or run folders; several count as seeds of one."""
     truth: bool = False
-    """Show them the simulator's truth instead of what an estimator makes of noisy sensors."""
+    """Let policies observe the simulator's truth instead of the state estimate."""
     seed: int = 0
     """Seed of the sensor noise."""
     out: Path = Path("runs/benchmarks")
-    """Folder of table, numbers and picture."""
+    """Folder for table, numbers and picture."""
 
     def __post_init__(self) -> None:
-        """Check the settings."""
+        """Check that there is a policy."""
         if not self.policy:
             raise ConfigurationError("name at least one policy")

@@ -4,9 +4,9 @@
     python -m benchmarks.foot_placement --policy runs/seed0 runs/seed1 runs/seed2
     python -m benchmarks.foot_placement --log walk.mcap                   # of a log at one speed
 
-At each speed, after a while of walking, 15 footsteps in a row: the ideal place of each is the
-actual place of the other foot plus the step of the reduced-order model. The place of a foot is that
-of its sole in the middle of its stance.
+At each speed, 15 consecutive footsteps count after the walk has settled. The ideal place of each is
+the actual place of the other foot plus the step of the reduced-order model. The place of a foot is
+that of its sole in the middle of its stance.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ PUBLISHED: Final = MappingProxyType(
 
 @dataclass(frozen=True)
 class Config(Common):
-    """What to measure."""
+    """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = tuple(PUBLISHED)
-    """Commanded [m/s]."""
+    """Commanded speeds [m/s]."""
     log: Path | None = None
-    """Measure the walk in a log, at the speed it has been commanded at."""
+    """Log to measure instead of a policy, of a walk at one commanded speed."""
 
 
 if __name__ == "__main__":
@@ -59,38 +59,67 @@ from aslip.robot import CASSIE, SIDES
 from aslip.show.ghost import Footholds
 from aslip.walking import Walks, markdown
 from aslip.walking.metrics import Placement, footsteps, placement
-from benchmarks.common import Interval, constant_walks, shortest_swing, write_report
+from benchmarks.common import (
+    Interval,
+    MakeEnv,
+    Policy,
+    Subject,
+    constant_walks,
+    load_subjects,
+    shortest_swing,
+    write_report,
+)
 
 _FOOTSTEPS = 15
-# walking before the first footstep counts, and time for so many and a few more [s]
+# duration before the first footstep counts, and from there on [s]
 _SETTLE, _WALK = 4.0, 12.0
 
 
-def main(config: Config) -> dict[float, list[Placement]]:
-    """Measure, print and draw; returns the placements at each speed, one a policy."""
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> dict[float, list[Placement]]:
+    """Measure, print and draw; returns the placements at each speed, one a policy.
+
+    Args:
+        config: the settings.
+        policy: policy to measure instead of those in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`.
+    """
     library = GaitLibrary.load()
+    subjects: list[Subject] = []
     if config.log is not None:
-        walk = read_walk(read(config.log))
-        speeds = np.unique(walk.command)
-        if len(speeds) != 1:
-            raise ConfigurationError(
-                f"{str(config.log)!r} has {len(speeds)} commanded speeds; record one at a time:"
-                " recipes/walk.py --command 1.0"
-            )
-        measured = {float(speeds[0]): [placed(walk, 0, float(speeds[0]), library)]}
+        speed, walk = logged_walk(config.log)
+        found = {speed: [walk_placement(walk, 0, speed, library)]}
     else:
-        walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
-        measured = {
-            speed: [placed(walk, i, speed, library) for walk in walks]
+        subjects = load_subjects(config, policy, make_env)
+        walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
+        found = {
+            speed: [walk_placement(walk, i, speed, library) for walk in walks]
             for i, speed in enumerate(config.speeds)
         }
-    figure = picture({speed: unfallen(placements) for speed, placements in measured.items()})
-    write_report(config, "foot_placement", numbers(measured), table(measured), figure)
-    return measured
+    figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
+    write_report(config, subjects, "foot_placement", numbers(found), table(found), figure)
+    return found
 
 
-def placed(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Placement:
-    """Placement of one walk's footsteps after it has settled, none if it fell."""
+def logged_walk(path: Path) -> tuple[float, Walks]:
+    """Commanded speed [m/s] and walk of a log.
+
+    Raises:
+        ConfigurationError: the log has several commanded speeds.
+    """
+    walk = read_walk(read(path))
+    speeds = np.unique(walk.command)
+    if len(speeds) != 1:
+        raise ConfigurationError(
+            f"{str(path)!r} has {len(speeds)} commanded speeds; record one at a time:"
+            " recipes/walk.py --command 1.0"
+        )
+    return float(speeds[0]), walk
+
+
+def walk_placement(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Placement:
+    """Placement of one walk's footsteps after it has settled; a single NaN if it fell."""
     one, footholds, swing = walk.one(index), Footholds(library), shortest_swing(library, speed)
     step = np.stack([footholds.step(side, speed) for side in SIDES])
     if not one.survived[0]:
@@ -107,11 +136,11 @@ def placed(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Place
     return Placement(found.side[rows], found.offset[rows], found.width[rows])
 
 
-def numbers(measured: dict[float, list[Placement]]) -> dict[str, list[dict[str, float | None]]]:
-    """Everything, for machines."""
+def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, float | None]]]:
+    """Numbers of the report, a row a speed."""
     rows = []
-    for speed, every in measured.items():
-        placements = unfallen(every)
+    for speed, every in by_speed.items():
+        placements = without_falls(every)
         interval = Interval.of([p.error for p in placements])
         sides = {
             f"{side}_{axis}": _mean([p.offset[p.side == i, k].mean() for p in placements])
@@ -127,27 +156,27 @@ def numbers(measured: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
                 "footsteps": sum(len(p.error) for p in placements),
                 "survived": len(placements),
                 "policies": len(every),
-                "published": published(speed),
+                "published": published_error(speed),
                 **sides,
             }
         )
     return {"rows": rows}
 
 
-def table(measured: dict[float, list[Placement]]) -> str:
+def table(by_speed: dict[float, list[Placement]]) -> str:
     """A row a speed."""
     header = [
         "command m/s", "error cm", "std cm", "forward cm", "outward cm", "width cm",
         "survived", "published cm",
     ]  # fmt: skip
     rows = []
-    for speed, every in measured.items():
-        placements = unfallen(every)
+    for speed, every in by_speed.items():
+        placements = without_falls(every)
         error = Interval.of([p.error for p in placements])
         forward = Interval.of([p.offset[:, 0] for p in placements])
         outward = Interval.of([p.outward for p in placements])
         width = Interval.of([p.width for p in placements])
-        theirs = published(speed)
+        theirs = published_error(speed)
         rows.append(
             [
                 str(round(speed, 3)),
@@ -163,13 +192,13 @@ def table(measured: dict[float, list[Placement]]) -> str:
     return markdown(header, rows)
 
 
-def unfallen(placements: Sequence[Placement]) -> list[Placement]:
-    """Those of robots that did not fall."""
+def without_falls(placements: Sequence[Placement]) -> list[Placement]:
+    """Placements of robots that did not fall."""
     return [p for p in placements if np.isfinite(p.error).all()]
 
 
-def published(speed: float) -> float | None:
-    """The paper's mean error at a speed, if it has one [m]."""
+def published_error(speed: float) -> float | None:
+    """Mean error in the paper at a speed [m]; None if the paper has none."""
     return next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), None)
 
 
@@ -177,13 +206,13 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if values else math.nan
 
 
-def picture(measured: dict[float, list[Placement]]) -> Figure:
-    """Mean and standard deviation over speed, beside the published ones."""
+def picture(by_speed: dict[float, list[Placement]]) -> Figure:
+    """Mean and standard deviation of errors over speed, beside the published ones."""
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    speeds = list(measured)
-    means = [100 * _mean([p.error.mean() for p in ps]) for ps in measured.values()]
-    spread = [100 * _mean([p.error.std() for p in ps]) for ps in measured.values()]
+    speeds = list(by_speed)
+    means = [100 * _mean([p.error.mean() for p in ps]) for ps in by_speed.values()]
+    spread = [100 * _mean([p.error.std() for p in ps]) for ps in by_speed.values()]
     theirs = np.array(list(PUBLISHED.values())).T * 100
     left.errorbar(list(PUBLISHED), *theirs, color="tab:gray", capsize=3, label="published")
     left.errorbar(speeds, means, spread, color="tab:red", capsize=3, label="here")
@@ -193,7 +222,7 @@ def picture(measured: dict[float, list[Placement]]) -> Figure:
         ("forward", lambda p: p.offset[:, 0], "tab:blue"),
         ("outward", lambda p: p.outward, "tab:orange"),
     ):
-        means = [100 * _mean([pick(p).mean() for p in ps]) for ps in measured.values()]
+        means = [100 * _mean([pick(p).mean() for p in ps]) for ps in by_speed.values()]
         right.plot(speeds, means, "o-", color=color, label=name)
     right.axhline(0, color="black", lw=0.8)
     right.set(xlabel="commanded speed [m/s]", ylabel="actual minus ideal place [cm]")

@@ -1,11 +1,12 @@
-"""Vertical ground force over a stride: of the robot, of the reduced-order model, of the baseline.
+"""Vertical ground force over a stride: robot, reduced-order model and baseline.
 
     python -m benchmarks.ground_reaction                                    # the shipped policy
     python -m benchmarks.ground_reaction --policy runs/seed0 runs/seed1 --baseline runs/baseline0
 
-As in the paper's figure, at 0, 1 and 2 m/s, from the physics at 2 kHz. Spring-mass walking has two
-humps a stance; a body held at constant height has one. The dip ratio is the lowest force between
-the humps over that of the lower hump, after two passes of a moving average of 30 ms.
+Speeds are those of the paper's figure, 0, 1 and 2 m/s; forces come from the physics at 2 kHz.
+Spring-mass walking has two humps a stance, a body held at constant height has one. The dip ratio is
+the lowest force between the humps over that of the lower hump, after two passes of a moving average
+of 30 ms.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ class Config(Common):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
-    """Commanded [m/s]."""
+    """Commanded speeds [m/s]."""
     baseline: tuple[str, ...] = ()
-    """Policies of `recipes/ppo_single_reference.py`."""
+    """Policies of `recipes/ppo_single_reference.py` to compare with."""
 
 
 if __name__ == "__main__":
@@ -49,68 +50,84 @@ from aslip.walking import Walker, markdown
 from aslip.walking.metrics import force_profile, mean_over_strides
 from aslip.walking.metrics.contact import stances
 from aslip.walking.metrics.force import ForceProfile, dip_ratio, humps
-from benchmarks.common import environment, nearest_gait, write_report
+from benchmarks.common import (
+    MakeEnv,
+    Policy,
+    Subject,
+    load_subjects,
+    nearest_gait,
+    write_report,
+)
 
-# before strides count, and while they do [s]
+# duration before strides count, and from there on [s]
 _SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
-# a foot that stood less often has not stepped
+# stances of a foot that count as stepping
 _LEAST_STANCES = 3
-_VERTICAL = [-4, -1]  # of both feet, in what is watched
+_VERTICAL = [-4, -1]  # columns of both feet in watched rows
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Force of the left foot over a stride, from its touchdown."""
+    """Force of the left foot over a stride from its touchdown, k samples."""
 
     mean: np.ndarray
-    """(k,) over strides [N]."""
+    """(k,) mean over strides [N]."""
     std: np.ndarray
-    """(k,) [N]."""
+    """(k,) standard deviation over strides [N]."""
 
 
-def main(config: Config) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row a method and speed."""
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> list[dict[str, Any]]:
+    """Measure, print and draw; returns a row a method and speed.
+
+    Args:
+        config: the settings.
+        policy: policy to measure instead of those in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`.
+    """
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
     curves: dict[tuple[str, float], list[Curve]] = {}
-    methods = {"ASLIP": config.policy, "single reference": config.baseline}
-    runs = [(m, p, v) for m, ps in methods.items() for p in ps for v in config.speeds]
-    for method, policy, speed in tqdm(runs, unit="walk", leave=False):
-        force = vertical_forces(config, library, policy, speed)
-        row: dict[str, Any] = {"method": method, "policy": policy, "speed": speed}
-        rows.append(row)
-        if force is None:
-            row["failed"] = "fell"
-            continue
-        profiles = [force_profile(force[:, i], CASSIE.physics_timestep) for i in range(2)]
-        if min(profile.stances for profile in profiles) < _LEAST_STANCES:
-            row["failed"] = "did not step"
-            continue
-        mean = ForceProfile(*np.mean([list(asdict(p).values()) for p in profiles], axis=0))
-        row |= asdict(mean)
-        curves.setdefault((method, speed), []).append(curve(force[:, 0]))
+    subjects = load_subjects(config, policy, make_env)
+    methods = {"ASLIP": subjects, "single reference": map(Subject.load, config.baseline)}
+    runs = [(m, one, v) for m, ones in methods.items() for one in ones for v in config.speeds]
+    for method, subject, speed in tqdm(runs, unit="walk", leave=False):
+        force = vertical_forces(config, library, subject, speed)
+        rows.append({"method": method, "policy": subject.name, "speed": speed, **profile(force)})
+        if force is not None and "failed" not in rows[-1]:
+            curves.setdefault((method, speed), []).append(curve(force[:, 0]))
     for speed in config.speeds:
         gait = nearest_gait(library, speed)
         rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
-    write_report(
-        config,
-        "ground_reaction",
-        {"rows": rows},
-        table(rows),
-        picture(config, curves, library),
-    )
+    figure = picture(config, curves, library)
+    write_report(config, subjects, "ground_reaction", {"rows": rows}, table(rows), figure)
     return rows
 
 
+def profile(force: np.ndarray | None) -> dict[str, Any]:
+    """Mean `ForceProfile` of both feet from forces (m, 2), or the reason for which there is none.
+
+    Args:
+        force: vertical forces at 2 kHz [N]; None of a robot that fell.
+    """
+    if force is None:
+        return {"failed": "fell"}
+    feet = [force_profile(force[:, i], CASSIE.physics_timestep) for i in range(2)]
+    if min(foot.stances for foot in feet) < _LEAST_STANCES:
+        return {"failed": "did not step"}
+    return asdict(ForceProfile(*np.mean([list(asdict(foot).values()) for foot in feet], axis=0)))
+
+
 def vertical_forces(
-    config: Config, library: GaitLibrary, policy: str, speed: float
+    config: Config, library: GaitLibrary, subject: Subject, speed: float
 ) -> np.ndarray | None:
-    """(m, 2) vertical forces at 2 kHz after the walk has settled; None if it fell."""
+    """(m, 2) vertical forces at 2 kHz after the walk has settled [N]; None if the robot fell."""
     torch.set_num_threads(1)
     parts = []
-    with closing(environment(config, policy, 1, num_threads=1)) as env:
-        walker = Walker(policy, env, library=library, speed=speed)
+    with closing(subject.walking_env(config, 1, num_threads=1)) as env:
+        walker = Walker(subject.policy, env, library=library, speed=speed)
         env.base_env.watch(0)
         while walker.time < _SETTLE + _WALK - CASSIE.policy_period / 2:
             walker.step()
@@ -123,7 +140,7 @@ def vertical_forces(
 
 
 def curve(force: np.ndarray) -> Curve:
-    """A foot's force over the stride, mean over strides."""
+    """Force of a foot over the stride, from forces (m,) over many."""
     starts = stances(force, CASSIE.physics_timestep)[:, 0]
     return Curve(*mean_over_strides(force, starts, _SAMPLES))
 
@@ -138,7 +155,7 @@ def model_force(gait: Gait, samples: int = 4000) -> np.ndarray:
 
 
 def model_profile(gait: Gait) -> dict[str, float]:
-    """The same numbers of the model. It has no impact, and may be without load in mid-stance."""
+    """`ForceProfile` of the model, which has no impact and may carry nothing in mid-stance."""
     force = model_force(gait)
     period = gait.stride / len(force)
     # a stride begins with the left foot's lift-off
@@ -155,7 +172,7 @@ def model_profile(gait: Gait) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """A row a method and speed, mean over policies."""
+    """Table of force profiles, a row a method and speed, means over policies."""
     cells = []
     for method in dict.fromkeys(row["method"] for row in rows):
         for speed in dict.fromkeys(row["speed"] for row in rows):
@@ -193,7 +210,7 @@ _NUMBERS = {"humps", "dip_ratio", "duration", "impulse", "peak"}
 def picture(
     config: Config, curves: Mapping[tuple[str, float], Sequence[Curve]], library: GaitLibrary
 ) -> Figure:
-    """Force over the stride, a panel a speed; a line a policy, with its spread if there is one."""
+    """Force over the stride: a panel a speed, a line a policy, a band around a single policy."""
     figure = Figure(figsize=(4 * len(config.speeds), 3.6), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, len(config.speeds), sharey=True))
     share = np.arange(_SAMPLES) / _SAMPLES

@@ -1,11 +1,11 @@
-"""Ship a policy: its file, and a card that says how it was made, what it needs and what it can do.
+"""Ship a policy: its file, and a card of its training, its interface and its performance.
 
     python -m benchmarks.policy_card --run runs/ppo_aslip --name aslip
     python -m benchmarks.policy_card --run runs/ppo_single_reference --name single_reference
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
-`aslip.load_policy` finds it by name, and writes the card beside them. What is in the card was in
-the policy's file or is measured now, by the other benchmarks; it takes some minutes.
+`aslip.load_policy` finds it by name, and writes the card beside them. The card's contents come from
+the policy's file, and from the other benchmarks, which take some minutes.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ class Config:
     """Settings of the benchmark."""
 
     run: Path
-    """Folder of the training."""
+    """Run folder of the training."""
     name: str
-    """By which `aslip.load_policy` finds it."""
+    """Name by which `aslip.load_policy` finds the policy."""
     assets: Path = Path("assets/policies")
-    """Folder that policies are shipped from."""
+    """Folder of shipped policies."""
     out: Path = Path("runs/policy_card")
-    """Folder of what the benchmarks write."""
+    """Folder for the results of the benchmarks."""
     measure: bool = True
-    """Run the benchmarks; without, the card has no tables of theirs."""
+    """Run the benchmarks, whose tables the card has."""
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -56,12 +56,11 @@ from aslip.robot import CASSIE
 from aslip.training.run import write_text
 from aslip.transforms import DYNAMICS_RANGES, ActionDelta
 from aslip.walking import markdown
-from benchmarks import foot_placement, step_frequency, velocity_tracking
-from benchmarks.perturbation import suite as perturbation
-from benchmarks.perturbation.config import SWEEPS
+from benchmarks import foot_placement, perturbation, step_frequency, velocity_tracking
+from benchmarks.perturbation import SWEEPS
 
 _LEFT = "---"
-# where the run lay is nobody's business, nor whether it went on from there
+# flags of the training's command that say nothing of the policy
 _OWN = r" --out [^ ]+| --resume\b"
 _MOTORS, _JOINTS = "; ".join(CASSIE.motor_names), "; ".join(CASSIE.joint_names)
 _ENTRIES = {
@@ -84,7 +83,7 @@ _ENTRIES = {
     "clock/cos": "of the phase of the stride",
     "command": "speed [m/s]",
 }
-"""What an entry of the observation is."""
+"""Meaning of each entry of the observation."""
 
 _BASELINES = {
     "reference/motor_target": "the reference's angles one policy step ahead, aimed so that the"
@@ -96,8 +95,8 @@ _BASELINES = {
 def main(config: Config) -> Path:
     """Copy, measure and write; returns the card's path."""
     source = find_policy(config.run)
-    load_policy(source)  # or there is nothing to ship
-    policy_stack(source)  # or no name would say what it acts on
+    load_policy(source)  # raises if damaged
+    policy_stack(source)  # raises if the stack has no name
     config.assets.mkdir(parents=True, exist_ok=True)
     shipped, curve = (config.assets / f"{config.name}.{kind}" for kind in ("zip", "png"))
     _ship(source, shipped)
@@ -105,23 +104,23 @@ def main(config: Config) -> Path:
     if has_curve:
         _copy(config.run / "learning_curve.png", curve)
     about = read_card(shipped)
-    parts = [f"# The policy `{config.name}`", how_made(about)]
+    parts = [f"# The policy `{config.name}`", training_section(about)]
     if has_curve:
         parts.append(f"![Learning curve]({curve.name})")
-    parts += [contract(about)]
+    parts += [interface_section(about)]
     if (config.run / "summary.md").exists():
         walks = (config.run / "summary.md").read_text().rpartition("\n\n")[0]
         parts.append(f"## Walks at constant speed\n\nTwelve seconds each, as trained.\n\n{walks}")
     if config.measure:
-        parts += measured(config, str(shipped), about)
+        parts += benchmark_sections(config, str(shipped), about)
     card = config.assets / f"{config.name}.md"
     write_text(card, "\n\n".join(parts) + "\n")
     print(f"{shipped}, {card}")
     return card
 
 
-def how_made(about: dict[str, Any]) -> str:
-    """Command, commit, seed, cost and versions."""
+def training_section(about: dict[str, Any]) -> str:
+    """Section on the training: command, commit, seed, cost and versions."""
     made = about.get("made_by", {})
     settings = made.get("settings", {})
     versions = ", ".join(f"{k} {v}" for k, v in made.get("versions", {}).items() if v)
@@ -138,8 +137,8 @@ def how_made(about: dict[str, Any]) -> str:
     return f"## How it was made\n\n{markdown(['', ''], rows, _LEFT)}"
 
 
-def contract(about: dict[str, Any]) -> str:
-    """What goes in and what comes out."""
+def interface_section(about: dict[str, Any]) -> str:
+    """Section on the observation, the action and the PD loop."""
     env = make_env(stack=about["stack"])
     try:
         delta = next(t for t in env.transforms if isinstance(t, ActionDelta))
@@ -181,8 +180,8 @@ def contract(about: dict[str, Any]) -> str:
     )
 
 
-def measured(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
-    """Tables of the other benchmarks, and what they say about limits."""
+def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
+    """Run the other benchmarks; sections with their tables, and on limits."""
     common: dict[str, Any] = {"policy": (policy,), "out": config.out / config.name}
     parts = []
     if "reference/body_position" in about["observation"]:
@@ -197,13 +196,13 @@ def measured(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
     return [
         *parts,
         _section(config, "Speed", "velocity_tracking"),
-        f"## What makes it fall\n\n{limits(numbers)}\n{training_ground(about)}",
+        f"## What makes it fall\n\n{limits(numbers)}\n{training_conditions(about)}",
         (config.out / config.name / "perturbation.md").read_text().strip(),
     ]
 
 
 def limits(numbers: dict[str, Any]) -> str:
-    """The largest push it takes where it is weakest, and the changes it does not take."""
+    """List of the largest push survived at the weakest point, and of changes not survived."""
     cells = [(cell, row) for row in numbers["pushes"] for cell in row["phases"]]
     weakest, row = min(cells, key=lambda pair: pair[0]["mean"])
     lines = [
@@ -222,8 +221,8 @@ def limits(numbers: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def training_ground(about: dict[str, Any]) -> str:
-    """What robots and floors it has met."""
+def training_conditions(about: dict[str, Any]) -> str:
+    """Line on the robots and floors of the training."""
     if not about.get("made_by", {}).get("settings", {}).get("randomise"):
         return "- It was trained on level ground with friction 1, to walk straight ahead."
     ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in DYNAMICS_RANGES.items()]
@@ -239,7 +238,7 @@ def _section(config: Config, title: str, benchmark: str) -> str:
 
 
 def _ship(source: Path, target: Path) -> None:
-    """Copy a policy, but for what its command says of the run's folder."""
+    """Copy a policy, without the run folder in its command."""
     entries = POLICY_FORMAT.read(source)
     card = json.loads(entries[CARD])
     made = card["made_by"]
@@ -249,7 +248,7 @@ def _ship(source: Path, target: Path) -> None:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a file as a whole or not at all."""
+    """Copy a file, completely or not at all."""
     with replacing(target) as file:
         file.write(source.read_bytes())
 

@@ -33,22 +33,40 @@ from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Walks, markdown
 from aslip.walking.metrics import duty_factor, step_frequency
-from benchmarks.common import Interval, constant_walks, shortest_swing, strides, write_report
+from benchmarks.common import (
+    Interval,
+    MakeEnv,
+    Policy,
+    constant_walks,
+    load_subjects,
+    shortest_swing,
+    strides,
+    write_report,
+)
 
 # walking before footsteps count, and while they do [s]
 _SETTLE, _WALK = 4.0, 16.0
 
 
-def main(config: Config) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row a speed."""
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> list[dict[str, Any]]:
+    """Measure, print and draw; returns a row a speed.
+
+    Args:
+        config: the settings.
+        policy: policy to measure instead of those in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`.
+    """
+    subjects = load_subjects(config, policy, make_env)
     library = GaitLibrary.load()
     model = 2 / strides(library, config.speeds)
-    walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
+    walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
     first = round(_SETTLE / CASSIE.policy_period)
     rows: list[dict[str, Any]] = []
     for i, speed in enumerate(config.speeds):
         swing = shortest_swing(library, speed)
-        found = [measured(walk.one(i, first), swing) for walk in walks]
+        found = [frequency_and_duty(walk.one(i, first), swing) for walk in walks]
         frequency = Interval.of([np.array([f]) for f, _ in found])
         rows.append(
             {
@@ -71,11 +89,13 @@ def main(config: Config) -> list[dict[str, Any]]:
         for row in rows
     ]
     header = ["command m/s", "model Hz", "robot Hz", "off", "duty factor"]
-    write_report(config, "step_frequency", {"rows": rows}, markdown(header, cells), picture(rows))
+    write_report(
+        config, subjects, "step_frequency", {"rows": rows}, markdown(header, cells), picture(rows)
+    )
     return rows
 
 
-def measured(walk: Walks, swing: float) -> tuple[float, float]:
+def frequency_and_duty(walk: Walks, swing: float) -> tuple[float, float]:
     """Step frequency [Hz] and duty factor of a walk, NaN if it fell."""
     if not walk.survived[0]:
         return np.nan, np.nan

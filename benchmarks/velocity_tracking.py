@@ -1,11 +1,12 @@
-"""How a policy follows its commanded speed: through a schedule, at each speed, and after changes.
+"""Tracking of the commanded speed: through a schedule, at each speed, and after sudden changes.
 
     python -m benchmarks.velocity_tracking                                 # the shipped policy
     python -m benchmarks.velocity_tracking --policy runs/seed0 runs/seed1 runs/seed2
-    python -m benchmarks.velocity_tracking --log walk.mcap                 # the walk in a log
+    python -m benchmarks.velocity_tracking --log walk.mcap                 # the walk of a log
 
-The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s, four seconds each. Beside it a map of
-mean against commanded speed at all speeds, also below 0.3 m/s, and the answers to steps of 1 m/s.
+The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s, four seconds each. A map shows mean
+against commanded speed at all speeds, also below 0.3 m/s; a table the responses to changes of
+1 m/s.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Config(Common):
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded speeds of the map [m/s]."""
     log: Path | None = None
-    """Draw and measure the schedule of a log instead, and nothing else."""
+    """Log whose schedule to draw and measure instead of policies."""
 
 
 if __name__ == "__main__":
@@ -53,10 +54,19 @@ from aslip.walking.metrics import (
     stride_average,
     touchdown_spike,
 )
-from benchmarks.common import Interval, constant_walks, walks_of, write_report
+from benchmarks.common import (
+    Interval,
+    MakeEnv,
+    Policy,
+    Subject,
+    constant_walks,
+    load_subjects,
+    walks_of,
+    write_report,
+)
 
 SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
-"""Commanded speeds [m/s], of `_HOLD` seconds each."""
+"""Commanded speeds of the schedule [m/s]."""
 
 STEPS: Final = ((0.0, 1.0), (1.0, 2.0), (0.5, 1.5), (1.5, 0.5), (2.0, 1.0), (1.0, 0.0))
 """Sudden changes of command [m/s]."""
@@ -67,38 +77,46 @@ PUBLISHED: Final = MappingProxyType(
 """Commanded -> mean speed [m/s] of the authors' recording of the schedule, after 1.5 s each."""
 
 _HOLD = 4.0  # [s]
-# after a change of command, before the mean of a speed is taken [s]
+# time from a change of command to the mean of the speed [s]
 _TRANSIENT = 1.5
-# walking before a sudden change and after it [s]; and to map the speeds
+# durations before and after a sudden change [s]; and before and during the mean of the map
 _BEFORE, _AFTER = 4.0, 4.0
 _SETTLE, _WALK = 4.0, 8.0
-# of the robot itself, which all walks here are of [N]
+# weight of the robot as modelled, which walks here [N]
 _WEIGHT = CASSIE.total_mass * STANDARD_GRAVITY
-# around a touchdown, where the model's speed spikes [policy steps]
+# policy steps before and after a touchdown in which the model's speed spikes
 _SPIKE = 2
 
 
-def main(config: Config) -> dict[str, Any]:
-    """Measure, print and draw; returns the numbers."""
-    footholds = Footholds(GaitLibrary.load())
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> dict[str, Any]:
+    """Measure, print and draw; returns the numbers.
+
+    Args:
+        config: the settings.
+        policy: policy to measure instead of those in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`.
+    """
     if config.log is not None:
         walks = [read_walk(read(config.log))]
         numbers: dict[str, Any] = {"schedule": schedule_rows(walks)}
         figure = picture(walks[0], [])
-        write_report(config, "velocity_tracking", numbers, schedule_table(numbers), figure)
+        write_report(config, [], "velocity_tracking", numbers, schedule_table(numbers), figure)
         return numbers
+    subjects = load_subjects(config, policy, make_env)
     steps = round(_HOLD / CASSIE.policy_period)
     command = np.repeat(SCHEDULE, steps)[:, None]
-    walks = [walks_of(config, policy, command) for policy in config.policy]
+    walks = [walks_of(config, subject, command) for subject in subjects]
     numbers = {
         "schedule": schedule_rows(walks),
-        "map": map_rows(config),
-        "steps": step_rows(config, footholds),
-        "spike": spikes(walks),
+        "map": map_rows(config, subjects),
+        "steps": step_rows(config, subjects, Footholds(GaitLibrary.load())),
+        "spike": spike_numbers(walks),
     }
     tables = [schedule_table(numbers), map_table(numbers), step_table(numbers)]
     figure = picture(walks[0], numbers["map"], len(walks))
-    write_report(config, "velocity_tracking", numbers, "\n\n".join(tables), figure)
+    write_report(config, subjects, "velocity_tracking", numbers, "\n\n".join(tables), figure)
     return numbers
 
 
@@ -106,7 +124,7 @@ def main(config: Config) -> dict[str, Any]:
 
 
 def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
-    """Mean speeds of each part of a schedule after its transient, robot and model."""
+    """Mean speeds of robot and model in each part of a schedule, after its transient."""
     command = walks[0].command[:, 0]
     bounds = [0, *np.flatnonzero(np.diff(command)) + 1, len(command)]
     rows = []
@@ -132,7 +150,7 @@ def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
 
 
 def schedule_table(numbers: dict[str, Any]) -> str:
-    """The schedule's parts."""
+    """Table of the schedule, a row a part."""
     rows = [
         [f"{row[key]:.3f}" for key in ("command", "robot", "robot_std", "model", "rms")]
         + [f"{row['published']:.3f}" if math.isfinite(row["published"]) else ""]
@@ -142,16 +160,16 @@ def schedule_table(numbers: dict[str, Any]) -> str:
     return markdown(header, rows)
 
 
-def spikes(walks: list[Walks]) -> dict[str, Any]:
-    """Mean range of speed around the model's touchdowns, robot and model [m/s]."""
-    each = [spike(walk) for walk in walks]
+def spike_numbers(walks: list[Walks]) -> dict[str, Any]:
+    """Mean range of speed around the model's touchdowns over walks, robot and model [m/s]."""
+    each = [spikes_of(walk) for walk in walks]
     means = {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
     return {**means, "each": each}
 
 
-def spike(walk: Walks) -> dict[str, float]:
-    """The same of one walk."""
-    # the model's foot is down where it does not rise above the floor
+def spikes_of(walk: Walks) -> dict[str, float]:
+    """Mean range of speed around the model's touchdowns of one walk, robot and model [m/s]."""
+    # the model's foot is down where its height is zero
     height = walk.body_position[:, :1, 2] + walk.body_to_foot[:, 0, :, 2]
     model, robot = walk.body_velocity[:, 0, 0], walk.pelvis_velocity[:, 0, 0]
     down = [stances(np.where(h < 1e-3, 100.0, 0.0), CASSIE.policy_period)[:, 0] for h in height.T]
@@ -164,9 +182,9 @@ def spike(walk: Walks) -> dict[str, float]:
 # -------------------------------------------------------------------------- map
 
 
-def map_rows(config: Config) -> list[dict[str, Any]]:
-    """Mean speed at each commanded one, and who survived, on the feet, and tracked it."""
-    walks = constant_walks(config, config.speeds, _SETTLE + _WALK)
+def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
+    """Mean speed at each commanded one, and which policies survived, on the feet, tracking it."""
+    walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
     first = round(_SETTLE / CASSIE.policy_period)
     rows = []
     for i, speed in enumerate(config.speeds):
@@ -181,7 +199,7 @@ def map_rows(config: Config) -> list[dict[str, Any]]:
                 "each": each,
                 "sideways": float(drift),
                 "survived": [bool(walk.survived[i]) for walk in walks],
-                # NaN, where it fell, is neither
+                # NaN after a fall is neither
                 "on_feet": [bool(is_on_feet(ratio, _WALK)) for ratio in carried],
                 "tracked": [bool(tracks_command(speed, mean)) for mean in each],
             }
@@ -190,12 +208,12 @@ def map_rows(config: Config) -> list[dict[str, Any]]:
 
 
 def mean_velocity(position: np.ndarray) -> np.ndarray:
-    """(2,) of a walk's positions (m, 2) at the ends of policy steps [m/s]."""
+    """Mean velocity (2,) from positions (m, 2) at the ends of policy steps [m/s]."""
     return (position[-1] - position[0]) / ((len(position) - 1) * CASSIE.policy_period)
 
 
 def map_table(numbers: dict[str, Any]) -> str:
-    """The map's speeds."""
+    """Table of the map, a row a speed."""
     rows = [
         [
             f"{row['command']:.1f}",
@@ -213,33 +231,35 @@ def map_table(numbers: dict[str, Any]) -> str:
 # ------------------------------------------------------------------------ steps
 
 
-def step_rows(config: Config, footholds: Footholds) -> list[dict[str, Any]]:
-    """Answers to sudden changes of command."""
+def step_rows(
+    config: Config, subjects: list[Subject], footholds: Footholds
+) -> list[dict[str, Any]]:
+    """Responses to sudden changes of command, a row a change."""
     before, after = (round(time / CASSIE.policy_period) for time in (_BEFORE, _AFTER))
     changes = np.array(STEPS).T
     command = np.concatenate([np.tile(changes[0], (before, 1)), np.tile(changes[1], (after, 1))])
-    walks = [walks_of(config, policy, command) for policy in config.policy]
+    walks = [walks_of(config, subject, command) for subject in subjects]
     rows = []
     for i, (old, new) in enumerate(STEPS):
-        answers = [answer(walk, i, before, footholds) for walk in walks]
+        responses = [step_response_of(walk, i, before, footholds) for walk in walks]
         rows.append(
             {
                 "from": old,
                 "to": new,
-                "settling": float(np.mean([a.settling_time for a in answers])),
-                "overshoot": float(np.mean([a.overshoot for a in answers])),
-                "steady_error": float(np.mean([a.steady_error for a in answers])),
+                "settling": float(np.mean([r.settling_time for r in responses])),
+                "overshoot": float(np.mean([r.overshoot for r in responses])),
+                "steady_error": float(np.mean([r.steady_error for r in responses])),
                 "each": {
-                    "settling": [a.settling_time for a in answers],
-                    "steady_error": [a.steady_error for a in answers],
+                    "settling": [r.settling_time for r in responses],
+                    "steady_error": [r.steady_error for r in responses],
                 },
             }
         )
     return rows
 
 
-def answer(walk: Walks, index: int, change: int, footholds: Footholds) -> StepResponse:
-    """One walk's answer; a fall never settles."""
+def step_response_of(walk: Walks, index: int, change: int, footholds: Footholds) -> StepResponse:
+    """Response of one walk to a change of command in a policy step; a fall never settles."""
     old, new = walk.command[change - 1, index], walk.command[change, index]
     if not walk.survived[index]:
         return StepResponse(math.inf, math.nan, math.nan)
@@ -248,7 +268,7 @@ def answer(walk: Walks, index: int, change: int, footholds: Footholds) -> StepRe
 
 
 def step_table(numbers: dict[str, Any]) -> str:
-    """The changes."""
+    """Table of the responses, a row a change."""
     rows = [
         [
             f"{row['from']:.1f} to {row['to']:.1f}",
@@ -265,7 +285,7 @@ def step_table(numbers: dict[str, Any]) -> str:
 
 
 def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Figure:
-    """Speeds through the schedule, of the first of policies; mean against commanded speed."""
+    """Speeds of the first policy through the schedule; mean against commanded speed of all."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     parts = figure.subplots(1, 2, width_ratios=(2, 1)) if mapped else [figure.subplots()]
     time = (np.arange(len(walk.command)) + 1) * CASSIE.policy_period

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         tracks_command,
         walk_table,
     )
+    from aslip.walking.interval import CONFIDENCE, Interval
     from aslip.walking.record import (
         Walks,
         next_start,
@@ -31,7 +32,9 @@ if TYPE_CHECKING:
     from aslip.walking.walker import Walker
 
 __all__ = [
+    "CONFIDENCE",
     "TRACKING_TOLERANCE",
+    "Interval",
     "Push",
     "Schedule",
     "WalkResult",
@@ -61,6 +64,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "tracks_command",
             "walk_table",
         ],
+        "interval": ["CONFIDENCE", "Interval"],
         "record": [
             "Walks",
             "next_start",

@@ -109,7 +109,7 @@ def test_a_robot_that_does_not_walk_has_no_humps(
     written(tmp_path, "ground_reaction")
     assert f"| ASLIP | 0.5 | {failed} |" in (tmp_path / "ground_reaction.md").read_text()
     rows = [{**rows[0], "speed": speed} for speed in (0.0, 1.0)]
-    assert np.isnan(claims.humps(rows)["double hump"]).all()
+    assert np.isnan(claims.force_claims(rows)["double hump"]).all()
 
 
 def test_a_benchmark_needs_a_policy() -> None:
@@ -133,14 +133,14 @@ def test_claims_on_feet() -> None:
     by_speed[2.0] = placements(0.25)
     # the second seed is worse at 0 m/s
     by_speed[0.0][1] = placements(0.07)[0]
-    found = claims.feet(by_speed)
+    found = claims.foot_claims(by_speed)
     worst = [100 * math.hypot(0.05, 0.002), 100 * math.hypot(0.07, 0.01)]
     assert found["feet to 1.0 m/s"] == pytest.approx(worst)
     assert found["feet at 2.0 m/s"] == pytest.approx([100 * math.hypot(0.25, 0.01)] * 2)
     assert found["wider feet"] == pytest.approx([0.2, 0.2])
     assert found["feet above 1 m/s"] == pytest.approx([20, 20], abs=0.1)
     by_speed[1.0][1] = placements(0.05, count=0)[0]
-    assert np.isnan(claims.feet(by_speed)["feet to 1.0 m/s"]).tolist() == [False, True]
+    assert np.isnan(claims.foot_claims(by_speed)["feet to 1.0 m/s"]).tolist() == [False, True]
 
 
 def test_claims_on_speed() -> None:
@@ -169,13 +169,13 @@ def test_claims_on_speed() -> None:
         "settling": [1.2, math.inf],
         "touchdown spikes": [0.25, 0.5],
     }
-    found = claims.tracking(numbers)
+    found = claims.speed_claims(numbers)
     assert list(found) == list(expected)
     for name, values in expected.items():
         assert found[name] == pytest.approx(values), name
     mapped[0]["on_feet"] = [False, True]  # on its heels, it keeps its speed
     mapped[2] |= {"each": [2.0, math.nan], "survived": [True, False], "tracked": [True, False]}
-    found = claims.tracking(numbers)
+    found = claims.speed_claims(numbers)
     assert found["all speeds"] == [2, 2]
     assert np.isnan(found["velocity tracking"]).tolist() == [False, True]
     assert found["slow walking"] == pytest.approx([0.04, 0.045])
@@ -186,30 +186,30 @@ def test_claims_on_forces() -> None:
         {"method": "ASLIP", "speed": speed, "dip_ratio": ratio}
         for speed, ratio in ((0.0, 0.3), (0.0, 0.7), (1.0, 0.6), (1.0, 0.5), (2.0, 1.0))
     ]
-    assert claims.humps(rows) == {"double hump": [0.6, 0.7]}
+    assert claims.force_claims(rows) == {"double hump": [0.6, 0.7]}
     rows += [
         {"method": "single reference", "speed": speed, "dip_ratio": ratio}
         for speed, ratio in ((0.0, 1.0), (1.0, 0.95), (2.0, 0.97))
     ]
-    assert claims.humps(rows)["baseline's single hump"] == [0.95]
+    assert claims.force_claims(rows)["baseline's single hump"] == [0.95]
     # one that fell has no dip ratio, and no single hump
     del rows[-2]["dip_ratio"]
-    assert np.isnan(claims.humps(rows)["baseline's single hump"]).all()
+    assert np.isnan(claims.force_claims(rows)["baseline's single hump"]).all()
 
 
 def test_a_seed_without_a_value_is_not_left_out() -> None:
-    assert claims.over_seeds([1.0, 3.0]).mean == 2.0
+    assert claims.interval_over_seeds([1.0, 3.0]).mean == 2.0
     for missing in (math.nan, math.inf):
-        assert math.isnan(claims.over_seeds([1.0, missing]).mean)
+        assert math.isnan(claims.interval_over_seeds([1.0, missing]).mean)
 
 
 def test_the_cost_is_read_from_runs(tmp_path: Path) -> None:
     header = "step,elapsed_s,episode_length,eval_return"
     rows = ["1000000,1800,200,nan", "2000000,3600,360,310", "3000000,7200,390,nan"]
     (tmp_path / "progress.csv").write_text("\n".join([header, *rows]) + "\n")
-    found = claims.cost([str(tmp_path)])
+    found = claims.training_costs([str(tmp_path)])
     assert found == {"samples": [2.0], "training time": [2.0], "return": [310.0]}
-    assert claims.cost(["aslip"]) == {}
+    assert claims.training_costs(["aslip"]) == {}
 
 
 def test_the_table_says_what_holds_and_what_no_longer_does(
@@ -217,7 +217,7 @@ def test_the_table_says_what_holds_and_what_no_longer_does(
 ) -> None:
     values = {"step frequency": 0.5, "settling": 2.0, "double hump": 0.4}
     monkeypatch.setattr(
-        claims, "measured", lambda config: {name: [v] for name, v in values.items()}
+        claims, "claim_values", lambda *_: {name: [v] for name, v in values.items()}
     )
     monkeypatch.setattr(claims, "RECORD", tmp_path / "record.json")
     config = claims.Config(policy=("runs/seed0", "aslip"), out=tmp_path, record=True)
@@ -232,7 +232,7 @@ def test_the_table_says_what_holds_and_what_no_longer_does(
     assert claims.main(claims.Config(out=tmp_path)) == 1
     printed = capsys.readouterr().out
     assert "| none | ≤ 0.7 | FAIL |" in printed
-    assert "does not now: double hump" in printed
+    assert "no longer holds: double hump" in printed
     numbers = json.loads((tmp_path / "claims.json").read_text())["claims"]
     assert [row["name"] for row in numbers if row["holds"]] == ["step frequency"]
 
@@ -292,7 +292,9 @@ def test_likeness_of_a_seed_that_fell_is_none(
     alive = np.ones((200, 5), dtype=bool)
     alive[150:, 3] = not fallen
     sizes = {field.name: np.zeros((200, 5)) for field in fields(Walks)}
-    found = claims.likeness([Walks(**{**sizes, "command": alive.astype(float), "alive": alive})])
+    found = claims.correlation_claims(
+        [Walks(**{**sizes, "command": alive.astype(float), "alive": alive})]
+    )
     assert list(found) == ["velocity oscillation", "springy legs"]
     assert all(np.isnan(values).tolist() == [fallen] for values in found.values())
 
@@ -307,7 +309,9 @@ def test_on_the_spot_there_is_no_oscillation_to_compare(monkeypatch: pytest.Monk
     model = robot * [1.0, 0.0, 0.0] + 0.5
     model[:, 0] = 0.01 * np.random.default_rng(1).normal(size=(200, 3))  # of rounding
     arrays |= {"pelvis_velocity": robot, "body_velocity": model}
-    assert claims.likeness([Walks(**arrays)])["velocity oscillation"] == pytest.approx([1.0])
+    assert claims.correlation_claims([Walks(**arrays)])["velocity oscillation"] == pytest.approx(
+        [1.0]
+    )
 
 
 def test_every_policy_has_a_curve_of_its_own(library: GaitLibrary) -> None:

@@ -12,9 +12,8 @@ import pytest
 from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from aslip.walking import Walker
-from benchmarks import film_strip, ground_reaction, throughput
-from benchmarks.estimator import cost, recovery, walks
-from benchmarks.estimator.config import Config as EstimatorConfig
+from benchmarks import estimate_errors, estimator, film_strip, ground_reaction, throughput
+from benchmarks.common import Subject
 from benchmarks.faults import simulations
 
 
@@ -56,7 +55,7 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("made", "falling")
 def test_ground_reaction_of_a_robot_that_falls(library: GaitLibrary) -> None:
     config = ground_reaction.Config()
-    assert ground_reaction.vertical_forces(config, library, "aslip", 1.0) is None
+    assert ground_reaction.vertical_forces(config, library, Subject.load("aslip"), 1.0) is None
 
 
 @pytest.mark.usefixtures("made", "falling")
@@ -66,10 +65,15 @@ def test_a_film_strip_of_a_robot_that_falls(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("made")
-@pytest.mark.parametrize("part", [cost.throughput, cost.packet_time, recovery.recovery, walks.walk])
+@pytest.mark.parametrize("part", [estimator.throughput, estimator.packet_time, estimator.recovery])
 def test_parts_of_the_estimators_benchmark(part: Any) -> None:
-    config = EstimatorConfig(repeats=1, steps=2, falls=2, num_envs=2, rounds=1)
-    part(config)
+    config = estimator.Config(repeats=1, steps=2, falls=2, num_envs=2, rounds=1)
+    part(config, Subject.load("aslip"))
+
+
+@pytest.mark.usefixtures("made")
+def test_walks_of_the_estimators_benchmark() -> None:
+    estimate_errors.record_estimates(Subject.load("aslip"), steps=2, repeats=1, seed=0)
 
 
 @pytest.mark.usefixtures("made")

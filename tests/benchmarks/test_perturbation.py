@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,28 +11,27 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
-import aslip
 from aslip.errors import ConfigurationError
-from benchmarks.common import environment
-from benchmarks.perturbation import pushes as pushes_module
-from benchmarks.perturbation import sweeps as sweeps_module
-from benchmarks.perturbation.config import SWEEPS, Config
-from benchmarks.perturbation.pushes import settled, survived_pushes
-from benchmarks.perturbation.suite import main
-from benchmarks.perturbation.sweeps import survived_sweeps, sweep_rows, trials, wilson
-from benchmarks.perturbation.walking import walk
+from aslip.walking import Interval
+from benchmarks import perturbation
+from benchmarks.common import Subject
+from benchmarks.perturbation import (
+    SWEEPS,
+    Config,
+    main,
+    measure_pushes,
+    measure_sweeps,
+    settle,
+    sweep_rows,
+    trials,
+    walk_on,
+)
 
 NO_SWEEPS: dict[str, Any] = {s.flag: () for s in SWEEPS.values()}
 BAR = tqdm(disable=True)
-
-
-@pytest.fixture(autouse=True)
-def deterministic() -> Iterator[None]:
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        yield
+SHIPPED = Subject.load("aslip")
 
 
 def _config(**settings: Any) -> Config:
@@ -65,7 +63,7 @@ def test_the_benchmark_measures_draws_and_reports(
 def test_bisection_closes_in_from_below() -> None:
     """Where every push is survived, on the end of the range."""
     config = _config(bisections=3, largest=1.6, after=0.3)
-    survived = survived_pushes(config, "aslip", BAR)
+    survived = measure_pushes(config, SHIPPED, BAR)
     np.testing.assert_allclose(survived, 1.4)
 
 
@@ -83,10 +81,10 @@ def _measured(
         done.append(arguments[-2])
         return np.ones(len(standing), dtype=bool)
 
-    monkeypatch.setattr(pushes_module, "environment", lambda *_: env)
-    monkeypatch.setattr(pushes_module, "settled", lambda *_: (td, np.array(standing)))
-    monkeypatch.setattr(pushes_module, "survives", survives)
-    return survived_pushes(config, "aslip", BAR), done
+    monkeypatch.setattr(Subject, "walking_env", lambda *_: env)
+    monkeypatch.setattr(perturbation, "settle", lambda *_: (td, np.array(standing)))
+    monkeypatch.setattr(perturbation, "push_robots", survives)
+    return measure_pushes(config, SHIPPED, BAR), done
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -2.0])
@@ -110,9 +108,9 @@ def test_who_falls_without_a_push_survives_none(monkeypatch: pytest.MonkeyPatch)
 
 def test_pushes_begin_at_their_phase() -> None:
     config = _config(settle=0.51, speed=1.5)
-    env = environment(config, "aslip", 4)
+    env = SHIPPED.walking_env(config, 4)
     phase = np.arange(4) / 4
-    td, _ = settled(config, env, aslip.load_policy("aslip"), phase, BAR)
+    td, _ = settle(config, env, SHIPPED.policy, phase, BAR)
     difference = np.asarray(td["phase"][:, 0]) - phase
     np.testing.assert_allclose((difference + 0.5) % 1 - 0.5, 0, atol=1e-5)
 
@@ -120,15 +118,15 @@ def test_pushes_begin_at_their_phase() -> None:
 def test_walks_repeat_from_where_they_are_put_back() -> None:
     """Bit for bit without noise, pushed in between or not; and pushes push where they should."""
     config = _config(truth=True)
-    actor, env = aslip.load_policy("aslip"), environment(config, "aslip", 2)
-    td, _ = settled(config, env, actor, np.array([0.0, 0.5]), BAR)
+    actor, env = SHIPPED.policy, SHIPPED.walking_env(config, 2)
+    td, _ = settle(config, env, actor, np.array([0.0, 0.5]), BAR)
     states = env.base_env.states()
     forces = [None, np.array([[0.0, 100.0, 0.0], [-100.0, 0.0, 0.0]]), None]
     ends = []
     for force in forces:
         env.base_env.set_states(states)
-        after, _ = walk(env, actor, td, 4, BAR, force)
-        ends.append(walk(env, actor, after, 4, BAR)[0])
+        after, _ = walk_on(env, actor, td, 4, BAR, force)
+        ends.append(walk_on(env, actor, after, 4, BAR)[0])
     first, pushed, second = (end["truth", "qvel"].numpy() for end in ends)
     np.testing.assert_array_equal(first, second)
     assert pushed[0, 1] > first[0, 1] + 0.05
@@ -144,8 +142,8 @@ def test_each_robot_of_a_sweep_has_its_value(monkeypatch: pytest.MonkeyPatch) ->
         seen.update(env.base_env.dynamics)
         return None, np.ones(env.num_envs, dtype=bool)
 
-    monkeypatch.setattr(sweeps_module, "walk", stand)
-    assert survived_sweeps(config, "aslip", BAR).all()
+    monkeypatch.setattr(perturbation, "walk_on", stand)
+    assert measure_sweeps(config, SHIPPED, BAR).all()
     rows = [(t.parameter, t.shown) for t in trials(config)]
     for i, (name, shown) in enumerate(rows):
         value = {"slope": math.radians(shown), "torque_delay": shown / 1000}.get(name, shown)
@@ -167,7 +165,7 @@ def test_policies_and_speeds_are_counted_together() -> None:
 )
 def test_wilsons_interval(successes: int, low: float, high: float) -> None:
     """Of ten trials, from the literature's tables."""
-    interval = wilson(successes, 10)
+    interval = Interval.of_share(successes, 10)
     assert interval.mean == successes / 10
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-4)
 
@@ -176,7 +174,7 @@ def test_wilsons_interval_holds_the_share() -> None:
     """To the last bit, for all that draw it."""
     for count in range(1, 80):
         for successes in range(count + 1):
-            interval = wilson(successes, count)
+            interval = Interval.of_share(successes, count)
             assert 0 <= interval.low <= interval.mean <= interval.high <= 1
 
 

@@ -134,9 +134,9 @@ def test_policy_and_card_do_not_say_where_the_run_lay(tmp_path: Path) -> None:
 
 def test_the_card_says_what_it_was_trained_on() -> None:
     made: dict[str, dict] = {"settings": {}}
-    assert "level ground" in policy_card.training_ground({"made_by": made})
+    assert "level ground" in policy_card.training_conditions({"made_by": made})
     made["settings"] = {"randomise": True}
-    assert "floor_friction 0.4 to 1.1" in policy_card.training_ground({"made_by": made})
+    assert "floor_friction 0.4 to 1.1" in policy_card.training_conditions({"made_by": made})
 
 
 def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

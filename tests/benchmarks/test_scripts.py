@@ -18,8 +18,7 @@ from aslip.errors import (
 )
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.training.run import steps_done
-from benchmarks import black_box, collectors, film_strip, learning_curves, throughput
-from benchmarks.estimator import suite as estimator
+from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
 from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
 

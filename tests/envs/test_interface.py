@@ -28,7 +28,7 @@ from aslip.transforms import OBSERVATION_TABLE, ActionDelta, AssembleObservation
 from aslip.transforms.base import extend_spec
 from aslip.walking import Walker
 from benchmarks import velocity_tracking
-from benchmarks.common import Common, environment
+from benchmarks.common import Common, Subject
 from tests.helpers import MakeEnv
 
 
@@ -105,7 +105,7 @@ def test_a_benchmark_takes_a_policy_that_was_trained_with_more_transforms(
 ) -> None:
     path = _saved(tmp_path / "policy.zip", _with(library, make, *HARMLESS["all"]))
     config = velocity_tracking.Config(policy=(str(path),), out=tmp_path / "out")
-    env = environment(config, str(path), 2)
+    env = Subject.load(path).walking_env(config, 2)
     assert env.num_envs == 2
     data = env.rollout(2, aslip.load_policy(path))
     assert data["action"].isfinite().all()
@@ -153,7 +153,7 @@ def test_a_benchmark_says_how_a_policys_stack_is_another(
     for name, (settings, size, message) in stacks.items():
         path = _saved(tmp_path / f"{name}.zip", make(**settings), size)
         with pytest.raises(ConfigurationError, match=rf"{name}\.zip.*{message}"):
-            environment(Common(), str(path), 1)
+            Subject.load(path).walking_env(Common(), 1)
         with pytest.raises(ConfigurationError, match=f"{name}.zip.*does not fit"):
             check_policy_fits(path, make())
         assert aslip.load_policy(path)
@@ -174,4 +174,4 @@ def test_a_file_whose_stack_is_not_what_it_was_trained_on_is_not_measured(
     interface = {**policy_interface(make()), "stack": "paper"}
     save_policy(path, make_actor(RunningNormalizer(64)), PolicyShape(), **interface)
     with pytest.raises(ConfigurationError, match="does not fit the environment: its action"):
-        environment(Common(), str(path), 1)
+        Subject.load(path).walking_env(Common(), 1)

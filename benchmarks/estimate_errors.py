@@ -1,30 +1,27 @@
-"""What the estimator makes of walks, against the truth."""
+"""Errors of the state estimate on walks at constant speed and through changes of speed."""
 
 from __future__ import annotations
 
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Final, cast
 
 import numpy as np
 import torch
+from matplotlib.figure import Figure
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
-from tensordict import TensorDict
-from torchrl.envs.utils import step_mdp
+from tensordict import TensorDictBase
 
-import aslip
 from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.estimation import StateEstimator
 from aslip.estimation.filter import P, V
-from aslip.policy import policy_stack
 from aslip.robot import CASSIE
-from aslip.walking import markdown
-from benchmarks.estimator.arrays import array, packets
-from benchmarks.estimator.config import Config
+from aslip.walking import markdown, reset_walks, walk
+from benchmarks.common import Subject
 
-SPEEDS = (0.0, 0.5, 1.0, 1.5, 2.0)
-"""Of the walks at constant speed; one through changes of speed comes after them [m/s]."""
+SPEEDS: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
+"""Speeds of the walks at constant speed; one through changes of speed follows [m/s]."""
 
 # policy step -> commanded speed [m/s]
 _CHANGES = {0: 0.0, 60: 1.0, 130: 2.0, 200: 0.3, 270: 1.5, 340: 0.0}
@@ -36,55 +33,68 @@ class EstimateErrors:
     """Errors of n robots at t policy steps; NaN after a fall."""
 
     velocity: np.ndarray
-    """(t, n, 3) estimate and truth differ by [m/s]."""
+    """(t, n, 3) error of the velocity [m/s]."""
     height: np.ndarray
-    """(t, n) [m]."""
+    """(t, n) error of the height [m]."""
     angle: np.ndarray
-    """(t, n) between the estimated and the true attitude [rad]."""
+    """(t, n) angle between estimated and true attitude [rad]."""
     position: np.ndarray
-    """(t, n, 3) [m]."""
+    """(t, n, 3) error of the position [m]."""
     travelled: np.ndarray
     """(t, n) true position along x [m]."""
     nis: np.ndarray
-    """(t, n) mean over packets and feet."""
+    """(t, n) normalised innovation squared, mean over packets and feet."""
     nis_inside: np.ndarray
     """(t, n) share of packets and feet within the 95 % band."""
     nees_velocity: np.ndarray
-    """(t, n)."""
+    """(t, n) normalised error squared of the velocity."""
     nees_height: np.ndarray
-    """(t, n)."""
+    """(t, n) normalised error squared of the height."""
     seen: dict[str, np.ndarray]
-    """Truth and estimate themselves."""
+    """Truth and estimate, by name."""
 
 
-def walk(config: Config) -> EstimateErrors:
-    """Walk at each speed, and through changes of speed."""
-    env = aslip.make_env(
-        num_envs=(len(SPEEDS) + 1) * config.repeats,
-        seed=config.seed,
-        stack=policy_stack(config.policy),
-        drop=["fall", *EPISODE_ENDS],
-    )
-    with closing(env):
-        return _compare(_walk(config, env))
+def record_estimates(subject: Subject, steps: int, repeats: int, seed: int) -> EstimateErrors:
+    """Walk at each speed and through changes of speed, and compare estimate and truth.
+
+    Args:
+        subject: policy that walks.
+        steps: policy steps of a walk.
+        repeats: robots on each walk, with different sensor noise.
+        seed: seed of the noise.
+    """
+    num_envs = (len(SPEEDS) + 1) * repeats
+    with closing(subject.env(num_envs, seed=seed, drop=["fall", *EPISODE_ENDS])) as env:
+        return _compare(_record(subject, env, _commands(steps, repeats)))
 
 
-def _walk(config: Config, env: StackEnv) -> dict[str, np.ndarray]:
-    """Truth and estimate at each policy step (t, n, ...), by name."""
-    names, num = [*SPEEDS, None], env.num_envs
-    policy = aslip.load_policy(config.policy)
-    commands = torch.tensor([_CHANGES[0] if name is None else name for name in names])
-    commands = commands.repeat_interleave(config.repeats)[:, None]
-    changing = torch.tensor([name is None for name in names]).repeat_interleave(config.repeats)
-    initial = {"command": commands, "phase": torch.zeros(num, 1)}
-    td = env.reset(TensorDict(initial, batch_size=[num]))
+def packets(td: TensorDictBase) -> np.ndarray:
+    """(n, w, 42) packets of the sensors, with noise."""
+    return np.concatenate([array(td, ("sensors", name)) for name in CASSIE.packet_sizes], axis=-1)
+
+
+def array(td: TensorDictBase, key: Any) -> np.ndarray:
+    """Entry of a tensordict as an array; floats in double precision."""
+    value = cast("torch.Tensor", td[key])
+    return value.double().numpy() if value.is_floating_point() else value.numpy()
+
+
+def _commands(steps: int, repeats: int) -> np.ndarray:
+    """(steps, n) commanded speed of each walk's robots [m/s]; those of changes come last."""
+    changing = [max(i for i in _CHANGES if i <= step) for step in range(steps)]
+    command = np.tile([*SPEEDS, 0.0], (steps, 1))
+    command[:, -1] = [_CHANGES[i] for i in changing]
+    return np.repeat(command, repeats, axis=1).astype(np.float32)
+
+
+def _record(subject: Subject, env: StackEnv, command: np.ndarray) -> dict[str, np.ndarray]:
+    """Record truth and estimate at each policy step (t, n, ...), by name."""
+    start = reset_walks(env, command[0])
     estimator = StateEstimator()
-    tracking, _ = estimator.start(packets(td))
+    tracking, _ = estimator.start(packets(start))
     frames: list[dict[str, np.ndarray]] = []
-    for step in range(config.steps):
-        if step in _CHANGES:
-            td["command"] = torch.where(changing[:, None], _CHANGES[step], td["command"])
-        td = cast("TensorDict", step_mdp(env.step(policy(td))))
+    for step in walk(subject.policy, env, start, len(command), command=command):
+        td = cast("TensorDictBase", step["next"])
         estimate = estimator.update(tracking, packets(td))
         inside = np.where(estimate.resting[..., None], estimate.innovation, np.nan).sum(-1)
         variance = np.einsum("...ii->...i", tracking.belief.covariance)
@@ -104,6 +114,7 @@ def _walk(config: Config, env: StackEnv) -> dict[str, np.ndarray]:
 
 
 def _compare(seen: dict[str, np.ndarray]) -> EstimateErrors:
+    """Compute errors from truth and estimate."""
     fallen = np.logical_or.accumulate(seen["truth_position"][..., 2] < CASSIE.fall_height, axis=0)
     unfallen = np.where(fallen, np.nan, 1.0)
     velocity = (seen["estimate_velocity"] - seen["truth_velocity"]) * unfallen[..., None]
@@ -131,7 +142,7 @@ def _compare(seen: dict[str, np.ndarray]) -> EstimateErrors:
 
 
 def walk_rows(walks: EstimateErrors, repeats: int) -> list[dict[str, Any]]:
-    """One row of numbers a walk."""
+    """Rows of the table, one a walk."""
     rows = []
     for i, name in enumerate([*(f"{speed:.1f}" for speed in SPEEDS), "changes"]):
         robots = slice(i * repeats, (i + 1) * repeats)
@@ -158,7 +169,7 @@ def walk_rows(walks: EstimateErrors, repeats: int) -> list[dict[str, Any]]:
 
 
 def walk_table(rows: list[dict[str, Any]]) -> str:
-    """A row a walk."""
+    """Table of errors, a row a walk."""
     header = [
         "walk m/s", "velocity RMSE x, y, z m/s", "height RMSE mm", "attitude, worst deg",
         "drift of x m", "of the way", "NIS", "in band", "NEES velocity", "NEES height", "falls",
@@ -185,7 +196,35 @@ def walk_table(rows: list[dict[str, Any]]) -> str:
 
 
 def _mean(values: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:
-    """Mean of what is a number; NaN where nothing is."""
+    """Mean of finite values; NaN where there is none."""
     counted = np.isfinite(values)
     total, number = np.where(counted, values, 0.0).sum(axis), counted.sum(axis)
     return np.divide(total, number, out=np.full(total.shape, np.nan), where=number > 0)
+
+
+def picture(walks: EstimateErrors, repeats: int) -> Figure:
+    """Draw truth and estimate of the first walk through changes of speed."""
+    robot = len(SPEEDS) * repeats
+    seen = {key: values[:, robot] for key, values in walks.seen.items()}
+    seconds = CASSIE.policy_period * np.arange(1, len(seen["force"]) + 1)
+    figure = Figure(figsize=(10, 9), layout="constrained")
+    axes = figure.subplots(5, 1, sharex=True)
+    for i, name in enumerate("xyz"):
+        axes[i].plot(seconds, seen["truth_velocity"][:, i], "k", lw=1.6, label="truth")
+        axes[i].plot(seconds, seen["estimate_velocity"][:, i], "tab:red", lw=1, label="estimate")
+        axes[i].set_ylabel(f"velocity {name} [m/s]")
+    axes[0].step(seconds, seen["command"][:, 0], "0.6", lw=1, where="pre", label="command")
+    axes[3].plot(seconds, seen["truth_position"][:, 2], "k", lw=1.6)
+    axes[3].plot(seconds, seen["estimate_position"][:, 2], "tab:red", lw=1)
+    axes[3].set_ylabel("height [m]")
+    for i, (side, color) in enumerate((("left", "tab:blue"), ("right", "tab:green"))):
+        axes[4].plot(seconds, seen["force"][:, i], color, lw=0.8, label=f"{side} foot")
+        axes[4].fill_between(
+            seconds, -150 - 60 * i, -100 - 60 * i, where=seen["contact"][:, i], color=color, lw=0
+        )
+    axes[4].set_ylabel("ground force [N]\n(bars: estimated contact)")
+    axes[4].set_xlabel("time [s]")
+    axes[0].legend(loc="upper right", ncols=3, fontsize=8)
+    axes[4].legend(loc="upper right", ncols=2, fontsize=8)
+    figure.suptitle("State estimate of a walk through changes of speed, noisy sensors")
+    return figure

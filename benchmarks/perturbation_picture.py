@@ -1,7 +1,8 @@
-"""Impulses around the robot and over the stride, and survival over each parameter."""
+"""Picture of `benchmarks.perturbation`: impulses around the robot, survival over parameters."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, cast
 
 import matplotlib as mpl
@@ -12,15 +13,24 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
-from benchmarks.perturbation.config import SIDES, SWEEPS, Config, Sweep
-
-# colours of phases, which come round
+# colours of phases, which are cyclic
 _CYCLIC = "hsv"
 
 
-def picture(config: Config, numbers: dict[str, Any]) -> Figure | None:
-    """Impulses around the robot and over the stride, and survival over each parameter."""
-    swept = [name for name in SWEEPS if any(r["parameter"] == name for r in numbers["sweeps"])]
+def picture(
+    numbers: dict[str, Any], sides: Mapping[float, str], sweeps: Mapping[str, Any]
+) -> Figure | None:
+    """Draw impulses around the robot and over the stride, and survival over each parameter.
+
+    Args:
+        numbers: numbers of the report.
+        sides: names of directions [deg].
+        sweeps: name of a parameter -> its `Sweep`.
+
+    Returns:
+        The picture; None without pushes and sweeps.
+    """
+    swept = [name for name in sweeps if any(r["parameter"] == name for r in numbers["sweeps"])]
     heights = [4.6] * bool(numbers["pushes"]) + [2.6] * bool(swept)
     if not heights:
         return None
@@ -29,24 +39,25 @@ def picture(config: Config, numbers: dict[str, Any]) -> Figure | None:
     if numbers["pushes"]:
         part = parts.pop(0)
         impulse = np.array([[cell["mean"] for cell in row["phases"]] for row in numbers["pushes"]])
-        _draw_polar(cast("PolarAxes", part.add_subplot(1, 2, 1, projection="polar")), impulse)
-        _draw_map(part.add_subplot(1, 2, 2), impulse)
+        polar = cast("PolarAxes", part.add_subplot(1, 2, 1, projection="polar"))
+        _draw_polar(polar, impulse, sides)
+        _draw_map(part.add_subplot(1, 2, 2), impulse, sides)
         part.suptitle(
-            f"largest survivable push at {config.speed:g} m/s: impulse [N s] within"
+            f"largest survivable push at {numbers['speed']:g} m/s: impulse [N s] within"
             f" {numbers['push_duration']:.2g} s"
         )
     if swept:
         panels = parts[0].subplots(1, len(swept), sharey=True, squeeze=False)[0]
         for axes, name in zip(panels, swept, strict=True):
             rows = [row for row in numbers["sweeps"] if row["parameter"] == name]
-            _draw_sweep(axes, SWEEPS[name], rows)
+            _draw_sweep(axes, sweeps[name], rows)
     return figure
 
 
-def _draw_polar(axes: PolarAxes, impulse: np.ndarray) -> None:
-    """Impulse (directions, phases) over the direction of the push, forward up; a line a phase.
+def _draw_polar(axes: PolarAxes, impulse: np.ndarray, sides: Mapping[float, str]) -> None:
+    """Draw impulses (directions, phases) over the direction, forward up; a line a phase.
 
-    What is survived at any phase is shaded.
+    Impulses survived at every phase are shaded.
     """
     directions, phases = impulse.shape
     angle = 2 * np.pi * np.arange(directions + 1) / directions
@@ -57,7 +68,7 @@ def _draw_polar(axes: PolarAxes, impulse: np.ndarray) -> None:
         axes.plot(angle, closed[:, j], color=color, lw=1.2, label=f"{j / phases:.3g}")
     axes.plot(angle, closed.mean(axis=1), "k", lw=2.5, label="mean")
     axes.set_theta_zero_location("N")
-    axes.set_thetagrids(list(SIDES), list(SIDES.values()))
+    axes.set_thetagrids(list(sides), list(sides.values()))
     axes.set_ylim(0, None)
     axes.yaxis.set_major_locator(MaxNLocator(5))
     axes.set_rlabel_position(157.5)
@@ -65,8 +76,8 @@ def _draw_polar(axes: PolarAxes, impulse: np.ndarray) -> None:
     axes.legend(title="phase", fontsize=8, loc="center left", bbox_to_anchor=(1.12, 0.5))
 
 
-def _draw_map(axes: Axes, impulse: np.ndarray) -> None:
-    """The same in numbers."""
+def _draw_map(axes: Axes, impulse: np.ndarray, sides: Mapping[float, str]) -> None:
+    """Draw impulses (directions, phases) as a map with numbers."""
     directions, phases = impulse.shape
     image = axes.imshow(impulse, cmap="viridis", aspect="auto", norm=Normalize(0, impulse.max()))
     for (i, j), value in np.ndenumerate(impulse):
@@ -74,13 +85,13 @@ def _draw_map(axes: Axes, impulse: np.ndarray) -> None:
         axes.text(j, i, f"{value:.1f}", ha="center", va="center", color=color, fontsize=9)
     axes.set_xticks(range(phases), [f"{j / phases:.3g}" for j in range(phases)])
     degrees = [360 * i / directions for i in range(directions)]
-    axes.set_yticks(range(directions), [SIDES.get(d, f"{d:.0f}°") for d in degrees])
+    axes.set_yticks(range(directions), [sides.get(d, f"{d:.0f}°") for d in degrees])
     axes.set(xlabel="phase at which the push begins (0: left lift-off)", ylabel="towards")
     axes.figure.colorbar(image, ax=axes, label="impulse [N s]")
 
 
-def _draw_sweep(axes: Any, sweep: Sweep, rows: list[dict[str, Any]]) -> None:
-    """Survival over a parameter, with intervals."""
+def _draw_sweep(axes: Any, sweep: Any, rows: list[dict[str, Any]]) -> None:
+    """Draw survival over a parameter, with intervals."""
     value = [row["value"] for row in rows]
     mean, low, high = (100 * np.array([row[k] for row in rows]) for k in ("mean", "low", "high"))
     axes.axvline(sweep.nominal, color="0.6", ls="--", lw=1)

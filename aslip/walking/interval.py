@@ -1,0 +1,70 @@
+"""Means and shares with their 95 % confidence intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from scipy import stats
+
+CONFIDENCE: Final = 0.95
+"""Confidence of all intervals."""
+
+_RESAMPLES = 2000
+# a bootstrap of fewer values is too narrow
+_LEAST_VALUES = 10
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Mean and its 95 % confidence interval; single values may well lie outside."""
+
+    mean: float
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, groups: Sequence[np.ndarray]) -> Interval:
+        """Mean over groups, one a seed; values that are not finite are left out.
+
+        The interval is Student's over the means of several groups. A single group has a bootstrap
+        over its values, or no interval if they are fewer than ten.
+        """
+        kept = [group[np.isfinite(group)] for group in map(np.asarray, groups)]
+        kept = [group for group in kept if len(group)]
+        if not kept:
+            return cls(np.nan, np.nan, np.nan)
+        means = np.array([group.mean() for group in kept])
+        mean = float(means.mean())
+        values = means if len(means) > 1 else kept[0]
+        if np.ptp(values) == 0:
+            mean = float(values[0])  # without rounding errors
+            return cls(mean, mean, mean)
+        if len(means) > 1:
+            half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
+            return cls(mean, mean - float(half), mean + float(half))
+        if len(values) < _LEAST_VALUES:
+            return cls(mean, mean, mean)
+        rng = np.random.default_rng(0)
+        drawn = rng.choice(values, (_RESAMPLES, len(values))).mean(axis=1)
+        low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
+        return cls(mean, float(low), float(high))
+
+    @classmethod
+    def of_share(cls, successes: int, trials: int) -> Interval:
+        """Share of successes and Wilson's interval, which holds at 0 and 1, too."""
+        found = stats.binomtest(successes, trials)
+        interval = found.proportion_ci(CONFIDENCE, method="wilson")
+        return cls(successes / trials, float(interval.low), float(interval.high))
+
+    @classmethod
+    def of_row(cls, row: Mapping[str, Any]) -> Interval:
+        """Interval from a row of numbers that has its fields."""
+        return cls(row["mean"], row["low"], row["high"])
+
+    def text(self, digits: int, scale: float = 1.0) -> str:
+        """Mean and, if there is one, interval, times `scale`."""
+        mean, low, high = (f"{scale * v:.{digits}f}" for v in (self.mean, self.low, self.high))
+        return mean if self.low == self.high else f"{mean} [{low}, {high}]"
