@@ -84,8 +84,7 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
         each = [float(found) for found in values[claim.name]]
         row = {**asdict(claim), **vars(value), "each": each, "limit": claim.limit, "holds": holds}
         rows.append(row)
-    subjects = load_subjects(config, policy, make_env)
-    write_report(config, subjects, "claims", {"claims": rows}, table(rows))
+    write_report(config, policy, "claims", {"claims": rows}, table(rows))
     lost = lost_claims(rows, read_record())
     for name in lost:
         print(f"no longer holds: {name}")

@@ -73,7 +73,7 @@ class Subject:
     """Policy to measure, and a way to make its environment."""
 
     name: str
-    """Name in reports: the name or path of the policy, or the class of a module."""
+    """Name in reports, see `policy_name`."""
     policy: TensorDictModuleBase
     """Policy that acts."""
     make_env: MakeEnv
@@ -95,9 +95,9 @@ class Subject:
             ConfigurationError: the card names no stack, and `make_env` is not given.
         """
         if not isinstance(policy, str | Path):
-            return cls(str(policy.__class__.__name__), policy, make_env or aslip.make_env, False)
+            return cls(policy_name(policy), policy, make_env or aslip.make_env, False)
         make_env = make_env or partial(aslip.make_env, stack=policy_stack(policy))
-        return cls(str(policy), aslip.load_policy(policy), make_env, True)
+        return cls(policy_name(policy), aslip.load_policy(policy), make_env, True)
 
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
         """Environment of the policy, where episodes end as in training.
@@ -127,6 +127,11 @@ def load_subjects(
     """Subjects of a benchmark: a policy given in Python, or those of the command line."""
     policies = config.policy if policy is None else [policy]
     return [Subject.load(one, make_env) for one in policies]
+
+
+def policy_name(policy: Policy) -> str:
+    """Name of a policy in reports: its name or path, or the class of a module."""
+    return str(policy) if isinstance(policy, str | Path) else str(policy.__class__.__name__)
 
 
 def constant_walks(
@@ -179,14 +184,14 @@ def shortest_swing(library: GaitLibrary, speed: float) -> float:
 
 def write_report(
     config: Common,
-    subjects: Sequence[Subject],
+    policy: Policy | None,
     name: str,
     numbers: dict[str, Any],
     table: str,
     figure: Figure | None = None,
 ) -> None:
-    """Write the results of subjects, with their names and the settings of all benchmarks."""
-    names = [subject.name for subject in subjects]
+    """Write results with the names of the policies and the settings of all benchmarks."""
+    names = list(config.policy) if policy is None else [policy_name(policy)]
     about = {"policies": names, "seed": config.seed, "truth": config.truth}
     write_results(config.out, name, {**about, **numbers}, table, figure)
 

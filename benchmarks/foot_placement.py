@@ -63,7 +63,6 @@ from benchmarks.common import (
     Interval,
     MakeEnv,
     Policy,
-    Subject,
     constant_walks,
     load_subjects,
     shortest_swing,
@@ -86,7 +85,6 @@ def main(
         make_env: function that makes its environment, see `benchmarks.common`.
     """
     library = GaitLibrary.load()
-    subjects: list[Subject] = []
     if config.log is not None:
         speed, walk = logged_walk(config.log)
         found = {speed: [walk_placement(walk, 0, speed, library)]}
@@ -98,7 +96,7 @@ def main(
             for i, speed in enumerate(config.speeds)
         }
     figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
-    write_report(config, subjects, "foot_placement", numbers(found), table(found), figure)
+    write_report(config, policy, "foot_placement", numbers(found), table(found), figure)
     return found
 
 

@@ -102,7 +102,7 @@ def main(
         gait = nearest_gait(library, speed)
         rows.append({"method": "model", "policy": "", "speed": speed, **model_profile(gait)})
     figure = picture(config, curves, library)
-    write_report(config, subjects, "ground_reaction", {"rows": rows}, table(rows), figure)
+    write_report(config, policy, "ground_reaction", {"rows": rows}, table(rows), figure)
     return rows
 
 

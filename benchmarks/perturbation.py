@@ -154,7 +154,7 @@ def main(
     tables = [make(numbers) for make in (push_table, sweep_table)]
     text = "\n\n".join(table for table in tables if table)
     figure = picture(numbers, SIDES, SWEEPS)
-    write_report(config, subjects, "perturbation", numbers, text, figure)
+    write_report(config, policy, "perturbation", numbers, text, figure)
     return numbers
 
 

@@ -102,7 +102,7 @@ def main(
         walks = [read_walk(read(config.log))]
         numbers: dict[str, Any] = {"schedule": schedule_rows(walks)}
         figure = picture(walks[0], [])
-        write_report(config, [], "velocity_tracking", numbers, schedule_table(numbers), figure)
+        write_report(config, policy, "velocity_tracking", numbers, schedule_table(numbers), figure)
         return numbers
     subjects = load_subjects(config, policy, make_env)
     steps = round(_HOLD / CASSIE.policy_period)
@@ -116,7 +116,7 @@ def main(
     }
     tables = [schedule_table(numbers), map_table(numbers), step_table(numbers)]
     figure = picture(walks[0], numbers["map"], len(walks))
-    write_report(config, subjects, "velocity_tracking", numbers, "\n\n".join(tables), figure)
+    write_report(config, policy, "velocity_tracking", numbers, "\n\n".join(tables), figure)
     return numbers
 
 
