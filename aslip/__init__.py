@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from aslip import errors
 
 if TYPE_CHECKING:
-    from aslip.envs import default_stack, make_env
+    from aslip.envs import GymEnv, GymVectorEnv, default_stack, make_env
     from aslip.library import GaitLibrary, Reference
     from aslip.policy import load_policy
     from aslip.rom import Gait
@@ -28,6 +28,8 @@ __version__ = "0.1.0"
 _HOME = {
     "Gait": "aslip.rom",
     "GaitLibrary": "aslip.library",
+    "GymEnv": "aslip.envs",
+    "GymVectorEnv": "aslip.envs",
     "Reference": "aslip.library",
     "default_stack": "aslip.envs",
     "load_policy": "aslip.policy",
@@ -37,6 +39,8 @@ _HOME = {
 __all__ = [
     "Gait",
     "GaitLibrary",
+    "GymEnv",
+    "GymVectorEnv",
     "Reference",
     "__version__",
     "default_stack",

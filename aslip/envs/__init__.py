@@ -26,6 +26,7 @@ import lazy_loader
 if TYPE_CHECKING:
     from aslip.envs.batch import BatchEnv
     from aslip.envs.dm_control import DmControlEnv, Walk, walk_environment
+    from aslip.envs.gymnasium import GymEnv, GymVectorEnv
     from aslip.envs.interface import (
         baseline_key,
         check_policy_fits,
@@ -73,6 +74,8 @@ __all__ = [
     "BatchEnv",
     "BipedPhysics",
     "DmControlEnv",
+    "GymEnv",
+    "GymVectorEnv",
     "KeepKeys",
     "RewardSource",
     "RobotEnv",
@@ -106,6 +109,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     submod_attrs={
         "batch": ["BatchEnv"],
         "dm_control": ["DmControlEnv", "Walk", "walk_environment"],
+        "gymnasium": ["GymEnv", "GymVectorEnv"],
         "interface": [
             "baseline_key",
             "check_policy_fits",

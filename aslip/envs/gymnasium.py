@@ -1,0 +1,288 @@
+"""Environments for Gymnasium: one robot, or n robots in one batch.
+
+NumPy in and out, and the policy's observation as one array: what Stable-Baselines3, CleanRL and
+their like expect. TorchRL's own `register_gym` takes environments of a single, unbatched robot only
+and gives all entries as tensors.
+
+    env = aslip.GymEnv(render_mode="rgb_array", stack="paper")
+    envs = aslip.GymVectorEnv(64, drop=["noise"])
+
+or, by Gymnasium's registry, `gymnasium.make("aslip.envs.gymnasium:aslip/Walk-v0")` and
+`gymnasium.make_vec("aslip.envs.gymnasium:aslip/Walk-v0", 64)`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, cast
+
+import mujoco
+import numpy as np
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise ImportError("Gymnasium is missing; pip install 'aslip[gym]'") from error
+
+from aslip.envs.make import make_env
+from aslip.envs.stack_env import StackEnv
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.robot import CASSIE
+from aslip.robot.model import APPEARANCE_GROUP, load_model
+
+_FRAME_RATE = round(1 / CASSIE.policy_period)
+Info = dict[str, Any]
+
+
+class GymEnv(gymnasium.Env):
+    """One robot for Gymnasium.
+
+    The observation is what the stack's `AssembleObservation` writes. `info` has the terms of the
+    reward and what is commanded, by the names of their entries.
+
+    Args:
+        render_mode: "rgb_array" for pictures; needs OpenGL, see `aslip.show.render`.
+        settings: of `make_env`; without a `seed` each environment draws its own.
+
+    Raises:
+        ConfigurationError: the settings ask for more than one robot, or are refused by `make_env`.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array"],
+        "render_fps": _FRAME_RATE,
+    }
+
+    def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
+        _check_render_mode(render_mode, self.metadata)
+        if settings.get("num_envs", 1) != 1:
+            raise ConfigurationError("GymEnv is one robot; GymVectorEnv(num_envs) is several")
+        self.render_mode = render_mode
+        self.env = _make(settings)
+        self.observation_space, self.action_space = _spaces(self.env)
+        self._camera: _Camera | None = None
+        self._state = TensorDict(batch_size=1)
+
+    def reset(
+        self, *, seed: int | None = None, options: Info | None = None
+    ) -> tuple[np.ndarray, Info]:
+        """Begin an episode.
+
+        Args:
+            seed: seed of all random numbers from now on.
+            options: entries that a reset of the stack takes, such as `{"command": 1.0}`.
+
+        Raises:
+            UnknownNameError: an option is no such entry.
+        """
+        super().reset(seed=seed)
+        self._state = _reset(self.env, seed, options)
+        return _observation(self._state)[0], _first(_info(self._state))
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, Info]:
+        """Run one policy step, 30 ms."""
+        after = self.env.step(_act(self._state, np.asarray(action)[None]))
+        self._state = self.env.step_mdp(after)
+        reward, terminated, truncated = _outcome(after["next"])
+        return (
+            _observation(self._state)[0],
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            _first(_info(after["next"])),
+        )
+
+    def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Picture (480, 640, 3) of the robot as it stands, in the mode "rgb_array"."""
+        if self.render_mode is None:
+            return None
+        if self._camera is None:
+            self._camera = _Camera()
+        return self._camera.picture(_configuration(self._state))
+
+    def close(self) -> None:
+        """Free the simulation and the renderer."""
+        if self._camera is not None:
+            self._camera.close()
+        if not self.env.is_closed:
+            self.env.close()
+
+
+class GymVectorEnv(VectorEnv):
+    """N robots in one batch for Gymnasium.
+
+    A robot whose episode ends is reset in the same step: the observation is the new episode's
+    first, and `info["final_obs"]`, `info["final_info"]` are of the old one's last step.
+
+    Args:
+        num_envs: number of robots.
+        settings: of `make_env`; without a `seed` each environment draws its own.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "render_modes": [],
+        "render_fps": _FRAME_RATE,
+    }
+
+    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+        _check_render_mode(settings.pop("render_mode", None), self.metadata)
+        self.env = _make({**settings, "num_envs": num_envs})
+        self.num_envs = num_envs
+        self.single_observation_space, self.single_action_space = _spaces(self.env)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._state = TensorDict(batch_size=num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | None = None,  # pyright: ignore[reportIncompatibleMethodOverride]
+        options: Info | None = None,
+    ) -> tuple[np.ndarray, Info]:
+        """Begin an episode of every robot; see `GymEnv.reset`."""
+        super().reset(seed=seed)
+        self._state = _reset(self.env, seed, options)
+        return _observation(self._state), _info(self._state)
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
+        """Run one policy step, 30 ms, of every robot."""
+        after, self._state = self.env.step_and_maybe_reset(_act(self._state, actions))
+        reward, terminated, truncated = _outcome(after["next"])
+        info = _info(after["next"])
+        if (ended := terminated | truncated).any():
+            last, final = _observation(after["next"]), np.full(self.num_envs, None, dtype=object)
+            for robot in np.flatnonzero(ended):
+                final[robot] = last[robot]
+            info |= {"final_obs": final, "_final_obs": ended}
+            info |= {"final_info": _info(after["next"]), "_final_info": ended}
+        return _observation(self._state), reward.astype(np.float64), terminated, truncated, info
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the simulations."""
+        del kwargs
+        if not self.env.is_closed:
+            self.env.close()
+
+
+class _Camera:
+    """A renderer that follows one robot."""
+
+    def __init__(self) -> None:
+        model = load_model()
+        self._data, self._option = mujoco.MjData(model), mujoco.MjvOption()
+        self._option.geomgroup[APPEARANCE_GROUP] = True
+        self._option.sitegroup[:] = False
+        self._renderer = mujoco.Renderer(model, 480, 640)
+
+    def picture(self, qpos: np.ndarray) -> np.ndarray:
+        """Picture (480, 640, 3) of a configuration (35,)."""
+        self._data.qpos[:] = qpos
+        mujoco.mj_forward(self._renderer.model, self._data)
+        self._renderer.update_scene(self._data, "follow", self._option)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        self._renderer.close()
+
+
+def _make(settings: Info) -> StackEnv:
+    """An environment of `make_env`, with a seed of its own unless one is given."""
+    own = int(np.random.SeedSequence().generate_state(1)[0])
+    env = make_env(**{"seed": own, **settings})
+    if "observation" not in env.observation_spec:
+        raise ConfigurationError("the stack writes no `observation`, which Gymnasium needs")
+    return env
+
+
+def _check_render_mode(mode: str | None, metadata: Info) -> None:
+    if mode not in (None, *metadata["render_modes"]):
+        modes = metadata["render_modes"]
+        raise ConfigurationError(f"render_mode must be None or one of {modes}, got {mode!r}")
+
+
+def _spaces(env: StackEnv) -> tuple[spaces.Box, spaces.Box]:
+    """Spaces of the observation and the action of one robot."""
+    size = env.observation_spec["observation"].shape[-1]
+    action = cast("Any", env.action_spec_unbatched.space)
+    low, high = (np.asarray(bound, dtype=np.float32) for bound in (action.low, action.high))
+    return spaces.Box(-np.inf, np.inf, (size,), np.float32), spaces.Box(low, high, dtype=np.float32)
+
+
+def _reset(env: StackEnv, seed: int | None, options: Info | None) -> TensorDictBase:
+    if seed is not None:
+        env.set_seed(seed)
+    known = [key for key in env.state_spec.keys(True, True) if isinstance(key, str)]
+    request = TensorDict(batch_size=env.batch_size)
+    for name, value in (options or {}).items():
+        if name not in known:
+            raise UnknownNameError.among("option of reset", name, known)
+        column = torch.as_tensor(value, dtype=torch.float32).reshape(-1, 1)
+        request[name] = column.expand(*env.batch_size, 1).clone()
+    return env.reset(request)
+
+
+def _act(state: TensorDictBase, action: np.ndarray) -> TensorDictBase:
+    if state.is_empty():
+        raise gymnasium.error.ResetNeeded("call reset before step")
+    return state.set("action", torch.as_tensor(np.asarray(action, dtype=np.float32)))
+
+
+def _column(state: TensorDictBase, key: str) -> np.ndarray:
+    """(n,) of an entry (n, 1)."""
+    return cast("Tensor", state[key])[:, 0].detach().numpy().copy()
+
+
+def _observation(state: TensorDictBase) -> np.ndarray:
+    """(n, k) observations of all robots."""
+    return cast("Tensor", state["observation"]).detach().numpy().copy()
+
+
+def _outcome(state: TensorDictBase) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) rewards, terminations and truncations of a step."""
+    terminated = _column(state, "terminated")
+    truncated = _column(state, "truncated") if "truncated" in state else np.zeros_like(terminated)
+    return _column(state, "reward"), terminated, truncated
+
+
+def _info(state: TensorDictBase) -> Info:
+    """(n,) commands and terms of the reward."""
+    info: Info = {"command": _column(state, "command")} if "command" in state else {}
+    if "reward_terms" in state:
+        terms = cast("TensorDictBase", state["reward_terms"])
+        info["reward_terms"] = {str(name): _column(terms, str(name)) for name in terms.keys()}  # noqa: SIM118
+    return info
+
+
+def _first(info: Info) -> Info:
+    """Numbers of the first robot."""
+    return {
+        name: _first(value) if isinstance(value, dict) else value[0].item()
+        for name, value in info.items()
+    }
+
+
+def _configuration(state: TensorDictBase) -> np.ndarray:
+    """(35,) configuration of the first robot.
+
+    Raises:
+        ConfigurationError: there is none, before a reset or without a simulator.
+    """
+    qpos = state.get(("truth", "qpos"), None)
+    if qpos is None:
+        raise ConfigurationError("pictures need ('truth', 'qpos'), of a simulated robot, reset")
+    return qpos[0].numpy()
+
+
+gymnasium.register(
+    id="aslip/Walk-v0",
+    entry_point="aslip.envs.gymnasium:GymEnv",
+    vector_entry_point="aslip.envs.gymnasium:GymVectorEnv",
+)

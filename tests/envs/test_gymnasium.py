@@ -1,0 +1,172 @@
+"""Environments are what Gymnasium and the libraries on it take them for."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.utils.env_checker import check_env
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from stable_baselines3 import PPO
+from torch import nn
+from torch.distributions import Normal
+
+import aslip
+from aslip.envs import GymEnv, GymVectorEnv
+from aslip.errors import ConfigurationError, UnknownNameError
+
+ID = "aslip.envs.gymnasium:aslip/Walk-v0"
+
+
+@pytest.fixture(scope="module")
+def one() -> Iterator[GymEnv]:
+    env = GymEnv(num_threads=1)
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def four() -> Iterator[GymVectorEnv]:
+    envs = GymVectorEnv(4, seed=0, num_threads=1)
+    yield envs
+    envs.close()
+
+
+def test_the_checker_of_gymnasium_passes() -> None:
+    env = gymnasium.make(ID, num_threads=1)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped, skip_render_check=True)
+    # advice on the sizes of spaces, which are the robot's
+    assert not [
+        w for w in told if "infinity" not in str(w.message) and "symm" not in str(w.message)
+    ]
+    env.close()
+
+
+def test_a_step_is_that_of_the_stack(one: GymEnv) -> None:
+    ours = aslip.make_env(num_threads=1, seed=9)
+    state = ours.reset(ours.fake_tensordict().select("command").apply(lambda x: x + 1))
+    observation, info = one.reset(seed=9, options={"command": 1.0})
+    assert observation.shape == (64,) and observation.dtype == np.float32
+    action = np.full(10, 0.1, dtype=np.float32)
+    for _ in range(3):
+        assert np.array_equal(observation, np.asarray(state["observation"][0]))
+        after = ours.step(state.set("action", torch.from_numpy(action)[None]))["next"]
+        observation, reward, terminated, truncated, info = one.step(action)
+        assert reward == after["reward"].item()
+        assert (terminated, truncated) == (False, False)
+        assert info["command"] == 1.0
+        assert info["reward_terms"]["com_vel"] == after["reward_terms", "com_vel"].item()
+        state = ours.step_mdp(after) if "next" in after else after
+
+
+def test_time_limits_truncate_and_falls_terminate(one: GymEnv) -> None:
+    from torchrl.envs import StepCounter
+
+    env = GymEnv(replace={"step_limit": lambda: StepCounter(2)}, drop=["low_reward"], num_threads=1)
+    env.reset(seed=0)
+    ends = [env.step(np.zeros(10))[2:4] for _ in range(2)]
+    assert ends == [(False, False), (False, True)]
+    one.reset(seed=0)
+    assert one.step(np.full(10, np.nan))[2:4] == (True, False)
+
+
+def test_seeds_repeat_and_environments_differ_without(one: GymEnv) -> None:
+    first, _ = one.reset(seed=3)
+    second, _ = one.reset()
+    again, _ = one.reset(seed=3)
+    assert np.array_equal(first, again) and not np.array_equal(first, second)
+    assert not np.array_equal(GymEnv().reset()[0], GymEnv().reset()[0])
+
+
+def test_pictures_follow_the_robot(one: GymEnv) -> None:
+    assert one.render() is None
+    env = GymEnv("rgb_array", num_threads=1)
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture is not None
+    assert picture.shape == (480, 640, 3) and picture.dtype == np.uint8
+    env.step(np.full(10, 1.0))
+    later = env.render()
+    assert later is not None and not np.array_equal(picture, later)
+    env.close()
+
+
+def test_robots_that_end_start_anew_in_the_same_step(four: GymVectorEnv) -> None:
+    first, _ = four.reset(seed=1)
+    assert four.observation_space.contains(first)
+    actions = np.zeros((4, 10), dtype=np.float32)
+    actions[2] = np.nan
+    observation, reward, terminated, truncated, info = four.step(actions)
+    assert reward.shape == terminated.shape == truncated.shape == (4,)
+    assert terminated.tolist() == [False, False, True, False]
+    assert info["_final_obs"].tolist() == terminated.tolist()
+    assert info["final_obs"][0] is None
+    assert not np.array_equal(info["final_obs"][2], observation[2])
+    assert info["final_info"]["reward_terms"]["com_vel"].shape == (4,)
+
+
+def test_a_batch_of_gymnasium_is_the_batch_of_the_stack(four: GymVectorEnv) -> None:
+    ours = aslip.make_env(num_envs=4, num_threads=1, seed=2)
+    observation, _ = four.reset(seed=2)
+    state = ours.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        assert np.array_equal(observation, state["observation"].numpy())
+        actions = rng.uniform(-0.5, 0.5, (4, 10)).astype(np.float32)
+        _, state = ours.step_and_maybe_reset(state.set("action", torch.from_numpy(actions)))
+        observation, *_ = four.step(actions)
+
+
+def test_wrong_settings_are_refused(one: GymEnv) -> None:
+    with pytest.raises(ConfigurationError, match="render_mode"):
+        GymEnv("human")
+    with pytest.raises(ConfigurationError, match="GymVectorEnv"):
+        GymEnv(num_envs=2)
+    with pytest.raises(UnknownNameError, match="command"):
+        one.reset(options={"comand": 1.0})
+
+
+def test_stable_baselines_trains(one: GymEnv) -> None:
+    agent = PPO("MlpPolicy", one, n_steps=256, batch_size=256, n_epochs=2, seed=0, device="cpu")
+    start = [p.clone() for p in agent.policy.parameters()]
+    agent.learn(512)
+    moved = [not torch.equal(a, b) for a, b in zip(start, agent.policy.parameters(), strict=True)]
+    assert all(moved)
+    assert agent.ep_info_buffer and max(e["l"] for e in agent.ep_info_buffer) > 5
+    action, _ = agent.predict(one.reset(seed=0)[0], deterministic=True)
+    assert one.action_space.contains(action)
+
+
+def test_a_loop_like_cleanrl_learns(four: GymVectorEnv) -> None:
+    """Advantage actor-critic over 1000 policy steps; its critic comes to know the reward."""
+    envs = RecordEpisodeStatistics(four)
+    actor, critic = (nn.Sequential(nn.Linear(64, 32), nn.Tanh(), nn.Linear(32, k)) for k in (10, 1))
+    optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], 3e-3)
+    errors, lengths = [], []
+    observation, _ = envs.reset(seed=0)
+    for _ in range(250):
+        state = torch.from_numpy(observation)
+        policy = Normal(actor(state), 0.1)
+        action = policy.sample()
+        observation, reward, terminated, _, info = envs.step(action.numpy())
+        following = observation.copy()
+        if "final_obs" in info:
+            lengths += info["episode"]["l"][info["_episode"]].tolist()
+            following[info["_final_obs"]] = np.stack(info["final_obs"][info["_final_obs"]])
+        with torch.no_grad():
+            ahead = critic(torch.from_numpy(following))[:, 0] * torch.from_numpy(~terminated)
+        advantage = torch.from_numpy(reward).float() + 0.5 * ahead - critic(state)[:, 0]
+        score = policy.log_prob(action).sum(-1) * advantage.detach()
+        loss = advantage.square().mean() - 0.01 * score.mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        errors.append(advantage.square().mean().item())
+    assert np.mean(errors[-50:]) < 0.5 * np.mean(errors[:10])
+    assert lengths and min(lengths) > 1
