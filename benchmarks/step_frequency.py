@@ -90,7 +90,7 @@ def main(
     ]
     header = ["command m/s", "model Hz", "robot Hz", "off", "duty factor"]
     write_report(
-        config, subjects, "step_frequency", {"rows": rows}, markdown(header, cells), picture(rows)
+        config, policy, "step_frequency", {"rows": rows}, markdown(header, cells), picture(rows)
     )
     return rows
 
