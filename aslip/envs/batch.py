@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from aslip.envs.simulated_env import SimulatedEnv
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, Robot
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
-from aslip.sim import SimulationPool, Snapshot
+from aslip.sim import PD, MakeDrive, SimulationPool, Snapshot
 from aslip.sim.checks import check_count
 from aslip.sim.dynamics import with_longer_memory
 
@@ -28,6 +28,9 @@ class BatchEnv(SimulatedEnv):
         num_threads: threads to step on, 0 for all processors.
         floor_friction: sliding friction of the floor.
         timestep: of the physics [s]; see `aslip.robot.model.load_model`.
+        robot: the robot.
+        drive: low level that `motor_target` commands: `PD` for joint angles, `Torque` for torques
+            at the joints, or another `aslip.sim.Drive`.
     """
 
     def __init__(
@@ -36,15 +39,17 @@ class BatchEnv(SimulatedEnv):
         *,
         num_threads: int = 0,
         floor_friction: float = DEFAULT_FLOOR_FRICTION,
-        timestep: float = CASSIE.physics_timestep,
+        timestep: float | None = None,
+        robot: Robot = CASSIE,
+        drive: MakeDrive = PD,
     ) -> None:
         num_envs = check_count("num_envs", num_envs, most=MAX_BATCH_ENVS)
         num_threads = check_count("num_threads", num_threads, least=0)
-        model = load_model(floor_friction, visual=False, timestep=timestep)
-        self.simulations = SimulationPool(num_envs, model=model, num_threads=num_threads)
-        self._num_threads = num_threads
+        model = load_model(floor_friction, visual=False, timestep=timestep, robot=robot)
+        self._settings = {"num_threads": num_threads, "robot": robot, "drive": drive}
+        self.simulations = SimulationPool(num_envs, model=model, **self._settings)
         self._watched_robot: int | None = None
-        super().__init__(num_envs, self.simulations.indices)
+        super().__init__(num_envs, robot, self.simulations.command_size)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -73,8 +78,8 @@ class BatchEnv(SimulatedEnv):
         self.simulations.write_fields(ids, fields)
 
     def _lengthen_memory(self, delay: float) -> None:
-        model = with_longer_memory(self.model, delay, visual=False)
-        self.simulations = SimulationPool(self.num_envs, model=model, num_threads=self._num_threads)
+        model = with_longer_memory(self.model, delay, visual=False, robot=self.robot)
+        self.simulations = SimulationPool(self.num_envs, model=model, **self._settings)
         self.simulations.watch(self._watched_robot)
 
     def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:

@@ -30,13 +30,14 @@ from aslip.envs.simulated_env import SimulatedEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
-from aslip.sim import Snapshot
+from aslip.sim import PD, MakeDrive, Snapshot
 from aslip.sim.checks import check_count, check_states
 from aslip.sim.dynamics import with_longer_memory, write_fields
 
 MAX_DM_CONTROL_ENVS: Final = 1_024
 """Most robots of one environment, each with a model of its own; for more take the batch backend."""
 
+_ONE = np.zeros(1, dtype=int)
 # the body height [m] from which standing is rewarded in full; gaits of the library bob above it
 _STAND_HEIGHT = 0.75
 # a speed error [m/s] at which the reward has fallen to a tenth
@@ -77,7 +78,9 @@ class Walk(base.Task):
     def initialize_episode(self, physics: BipedPhysics) -> None:
         """Stand, pushed a little in a random direction."""
         physics.stand()
-        physics.data.qvel[:2] = self.random.uniform(-0.1, 0.1, size=2)
+        physics.data.qvel[physics.indices.pelvis_velocity][:2] = self.random.uniform(
+            -0.1, 0.1, size=2
+        )
         super().initialize_episode(physics)
 
     def get_observation(self, physics: BipedPhysics) -> OrderedDict[str, np.ndarray]:
@@ -147,10 +150,15 @@ class DmControlEnv(SimulatedEnv):
     Args:
         num_envs: number of robots, simulated in turn; at most `MAX_DM_CONTROL_ENVS`.
         floor_friction: sliding friction of the floor.
+        drive: low level that `motor_target` commands; see `BatchEnv`.
     """
 
     def __init__(
-        self, num_envs: int = 1, *, floor_friction: float = DEFAULT_FLOOR_FRICTION
+        self,
+        num_envs: int = 1,
+        *,
+        floor_friction: float = DEFAULT_FLOOR_FRICTION,
+        drive: MakeDrive = PD,
     ) -> None:
         num_envs = check_count("num_envs", num_envs, most=MAX_DM_CONTROL_ENVS)
         # time limit and falls are the transforms' and the base class's business
@@ -161,9 +169,10 @@ class DmControlEnv(SimulatedEnv):
             for _ in range(num_envs)
         ]
         for environment in self.environments:
+            environment.physics.use_drive(drive)
             environment.reset()
         self._model = copy(self.physics[0].model.ptr)
-        super().__init__(num_envs, self.physics[0].indices)
+        super().__init__(num_envs, CASSIE, self.physics[0].drive.command_size)
 
     @property
     def physics(self) -> list[BipedPhysics]:
@@ -204,15 +213,17 @@ class DmControlEnv(SimulatedEnv):
         for k, i in enumerate(ids):
             physics = self.physics[i]
             write_fields(physics.model.ptr, {name: rows[k] for name, rows in fields.items()})
+            physics.drive.write_gains(_ONE, {name: rows[[k]] for name, rows in fields.items()})
             if "opt.gravity" in fields:
-                physics.sensors.set_gravity(np.zeros(1, dtype=int), fields["opt.gravity"][k, None])
+                physics.sensors.set_gravity(_ONE, fields["opt.gravity"][k, None])
 
     def _lengthen_memory(self, delay: float) -> None:
         self._model = with_longer_memory(self.model, delay, visual=True)
         for physics in self.physics:
-            watched = physics.watched is not None
+            watched, drive = physics.watched is not None, physics.drive
             physics._reload_from_model(MjModel(copy(self._model)))
             physics.watch(watched)
+            physics.drive = drive
 
     def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
         diverged = np.zeros(self.num_envs, dtype=bool)

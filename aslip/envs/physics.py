@@ -19,12 +19,11 @@ from aslip.files.assets import asset_path
 from aslip.robot import CASSIE, SIDES, Side
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, set_floor_friction
 from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse
-from aslip.sim import PD, Sensors, Snapshot
+from aslip.sim import PD, Drive, MakeDrive, Sensors, Snapshot
 from aslip.sim.checks import check_states
 from aslip.sim.simulations import watched_size
 from aslip.sim.truth import true_state
 
-_VERTICAL = 8  # zz entry of a row-major rotation matrix
 _INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
 
 
@@ -47,7 +46,8 @@ class BipedPhysics(mujoco.Physics):
     def _reload_from_data(self, data: MjData) -> None:
         """Set up indices and drive; dm_control calls this from every constructor."""
         self.indices = CASSIE.indices
-        self._drive = PD(1)
+        self.drive: Drive = PD(1)
+        """Low level between the control signal and the motors."""
         self.sensors = Sensors(1, data.model.ptr)
         self.watched: np.ndarray | None = None
         """(60, 83) every substep of the last policy period, as `aslip.sim.Simulations.watched`,
@@ -62,6 +62,7 @@ class BipedPhysics(mujoco.Physics):
         other._motor_target = self._motor_target.copy()
         other._ground_force = self._ground_force.copy()
         other.sensors, other._substep = deepcopy(self.sensors), self._substep
+        other.drive = deepcopy(self.drive)
         return other
 
     # ------------------------------------------------------------------ time
@@ -73,6 +74,11 @@ class BipedPhysics(mujoco.Physics):
             expected = self._motor_target.shape
             raise ShapeError(f"motor target must have shape {expected}, got {control.shape}")
         self._motor_target = control
+
+    def use_drive(self, drive: MakeDrive) -> None:
+        """Put another low level between the control signal and the motors."""
+        self.drive = drive(1, CASSIE)
+        self._motor_target = self.drive.initial_command(self.motor_position()[None])[0]
 
     def push(self, force: np.ndarray) -> None:
         """Push the pelvis' origin with a force (3,) [N, world], until told otherwise."""
@@ -93,7 +99,7 @@ class BipedPhysics(mujoco.Physics):
         sensors = self.sensors
         for _ in range(nstep):
             # the PD loop has the readings of the step before
-            torque = self._drive.torque(
+            torque = self.drive.torque(
                 self._motor_target[None], sensors.motor_position, sensors.motor_velocity
             )
             np.copyto(self.data.ctrl, torque[0])
@@ -119,7 +125,7 @@ class BipedPhysics(mujoco.Physics):
     def after_reset(self) -> None:
         """Recompute what follows from the state."""
         super().after_reset()
-        self._motor_target = self.motor_position()
+        self._motor_target = self.drive.initial_command(self.motor_position()[None])[0]
         self._ground_force = self.data.sensordata[self.indices.ground_force]
         state = (self.data.qpos, self.data.qvel, self.data.qacc)
         self.sensors.reset(np.zeros(1, dtype=int), *(array[None] for array in state))
@@ -170,15 +176,18 @@ class BipedPhysics(mujoco.Physics):
 
     def pelvis_height(self) -> float:
         """Height of the pelvis origin above the floor [m]."""
-        return float(self.data.qpos[2])
+        return float(self.data.qpos[self.indices.pelvis_position][2])
 
     def pelvis_upright(self) -> float:
         """Projection of the pelvis' z axis on the vertical, in [-1, 1]."""
-        return float(self.named.data.xmat["pelvis"][_VERTICAL])
+        return float(self.named.data.xmat[CASSIE.pelvis, "zz"])
 
     def pelvis_velocity(self) -> np.ndarray:
         """Velocity of the pelvis in the pelvis frame, (3,) [m/s]."""
-        return rotate_inverse(np.array(self.data.qpos[3:7]), np.array(self.data.qvel[:3]))
+        return rotate_inverse(
+            np.array(self.data.qpos[self.indices.pelvis_orientation]),
+            np.array(self.data.qvel[self.indices.pelvis_velocity]),
+        )
 
     def motor_position(self) -> np.ndarray:
         """Angles of the ten driven joints, (10,) [rad]."""

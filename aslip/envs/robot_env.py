@@ -40,11 +40,16 @@ class RobotEnv(EnvBase):
     Args:
         num_envs: number of robots.
         robot: which robot they are.
+        command_size: numbers in `motor_target`; one a motor by default.
     """
 
-    def __init__(self, num_envs: int = 1, robot: Robot = CASSIE) -> None:
+    def __init__(
+        self, num_envs: int = 1, robot: Robot = CASSIE, command_size: int | None = None
+    ) -> None:
         super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
         self.robot = robot
+        self.command_size = len(robot.motor_names) if command_size is None else command_size
+        """Numbers in a robot's `motor_target`."""
         self._set_specs()
 
     @property
@@ -82,7 +87,7 @@ class RobotEnv(EnvBase):
     def _set_specs(self) -> None:
         n = self.batch_size
         self.observation_spec = Composite(self._observation_specs(), shape=n)
-        targets, single = torch.Size((*n, len(self.robot.motor_names))), torch.Size((*n, 1))
+        targets, single = torch.Size((*n, self.command_size)), torch.Size((*n, 1))
         self.action_spec = Composite(motor_target=Unbounded(targets, dtype=torch.float32), shape=n)
         self.reward_spec = Unbounded(single, dtype=torch.float32)
         flag = Binary(shape=single, dtype=torch.bool)
@@ -121,7 +126,7 @@ class RobotEnv(EnvBase):
             ShapeError: wrong shape.
         """
         target = cast("Tensor", tensordict["motor_target"])
-        expected = (*self.batch_size, len(self.robot.motor_names))
+        expected = (*self.batch_size, self.command_size)
         if target.shape != expected:
             raise ShapeError(f"motor_target must have shape {expected}, got {tuple(target.shape)}")
         return target.detach().double().numpy()

@@ -39,7 +39,7 @@ from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 
 from aslip.envs.robot_env import RobotEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.robot import Indices
+from aslip.robot import CASSIE, Robot
 from aslip.sim import Dynamics, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
@@ -53,17 +53,20 @@ class SimulatedEnv(RobotEnv):
 
     Args:
         num_envs: number of robots.
-        indices: where the robot's parts are in MuJoCo's arrays.
+        robot: the robot.
+        command_size: numbers in `motor_target`; one a motor by default.
     """
 
-    def __init__(self, num_envs: int, indices: Indices) -> None:
-        self.indices = indices
+    def __init__(
+        self, num_envs: int, robot: Robot = CASSIE, command_size: int | None = None
+    ) -> None:
+        self.indices = robot.indices
         self.divergences = 0
         """Simulations that diverged, and were put back on their feet, since construction."""
-        self._dynamics = Dynamics(num_envs, self.model)
+        self._dynamics = Dynamics(num_envs, self.model, robot)
         self.altered = False
         """A robot has had other dynamics than `model`."""
-        super().__init__(num_envs)
+        super().__init__(num_envs, robot, command_size)
 
     # ----------------------------------------------- what a simulator gives
 

@@ -199,6 +199,6 @@ def low_level_digest() -> str:
     """SHA-256 of the code between motor targets and physics: `aslip.robot` and `aslip.sim`."""
     package = Path(aslip.__file__).parent
     digest = hashlib.sha256()
-    for path in sorted(p for name in ("cassie", "sim") for p in (package / name).glob("*.py")):
+    for path in sorted(p for name in ("robot", "sim") for p in (package / name).glob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()

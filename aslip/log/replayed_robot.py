@@ -14,6 +14,8 @@ from aslip.sim import DYNAMICS, Dynamics, Simulations
 from aslip.sim.dynamics import with_memory_of
 
 _ONE = np.zeros(1, dtype=int)
+# parameters that logs of earlier versions lack
+_GAINS = ("pd_stiffness", "pd_damping")
 _HISTORY = int(mujoco.mjtState.mjSTATE_HISTORY)
 
 
@@ -146,7 +148,8 @@ class ReplayedRobot:
 
 def _changes(series: Series) -> dict[int, dict[str, float]]:
     """Dynamics of the robot from each instant of `/dynamics` on."""
-    names = [*DYNAMICS, MEMORY]
+    # logs of earlier versions lack the gains
+    names = [*(n for n in DYNAMICS if n in series.columns or n not in _GAINS), MEMORY]
     columns = {name: series[name] for name in names}
     if any(column.dtype.kind != "f" or column.ndim != 1 for column in columns.values()):
         raise FileDamagedError("/dynamics is not of numbers")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from aslip.sim.drive import PD, Drive, Torque
+    from aslip.sim.drive import PD, Drive, MakeDrive, Torque
     from aslip.sim.dynamics import Dynamics
     from aslip.sim.parameters import DYNAMICS
     from aslip.sim.pool import SimulationPool
@@ -20,6 +20,7 @@ __all__ = [
     "PD",
     "Drive",
     "Dynamics",
+    "MakeDrive",
     "Sensors",
     "SimulationPool",
     "Simulations",
@@ -31,7 +32,7 @@ __all__ = [
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "drive": ["PD", "Drive", "Torque"],
+        "drive": ["PD", "Drive", "MakeDrive", "Torque"],
         "dynamics": ["Dynamics"],
         "parameters": ["DYNAMICS"],
         "pool": ["SimulationPool"],

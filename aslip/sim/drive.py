@@ -17,11 +17,13 @@ model), so that a saved state resumes exactly.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from aslip.robot import CASSIE, Robot
 from aslip.robot.compiled import compiled
+from aslip.sim.parameters import DRIVE
 
 # torque falls from its maximum at half the no-load speed to zero there
 _TORQUE_SLOPE = 2.0
@@ -69,6 +71,10 @@ class Drive(ABC):
         _limited(torque, velocity, self._gear, self._slope, self._limit, out)
         return out
 
+    def write_gains(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+        """Write the gains among the fields of `aslip.sim.Dynamics` of (k,) robots; none here."""
+        del ids, fields
+
     @abstractmethod
     def joint_torque(
         self, command: np.ndarray, position: np.ndarray, velocity: np.ndarray
@@ -78,6 +84,10 @@ class Drive(ABC):
     def initial_command(self, position: np.ndarray) -> np.ndarray:
         """Command (n, `command_size`) of robots at rest at (n, m) joint angles; zero by default."""
         return np.zeros((len(position), self.command_size))
+
+
+MakeDrive = Callable[[int, Robot], Drive]
+"""Class of a drive, or a function of the number of robots and the robot that makes one."""
 
 
 class PD(Drive):
@@ -115,6 +125,12 @@ class PD(Drive):
     ) -> np.ndarray:
         """Torque (n, m) at the joints before the motors' limits [N m]."""
         return (command - position) * self.stiffness - velocity * self.damping
+
+    def write_gains(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
+        """Write the gains among the fields of `aslip.sim.Dynamics` of (k,) robots."""
+        for name, gains in (("stiffness", self.stiffness), ("damping", self.damping)):
+            if DRIVE + name in fields:
+                gains[ids] = fields[DRIVE + name]
 
     def initial_command(self, position: np.ndarray) -> np.ndarray:
         """Angles at which the robots are."""

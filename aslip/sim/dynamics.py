@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
-from aslip.sim.parameters import DYNAMICS, parameter_named
+from aslip.sim.parameters import DRIVE, DYNAMICS, parameter_named
 
 DERIVING_FIELDS: Final = frozenset({"body_mass", "body_inertia", "dof_armature"})
 """Fields from which others follow: call `mj_setConst` after writing them."""
@@ -27,14 +28,19 @@ class Dynamics:
 
     Args:
         num: number of robots n.
-        model: the robot as it is by default.
+        model: compiled model of the robot as it is by default.
+        robot: the robot, which has the gains.
     """
 
-    def __init__(self, num: int, model: mujoco.MjModel) -> None:
+    def __init__(self, num: int, model: mujoco.MjModel, robot: Robot = CASSIE) -> None:
         names = sorted({field for parameter in DYNAMICS.values() for field in parameter.fields})
-        self._default = {name: model_field(model, name).copy() for name in names}
+        gains = {f"{DRIVE}stiffness": robot.stiffness, f"{DRIVE}damping": robot.damping}
+        self._default = {
+            name: gains[name] if name in gains else model_field(model, name).copy()
+            for name in names
+        }
         self._timestep = model.opt.timestep
-        self._floor, self._pelvis = model.geom("floor").id, model.body("pelvis").id
+        self._floor, self._pelvis = model.geom("floor").id, model.body(robot.pelvis).id
         nominal = dict.fromkeys(DYNAMICS, 1.0) | {
             "payload": 0.0,
             "floor_friction": float(self._default["geom_friction"][self._floor, 0]),
@@ -127,6 +133,8 @@ _SCALED_BY = {
     "jnt_stiffness": "spring_stiffness",
     "dof_damping": "joint_damping",
     "dof_armature": "reflected_inertia",
+    "drive.stiffness": "pd_stiffness",
+    "drive.damping": "pd_damping",
 }
 
 
@@ -137,9 +145,10 @@ def model_field(model: mujoco.MjModel, name: str) -> np.ndarray:
 
 
 def write_fields(model: mujoco.MjModel, fields: Mapping[str, np.ndarray]) -> None:
-    """Write fields into one robot's model, and what follows from them."""
+    """Write fields into one robot's model, and what follows from them; gains are skipped."""
     for name, value in fields.items():
-        model_field(model, name)[:] = value
+        if not name.startswith(DRIVE):
+            model_field(model, name)[:] = value
     if DERIVING_FIELDS & fields.keys():
         # the data is overwritten in the course of it
         mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -150,13 +159,16 @@ def longest_delay(model: mujoco.MjModel) -> float:
     return float(model.actuator_history[0, 0]) * model.opt.timestep
 
 
-def with_longer_memory(model: mujoco.MjModel, delay: float, *, visual: bool) -> mujoco.MjModel:
+def with_longer_memory(
+    model: mujoco.MjModel, delay: float, *, visual: bool, robot: Robot = CASSIE
+) -> mujoco.MjModel:
     """The same robot with a memory of commands that is doubled until it is long enough.
 
     Args:
         model: as `aslip.robot.model.load_model` made it, or this.
         delay: torque delay that it must be long enough for [s].
         visual: what it was made with.
+        robot: robot that the model is of.
     """
     samples = int(model.actuator_history[0, 0])
     while samples * model.opt.timestep < delay:
@@ -166,6 +178,7 @@ def with_longer_memory(model: mujoco.MjModel, delay: float, *, visual: bool) -> 
         visual=visual,
         timestep=model.opt.timestep,
         memory=samples,
+        robot=robot,
     )
 
 

@@ -20,8 +20,11 @@ class Parameter:
     high: float
     """The greatest."""
     fields: tuple[str, ...]
-    """Fields of `mujoco.MjModel` that follow from it."""
+    """Fields of `mujoco.MjModel` that follow from it, and gains of the drive."""
 
+
+DRIVE: Final = "drive."
+"""Prefix of the fields that are gains of the drive."""
 
 DYNAMICS: Final = MappingProxyType(
     {
@@ -59,6 +62,12 @@ DYNAMICS: Final = MappingProxyType(
         ),
         "slope": Parameter(
             "rise of the floor along the world's x [rad]", -0.7, 0.7, ("opt.gravity",)
+        ),
+        "pd_stiffness": Parameter(
+            "factor on the position gains of the PD loop", 0.0, 10.0, ("drive.stiffness",)
+        ),
+        "pd_damping": Parameter(
+            "factor on the velocity gains of the PD loop", 0.0, 10.0, ("drive.damping",)
         ),
         "sensor_noise": Parameter(
             "factor on the sensors' noise, which transforms add: remembered here only",

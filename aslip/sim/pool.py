@@ -18,9 +18,10 @@ import mujoco
 import numpy as np
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
 from aslip.sim.checks import check_count, check_ids, check_states
+from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot
 
@@ -35,25 +36,39 @@ class SimulationPool:
         num: number of simulations.
         model: compiled model; by default the robot without what is only looked at.
         num_threads: threads to step on, 0 for all processors this process may use.
+        robot: robot that the model is of.
+        drive: low level between commands and motors.
 
     Raises:
         ConfigurationError: `num` or `num_threads` is not a count.
     """
 
     def __init__(
-        self, num: int, *, model: mujoco.MjModel | None = None, num_threads: int = 0
+        self,
+        num: int,
+        *,
+        model: mujoco.MjModel | None = None,
+        num_threads: int = 0,
+        robot: Robot = CASSIE,
+        drive: MakeDrive = PD,
     ) -> None:
         self.num = num = check_count("the number of simulations", num)
         num_threads = check_count("num_threads", num_threads, least=0)
-        self.model = load_model(visual=False) if model is None else model
-        self.indices = CASSIE.indices
+        self.model = load_model(visual=False, robot=robot) if model is None else model
+        self.indices = robot.indices
         threads = num_threads or processors()
         # equal parts, as many for each thread
         rounds = math.ceil(num / (threads * _LARGEST_PART))
         size = math.ceil(num / (threads * rounds))
         self._starts = np.arange(0, num, size)
         self.parts = [
-            Simulations(min(size, num - int(start)), model=self.model, num_threads=1)
+            Simulations(
+                min(size, num - int(start)),
+                model=self.model,
+                num_threads=1,
+                robot=robot,
+                drive=drive,
+            )
             for start in self._starts
         ]
         self._threads = min(threads, len(self.parts))
@@ -61,6 +76,11 @@ class SimulationPool:
         # threads come with the first period, and do not follow into a forked process
         self._process: int | None = None
         self._watched_part = 0
+
+    @property
+    def command_size(self) -> int:
+        """Numbers in the command of a simulation's drive."""
+        return self.parts[0].command_size
 
     @property
     def divergences(self) -> int:
@@ -129,7 +149,7 @@ class SimulationPool:
         rest, so that whoever catches it reads states that no longer change.
 
         Args:
-            motor_target: (n, 10) joint angles the PD loops track [rad].
+            motor_target: (n, m) commands of the drive: joint angles that PD loops track [rad].
             push: (n, 3) forces on the pelvis' origin throughout the period [N, world]; none by
                 default.
 
@@ -141,8 +161,8 @@ class SimulationPool:
             ShapeError: the targets do not fit.
         """
         self._check_process()
-        if motor_target.shape != (self.num, self.model.nu):
-            expected = (self.num, self.model.nu)
+        if motor_target.shape != (self.num, self.command_size):
+            expected = (self.num, self.command_size)
             raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
         if push is not None and push.shape != (self.num, 3):
             raise ShapeError(f"push must have shape {(self.num, 3)}, got {push.shape}")

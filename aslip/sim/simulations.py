@@ -22,11 +22,12 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, Robot
 from aslip.robot.model import check_timestep, load_model
 from aslip.sim.checks import check_count, check_ids, check_states
-from aslip.sim.drive import PD
+from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.dynamics import DERIVING_FIELDS
+from aslip.sim.parameters import DRIVE
 from aslip.sim.sensors import Sensors
 from aslip.sim.truth import Snapshot
 
@@ -44,6 +45,8 @@ class Simulations:
         num: number of simulations.
         model: compiled model; by default the robot without what is only looked at.
         num_threads: threads to step on, 0 for all processors.
+        robot: robot that the model is of.
+        drive: low level between commands and motors.
 
     Raises:
         ConfigurationError: `num` or `num_threads` is not a count, or the model's timestep is not
@@ -51,20 +54,26 @@ class Simulations:
     """
 
     def __init__(
-        self, num: int, *, model: mujoco.MjModel | None = None, num_threads: int = 0
+        self,
+        num: int,
+        *,
+        model: mujoco.MjModel | None = None,
+        num_threads: int = 0,
+        robot: Robot = CASSIE,
+        drive: MakeDrive = PD,
     ) -> None:
         num, num_threads = (
             check_count("the number of simulations", num),
             check_count("num_threads", num_threads, least=0),
         )
-        self.model = load_model(visual=False) if model is None else model
-        check_timestep(self.model.opt.timestep)
-        self.indices = CASSIE.indices
+        self.model = load_model(visual=False, robot=robot) if model is None else model
+        check_timestep(self.model.opt.timestep, robot)
+        self.robot, self.indices = robot, robot.indices
         self.batch = Batch(self.model, num, num_threads)
         self.divergences = 0
         """Simulations put back on their feet since construction."""
-        self._drive = PD(num)
-        self._stride = round(self.model.opt.timestep / CASSIE.physics_timestep)
+        self._drive = drive(num, robot)
+        self._stride = round(self.model.opt.timestep / self.robot.physics_timestep)
         self._torques = np.zeros((2, num, self.model.nu))
         self._halfway = np.zeros((num, self.model.nq))
         at = self.indices
@@ -72,11 +81,11 @@ class Simulations:
             np.concatenate([at.motor_qpos, at.joint_qpos]),
             np.concatenate([at.motor_qvel, at.joint_qvel]),
         )
-        self.sensors = Sensors(num, self.model)
+        self.sensors = Sensors(num, self.model, robot)
         """What the robots measure."""
         self._ground_force = np.zeros((num, 2, 3))
         self._watched: int | None = None
-        self.watched = np.zeros((CASSIE.substeps, watched_size(self.model)))
+        self.watched = np.zeros((self.robot.substeps, watched_size(self.model)))
         """(60, 83) `qpos` 35, `qvel` 32, motor torques 10 [N m, at the joint] and ground forces
         2 x 3 [N, world] after each substep of the last policy period, of the simulation that
         `watch` chose. Torques and forces are those that acted in the substep."""
@@ -96,6 +105,11 @@ class Simulations:
     def num(self) -> int:
         """Number of simulations."""
         return self.batch.nsim
+
+    @property
+    def command_size(self) -> int:
+        """Numbers in the command of a simulation's drive."""
+        return self._drive.command_size
 
     def reset(
         self, ids: np.ndarray, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None
@@ -142,7 +156,9 @@ class Simulations:
         """
         ids = check_ids(ids, self.num)
         for name, rows in fields.items():
-            self.batch.expand(name)[ids] = rows
+            if not name.startswith(DRIVE):
+                self.batch.expand(name)[ids] = rows
+        self._drive.write_gains(ids, fields)
         if DERIVING_FIELDS & fields.keys():
             self.batch.set_const(ids)
         if "opt.gravity" in fields:
@@ -156,8 +172,8 @@ class Simulations:
         """
         if index is not None and self._stride > 1:
             raise ConfigurationError(
-                f"substeps can be watched with a timestep of {CASSIE.physics_timestep} s, this is"
-                f" {self.model.opt.timestep} s"
+                f"substeps can be watched with a timestep of {self.robot.physics_timestep} s,"
+                f" this is {self.model.opt.timestep} s"
             )
         self._watched = index
 
@@ -165,7 +181,7 @@ class Simulations:
         """Run one policy period.
 
         Args:
-            motor_target: (n, 10) joint angles the PD loops track [rad].
+            motor_target: (n, m) commands of the drive: joint angles that PD loops track [rad].
             push: (n, 3) forces on the pelvis' origin throughout the period [N, world]; none by
                 default.
 
@@ -175,8 +191,8 @@ class Simulations:
         Raises:
             ShapeError: the targets do not fit.
         """
-        if motor_target.shape != (self.num, self.model.nu):
-            expected = (self.num, self.model.nu)
+        if motor_target.shape != (self.num, self._drive.command_size):
+            expected = (self.num, self._drive.command_size)
             raise ShapeError(f"motor_target must have shape {expected}, got {motor_target.shape}")
         if push is not None and push.shape != (self.num, 3):
             raise ShapeError(f"push must have shape {(self.num, 3)}, got {push.shape}")
@@ -187,13 +203,13 @@ class Simulations:
         self._ground_force[:] = 0.0
         failed = np.zeros(self.num, dtype=bool)
         substep = self._substep if self._stride == 1 else self._two_substeps
-        for first in range(0, CASSIE.substeps, self._stride):
-            last = first + self._stride == CASSIE.substeps
+        for first in range(0, self.robot.substeps, self._stride):
+            last = first + self._stride == self.robot.substeps
             substep(first, motor_target, failed, _CURRENT if last else _NONE)
             self._ground_force += self._sensordata[:, self.indices.ground_force]
             if self._watched is not None:
                 self._record(first, self._watched)
-        self._ground_force /= CASSIE.substeps / self._stride
+        self._ground_force /= self.robot.substeps / self._stride
         self.sensors.finish()
         diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
         self.divergences += int(diverged.sum())
@@ -263,7 +279,7 @@ class Simulations:
         # IMU reads, stays half a millisecond ahead
         position, velocity = self._encoders
         self._halfway[:] = self.qpos
-        self._halfway[:, position] -= CASSIE.physics_timestep * self.qvel[:, velocity]
+        self._halfway[:, position] -= self.robot.physics_timestep * self.qvel[:, velocity]
         sensors.read(first + 1, self._halfway, self.qvel)
         sensors.feel(first + 1, self._qacc)
 

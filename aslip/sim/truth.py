@@ -67,16 +67,18 @@ def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
         state.
     """
     qpos, qvel, sensors = snapshot.qpos, snapshot.qvel, snapshot.sensordata
-    orientation = upper_hemisphere(qpos[..., 3:7])
+    orientation = upper_hemisphere(qpos[..., indices.pelvis_orientation])
     state = {
         "qpos": qpos,
         "qvel": qvel,
-        "pelvis_position": qpos[..., :3],
+        "pelvis_position": qpos[..., indices.pelvis_position],
         "pelvis_orientation": orientation,
-        "pelvis_velocity": qvel[..., :3],
-        "pelvis_angular_velocity": qvel[..., 3:6],
+        "pelvis_velocity": qvel[..., indices.pelvis_velocity],
+        "pelvis_angular_velocity": qvel[..., indices.pelvis_angular_velocity],
         # what an accelerometer at the pelvis' origin reads, less gravity
-        "pelvis_acceleration": rotate_inverse(orientation, snapshot.qacc[..., :3]),
+        "pelvis_acceleration": rotate_inverse(
+            orientation, snapshot.qacc[..., indices.pelvis_velocity]
+        ),
         "motor_position": qpos[..., indices.motor_qpos],
         "motor_velocity": qvel[..., indices.motor_qvel],
         "joint_position": qpos[..., indices.joint_qpos],

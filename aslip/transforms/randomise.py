@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, cast
 
@@ -43,6 +43,9 @@ DYNAMICS_RANGES: Final = MappingProxyType(
 `apex` is the public code behind Siekmann et al. 2020 and 2021, from where the paper's comes, too.
 Opinions differ on how much is good: Xie et al. 2019 took policies to Cassie without any."""
 
+# drawn aside, so that they leave the draws of all others as they were without them
+_GAINS = ("pd_stiffness", "pd_damping")
+
 _FACTOR_KEY = ("dynamics", "sensor_noise")
 
 
@@ -82,9 +85,10 @@ class RandomDynamics(SeededTransform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
         # a column for every parameter there is, drawn or not
-        shape = (*tensordict.batch_size, len(DYNAMICS))
-        share = torch.rand(shape, generator=self.generator, dtype=torch.float32)
-        columns = dict(zip(DYNAMICS, share.split(1, dim=-1), strict=True))
+        aside = _aside(self.generator)
+        others = [name for name in DYNAMICS if name not in _GAINS]
+        columns = _draw(tensordict.batch_size, others, self.generator)
+        columns |= _draw(tensordict.batch_size, _GAINS, aside)
         for name, (low, high) in self.ranges.items():
             draw = (low + (high - low) * columns[name]).clamp(low, high)
             tensordict = self._draw_into_reset(tensordict, ("dynamics", name), draw)
@@ -110,6 +114,18 @@ class RandomDynamics(SeededTransform):
     def transform_state_spec(self, state_spec: Composite) -> Composite:
         """Declare them as something a caller may set."""
         return extend_spec(state_spec, dict.fromkeys(self.out_keys, 1))
+
+
+def _draw(shape: torch.Size, names: Sequence[str], generator: torch.Generator) -> dict[str, Tensor]:
+    """A column of numbers from 0 to 1 for each name."""
+    numbers = torch.rand((*shape, len(names)), generator=generator, dtype=torch.float32)
+    return dict(zip(names, numbers.split(1, dim=-1), strict=True))
+
+
+def _aside(generator: torch.Generator) -> torch.Generator:
+    """Generator that follows from another one's state and leaves that as it is."""
+    seed = torch.randint(2**62, (), generator=generator.clone_state())
+    return torch.Generator().manual_seed(int(seed))
 
 
 class RandomNoise(ObservationNoise):

@@ -16,7 +16,7 @@ from aslip.log import Recording, read, replay
 from aslip.log import replay as package
 from aslip.log.__main__ import main
 from aslip.log.playback import low_level_differs
-from aslip.sim import Drive
+from aslip.sim import PD
 from tests.log.helpers import MakeRecorded, run
 
 
@@ -226,14 +226,14 @@ def test_verifying_fails_when_the_simulation_differs(
     """As it would after a change of the drive, which is then named."""
     from aslip.log import replay as _  # noqa: F401
 
-    module, torque = sys.modules["aslip.log.playback"], Drive.torque
+    module, torque = sys.modules["aslip.log.playback"], PD.torque
 
-    def stronger(drive: Drive, *args: np.ndarray, out: np.ndarray) -> np.ndarray:
+    def stronger(drive: PD, *args: np.ndarray, out: np.ndarray) -> np.ndarray:
         torque(drive, *args, out=out)
         out *= 1.01
         return out
 
-    monkeypatch.setattr(Drive, "torque", stronger)
+    monkeypatch.setattr(PD, "torque", stronger)
     monkeypatch.setattr(module, "low_level_digest", lambda: "other")
     assert main(["replay", "--verify", str(walk[0])]) == 1
     told = capsys.readouterr().out
