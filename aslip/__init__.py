@@ -8,7 +8,7 @@ A library of optimal actuated-SLIP walking gaits guides a policy for the biped C
     policy = aslip.load_policy("runs/my_run")     # tensordict in, `action` out
     aslip.Motion, aslip.RobotEnv, aslip.Controller  # what to replace: gaits, robot, control loop
 
-Names are imported on first use: `import aslip` loads no library, `import aslip.rom` only CasADi.
+Names are imported on first use: `import aslip` alone loads no library.
 """
 
 from __future__ import annotations
