@@ -70,7 +70,7 @@ def read_library(path: Path) -> tuple[list[Motion], GaitTable, dict[str, str]]:
         table = _table(parts.pop("table"))
         motions = [_motion(parts[f"motion{i:02d}"]) for i in range(len(parts))]
         made_by = dict(json.loads(entries[_MADE_BY]))
-    except Exception as error:  # whatever a stranger's arrays are
+    except Exception as error:  # any error that foreign arrays cause
         raise FORMAT.damaged(path, error) from error
     return motions, table, made_by
 

@@ -53,8 +53,8 @@ class GaitTable:
     qvel: np.ndarray
     """(*g, m, 32) velocity."""
     torque_jumps: bool = False
-    """Whether motor torques jump between samples, as when a pendulum changes its stance foot; they
-    are then interpolated such that they never overshoot the samples."""
+    """Motor torques may jump between samples, as when a pendulum changes its stance foot; they are
+    then interpolated such that they never overshoot the samples."""
 
     def __post_init__(self) -> None:
         """Make the arrays read-only, and check that they belong together."""

@@ -28,7 +28,7 @@ def tabulate(
         motions: one motion per point of the grid, in ascending order of commands; the last axis of
             the command varies fastest.
         samples: samples of a stride m.
-        torque_jumps: whether forces jump, see `GaitTable`.
+        torque_jumps: forces may jump between samples, see `GaitTable`.
 
     Raises:
         ConfigurationError: commands do not form such a grid; a stride is not finite; a body has

@@ -4,8 +4,8 @@
     gait.stride, gait.double_stance    # [s]
     gait.sample(np.linspace(0, 1, 24, endpoint=False)).body.position    # (24, 3) [m]
 
-Imports NumPy and SciPy, and CasADi for what optimises; knows neither the robot nor any learning
-library.
+Motions need NumPy and SciPy; CasADi is imported by the optimisation alone. The room knows neither
+the robot nor any learning library.
 """
 
 from typing import TYPE_CHECKING

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
 
 SOLVED = "Solve_Succeeded"
 """IPOPT's status for a problem solved to the requested tolerance."""
@@ -19,7 +18,7 @@ MARGIN_TOLERANCE = 1e-8
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was checked after the solver stopped, with the numbers found."""
+    """Checks on a solved problem, with the numbers found."""
 
     solver_status: str
     """IPOPT's return status."""
@@ -55,7 +54,7 @@ class Certificate:
 
     @property
     def ok(self) -> bool:
-        """Whether every check passed."""
+        """Success of every check."""
         return not self.failures()
 
     def failures(self) -> list[str]:
@@ -80,20 +79,11 @@ class Certificate:
             failed.insert(0, f"the solver stopped with {self.solver_status}")
         return failed
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain dictionary of strings, numbers and one dictionary of numbers."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> "Certificate":
-        """Certificate from what `to_dict` returned."""
-        return cls(**data)
-
     def to_json(self) -> str:
         """One line of JSON; floats survive the round trip exactly."""
-        return json.dumps(self.to_dict())
+        return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> "Certificate":
-        """Certificate from what `to_json` returned."""
-        return cls.from_dict(json.loads(text))
+        """Certificate from the text of `to_json`."""
+        return cls(**json.loads(text))

@@ -20,7 +20,7 @@ class Mode(IntEnum):
 
     @property
     def stance(self) -> tuple[bool, bool]:
-        """Whether the left and the right foot are on the ground."""
+        """Stance of the left and of the right foot."""
         return self is not Mode.RIGHT, self is not Mode.LEFT
 
 

@@ -60,7 +60,7 @@ def swing_foot(
     Args:
         time: (m,) since lift-off [s]; negative before it.
         start: foothold until lift-off (3,) [m].
-        end: foothold from touchdown on (3,) [m], at the same height.
+        end: foothold from touchdown on (3,) [m], at equal height.
         duration: of the swing [s].
         clearance: height at half swing [m].
 

@@ -186,7 +186,6 @@ def _packets(num: int = 1) -> np.ndarray:
     return np.concatenate([entry.numpy() for entry in td["sensors"].values()], axis=-1)
 
 
-@pytest.mark.xfail(reason="estimation and library import MuJoCo and CasADi", strict=False)
 def test_a_controller_needs_no_simulator_and_no_optimizer(tmp_path: Path) -> None:
     packets, target = tmp_path / "packets.npy", tmp_path / "target.npy"
     np.save(packets, _packets())

@@ -22,14 +22,15 @@ class Shuffle:
 
     def __init__(self, forward: float, sideways: float, toes: float = 0.1) -> None:
         self.command = np.array([forward, sideways])
+        self.forward, self.sideways = forward, sideways
         self.stride = 0.8
         self.toes = toes
 
     def sample(self, phase: np.ndarray) -> MotionSample:
         """A walk forward, moved sideways at the commanded speed."""
-        walk = PendulumWalk(speed=self.command[0], stride=self.stride).sample(phase)
-        drift = np.multiply.outer(phase * self.stride, [0.0, self.command[1], 0.0])
-        rate = np.array([0.0, self.command[1], 0.0])
+        walk = PendulumWalk(speed=self.forward, stride=self.stride).sample(phase)
+        drift = np.multiply.outer(phase * self.stride, [0.0, self.sideways, 0.0])
+        rate = np.array([0.0, self.sideways, 0.0])
         return MotionSample(
             body=Track(walk.body.position + drift, walk.body.velocity + rate),
             feet=Track(walk.feet.position + drift[:, None], walk.feet.velocity + rate),

@@ -60,7 +60,7 @@ def test_other_motions_are_stored_as_samples(library: GaitLibrary, tmp_path: Pat
         _ = loaded.gaits
 
 
-def test_the_shipped_file_tells_its_origin(library: GaitLibrary) -> None:
+def test_the_shipped_file_names_its_origin(library: GaitLibrary) -> None:
     made_by = library.made_by
     assert "recipes/gait_library.py" in made_by["command"]
     for package in ("aslip", "python", "casadi", "pin", "numpy"):

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from aslip.envs import make_env
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.ik import Kinematics
 from aslip.library import GaitLibrary, GaitTable, tabulate
@@ -22,6 +24,7 @@ from aslip.rom import (
     Track,
     optimize_gaits,
 )
+from aslip.show.ghost import Footholds
 
 from .conftest import Shuffle
 
@@ -84,6 +87,28 @@ def test_soles_point_where_the_motion_has_the_toes(grid: GaitLibrary) -> None:
     sole = kinematics.legs(kinematics.to_pinocchio(grid.table.qpos[1, 2])).rotation
     toes = np.arctan2(sole[..., 1, 0], sole[..., 0, 0])
     np.testing.assert_allclose(toes, np.tile([0.1, -0.1], (16, 1)), atol=1e-9)
+
+
+def test_a_motion_of_ones_own_guides_a_robot_and_shows_a_ghost(tmp_path: Path) -> None:
+    """Saved and loaded again, in the default stack; footholds are planned from it."""
+    motions = [Shuffle(speed, 0.0) for speed in (0.2, 0.6)]
+    for motion in motions:
+        motion.command = motion.command[:1]
+    library = GaitLibrary.from_motions(motions, samples=32, torque_jumps=True)
+    library.save(tmp_path / "own.npz")
+    loaded = GaitLibrary.load(tmp_path / "own.npz")
+    env = make_env(num_envs=2, library=loaded, num_threads=1, seed=0)
+    try:
+        walk = env.rollout(3)
+    finally:
+        env.close()
+    at = walk["phase"], walk["command"]
+    assert torch.equal(loaded(*at).motor_torque, library(*at).motor_torque)
+    # the reference is a little ahead of the phase, so only its constants are compared
+    apart = walk["reference", "left_foot_position"] - walk["reference", "right_foot_position"]
+    torch.testing.assert_close(apart[..., 1], torch.full((2, 3), 0.2), rtol=0, atol=1e-4)
+    step = Footholds(loaded).step("left", 0.6)
+    np.testing.assert_allclose(step, [0.6 * 0.8 / 2, 0.2], atol=1e-3)
 
 
 def test_between_commands_of_a_grid_the_lookup_is_multilinear(grid: GaitLibrary) -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from tensordict import TensorDict
 
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import SIDES
-from aslip.show.ghost import Footholds, Ghost, heading, yaw_rotation
+from aslip.rom import PendulumWalk, SampledMotion, Track
+from aslip.show.ghost import Footholds, Ghost, heading, touchdown_phases, yaw_rotation
 from tests.helpers import MakeEnv
 
 
@@ -53,7 +57,7 @@ def test_one_robot_of_many_is_chosen(make: MakeEnv) -> None:
     np.testing.assert_allclose(ghost.body[0], td["truth", "pelvis_position"][2, 0])
 
 
-def test_what_a_ghost_is_made_of_stays_as_it_is(library: GaitLibrary) -> None:
+def test_a_ghost_leaves_its_inputs_unchanged(library: GaitLibrary) -> None:
     """Also rows of double precision, as logs have them."""
     groups = _instant(library, 0.2, 1.0, 0.5)
     rows = [
@@ -91,6 +95,19 @@ def test_steps_are_those_of_the_gaits(library: GaitLibrary) -> None:
     assert 0.3 < first < 0.5
 
 
+def test_touchdowns_of_a_pendulum_precede_its_change_of_stance() -> None:
+    """Its feet swing 80 % of a step, 0.4 strides, and then wait on the ground."""
+    for walk in (PendulumWalk(speed=0.0), PendulumWalk(speed=1.0)):
+        np.testing.assert_allclose(touchdown_phases(walk), [0.4, 0.9], atol=5e-4)
+
+
+def test_a_motion_whose_feet_stay_has_no_touchdown(library: GaitLibrary) -> None:
+    sample = library.motions[0].sample(np.zeros(8))
+    rest = replace(sample, feet=Track(sample.feet.position, 0 * sample.feet.velocity))
+    with pytest.raises(ConfigurationError, match=r"each foot swings once .*: \[0, 0\]"):
+        touchdown_phases(SampledMotion(np.array([0.0]), 0.8, rest))
+
+
 def test_a_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None:
     footholds = Footholds(library)
     foot, level = np.array([5.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
@@ -102,7 +119,7 @@ def test_a_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None
     np.testing.assert_allclose(turned, np.array([[cosine, -sine], [sine, cosine]]) @ step)
 
 
-def test_yaw_is_what_an_orientation_turns_about_the_vertical() -> None:
+def test_yaw_rotation_of_a_pitched_and_turned_body() -> None:
     yaw, pitch = 0.7, 0.4
     half = np.array([yaw, pitch]) / 2
     (cy, cp), (sy, sp) = np.cos(half), np.sin(half)
