@@ -48,7 +48,8 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -141,7 +142,7 @@ def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
         placements = without_falls(every)
         interval = Interval.of([p.error for p in placements])
         sides = {
-            f"{side}_{axis}": _mean([p.offset[p.side == i, k].mean() for p in placements])
+            f"{side}_{axis}": _mean(np.mean, [p.offset[p.side == i, k] for p in placements])
             for i, side in enumerate(SIDES)
             for k, axis in enumerate("xy")
         }
@@ -149,8 +150,8 @@ def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
             {
                 "speed": speed,
                 **vars(interval),
-                "std": _mean([p.error.std() for p in placements]),
-                "outward": _mean([p.outward.mean() for p in placements]),
+                "std": _mean(np.std, [p.error for p in placements]),
+                "outward": _mean(np.mean, [p.outward for p in placements]),
                 "footsteps": sum(len(p.error) for p in placements),
                 "survived": len(placements),
                 "policies": len(every),
@@ -162,7 +163,7 @@ def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
 
 
 def table(by_speed: dict[float, list[Placement]]) -> str:
-    """A row a speed."""
+    """Table of errors, a row a speed."""
     header = [
         "command m/s", "error cm", "std cm", "forward cm", "outward cm", "width cm",
         "survived", "published cm",
@@ -179,7 +180,7 @@ def table(by_speed: dict[float, list[Placement]]) -> str:
             [
                 str(round(speed, 3)),
                 error.text(1, 100),
-                f"{100 * _mean([p.error.std() for p in placements]):.1f}",
+                f"{100 * _mean(np.std, [p.error for p in placements]):.1f}",
                 f"{100 * forward.mean:+.1f}",
                 f"{100 * outward.mean:+.1f}",
                 f"{100 * width.mean:.1f}",
@@ -200,7 +201,9 @@ def published_error(speed: float) -> float | None:
     return next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), None)
 
 
-def _mean(values: Sequence[float]) -> float:
+def _mean(statistic: Callable[..., Any], footsteps: Sequence[np.ndarray]) -> float:
+    """Mean over policies of a statistic of their footsteps; NaN if none has made any."""
+    values = [statistic(value) for value in footsteps if len(value)]
     return float(np.mean(values)) if values else math.nan
 
 
@@ -209,8 +212,8 @@ def picture(by_speed: dict[float, list[Placement]]) -> Figure:
     figure = Figure(figsize=(10, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
     speeds = list(by_speed)
-    means = [100 * _mean([p.error.mean() for p in ps]) for ps in by_speed.values()]
-    spread = [100 * _mean([p.error.std() for p in ps]) for ps in by_speed.values()]
+    means = [100 * _mean(np.mean, [p.error for p in ps]) for ps in by_speed.values()]
+    spread = [100 * _mean(np.std, [p.error for p in ps]) for ps in by_speed.values()]
     theirs = np.array(list(PUBLISHED.values())).T * 100
     left.errorbar(list(PUBLISHED), *theirs, color="tab:gray", capsize=3, label="published")
     left.errorbar(speeds, means, spread, color="tab:red", capsize=3, label="here")
@@ -220,7 +223,7 @@ def picture(by_speed: dict[float, list[Placement]]) -> Figure:
         ("forward", lambda p: p.offset[:, 0], "tab:blue"),
         ("outward", lambda p: p.outward, "tab:orange"),
     ):
-        means = [100 * _mean([pick(p).mean() for p in ps]) for ps in by_speed.values()]
+        means = [100 * _mean(np.mean, [pick(p) for p in ps]) for ps in by_speed.values()]
         right.plot(speeds, means, "o-", color=color, label=name)
     right.axhline(0, color="black", lw=0.8)
     right.set(xlabel="commanded speed [m/s]", ylabel="actual minus ideal place [cm]")

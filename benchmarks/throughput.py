@@ -3,12 +3,11 @@
     python -m benchmarks.throughput                                       # a quarter of an hour
     python -m benchmarks.throughput --num-envs 256 --num-threads 2 --rounds 9
 
-In every policy step of the run each candidate advances the same N robots from the same states, one
-after the other, so that whatever else the machine does touches all alike. A table row is the median
-over rounds; the ratio is that of the same round. The bound is `mj_step` alone, 60 substeps a call
+In every policy step of the run each candidate advances the same N robots from the same states, in
+turn, so that other load on the machine affects all alike. A table row is the median over rounds;
+ratios are taken within a round. The bound is `mj_step` alone, 60 substeps a call
 and simulations shared out to threads in advance: no environment around this physics can beat it.
-Two rows of `mujoco.batch` with the same torques throughout tell what 60 calls in place of one cost,
-whatever is done in between.
+Two rows of `mujoco.batch` with constant torques give the cost of 60 calls in place of one.
 
 For few robots there are two more: the dm_control task in a loop, and TorchRL's `ParallelEnv`, a
 process a robot. Those processes walk on their own, as many at a time as there are processors.
@@ -30,21 +29,21 @@ class Config:
     """Settings of the benchmark."""
 
     num_envs: tuple[int, ...] = (1, 16, 64, 256, 1024)
-    """Numbers of robots N."""
+    """Numbers N of robots."""
     num_threads: tuple[int, ...] = (1, 2)
-    """Threads for the physics of every candidate."""
+    """Numbers of physics threads of every candidate."""
     rounds: int = 5
     """Rounds to take the median over."""
     robot_steps: int = 1024
-    """Policy steps of a round, of all robots together; at least one each, and at most 64."""
+    """Policy steps of a round over all robots: one to 64 for each."""
     single: int = 16
-    """The most robots for which to measure one simulation at a time, and a process a robot."""
+    """Largest N for the dm_control task in a loop, and for a process a robot."""
     updates: bool = True
-    """Measure updates and memory, too."""
+    """Also measure updates and memory."""
     policy: str = "aslip"
-    """Who walks, as `aslip.load_policy` names it; its own time is not counted."""
+    """Policy that walks, as `aslip.load_policy` takes it; its own time does not count."""
     action_std: float = 0.135
-    """Exploration noise on its actions [rad]."""
+    """Standard deviation of the exploration noise on actions [rad]."""
 
 
 if __name__ == "__main__":
@@ -74,14 +73,13 @@ from torchrl.envs import EnvBase, ParallelEnv
 
 import aslip
 from aslip.envs import ON_TRUTH
-from aslip.policy import policy_stack
 from aslip.robot import CASSIE
 from aslip.robot.model import physics_timesteps
 from aslip.sim import SimulationPool, Simulations
 from aslip.training import run
 from aslip.transforms import ActionDelta
 from aslip.walking import evaluate, markdown
-from benchmarks.faults.trainings import quiet
+from benchmarks.common import MakeEnv, Policy, Subject, quiet
 from recipes import ppo_aslip
 
 _BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
@@ -92,7 +90,7 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 class Bound:
-    """`mj_step` and nothing else, on as many threads."""
+    """Bare `mj_step` on some threads."""
 
     def __init__(self, model: mujoco.MjModel, num_threads: int) -> None:
         self.model = model
@@ -100,7 +98,7 @@ class Bound:
         self.pool = ThreadPoolExecutor(num_threads)
 
     def advance(self, states: np.ndarray) -> None:
-        """One policy period from each row of (n, k) states."""
+        """Simulate one policy period from each row of (n, k) states."""
         shares = np.array_split(states, len(self.data))
         list(self.pool.map(self._run, self.data, shares))
 
@@ -112,11 +110,10 @@ class Bound:
 
 
 class Candidates:
-    """The bound, bare simulations, and environments with transforms, kept in step."""
+    """The bound, bare simulations, and environments with transforms, all in the same states."""
 
-    def __init__(self, num_envs: int, num_threads: int, config: Config) -> None:
-        stack = policy_stack(config.policy)
-        batch = partial(aslip.make_env, num_envs=num_envs, stack=stack, num_threads=num_threads)
+    def __init__(self, num_envs: int, num_threads: int, config: Config, subject: Subject) -> None:
+        batch = partial(subject.env, num_envs, num_threads=num_threads)
         self.leader = batch()
         self.envs: dict[str, EnvBase] = {
             "environment on the truth": batch(**ON_TRUTH),
@@ -125,21 +122,19 @@ class Candidates:
         }
         self.pools = [_pool(env) for env in self.envs.values()]
         if num_envs <= config.single:
-            self.envs["dm_control, all transforms"] = aslip.make_env(
-                "dm_control", num_envs=num_envs, stack=stack
-            )
-            one = partial(aslip.make_env, num_envs=1, stack=stack, num_threads=1)
+            self.envs["dm_control, all transforms"] = subject.env(num_envs, backend="dm_control")
+            one = partial(subject.env, 1, num_threads=1)
             self.envs["ParallelEnv of single ones"] = ParallelEnv(num_envs, one)
         self.bare = SimulationPool(num_envs, num_threads=num_threads)
         self.bound = Bound(self.bare.model, num_threads)
         transforms = self.leader.transforms
         self.baseline_key = next(t.baseline_key for t in transforms if isinstance(t, ActionDelta))
-        self.policy = aslip.load_policy(config.policy)
+        self.policy = subject.policy
         self.std = config.action_std
         self.states = {name: env.reset() for name, env in self.envs.items()}
 
     def step(self) -> dict[str, float]:
-        """One policy step of each from the last one's states; seconds by name."""
+        """Take a policy step of each from the leader's states; returns seconds by name."""
         states = _pool(self.leader).states()
         for pool in self.pools:
             pool.set_states(states)
@@ -169,7 +164,7 @@ class Candidates:
             env.close()
 
     def _step_batches(self, steps: int) -> None:
-        """Physics of the bare simulations, so many steps a call."""
+        """Simulate a policy period of the bare simulations, some steps a call."""
 
         def run(part: Simulations) -> None:
             for _ in range(0, CASSIE.substeps, steps):
@@ -189,8 +184,15 @@ def _pool(env: EnvBase) -> SimulationPool:
     return pool
 
 
-def main(config: Config) -> None:
-    """Measure and print."""
+def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
+    """Measure and print.
+
+    Args:
+        config: the settings.
+        policy: policy that walks instead of that in the settings.
+        make_env: function that makes its environment, see `benchmarks.common`.
+    """
+    subject = Subject.load(policy or config.policy, make_env)
     torch.manual_seed(0)
     torch.set_num_threads(1)
     columns = " | ".join(
@@ -201,7 +203,7 @@ def main(config: Config) -> None:
         steps = min(max(1, config.robot_steps // num_envs), _MOST_STEPS)
         cells: dict[str, list[str]] = {}
         for num_threads in config.num_threads:
-            with closing(Candidates(num_envs, num_threads, config)) as candidates:
+            with closing(Candidates(num_envs, num_threads, config, subject)) as candidates:
                 candidates.step()  # warm up
                 rounds = [_round(candidates, steps) for _ in range(config.rounds)]
             for name in rounds[0]:
@@ -304,7 +306,7 @@ def _round(candidates: Candidates, steps: int) -> dict[str, float]:
 
 
 def _timed(call: Callable[[], object]) -> float:
-    # torch's threads go on spinning for a while after their work and would slow the next candidate
+    # torch's threads spin for a while after their work and would slow the next candidate
     time.sleep(_PAUSE)
     start = time.perf_counter()
     call()

@@ -17,7 +17,8 @@ from aslip.errors import FileDamagedError
 from aslip.training import run as run_module
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint
 from aslip.training.run import TrainingRun
-from benchmarks.faults.trainings import TINY, Holder, quiet, same, train, undisturbed
+from benchmarks.common import quiet
+from benchmarks.faults.trainings import TINY, Holder, same, train, undisturbed
 from recipes import ppo_aslip
 
 

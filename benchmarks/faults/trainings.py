@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 import json
-import logging
 import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -18,11 +15,11 @@ from typing import Any
 from unittest import mock
 
 import torch
-from torchrl import torchrl_logger
 
 from aslip.training.checkpoint import load_checkpoint
 from aslip.training.run import read_progress
 from aslip.walking import evaluate
+from benchmarks.common import quiet
 from recipes import ppo_aslip
 
 TINY = ppo_aslip.Config(
@@ -147,22 +144,3 @@ class Holder:
     def load_state_dict(self, state: Any) -> None:
         """Keep it."""
         self.state = state
-
-
-@contextlib.contextmanager
-def quiet() -> Iterator[list[str]]:
-    """Print nothing and show no bars; yields the list that TorchRL's log messages go to."""
-    said: list[str] = []
-
-    class Listener(logging.Handler):
-        def emit(self, record: logging.LogRecord) -> None:
-            said.append(record.getMessage())
-
-    handlers = torchrl_logger.handlers[:]
-    torchrl_logger.handlers[:] = [Listener()]
-    silence = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
-            yield said
-    finally:
-        torchrl_logger.handlers[:] = handlers

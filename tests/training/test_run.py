@@ -20,7 +20,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.training import run as run_module
 from aslip.training.run import TrainingRun, TrainingStoppedError, peak_memory, write_text
-from benchmarks.faults.trainings import quiet
+from benchmarks.common import quiet
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,124 @@
+"""Benchmarks walk policies on own environments: memory, histories, rewards with a state."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torchrl.data import Composite, Unbounded
+from torchrl.envs.transforms import CatFrames, Transform
+
+import aslip
+from aslip.envs import StackEnv
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_recurrent_actor
+from benchmarks import (
+    black_box,
+    estimator,
+    foot_placement,
+    ground_reaction,
+    perturbation,
+    step_frequency,
+    velocity_tracking,
+)
+from benchmarks.common import Subject
+
+
+class AirTime(Transform):
+    """Reward with a state: seconds since a foot last carried the robot."""
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=["air_time"], out_keys=["air_time"])
+
+    def _reset(self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase) -> Any:
+        return tensordict_reset.set("air_time", torch.zeros(*tensordict_reset.batch_size, 1))
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> Any:
+        carried = next_tensordict["truth", "ground_force"][..., 2].sum(-1, keepdim=True) > 20
+        time = torch.where(carried, 0.0, tensordict["air_time"] + 0.03)
+        next_tensordict["reward"] = next_tensordict["reward"] - time
+        return next_tensordict.set("air_time", time)
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        observation_spec["air_time"] = Unbounded((*observation_spec.shape, 1))
+        return observation_spec
+
+
+def make_own_env(**settings: Any) -> StackEnv:
+    """Default stack with a history of two observations and a reward with a state."""
+    env = aslip.make_env(**settings)
+    env.append_transform(CatFrames(2, dim=-1, in_keys=["observation"]))
+    env.append_transform(AirTime())
+    return env
+
+
+def own_policies() -> dict[str, TensorDictModuleBase]:
+    """Untrained policies, with and without memory."""
+    torch.manual_seed(0)
+    shape = PolicyShape(128, hidden=(16,), symmetric=False)
+    return {
+        "mlp": make_actor(RunningNormalizer(128), shape),
+        "gru": make_recurrent_actor(RunningNormalizer(128), shape),
+    }
+
+
+POLICIES = own_policies()
+every_policy = pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POLICIES))
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in (foot_placement, ground_reaction, step_frequency, velocity_tracking):
+        monkeypatch.setattr(module, "_SETTLE", 0.15)
+        monkeypatch.setattr(module, "_WALK", 0.3)
+    for name in ("_HOLD", "_BEFORE", "_AFTER"):
+        monkeypatch.setattr(velocity_tracking, name, 0.15)
+    monkeypatch.setattr(velocity_tracking, "_TRANSIENT", 0.03)
+    monkeypatch.setattr(black_box, "_EPISODE", 20)
+
+
+@every_policy
+def test_benchmarks_measure_a_policy_of_an_own_environment(
+    policy: TensorDictModuleBase, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """From Python, with a module and `make_env`; reports carry the name of its class."""
+    of: Any = (policy, make_own_env)
+    few: dict[str, Any] = {"out": tmp_path, "speeds": (0.5,)}
+    (placement,) = foot_placement.main(foot_placement.Config(**few), *of)[0.5]
+    assert placement.offset.shape[1] == 2
+    assert step_frequency.main(step_frequency.Config(**few), *of)[0]["speed"] == 0.5
+    assert len(velocity_tracking.main(velocity_tracking.Config(**few), *of)["steps"]) == 6
+    rows = ground_reaction.main(ground_reaction.Config(**few), *of)
+    assert rows[0]["policy"] == "ProbabilisticActor"
+    sweeps: dict[str, Any] = {sweep.flag: () for sweep in perturbation.SWEEPS.values()}
+    config = perturbation.Config(
+        **{**few, **sweeps, "payload": (0.0,)},
+        directions=1, phases=1, repeats=1, bisections=1, settle=0.06, after=0.06, episode=0.3,
+    )  # fmt: skip
+    assert perturbation.main(config, *of)["sweeps"][0]["trials"] == 1
+    small = {"steps": 2, "repeats": 1, "falls": 2, "num_envs": 2, "rounds": 1, "out": tmp_path}
+    estimator.main(estimator.Config(**small), *of)
+    assert "estimator and noise" in capsys.readouterr().out
+
+
+@every_policy
+def test_logs_of_a_policy_of_an_own_environment_replay(
+    policy: TensorDictModuleBase, tmp_path: Path
+) -> None:
+    subject = Subject.load(policy, make_own_env)
+    config = black_box.Config(replays=1, report=tmp_path / "report.json")
+    assert black_box.replays(config, subject, tmp_path)["equal"] == 1
+
+
+def test_a_recurrent_policy_is_told_its_first_step_and_keeps_its_state() -> None:
+    subject = Subject.load(POLICIES["gru"], make_own_env)
+    with closing(subject.env(1)) as env, torch.no_grad():
+        td = env.rollout(5, subject.policy)
+    assert td["is_init"][0, :, 0].tolist() == [True, False, False, False, False]
+    assert not td["memory"][0, 0].any()
+    torch.testing.assert_close(td["memory"][0, 1:], td["next", "memory"][0, :-1])
+    assert td["memory"][0, 4].any()
