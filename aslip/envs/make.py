@@ -10,7 +10,7 @@ from tensordict.utils import NestedKey, unravel_key
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
-from aslip.envs import Backend, BatchEnv, DmControlEnv, RewardSource, RobotEnv, SimulatedEnv
+from aslip.envs import Backend, BatchEnv, RewardSource, RobotEnv, SimulatedEnv
 from aslip.envs.keep import KeepKeys
 from aslip.envs.stack_env import StackEnv, check_seed, check_wiring
 from aslip.envs.stacks import STACKS, Stack, edit_stack
@@ -138,6 +138,8 @@ def _make_simulator(
             f"the dm_control backend has a timestep of {CASSIE.physics_timestep} s,"
             f" got {timestep!r}"
         )
+    from aslip.envs import DmControlEnv  # dm_control takes half a second to import
+
     return DmControlEnv(num_envs, floor_friction=floor_friction)
 
 
