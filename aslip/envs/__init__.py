@@ -1,4 +1,4 @@
-"""The environment most people want: a backend and a stack of transforms.
+"""Environments: robots, simulators, and named stacks of transforms around them.
 
 An experiment is a stack that differs from the default one in a line or two:
 
@@ -10,8 +10,8 @@ An experiment is a stack that differs from the default one in a line or two:
     make_env(reward_on="estimate")                               # reward what the robot knows
     make_env(stack=insert_before(stack, "reward", my_term=...))  # one more term
     make_env(stack=randomise_stack(default_stack()))             # robots that differ
-    make_env(stack="paper")                                      # the paper to the letter
-    make_env(stack="single_reference")                           # what the paper compares with
+    make_env(stack="paper")                                      # the paper's own settings
+    make_env(stack="single_reference")                           # the paper's baseline
 
 A stack is an ordered dict of names and transforms. It is never edited in place once it belongs to
 an environment, where TorchRL would keep stale specs; build another.

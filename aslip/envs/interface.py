@@ -1,4 +1,4 @@
-"""What an environment is to a policy."""
+"""Interface between environments and policies: what is observed, and what an action means."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
 
 
 def stack_name(env: StackEnv) -> str | None:
-    """Name of the stack in `STACKS` that is the same to a policy; None if no stack is.
+    """Name of the stack in `STACKS` with the same interface to a policy, or None.
 
     The entries of the observation and their order, what the action is added to, and the motion of
     the reference make a difference; rewards, ends of episodes, robots, sensors, and transforms that
@@ -66,7 +66,7 @@ def baseline_key(env: StackEnv) -> NestedKey | None:
 
 
 def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
-    """Check that an environment shows a policy what it was trained on, and adds its action to that.
+    """Check that observation and action of an environment are those a policy was trained with.
 
     Args:
         policy: what `aslip.load_policy` takes.
@@ -75,8 +75,8 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: the order of the observation's entries, or what the action is added to,
-            is another.
+        ConfigurationError: the observation's entries or their order differ, or the key of the
+            angles that the action is added to.
     """
     card = read_card(policy)
     shown, key = entry_names(observation_keys(env)), baseline_key(env)
@@ -102,7 +102,7 @@ def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] 
 
 
 def _changes_actions(transform: Transform) -> bool:
-    """Whether a transform stands between the policy's action and the robot."""
+    """True if a transform stands between the policy's action and the robot."""
     keys = {*map(str, transform.in_keys_inv), *map(str, transform.out_keys_inv)}
     if keys & {"action", "motor_target"}:
         return True
@@ -137,18 +137,18 @@ def command_speeds(env: StackEnv) -> list[float]:
 
 
 def describe_transforms(env: StackEnv) -> dict[str, str]:
-    """What an environment is made of: name of a transform -> its class, and what it was told.
+    """Transforms of an environment: name -> class and settings.
 
-    Functions are told by name and a hash of their code (`function_text`), and whatever else has no
-    short text by its class.
+    A function is described by its name and a hash of its code (`function_text`), any other value
+    without a short text by its class.
     """
     return {
-        name: f"{type(t).__name__}({', '.join(_told(t))})"
+        name: f"{type(t).__name__}({', '.join(_settings(t))})"
         for name, t in zip(env.transform_names, env.transforms, strict=True)
     }
 
 
-def _told(transform: Transform) -> list[str]:
+def _settings(transform: Transform) -> list[str]:
     """Public attributes of a transform that TorchRL does not give to all."""
     usual = vars(Transform())
     keys = {key: getattr(transform, key) for key in ("in_keys", "out_keys")}
@@ -188,7 +188,7 @@ Kind = TypeVar("Kind", bound=Transform)
 
 
 def _only(env: StackEnv, kind: type[Kind]) -> Kind:
-    """The transform of a kind."""
+    """The first transform of a kind."""
     for transform in env.transforms:
         if isinstance(transform, kind):
             return transform
@@ -198,7 +198,7 @@ def _only(env: StackEnv, kind: type[Kind]) -> Kind:
 
 
 def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
-    """Numbers that tell the reference's motion from others, at some points of the stride."""
+    """The reference's motion at some points of the stride, to compare motions."""
     libraries = [t.library for t in transforms if isinstance(t, ReferenceInjection)]
     if not libraries:
         return []
@@ -232,7 +232,7 @@ def function_text(function: Callable[..., Any], text: Callable[[Any], str]) -> s
 def _named_hash(
     function: FunctionType, text: Callable[[Any], str], within: tuple[FunctionType, ...]
 ) -> str:
-    """Name and hash of a function that is bound in those it is within, if in any."""
+    """Name and hash of a function; `within` are the functions it is bound in."""
     if function in within:
         return function.__qualname__  # it refers to itself
     bound = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items()]

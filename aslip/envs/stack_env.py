@@ -84,7 +84,7 @@ class StackEnv(TransformedEnv):
         """Add a transform at the end; it is named after its class.
 
         Raises:
-            ConfigurationError: it is one of TorchRL's that a stack makes no sense of.
+            ConfigurationError: the transform is one of TorchRL's that does not work in a stack.
         """
         _check_foreign(transform, self)
         before = self.transforms
@@ -95,7 +95,7 @@ class StackEnv(TransformedEnv):
         """Add a transform in front of another; it is named after its class.
 
         Raises:
-            ConfigurationError: it is one of TorchRL's that a stack makes no sense of.
+            ConfigurationError: the transform is one of TorchRL's that does not work in a stack.
         """
         _check_foreign(transform, self)
         before = self.transforms
@@ -103,7 +103,7 @@ class StackEnv(TransformedEnv):
         return self._renamed(before)
 
     def _renamed(self, before: list[Transform]) -> TransformedEnv:
-        """This, when what came to the transforms there were `before` has names."""
+        """This environment, with names for transforms that were not there `before`."""
         known = {id(t): name for name, t in zip(self.transform_names, before, strict=True)}
         names: list[str] = []
         for transform in self.transforms:
@@ -140,7 +140,7 @@ class StackEnv(TransformedEnv):
         A transform thus draws the same numbers whichever others are dropped or replaced.
 
         Raises:
-            ConfigurationError: it is no whole number of 0 or more.
+            ConfigurationError: the seed is not a whole number of at least 0.
         """
         if seed is not None:
             self.seed = seed = check_seed(seed)
@@ -200,7 +200,7 @@ def check_seed(seed: object) -> int:
     """A seed as a Python number, NumPy's included.
 
     Raises:
-        ConfigurationError: it is no whole number of 0 or more.
+        ConfigurationError: the seed is not a whole number of at least 0.
     """
     return check_count("seed", seed, least=0)
 

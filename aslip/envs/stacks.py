@@ -218,18 +218,18 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
 """Stacks by name: a function of gait library and `reward_on`."""
 
 
-_JUDGES = (*PAPER_WEIGHTS, "reward", "fall", "low_reward", "step_limit", "episode_sum")
-"""Transforms of the default stack that judge what a robot does."""
+_EVALUATION = (*PAPER_WEIGHTS, "reward", "fall", "low_reward", "step_limit", "episode_sum")
+"""Transforms of the default stack that reward a robot or end its episode."""
 
 
 def randomise_stack(stack: Stack) -> Stack:
-    """A copy of a stack whose robots differ from episode to episode.
+    """A copy of a stack with domain randomisation: robots differ from episode to episode.
 
     Dynamics and, if there is sensor noise, its levels are drawn from
     `aslip.transforms.DYNAMICS_RANGES` at each reset.
 
     Raises:
-        ConfigurationError: the stack is only the name of one, or randomised already.
+        ConfigurationError: `stack` is a name instead of a stack, or randomised already.
         UnknownNameError: it has no transform `start`.
     """
     stack = insert_before(stack, "start", dynamics=RandomDynamics)
@@ -246,7 +246,7 @@ def robot_stack(stack: Stack | None = None) -> Stack:
         stack: `default_stack(reward_on="estimate")` by default.
 
     Raises:
-        ConfigurationError: the stack is only the name of one.
+        ConfigurationError: `stack` is a name instead of a stack.
     """
     stack = default_stack(reward_on="estimate") if stack is None else stack
     _require_names(stack, [])
@@ -266,19 +266,19 @@ def needs_simulation(transform: Transform) -> bool:
 
 
 def evaluation_stack(stack: Stack) -> Stack:
-    """A copy of a stack on which policies of different experiments are judged alike.
+    """A copy of a stack for evaluation: policies of all experiments get the same task and reward.
 
     What a policy observes and what its action is added to stay the stack's own. The robot, where it
     starts, rewards and ends of episodes are those of `default_stack()`; its gaits are the goal of
     the rewards, also where the policy sees another model's motion.
 
     Raises:
-        ConfigurationError: the stack is only the name of one.
+        ConfigurationError: `stack` is a name instead of a stack.
         UnknownNameError: it has no transform `start`.
     """
     _require_names(stack, ["start"])
     common = default_stack()
-    judges = {name: common[name] for name in ("start", *_JUDGES)}
+    judges = {name: common[name] for name in ("start", *_EVALUATION)}
     seen = {name: make for name, make in stack.items() if name not in {"dynamics", *judges}}
     goal = partial(ReferenceInjection, GaitLibrary.load(), reference_key="judge")
     return {"start": judges.pop("start"), **seen, "judge": goal, **judges}
@@ -288,7 +288,7 @@ def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> St
     """A copy of a stack with more transforms, in front of the named one.
 
     Raises:
-        ConfigurationError: the stack is only the name of one, or has a new transform's name.
+        ConfigurationError: `stack` is a name instead of a stack, or has a new transform's name.
         UnknownNameError: the stack has no transform of that name.
     """
     _require_names(stack, [name])

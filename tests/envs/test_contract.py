@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import mujoco
 import numpy as np
 import pytest
 import torch
@@ -26,13 +25,13 @@ BACKENDS = ("batch", "dm_control")
 STANDING = torch.tensor(load_model().key("standing").qpos)  # pyright: ignore
 
 
-def _base(backend: str, num_envs: int = 2) -> SimulatedEnv:
+def bare_env(backend: str, num_envs: int = 2) -> SimulatedEnv:
     if backend == "batch":
         return BatchEnv(num_envs, num_threads=1)
     return DmControlEnv(num_envs)
 
 
-def _standing_targets(env: SimulatedEnv) -> torch.Tensor:
+def standing_targets(env: SimulatedEnv) -> torch.Tensor:
     return STANDING[env.indices.motor_qpos.copy()].float().expand(env.num_envs, 10).clone()
 
 
@@ -57,7 +56,7 @@ def _rollout(env: EnvBase, steps: int, seed: int = 0) -> Any:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_base_environments_keep_their_specs(backend: str) -> None:
-    check_env_specs(_base(backend), break_when_any_done="both")
+    check_env_specs(bare_env(backend), break_when_any_done="both")
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
@@ -117,7 +116,7 @@ def test_backends_are_equal_bit_for_bit(make: MakeEnv) -> None:
 
 def test_base_backends_are_equal_bit_for_bit() -> None:
     """Also from given states, and standing where none is given."""
-    batch, single = _base("batch"), _base("dm_control")
+    batch, single = bare_env("batch"), bare_env("dm_control")
     rng = np.random.default_rng(0)
     qpos = STANDING.repeat(2, 1)
     qpos[:, :2] = torch.tensor(rng.uniform(-1, 1, (2, 2)))
@@ -130,7 +129,7 @@ def test_base_backends_are_equal_bit_for_bit() -> None:
             torch.testing.assert_close(tds[0]["truth", "qvel"], qvel, rtol=0, atol=0)
         for _ in range(5):
             assert differing(*tds) == []
-            target = _standing_targets(batch) + 0.2 * torch.tensor(rng.normal(size=(2, 10))).float()
+            target = standing_targets(batch) + 0.2 * torch.tensor(rng.normal(size=(2, 10))).float()
             tds = [
                 env.step(TensorDict(motor_target=target, batch_size=2))["next"]
                 for env in (batch, single)
@@ -184,7 +183,7 @@ def test_the_number_of_threads_changes_nothing(library: GaitLibrary) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_without_a_given_state_the_robot_stands(backend: str) -> None:
-    td = _base(backend).reset()
+    td = bare_env(backend).reset()
     torch.testing.assert_close(td["truth", "qpos"], STANDING.repeat(2, 1), rtol=0, atol=0)
     assert (td["truth", "qvel"] == 0).all()
     assert not td["done"].any()
@@ -192,14 +191,14 @@ def test_without_a_given_state_the_robot_stands(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_fallen_robot_is_terminated(backend: str) -> None:
-    base = _base(backend)
+    base = bare_env(backend)
     env = TransformedEnv(base, Fall())
     qpos = STANDING.repeat(2, 1)
     qpos[1, 2] = CASSIE.fall_height - 0.05
     qpos[1, 3:7] = torch.tensor([0.5, 0, 0.5, 0]) * 2**0.5
     initial = TensorDict(qpos=qpos, qvel=torch.zeros(2, 32), batch_size=2)
     base.reset(TensorDict(initial=initial, batch_size=2))
-    start = TensorDict(motor_target=_standing_targets(base), batch_size=2)
+    start = TensorDict(motor_target=standing_targets(base), batch_size=2)
     after = env.step(start)["next"]
     assert after["terminated"][:, 0].tolist() == [False, True]
     assert after["done"][:, 0].tolist() == [False, True]
@@ -208,9 +207,9 @@ def test_a_fallen_robot_is_terminated(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_nan_target_ends_that_robots_episode_alone(backend: str) -> None:
-    broken, whole = _base(backend, 3), _base(backend, 3)
+    broken, whole = bare_env(backend, 3), bare_env(backend, 3)
     tds = [broken.reset(), whole.reset()]
-    target = _standing_targets(broken)
+    target = standing_targets(broken)
     bad = target.clone()
     bad[1, 4] = torch.nan
     for k in range(3):
@@ -256,7 +255,7 @@ def test_a_nan_action_ends_that_robots_episode_alone(make: MakeEnv, backend: str
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("shape", [(2, 9), (2, 11), (2, 10, 1)])
 def test_targets_of_another_shape_are_refused(backend: str, shape: tuple[int, ...]) -> None:
-    env = _base(backend)
+    env = bare_env(backend)
     env.reset()
     with pytest.raises(ShapeError, match="motor_target must have shape"):
         env.step(TensorDict(motor_target=torch.zeros(shape), batch_size=2))
@@ -316,120 +315,12 @@ def test_physics_may_have_half_as_many_steps(make: MakeEnv) -> None:
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_steps_do_not_share_memory(backend: str) -> None:
     """No live view of the simulator leaks: a step keeps its numbers when the next is taken."""
-    env = _base(backend)
+    env = bare_env(backend)
     td = env.reset()
     kept = td.clone()
-    after = env.step(td.clone().set("motor_target", _standing_targets(env)))["next"]
+    after = env.step(td.clone().set("motor_target", standing_targets(env)))["next"]
     kept_after = after.clone()
-    env.step(TensorDict(motor_target=_standing_targets(env) + 0.3, batch_size=2))
+    env.step(TensorDict(motor_target=standing_targets(env) + 0.3, batch_size=2))
     env.reset()
     assert differing(td, kept) == []
     assert differing(after, kept_after) == []
-
-
-# ---------------------------------------------- pushes, states and substeps
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_push_gives_its_impulse_to_one_robot_and_ends(backend: str) -> None:
-    """In the air, so that nothing else acts along y."""
-    env, steps = _base(backend), 3
-    qpos = STANDING.repeat(2, 1)
-    qpos[:, 2] += 3.0
-    initial = TensorDict(qpos=qpos, qvel=torch.zeros(2, 32), batch_size=2)
-    td = env.reset(TensorDict(initial=initial, batch_size=2))
-    force = torch.tensor([[0.0, 0.0, 0.0], [0.0, 100.0, 0.0]])
-    for step in range(steps):
-        td = TensorDict(motor_target=_standing_targets(env), batch_size=2)
-        if step == 1:
-            td["push"] = force
-        td = env.step(td)["next"]
-    data = mujoco.MjData(env.model)
-    momenta = []
-    for row in range(2):
-        data.qpos[:] = td["truth", "qpos"][row]
-        data.qvel[:] = td["truth", "qvel"][row]
-        mujoco.mj_forward(env.model, data)
-        mujoco.mj_subtreeVel(env.model, data)
-        momenta.append(CASSIE.total_mass * data.subtree_linvel[0, 1])
-    assert momenta[0] == pytest.approx(0.0, abs=1e-3)
-    assert momenta[1] == pytest.approx(100.0 * CASSIE.policy_period, rel=2e-3)
-
-
-@pytest.mark.parametrize(
-    ("push", "error", "names"),
-    [
-        (torch.zeros(2, 2), ShapeError, "push must have shape"),
-        (torch.tensor([[0.0, 0, 0], [0, torch.nan, 0]]), ConfigurationError, "push must be finite"),
-    ],
-)
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_a_push_that_is_none_is_refused(
-    backend: str, push: torch.Tensor, error: type[Exception], names: str
-) -> None:
-    env = _base(backend)
-    td = env.reset().set("motor_target", _standing_targets(env)).set("push", push)
-    with pytest.raises(error, match=names):
-        env.step(td)
-
-
-def test_states_go_from_one_backend_to_the_other(make: MakeEnv) -> None:
-    """Through a push that is still on, and everything the low level remembers."""
-    envs = [make(backend, num_envs=2, seed=2) for backend in BACKENDS]
-    tds = [env.reset() for env in envs]
-    generator = torch.Generator().manual_seed(0)
-    for _ in range(4):
-        action = 0.2 * torch.randn(2, 10, generator=generator)
-        push = 30 * torch.randn(2, 3, generator=generator)
-        tds = [env.step(td.set("action", action).set("push", push))["next"] for env, td in
-               zip(envs, tds, strict=True)]  # fmt: skip
-    bases = [env.base_env for env in envs]
-    np.testing.assert_array_equal(bases[0].states(), bases[1].states())
-    fresh = [_base(backend) for backend in reversed(BACKENDS)]
-    target = _standing_targets(bases[0])
-    for old, new in zip(bases, fresh, strict=True):
-        new.set_states(old.states())
-        for base in (old, new):
-            base.step(TensorDict(motor_target=target, batch_size=2))
-    for base in (*bases[1:], *fresh):
-        np.testing.assert_array_equal(base.states(), bases[0].states())
-
-
-def test_every_substep_of_one_robot_can_be_watched() -> None:
-    seen = []
-    for base in (_base("batch", 3), _base("dm_control", 3), BatchEnv(3, num_threads=2)):
-        qpos = STANDING.repeat(3, 1)
-        qpos[:, 2] += torch.arange(3.0) / 10
-        initial = TensorDict(qpos=qpos, qvel=torch.zeros(3, 32), batch_size=3)
-        base.reset(TensorDict(initial=initial, batch_size=3))
-        base.watch(2)
-        for _ in range(2):
-            td = base.step(TensorDict(motor_target=_standing_targets(base), batch_size=3))["next"]
-        seen.append(base.watched.copy())
-        state = torch.cat([td["truth", name][2] for name in ("qpos", "qvel")])
-        np.testing.assert_array_equal(base.watched[-1, :67], state)
-        torque = base.watched[-1, 67:77].astype(np.float32)
-        np.testing.assert_array_equal(torque, td["truth", "motor_torque"][2])
-        force = base.watched[:, 77:].mean(axis=0).reshape(2, 3)
-        np.testing.assert_allclose(force, td["truth", "ground_force"][2], rtol=1e-5, atol=1e-5)
-        base.watch(None)
-        base.step(TensorDict(motor_target=_standing_targets(base), batch_size=3))
-        with pytest.raises(ConfigurationError, match=r"no (robot|simulation) 3"):
-            base.watch(3)
-    np.testing.assert_array_equal(seen[0], seen[1])
-    np.testing.assert_array_equal(seen[0], seen[2])
-    # falling freely, then landing: height goes down from substep to substep
-    assert (np.diff(seen[0][:, 2]) < 0).all()
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_motor_torque_is_what_mujoco_applies(backend: str) -> None:
-    """At the joint: within the motor's limit times its gear, and pushing toward the target."""
-    env = _base(backend, 1)
-    env.reset()
-    target = _standing_targets(env)
-    target[0, 3] += 0.3
-    td = env.step(TensorDict(motor_target=target, batch_size=1))["next"]
-    torque = td["truth", "motor_torque"][0]
-    assert 0 < torque[3] <= CASSIE.torque_limit[3] * CASSIE.gear[3] + 1e-4
-    assert (torque.abs().numpy() <= CASSIE.torque_limit * CASSIE.gear + 1e-4).all()
