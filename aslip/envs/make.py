@@ -57,21 +57,16 @@ def make_env(
         reward_on: what the rewards of a stack given by name read, "truth" or "estimate".
         library: gaits of a stack given by name; its own by default.
         keep: entries of a transition that an algorithm reads beside action, reward, ends and
-            requests such as `command`, for example `["observation"]` for SAC. Collectors then give
-            small batches; see `KeepKeys`. Everything by default.
-        base: robot environment in place of a simulator's, or a function of `num_envs` that makes
-            it, such as a subclass of `RobotEnv`. Stacks for robots that are no simulation come
-            from `robot_stack`.
+            requests such as `command`, such as `["observation"]`; all by default. See `KeepKeys`.
+        base: `RobotEnv` in place of a simulator's, or a function of `num_envs` that makes it; see
+            `robot_stack` for robots that are no simulation.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.
-        timestep: timestep of the batch backend's physics [s]: 0.0005, or 0.001 to train in half
-            the time.
+        timestep: of the batch backend's physics [s]: 0.0005, or 0.001 to train in half the time.
 
     Raises:
-        ConfigurationError: unknown backend, a timestep that it cannot have, settings of a simulator
-            beside `base`, an invalid number of environments or seed, a transform of another
-            environment, settings of a named stack for one without a name, or transforms in an
-            order in which one has no effect.
+        ConfigurationError: an invalid setting, settings that exclude each other, a transform of
+            another environment, or transforms in an order in which one has no effect.
         UnknownNameError: there is no stack of that name, `drop` or `replace` names no transform of
             the stack, or a transform reads what no other writes.
     """
