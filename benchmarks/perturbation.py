@@ -122,7 +122,7 @@ from tqdm import tqdm
 
 from aslip.envs import StackEnv
 from aslip.robot import CASSIE
-from aslip.show.ghost import heading
+from aslip.robot.rotation import yaw
 from aslip.transforms import PhaseClock
 from aslip.walking import Interval, markdown, next_start, policy_steps, reset_walks, walk
 from benchmarks.common import MakeEnv, Policy, Subject, load_subjects, write_report
@@ -218,7 +218,7 @@ def measure_pushes(config: Config, subject: Subject, bar: tqdm) -> np.ndarray:
         td, standing = settle(config, env, subject.policy, phase / config.phases, bar)
         states = env.base_env.states()
         orientation = np.asarray(td["truth", "pelvis_orientation"])
-        toward = 2 * np.pi * direction / config.directions + heading(orientation)
+        toward = 2 * np.pi * direction / config.directions + yaw(orientation)
         unit = np.stack([np.cos(toward), np.sin(toward), np.zeros(len(phase))], axis=1)
         survived, fatal = np.zeros(len(phase)), np.full(len(phase), config.largest)
         for _ in range(config.bisections):

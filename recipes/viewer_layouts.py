@@ -17,7 +17,7 @@ from aslip.training.command_line import command_line
 
 @dataclass(frozen=True)
 class Config:
-    """Folder for the layouts."""
+    """Settings of the layouts."""
 
     out: Path = Path("assets/viewers")
     """Folder of the layouts."""
@@ -51,31 +51,31 @@ _FOLLOWED = "pelvis"
 
 @dataclass(frozen=True)
 class Curve:
-    """A number of a topic over time."""
+    """Curve of a number of a topic over time."""
 
     topic: str
     field: str
     label: str
     color: str
     joint: str | None = None
-    """Of `/joint_states`, where a field has a number for each joint."""
+    """Joint in `/joint_states`, whose fields have a number for each joint."""
 
     @property
     def foxglove(self) -> str:
-        """Message path."""
+        """Message path in Foxglove."""
         index = "" if self.joint is None else f"[{LOGGED_JOINTS.index(self.joint)}]"
         return f"{self.topic}.{self.field}{index}"
 
     @property
     def plotjuggler(self) -> str:
-        """Name of the series."""
+        """Name of the series in PlotJuggler."""
         joint = "" if self.joint is None else f"/{self.joint}"
         return f"{self.topic}{joint}/{self.field}"
 
 
 @dataclass(frozen=True)
 class Plot:
-    """Curves on one pair of axes."""
+    """Plot of several curves on one pair of axes."""
 
     title: str
     curves: tuple[Curve, ...]
@@ -107,12 +107,12 @@ FORCE = Plot(
 
 
 def motors(side: str, field: str, unit: str) -> Plot:
-    """A leg's motors.
+    """Plot of the motors of a leg.
 
     Args:
-        side: of the robot.
+        side: "left" or "right".
         field: "position", "velocity" or "effort".
-        unit: of the field.
+        unit: unit of the field.
     """
     names = [name for name in CASSIE.motor_names if name.startswith(side)]
     curves = (

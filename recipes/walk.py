@@ -34,42 +34,42 @@ class Config:
     """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world]; each lasts
     whole policy steps of 0.03 s, 0.12 s by default."""
     duration: float | None = None
-    """How long to walk [s]; 4 s longer than the schedule by default. Live, until Ctrl-C."""
+    """Duration of the walk [s]; 4 s longer than the schedule by default. Live, until Ctrl-C."""
     seed: int = 0
-    """Of sensor noise."""
+    """Seed of sensor noise."""
     truth: bool = False
-    """Show the policy the simulator's truth instead of what an estimator makes of noisy sensors."""
+    """Show the policy the true state instead of an estimate from noisy sensors."""
     backend: Backend = "batch"
-    """What simulates; states are the same to the bit."""
+    """Simulator; states are bit-equal with both."""
     log: Path | None = None
-    """Where to write an MCAP log."""
+    """MCAP log to write."""
     joint_rate: JointRate = "policy"
     """Log joints at the policy's rate or at that of the physics, 2 kHz."""
     video: Path | None = None
-    """Where to write a film, such as walk.mp4."""
+    """Film to write, such as walk.mp4."""
     steps_per_frame: int = 1
-    """Policy steps from one frame of the film to the next; 2 draws half as many."""
+    """Policy steps from frame to frame of the film; 2 draws half as many."""
     camera: str = "follow"
-    """Of the film: side, follow or front."""
+    """Camera of the film: side, follow or front."""
     width: int = 640
-    """Of the film [pixels]."""
+    """Width of the film [pixels]."""
     height: int = 480
-    """Of the film [pixels]."""
+    """Height of the film [pixels]."""
     rom: bool = True
-    """Draw the reduced-order model into film and viewer."""
+    """Draw the reduced-order model in film and viewer."""
     viewer: bool = False
-    """Show it in MuJoCo's viewer, in real time."""
+    """Show the walk in MuJoCo's viewer, in real time."""
     live: bool = False
-    """Serve a page to watch and steer it; needs the extra aslip[live]."""
+    """Serve a page to watch and steer the robot; needs the extra aslip[live]."""
     policies: tuple[str, ...] = ()
     """More policies to choose from on the page."""
     host: str = "127.0.0.1"
     """Address of the page; 0.0.0.0 opens it to the network."""
     port: int = 8080
-    """Of the page."""
+    """Port of the page."""
 
     def __post_init__(self) -> None:
-        """Check what would fail late."""
+        """Check settings that would fail late."""
         if self.duration is not None and not 0 < self.duration < math.inf:
             raise ConfigurationError(f"duration must be a positive time [s], got {self.duration}")
         if self.steps_per_frame < 1:
@@ -104,14 +104,14 @@ from aslip.show.film import Frame, Look, make_film, seconds_per_frame
 from aslip.training.run import sigterm_exits
 from aslip.walking import Push, Schedule, Walker, markdown, policy_steps
 
-# columns of the pelvis's velocity, world
+# velocity of the pelvis in a row, world
 _AXES = ("velocity_x", "velocity_y")
-# how long the last speed of a schedule is held [s]
+# duration of the last speed of a schedule [s]
 _LAST_SPEED = 4.0
 
 
 def main(config: Config) -> None:
-    """Walk."""
+    """Walk, and print a table."""
     check_policies(config)
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
@@ -164,7 +164,7 @@ def written(config: Config) -> str:
     lines = [f"wrote {path}" for path in (config.video, config.log) if path and path.exists()]
     if config.log is not None and config.log.exists():
         lines += [
-            f"  python -m aslip.log info {config.log}             # what is in it",
+            f"  python -m aslip.log info {config.log}             # list its topics",
             f"  python -m aslip.log replay --verify {config.log}  # simulate it again",
             "  open it in Foxglove with the layout assets/viewers/foxglove.json",
         ]
@@ -174,7 +174,7 @@ def written(config: Config) -> str:
 
 
 def check_policies(config: Config) -> None:
-    """Raise ConfigurationError if policies to choose from do not act on one stack."""
+    """Raise ConfigurationError unless all policies act on one stack."""
     for policy in config.policies:
         if policy_stack(policy) != policy_stack(config.policy):
             raise ConfigurationError(
@@ -184,7 +184,7 @@ def check_policies(config: Config) -> None:
 
 
 def make_walker(config: Config, schedule: Schedule) -> Walker:
-    """The robot on its environment, recorded if so asked."""
+    """Robot in its environment, with a recorder if there is a log to write."""
     library = aslip.GaitLibrary.load()
     for speed in schedule.speeds:
         library.check_speed(speed)
@@ -211,25 +211,25 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
 
 
 def duration(config: Config, schedule: Schedule) -> float:
-    """How long to walk [s]."""
+    """Duration of the walk [s]."""
     return schedule.times[-1] + _LAST_SPEED if config.duration is None else config.duration
 
 
 def check_pushes(pushes: list[Push], duration: float) -> None:
-    """Check that each push acts as it is asked for.
+    """Check that each push is within the walk and does not overlap with another.
 
     Raises:
-        ConfigurationError: one is not within the walk, or begins while another acts.
+        ConfigurationError: a push is outside the walk, or begins during another.
     """
     free = 0
     for push in sorted(pushes, key=lambda push: push.time):
         if not 0 <= push.time < duration:
             raise ConfigurationError(
-                f"the walk is from 0 to {duration:g} s, there is no push at {push.time:g} s"
+                f"a push at {push.time:g} s is outside the walk, from 0 to {duration:g} s"
             )
         if policy_steps(push.time) < free:
             raise ConfigurationError(
-                f"the push at {push.time:g} s begins before the one before ends, at"
+                f"the push at {push.time:g} s begins before the previous one ends, at"
                 f" {free * CASSIE.policy_period:g} s"
             )
         free = policy_steps(push.time) + policy_steps(push.duration)
@@ -238,7 +238,7 @@ def check_pushes(pushes: list[Push], duration: float) -> None:
 def walk(
     config: Config, walker: Walker, schedule: Schedule, pushes: list[Push]
 ) -> list[dict[str, float]]:
-    """Walk through the schedule, or until a fall; returns a row a policy step."""
+    """Walk through the schedule, or until a fall; returns a row for each policy step."""
     waiting = sorted(pushes, key=lambda push: push.time, reverse=True)
     rows, frames = [], [Frame.of(walker.td)]
     with contextlib.ExitStack() as stack:
@@ -293,7 +293,7 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
 
 
 def announce_film(config: Config, seconds: float, duration: float) -> None:
-    """Say how long the film of a walk [s] will take, from the time for a frame [s]."""
+    """Print how long drawing the film of a walk [s] will take, from the time for a frame [s]."""
     frames = policy_steps(duration) // config.steps_per_frame + 1
     total = frames * seconds
     took = f"{total / 60:.0f} min" if total >= 90 else f"{total:.0f} s"

@@ -4,7 +4,7 @@
     recording = read("walk.mcap")                           # arrays by topic and name
     check("walk.mcap"), recover("walk.mcap.part"), replay("walk.mcap")
 
-The same from a shell: `python -m aslip.log info | check | recover | replay --verify`.
+From a shell: `python -m aslip.log info | check | recover | replay --verify`.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from aslip.show.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
 
 
 class LoggedKinematics:
-    """Poses of all bodies, and joints as viewers want them, from the state."""
+    """Poses of all bodies and states of the logged joints, from `qpos`, `qvel` and torques."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -34,11 +34,11 @@ class LoggedKinematics:
         self.scale(1.0, 1.0)
 
     def scale(self, stiffness: float, damping: float) -> None:
-        """Take springs and dampers for so many times as strong as the model's."""
+        """Multiply stiffness and damping of the model's springs by factors."""
         self._stiffness, self._damping = self._springs * [[stiffness], [damping]]
 
     def poses(self, qpos: np.ndarray, out: np.ndarray) -> None:
-        """Put positions [m] and quaternions (xyzw) of all bodies but the world into (b, 7)."""
+        """Write positions [m] and quaternions (xyzw) of all bodies but the world to (b, 7)."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         out[:, :3], out[:, 3:6], out[:, 6] = self._xpos, self._xquat[:, 1:], self._xquat[:, 0]
@@ -47,11 +47,11 @@ class LoggedKinematics:
         """Positions, velocities and efforts of `LOGGED_JOINTS`, from `qpos`, `qvel` and torques.
 
         Args:
-            rows: (*b, 77 or more) as `SimulatedEnv.watched` has them.
+            rows: (*b, k), each `qpos`, `qvel` and motor torques as in `SimulatedEnv.watched`.
 
         Returns:
-            (*b, 48). The effort of a motor is its torque at the joint, of a spring what it and its
-            damper exert [N m].
+            (*b, 3 j). The effort of a motor is its torque at the joint, that of a spring includes
+            its damper [N m].
         """
         count, motors = len(LOGGED_JOINTS), self._model.nu
         values = rows[..., self._columns]
@@ -70,9 +70,9 @@ def robot_description(model: mujoco.MjModel, poses: np.ndarray) -> str:
     """URDF of the robot and of the reduced-order model's body and feet.
 
     Args:
-        model: the robot with what is looked at, `aslip.robot.model.load_model()`.
-        poses: (b, 7) where the model's bodies but the world, then `ROM_FRAMES`, are at the log's
-            first instant: positions [m] and quaternions (xyzw). Viewers that take a joint's origin
+        model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
+        poses: (b, 7) positions [m] and quaternions (xyzw) of the model's bodies but the world,
+            then of `ROM_FRAMES`, at the log's first instant. Viewers that take a joint's origin
             for a transform of its own show it beside the first one of `/tf`.
     """
     robot = ET.Element("robot", name="cassie")
@@ -97,7 +97,7 @@ def _end(model: mujoco.MjModel, body: int) -> int:
 
 
 def _link(robot: ET.Element, name: str, pose: np.ndarray) -> ET.Element:
-    """A link hung from the world by a floating joint at a pose (7)."""
+    """Add a link on a floating joint from the world, at a pose (7,)."""
     joint = ET.SubElement(robot, "joint", name=f"{name}_pose", type="floating")
     ET.SubElement(joint, "parent", link=WORLD_FRAME)
     ET.SubElement(joint, "child", link=name)
@@ -106,7 +106,7 @@ def _link(robot: ET.Element, name: str, pose: np.ndarray) -> ET.Element:
 
 
 def _geom(link: ET.Element, model: mujoco.MjModel, geom: int) -> None:
-    """Add a geom's shapes."""
+    """Add the visual shapes of a geom."""
     kinds = mujoco.mjtGeom
     kind, size, position = model.geom_type[geom], model.geom_size[geom], model.geom_pos[geom]
     rotation = Rotation.from_quat(model.geom_quat[geom], scalar_first=True).as_matrix()

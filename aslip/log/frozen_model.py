@@ -1,9 +1,9 @@
-"""A compiled model as the file it was made from and a few settings: exact, readable, and safe.
+"""Compiled models as an MJCF and a few settings: exact, readable, and safe to load.
 
-MuJoCo's own XML writer rounds to six digits, which a walking robot notices within seconds. A log
-may come from a stranger: its XML may differ from the one that ships in numbers only, settings have
-ranges, and no field of the model is set by name or index. What else differs between robots is
-logged as parameters of `aslip.sim.DYNAMICS`.
+MuJoCo's own XML writer rounds to six digits, after which a walk differs within seconds. A log may
+come from a stranger: its XML may differ from the shipped one in numbers only, settings have ranges,
+and no field of the model is set by name or index. Other differences between robots are logged as
+parameters of `aslip.sim.DYNAMICS`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SETTINGS_FILE: Final = "model.json"
 LONGEST_MEMORY: Final = 2 * CASSIE.substeps
 """Torque commands that a motor can remember: a delay of a policy step, after doubling."""
 _HIGHEST_FRICTION = 1e3
-# how far a number of the XML may be from the one that ships
+# limit of a number of the XML, relative to the shipped one
 _LARGEST_FACTOR = 10.0
 
 
@@ -47,7 +47,7 @@ class ModelSettings:
     """
 
     visual: bool
-    """Whether it has the parts that are only drawn."""
+    """Whether the model has its visual geoms."""
     timestep: float
     """Physics timestep [s]."""
     memory: int
@@ -83,10 +83,10 @@ class ModelSettings:
 
 
 def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
-    """Files from which `thaw_model` makes the same model, to the bit.
+    """Files from which `thaw_model` compiles the same model, to the bit.
 
     Args:
-        model: as `aslip.robot.model.load_model` made it.
+        model: from `aslip.robot.model.load_model`.
 
     Raises:
         ConfigurationError: the model differs from the file in more than `ModelSettings`.
@@ -108,14 +108,14 @@ def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
 
 
 def thaw_model(files: Mapping[str, bytes], memory: int | None = None) -> mujoco.MjModel:
-    """The model that `freeze_model` was given.
+    """Compile the model that `freeze_model` was given.
 
     Args:
-        files: what it returned, perhaps from a stranger.
-        memory: another number of torque commands that a motor remembers.
+        files: result of `freeze_model`, perhaps from a stranger.
+        memory: torque commands that a motor remembers, if not the stored number.
 
     Raises:
-        FileDamagedError: the files are not what it made, or would make a model of other parts.
+        FileDamagedError: the files cannot be compiled, or have other parts than the shipped MJCF.
     """
     try:
         given = json.loads(files[SETTINGS_FILE])
@@ -144,10 +144,10 @@ def model_digest(model: mujoco.MjModel) -> str:
 
 
 def _check_structure(xml: bytes) -> None:
-    """Check that a model has the parts of the one that ships.
+    """Check that an MJCF has the structure of the shipped one.
 
     Raises:
-        ValueError: it differs in more than numbers, or in one by much.
+        ValueError: more than numbers differs, or a number is out of range.
     """
     own = asset_path("cassie.xml").read_bytes()
     if xml == own:

@@ -1,4 +1,4 @@
-"""Is a log whole and intact? Every problem by name."""
+"""Check of a log that lists every problem."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _BLOCK = 2**20
 
 
 def check(path: str | Path) -> list[str]:
-    """Problems of a log; empty if it is as it was written.
+    """List the problems of a log; none if it is complete and intact.
 
     Checks that it was finished; every checksum, of each attachment and chunk, of all data and of
     the summary; attachments against their hashes; that messages decode, each by a schema; that time
@@ -32,12 +32,12 @@ def check(path: str | Path) -> list[str]:
     path = Path(path)
     with open_log(path) as file:
         if not begins_as_mcap(file):
-            return ["it is no MCAP file: it does not begin as one"]
+            return ["not an MCAP file: wrong magic bytes"]
         records, order, content = Records(file), _Order(), Content()
         for record in records:
             try:
                 content.add(record)
-            except Exception as error:  # whatever a decoder trips over
+            except Exception as error:  # any error of a decoder
                 order.problems.append(str(error))
             order.add(record)
         problems = _summary_problems(file, content, path)
@@ -50,30 +50,30 @@ def check(path: str | Path) -> list[str]:
 
 
 def _summary_problems(file: IO[bytes], content: Content, path: Path) -> list[str]:
-    """Whether the file has a summary, which is right."""
+    """List the problems of the summary and of the data's checksum."""
     try:
         summary = read_summary(file)
-    except Exception as error:  # a parser's, if the summary was forged
-        return [f"{error}; save what is in it with: python -m aslip.log recover {path}"]
+    except Exception as error:  # any error of a parser, if the summary was forged
+        return [f"{error}; save its content with: python -m aslip.log recover {path}"]
     crc, left = 0, summary.data_size
     file.seek(0)
     while left:
         block = file.read(min(_BLOCK, left))
         crc, left = zlib.crc32(block, crc), left - len(block)
-    problems = [] if crc == summary.data_crc else ["a byte of the data is wrong: checksum differs"]
+    problems = [] if crc == summary.data_crc else ["data section: checksum differs"]
     return problems + counts_differ(summary.statistics, content)
 
 
 @dataclass
 class _Order:
-    """Whether messages are in the order of their times."""
+    """Check that time does not go back within a topic."""
 
     problems: list[str] = field(default_factory=list)
     _topics: dict[int, str] = field(default_factory=dict)
     _latest: dict[int, int] = field(default_factory=dict)
 
     def add(self, record: McapRecord) -> None:
-        """Look at the next record."""
+        """Check the next record."""
         if isinstance(record, Channel):
             self._topics[record.id] = record.topic
         if not isinstance(record, Message):

@@ -1,4 +1,4 @@
-"""What a log is made of: topics, ROS 2 message types, and the order of numbers in them.
+"""Topics of a log, their ROS 2 message types, and the order of numbers in them.
 
 | topic | rate | content |
 |---|---|---|
@@ -7,19 +7,19 @@
 | `/joint_states` | 33 Hz or 2 kHz | `LOGGED_JOINTS`: position, velocity, effort [rad, rad/s, N m] |
 | `/truth`, `/estimate`, `/odometry`, `/reference` | 33 Hz | by the tensordict's names |
 | `/true_odometry` | 33 Hz | the truth in the robot's heading frame, and its `heading` [rad] |
-| `/observation` | 33 Hz | what the policy sees next |
-| `/sensors` | 33 Hz | packets with their noise; of each number an array, oldest first |
-| `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: what a step depends on |
-| | | `reward`, terms, `ground_force`, `terminated`, `truncated`, `done`: what came of it |
-| `/touchdown` | a footstep | side (0 left, 1 right), where, and where it was planned [m] |
-| `/state` | 1 Hz, resets | physics state and sensors' memory, to replay from and compare with |
+| `/observation` | 33 Hz | observation that the policy acts on next |
+| `/sensors` | 33 Hz | packets with noise; an array per number, oldest first |
+| `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: inputs of the step |
+| | | `reward`, terms, `ground_force`, `terminated`, `truncated`, `done`: its outcome |
+| `/touchdown` | a footstep | side (0 left, 1 right), actual and planned place [m] |
+| `/state` | 1 Hz, resets | physics state and sensors' memory, for replays |
 | `/dynamics` | 1 Hz, changes | parameters of `aslip.sim.DYNAMICS`, and motors' `memory` |
 | `/log` | events | beginning and end of episodes, notes |
 
 Messages are plain ROS 2 types or flat lists of named numbers, so that viewers show them without
-set-up and plots can name every curve. A message tells of the instant at its time; `/step` and
-`/sensors` of the policy step that ends then, `/touchdown` of a contact some time within it, up to
-30 ms earlier. Units are SI and radians; frames are those of the tensordict's entries
+set-up and plots can name every curve. A message describes the instant of its time; `/step` and
+`/sensors` the policy step that ends then, `/touchdown` a contact within that step, up to 30 ms
+earlier. Units are SI and radians; frames are those of the tensordict's entries
 (see `aslip.sim.true_state`). Quaternions are xyzw in `/tf`, as ROS has them, and name their
 components elsewhere.
 """
@@ -38,8 +38,8 @@ from aslip.estimation import FAULTS
 from aslip.robot import CASSIE, SIDES
 
 FORMAT: Final = "2"
-"""Version of this layout. Readers refuse others, and name the version of aslip, and its commit,
-that wrote the log: it is what reads and replays it. Format 1 had no hash of its metadata, neither
+"""Version of this layout. Readers refuse others, and name the version and commit of aslip that
+wrote the log and can read and replay it. Format 1 had no hash of its metadata, neither
 `/observation`, `/sensors`, `/odometry` nor `/dynamics`, and the whole model in `model.json`."""
 
 LOGGED_JOINTS: Final = (
@@ -54,7 +54,7 @@ ROM_FRAMES: Final = ("rom_body", "rom_left_foot", "rom_right_foot")
 WORLD_FRAME: Final = "world"
 
 MEMORY: Final = "memory"
-"""Column of `/dynamics`: how many torque commands a motor remembers, one a physics step."""
+"""Column of `/dynamics`: number of torque commands that a motor remembers, one a physics step."""
 
 _SEPARATOR = "\n" + "=" * 80 + "\n"
 _TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
@@ -68,14 +68,14 @@ class MessageType:
     name: str
     """Package, "msg" and type."""
     text: str
-    """Definition, with those of the types it uses."""
+    """Definition, followed by those of the types it uses."""
 
     @cached_property
     def _encode(self) -> Any:
         return serialize_dynamic(self.name, self.text)[self.name]
 
     def encode(self, message: Mapping[str, Any]) -> bytes:
-        """CDR bytes of a message given as nested dicts and lists."""
+        """Encode a message of nested dicts and lists as CDR."""
         return bytes(self._encode(_namespace(message)))
 
 
@@ -135,7 +135,7 @@ TOUCHDOWN = MessageType(
 
 
 def flat_type(name: str, number: str, fields: Sequence[str], length: int = 0) -> MessageType:
-    """A message of named numbers, or of named arrays of one length.
+    """Message type of named numbers, or of named arrays of one length.
 
     Args:
         name: of the type, without its package.
@@ -148,11 +148,11 @@ def flat_type(name: str, number: str, fields: Sequence[str], length: int = 0) ->
 
 
 def component_names(name: str, size: int) -> list[str]:
-    """Names of an entry's numbers: axes, quaternion components, motors, joints, feet.
+    """Names of the numbers of an entry: axes, quaternion components, motors, joints, feet.
 
     Args:
         name: of the entry, such as "pelvis_position".
-        size: how many numbers it has.
+        size: number of numbers.
     """
     if size == 1:
         return [name]

@@ -1,4 +1,4 @@
-"""Simulate a log again, from the file alone, and compare every state it has."""
+"""Replay: simulation of a log from the file alone, compared with every logged state."""
 
 from __future__ import annotations
 
@@ -24,59 +24,59 @@ TOPICS = ("/step", "/state", "/dynamics")
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay has come to."""
+    """Result of a replay."""
 
     start: float
-    """Log time of the state it began from [s]."""
+    """Log time of the first state [s]."""
     steps: int
     """Policy steps that were simulated."""
     state_time: np.ndarray
     """(k,) log time of each state of the log that was compared [s]."""
     drift: np.ndarray
-    """(k,) largest difference of each of them from the replay; 0 if equal bit for bit."""
+    """(k,) largest difference of each compared state; 0 if bit-equal."""
     qpos_drift: np.ndarray
-    """(k,) the same of the configuration alone [m, rad]."""
+    """(k,) largest difference of the configuration `qpos` alone [m, rad]."""
     doubts: tuple[str, ...]
-    """Why the simulation may differ: other versions, or another model."""
+    """Reasons why the simulation may differ: other versions, or another model."""
     time: np.ndarray = field(repr=False)
     """(m,) log time of each step's end [s]."""
     qpos: np.ndarray = field(repr=False)
-    """(m, 35) configurations."""
+    """(m, nq) configurations."""
     qvel: np.ndarray = field(repr=False)
-    """(m, 32) velocities."""
+    """(m, nv) velocities."""
 
     @property
     def compared(self) -> int:
-        """States of the log that were compared."""
+        """Number of compared states."""
         return len(self.state_time)
 
     @property
     def equal(self) -> bool:
-        """Whether the replay is the log's simulation, bit for bit."""
+        """Whether every compared state is bit-equal."""
         return self.diverged_at is None
 
     @property
     def diverged_at(self) -> float | None:
-        """Log time of the first state that differed [s]; None if all were equal, bit for bit."""
+        """Log time of the first state that differs [s]; None if all are bit-equal."""
         differ = np.flatnonzero(self.drift)
         return float(self.state_time[differ[0]]) if len(differ) else None
 
     @property
     def largest_difference(self) -> float:
-        """Largest difference of a number of any state."""
+        """Largest difference of any number of any state."""
         return float(self.drift.max(initial=0.0))
 
 
 def replay(log: str | Path | Recording, start: float = 0.0, *, strict: bool = True) -> Replay:
-    """Run the simulation of a log again with its motor targets and pushes.
+    """Simulate a log again with its motor targets and pushes.
 
-    Every episode begins from the log's own state; so does what follows a gap of a recovered log.
+    Every episode, and the part after a gap of a recovered log, starts from a logged state.
 
     Args:
-        log: the log, or its path.
-        start: begin from the last state that the log has at or before this time [s].
-        strict: refuse what cannot be equal bit for bit, and stop at the first state that differs.
-            Otherwise `Replay.doubts` says why states may differ, and all of them are compared.
+        log: a recording, or the path of a log.
+        start: time [s]; the replay starts from the last logged state at or before it.
+        strict: refuse a replay that cannot be bit-equal, and stop at the first difference.
+            Otherwise all states are compared, and `Replay.doubts` has reasons for differences.
 
     Raises:
         FileDamagedError: the log is damaged, or has no states or steps.
@@ -92,13 +92,13 @@ def replay(log: str | Path | Recording, start: float = 0.0, *, strict: bool = Tr
 
 
 def _replayed(recording: Recording, start: float, strict: bool) -> Replay:
-    from aslip.log.replayed_robot import ReplayedRobot  # takes a second, `info` needs it not
+    from aslip.log.replayed_robot import ReplayedRobot  # takes a second, which `info` saves
 
     robot = ReplayedRobot(recording)
     doubts = _doubts(recording, robot)
     if strict and doubts:
         raise ConfigurationError(
-            f"{doubts[0]}; how far its simulation drifts is told by replay(strict=False), or"
+            f"{doubts[0]}; measure the drift of the simulation with replay(strict=False), or"
             " python -m aslip.log replay --drift"
         )
     run = _Run(recording, robot, start)
@@ -109,7 +109,7 @@ def _replayed(recording: Recording, start: float, strict: bool) -> Replay:
 
 
 class _Run:
-    """A replay from one state of a log on."""
+    """Replay from one state of a log."""
 
     def __init__(self, recording: Recording, robot: ReplayedRobot, start: float) -> None:
         self._robot, self._start = robot, start
@@ -123,7 +123,7 @@ class _Run:
         before = np.flatnonzero(states.time <= start + 1e-9)
         if len(before) == 0:
             raise ConfigurationError(
-                f"the log begins at {states.time[0]:g} s, there is no state at {start:g} s"
+                f"the log begins at {states.time[0]:g} s; it has no state at {start:g} s"
             )
         self._known = {int(tick): i for i, tick in enumerate(_ticks(states)) if i >= before[-1]}
         self._first = int(_ticks(states)[before[-1]])
@@ -132,7 +132,7 @@ class _Run:
         self.drift: list[float] = []
 
     def steps(self) -> Iterator[None]:
-        """Simulate, one policy step after the other."""
+        """Simulate policy step by policy step."""
         robot, reached = self._robot, self._first
         robot.set_state(self._rows[self._known[reached]])
         for i in np.flatnonzero(self._ticks > self._first):
@@ -150,7 +150,7 @@ class _Run:
             yield
 
     def _compare(self, tick: int) -> None:
-        """Compare the state of an instant with the log's."""
+        """Compare the present state with the logged one."""
         row = self._rows[self._known[tick]]
         state = self._robot.state(row)
         difference = _difference(state, row)
@@ -163,7 +163,7 @@ class _Run:
         """Result of the replay.
 
         Raises:
-            ConfigurationError: there was no step.
+            ConfigurationError: no step was simulated.
         """
         if not self._path:
             raise ConfigurationError(
@@ -184,7 +184,7 @@ class _Run:
 
 
 def _difference(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference of two arrays; the smallest number that is not 0 if only bits differ."""
+    """Largest difference of two arrays; the smallest positive number if only bits differ."""
     if one.tobytes() == other.tobytes():
         return 0.0
     return max(float(np.max(np.abs(one - other))), float(np.finfo(float).tiny))
@@ -196,7 +196,7 @@ def low_level_differs(recording: Recording) -> bool:
 
 
 def _doubts(recording: Recording, robot: ReplayedRobot) -> tuple[str, ...]:
-    """Why a simulation cannot be equal to the bit."""
+    """Reasons why a simulation cannot be bit-equal."""
     doubts, metadata = [], recording.metadata
     made, here = metadata.get("version/mujoco"), importlib.metadata.version("mujoco")
     if made != here:
@@ -219,15 +219,15 @@ def _series(recording: Recording, topic: str) -> Series:
 
 
 def _ticks(series: Series) -> np.ndarray:
-    """(m,) policy steps since the log began; times of a log are whole ones."""
+    """Policy steps since the log began (m,); times of a log are multiples of the period."""
     return np.rint(series.time / CASSIE.policy_period).astype(int)
 
 
 def _column(series: Series, name: str) -> np.ndarray:
-    """(m,) a column of numbers.
+    """Column (m,) of numbers.
 
     Raises:
-        FileDamagedError: it has something else.
+        FileDamagedError: the column has other values.
     """
     column = series[name]
     if column.dtype.kind != "f" or column.ndim != 1:

@@ -25,10 +25,10 @@ from aslip.log.records import METADATA_HASH, Records, begins_as_mcap, open_log, 
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA
 
 Decoder = Callable[[bytes], dict[str, Any]]
-"""From a message to its entries; those of nested messages have dotted names."""
+"""Function from a message to its entries; those of nested messages have dotted names."""
 
 _FIELD = re.compile(r"float(32|64)(?:\[(\d+)\])? (\w+)")
-# before the numbers of a message; they need no padding if all are of one size
+# bytes before the numbers of a message, which need no padding if all have one size
 _ENCAPSULATION = 4
 
 
@@ -41,17 +41,17 @@ def decoder_of(channel: Channel, schema: Schema | None) -> Decoder:
     if schema is None:
         raise ValueError(f"the topic {channel.topic!r} has no schema")
     if (channel.message_encoding, schema.encoding) != (MessageEncoding.CDR, SchemaEncoding.ROS2):
-        raise ValueError(f"{channel.topic!r} is encoded in an unknown way")
+        raise ValueError(f"{channel.topic!r} has an unknown encoding")
     dtype = _flat_dtype(schema.data.decode())
     if dtype is not None:
         return lambda data: _flat(data, dtype)
     decode = DecoderFactory().decoder_for(channel.message_encoding, schema)
-    assert decode is not None  # it knows this encoding
+    assert decode is not None  # the encoding was checked
     return lambda data: _flattened(decode(data))
 
 
 def _flat_dtype(definition: str) -> np.dtype | None:
-    """The layout of a message of numbers of one size; None if it is something else."""
+    """NumPy type of a message of numbers of one size; None for other messages."""
     matches = [_FIELD.fullmatch(line) for line in definition.split("\n")]
     fields = [match.groups() for match in matches if match is not None]
     if len(fields) != len(matches) or len({size for size, _, _ in fields}) != 1:
@@ -68,7 +68,7 @@ def _flat(data: bytes, dtype: np.dtype) -> dict[str, Any]:
 
 
 def _flattened(message: Any) -> dict[str, Any]:
-    """A message's entries by dotted names; lists of messages become lists of their entries."""
+    """Entries of a message by dotted names; lists of messages become lists of their entries."""
     entries: dict[str, Any] = {}
     for name in message.__slots__:
         value = getattr(message, name)
@@ -85,7 +85,7 @@ def _flattened(message: Any) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Series:
-    """The messages of one topic as arrays of m rows."""
+    """Messages of one topic as arrays of m rows."""
 
     topic: str
     time: np.ndarray
@@ -94,7 +94,7 @@ class Series:
     """Name -> (m, ...); entries of nested messages have dotted names."""
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """A column.
+        """Column of a name.
 
         Raises:
             UnknownNameError: the topic has no such column.
@@ -104,7 +104,7 @@ class Series:
         return self.columns[name]
 
     def vector(self, name: str, components: str = "xyz") -> np.ndarray:
-        """(m, k) of columns `name_x`, `name_y`, ...; quaternions have components "wxyz"."""
+        """Columns `name_x`, `name_y`, ... as (m, k); quaternions have components "wxyz"."""
         return np.stack([self[f"{name}_{component}"] for component in components], axis=1)
 
     def __len__(self) -> int:
@@ -117,18 +117,18 @@ class Recording:
 
     path: Path
     metadata: dict[str, str]
-    """How it was made: versions, hashes, seed."""
+    """Origin of the log: versions, hashes, seed."""
     end: dict[str, str]
-    """How it ended."""
+    """Counts at the end of the log."""
     attachments: dict[str, bytes]
-    """Name -> contents, with hashes that are right."""
+    """Name -> contents, verified by their hashes."""
     series: dict[str, Series]
     """Topic -> its messages."""
     damaged: tuple[str, ...] = ()
     """Reason for each damaged attachment that is left out of `attachments`."""
 
     def __getitem__(self, topic: str) -> Series:
-        """The messages of a topic.
+        """Messages of a topic.
 
         Raises:
             UnknownNameError: the log has no such topic.
@@ -139,10 +139,10 @@ class Recording:
         return self.series[topic]
 
     def attachment(self, name: str) -> bytes:
-        """An attached file.
+        """Contents of an attached file.
 
         Raises:
-            FileDamagedError: it is not there, or damaged.
+            FileDamagedError: the attachment is missing or damaged.
         """
         if name not in self.attachments:
             wrong = "; ".join(self.damaged) or f"it has {list(self.attachments)}"
@@ -153,22 +153,22 @@ class Recording:
 def read(path: str | Path, topics: Collection[str] | None = None) -> Recording:
     """Read a log, or some topics of it.
 
-    Every number is verified: a chunk, the metadata or the summary that is not as it was written is
-    an error. So is a damaged attachment if everything is asked for; if only topics are, it is left
-    out and named in `Recording.damaged`.
+    Every number is verified: a damaged chunk, metadata record or summary is an error. So is a
+    damaged attachment if all topics are read; otherwise it is left out and named in
+    `Recording.damaged`.
 
     Args:
-        path: of a finished log.
-        topics: only these; all by default.
+        path: finished log.
+        topics: topics to read; all by default.
 
     Raises:
         AssetError: there is no such file.
-        FileDamagedError: it is no log, not finished, damaged, or of another format.
+        FileDamagedError: the file is not a log, unfinished, damaged, or of another format.
     """
     path = Path(path)
     with open_log(path) as file:
         if not begins_as_mcap(file):
-            raise FileDamagedError(f"{str(path)!r} is no MCAP file: it does not begin as one")
+            raise FileDamagedError(f"{str(path)!r} is not an MCAP file: wrong magic bytes")
         with _explained(path):
             statistics = read_summary(file).statistics
             records, content = Records(file), Content()
@@ -202,10 +202,10 @@ class Content:
     _topics: dict[int, tuple[str, Decoder]] = field(default_factory=dict)
 
     def add(self, record: object, topics: Collection[str] | None = None) -> None:
-        """Take in the next record; messages only of some topics if so asked.
+        """Add the next record; messages only of `topics`, if given.
 
         Raises:
-            ValueError: a message or channel is not described by what came before.
+            ValueError: the channel or schema of a record is unknown.
         """
         if isinstance(record, Metadata):
             self.metadata[record.name] = dict(record.metadata)
@@ -226,11 +226,11 @@ class Content:
 
     def _topic(self, message: Message) -> tuple[str, Decoder]:
         if message.channel_id not in self._topics:
-            raise ValueError(f"the channel {message.channel_id} of a message is not described")
+            raise ValueError(f"the channel {message.channel_id} of a message is unknown")
         return self._topics[message.channel_id]
 
     def intact(self, metadata: Mapping[str, str]) -> dict[str, bytes]:
-        """Attachments that have the hash that the metadata says."""
+        """Attachments whose hash is that of the metadata."""
         return {
             name: data
             for name, data in self.attachments.items()
@@ -239,11 +239,11 @@ class Content:
 
 
 def counts_differ(said: Any, content: Content) -> list[str]:
-    """Whether the summary counts other messages or metadata than there are.
+    """Problems of the counts in a summary.
 
     Args:
-        said: the summary's `Statistics`.
-        content: what there is.
+        said: `Statistics` of the summary.
+        content: content of the file.
     """
     counted = {channel: n for channel, n in said.channel_message_counts.items() if n}
     if counted != dict(content.counts) or said.message_count != content.counts.total():
@@ -258,19 +258,19 @@ def _total(content: Content) -> str:
 
 
 def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
-    """The metadata, if it is of a log that this version of the package reads.
+    """Metadata of a log, if this version of the package reads it.
 
     Raises:
-        FormatError: it is of a log of another version.
-        ValueError: there is none, or it lacks its hash.
+        FormatError: the log has another format.
+        ValueError: the metadata or its hash is missing.
     """
     if metadata is None:
-        raise ValueError(f"it is no log of this package: it has no metadata {METADATA!r}")
+        raise ValueError(f"not a log of this package: no metadata {METADATA!r}")
     if metadata.get("format") != messages.FORMAT:
         by = metadata.get("version/aslip", "another version")
         raise FormatError(
             f"its format is {metadata.get('format')!r}, this version of aslip reads"
-            f" {messages.FORMAT!r}; read it with what wrote it, aslip {by}"
+            f" {messages.FORMAT!r}; read it with the version that wrote it, aslip {by}"
             f" (commit {metadata.get('commit') or 'unknown'})"
         )
     if METADATA_HASH not in metadata:
@@ -279,11 +279,11 @@ def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
 
 
 class FormatError(ValueError):
-    """A log of another version of the format."""
+    """Format of a log that this version does not read."""
 
 
 def hash_problems(metadata: dict[str, str], attachments: dict[str, bytes]) -> Iterator[str]:
-    """Attachments that are missing, altered, or without a hash."""
+    """Problems of attachments that are missing, altered, or without a hash."""
     hashes = {
         key.removeprefix(HASH_KEY): value
         for key, value in metadata.items()
@@ -293,24 +293,24 @@ def hash_problems(metadata: dict[str, str], attachments: dict[str, bytes]) -> It
         if name not in attachments:
             yield f"the attachment {name!r} is missing"
         elif hashlib.sha256(attachments[name]).hexdigest() != expected:
-            yield f"the attachment {name!r} is not what was attached: its SHA-256 differs"
+            yield f"the attachment {name!r} is altered: its SHA-256 differs"
     for name in sorted(attachments.keys() - hashes.keys()):
         yield f"the attachment {name!r} has no hash in the metadata"
 
 
 @contextmanager
 def _explained(path: Path) -> Iterator[None]:
-    """Turn whatever a parser trips over into one error."""
+    """Turn every error of a parser into a FileDamagedError."""
     try:
         yield
     except FormatError as error:
         raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
     except Exception as error:  # one cause, a bad file, has many exceptions
-        # our own say what is wrong; a parser's say little without their kind
+        # messages of a parser say little without their type
         reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
         raise FileDamagedError(
-            f"{str(path)!r} is no whole, intact log: {reason}; what is left of it can be saved"
-            f" with: python -m aslip.log recover {path}"
+            f"{str(path)!r} is not a complete, intact log: {reason}; save its intact part with:"
+            f" python -m aslip.log recover {path}"
         ) from error
 
 

@@ -36,38 +36,38 @@ CONFIG_FILE = "config.json"
 
 
 class Recorder(Transform):
-    """Write everything about one robot to an MCAP file; the simulation stays as it is.
+    """Write everything about one robot to an MCAP file, without an effect on the simulation.
 
-    It must be the last of a stack's transforms, whichever backend they are on:
+    The recorder must be the last transform of a stack, on any backend:
 
         stack = {**default_stack(library), "recorder": lambda: Recorder("walk.mcap")}
         env = make_env(stack=stack)
         env.rollout(400, load_policy("aslip"))
         env.close()
 
-    The file is complete once `close` was called, which closing the environment does, and so does
-    the end of the program; until then it is `<path>.part`. A disk that is full ends the log with a
-    warning, not the simulation. Log time is simulated time, zero at the first reset; a later reset
+    The file is complete after `close`, which is called when the environment is closed and when the
+    program ends; until then it is `<path>.part`. A full disk ends the log with a warning, not the
+    simulation. Log time is simulated time, zero at the first reset; a later reset
     takes the time of one policy step. See `aslip.log.messages` for topics.
 
     Args:
         path: of the log.
-        robot: which robot of the environment.
+        robot: index of the robot in the environment.
         joint_rate: `/joint_states` at the policy's rate or at that of the physics, 2 kHz.
-        policy: name or file of the policy that acts, to be attached.
-        config: settings to be attached, a dataclass or of JSON types.
-        library: the gaits, for planned footholds; the shipped ones by default.
-        overwrite: replace a finished log of that name once the new one is finished.
+        policy: name or file of the acting policy, which is attached.
+        config: settings to attach: a dataclass, or JSON types.
+        library: gaits for planned footholds; the shipped ones by default.
+        overwrite: replace an existing log when this one is finished.
 
     Raises:
-        ConfigurationError: `joint_rate` is neither; there is a log of that name, or an unfinished
-            one; a transform comes after this one; the environment has no such robot; or its model
-            has been changed otherwise than by `SimulatedEnv.set_dynamics`.
+        ConfigurationError: `joint_rate` is unknown; a log or an unfinished log of that name exists;
+            a transform comes after this one; the environment has no such robot; or its model was
+            changed by other means than `SimulatedEnv.set_dynamics`.
         AssetError: there is no such policy.
     """
 
     must_be_last = True
-    """Told to whoever checks the order of a stack's transforms."""
+    """Marker for checks of the order of a stack."""
 
     def __init__(
         self,
@@ -82,7 +82,9 @@ class Recorder(Transform):
     ) -> None:
         super().__init__(in_keys=[], out_keys=[])
         if joint_rate not in ("policy", "physics"):
-            raise ConfigurationError(f'joint_rate is "policy" or "physics", got {joint_rate!r}')
+            raise ConfigurationError(
+                f'joint_rate must be "policy" or "physics", got {joint_rate!r}'
+            )
         self.path = Path(path)
         refuse_existing(self.path, overwrite=overwrite)
         self._overwrite = overwrite
@@ -98,7 +100,7 @@ class Recorder(Transform):
 
     @property
     def base_env(self) -> SimulatedEnv:
-        """The environment whose robots are simulated."""
+        """Simulated environment at the bottom of the stack."""
         env: Any = self.container
         while env is not None and not isinstance(env, SimulatedEnv):
             env = getattr(env, "base_env", None)
@@ -128,12 +130,12 @@ class Recorder(Transform):
         return next_tensordict
 
     def note(self, text: str) -> None:
-        """Add a line to `/log` at the present time, if the log is being written."""
+        """Add a line to `/log` at the present time; does nothing before the first reset."""
         if self._session is not None:
             self._session.note(text)
 
     def close(self) -> None:
-        """Finish the file; this recorder records nothing more."""
+        """Finish the file and stop recording."""
         self._closed, self._session = True, None
         if self._finish is not None:
             self._finish()
@@ -150,20 +152,20 @@ class Recorder(Transform):
         self.close()
 
     def _require_last(self) -> None:
-        """Raise ConfigurationError if what later transforms write would be missing in the log."""
+        """Raise ConfigurationError if a transform follows, whose entries the log would lack."""
         env: Any = self.container
         after = list(env.transform)[-1]
         if after is not self:
             raise ConfigurationError(
-                f"the Recorder must be the last transform, or what later ones write is not in the"
-                f" log; the last one is a {type(after).__name__}"
+                f"the Recorder must be the last transform, or the log lacks the entries of later"
+                f" ones; the last one is a {type(after).__name__}"
             )
 
     def _begin(self, tensordict: TensorDictBase) -> Session:
         base = self.base_env
         if not 0 <= self._robot < base.num_envs:
             raise ConfigurationError(
-                f"no robot {self._robot!r} to record; the environment has {base.num_envs}, from 0"
+                f"cannot record robot {self._robot!r}: the environment has {base.num_envs}, from 0"
             )
         if self._fast:
             base.watch(self._robot)
@@ -196,13 +198,13 @@ class Recorder(Transform):
 
 
 def _finish(session: Session, process: int) -> None:
-    """Finish a log in the process that began it, not in one that was forked off."""
+    """Finish a log in the process that started it, not in a fork."""
     if os.getpid() == process:
         session.finish()
 
 
 def _observed_names(env: StackEnv, td: TensorDictBase) -> list[str] | None:
-    """Names of the observation's numbers; none if it is not assembled of entries."""
+    """Names of the observation's numbers; None if it is not concatenated from entries."""
     try:
         keys = [key if isinstance(key, tuple) else (key,) for key in observation_keys(env)]
     except ConfigurationError:
@@ -217,7 +219,7 @@ def _observed_names(env: StackEnv, td: TensorDictBase) -> list[str] | None:
 
 
 def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str]:
-    """How the log was made."""
+    """Metadata on the origin of the log."""
     packages = ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
     return {
         "format": messages.FORMAT,

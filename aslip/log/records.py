@@ -1,8 +1,8 @@
-"""Records of an MCAP file, one after the other, past those that are damaged.
+"""Sequential reading of MCAP records that skips damaged ones.
 
-Every part of a log proves itself: chunks and attachments by their checksums, metadata by a hash
-among them, the summary by its checksum. What does not is skipped and remembered, so that one wrong
-bit costs one chunk and not the rest of the file. Memory is bounded by the size of the file and
+Every part of a log has a checksum: chunks, attachments and the summary in MCAP's fields, metadata
+in an entry. Parts with a wrong one are skipped and reported, so that a wrong bit costs one chunk
+and not the rest of the file. Memory is bounded by the size of the file and
 `LARGEST_CHUNK`, whatever the lengths in it say.
 """
 
@@ -38,21 +38,21 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from aslip.errors import AssetError
 
 LARGEST_CHUNK: Final = 2**24
-"""Size above which a chunk is taken for damaged [bytes]; ours have a quarter of a megabyte."""
+"""Size above which a chunk counts as damaged [bytes]; ours have a quarter of a megabyte."""
 METADATA_HASH: Final = "sha256"
-"""Key of a metadata record that has the hash of all others."""
+"""Key of the hash of all other entries in a metadata record."""
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 # opcode, length, where the summary and its offsets start, checksum of the summary
 _FOOTER = struct.Struct("<BQQQI")
-# longer chunks of so many times the size of their bytes are bombs
+# largest ratio of a chunk's size to its compressed size
 _DENSEST = 1000
 _IGNORED = (Opcode.HEADER, Opcode.MESSAGE_INDEX)
 
 
 def open_log(path: Path) -> IO[bytes]:
-    """The file, open for reading.
+    """Open a log for reading.
 
     Raises:
         AssetError: there is no such file.
@@ -64,13 +64,13 @@ def open_log(path: Path) -> IO[bytes]:
 
 
 def begins_as_mcap(file: IO[bytes]) -> bool:
-    """Whether a file may be an MCAP file at all."""
+    """Whether a file starts with the magic bytes of MCAP."""
     file.seek(0)
     return file.read(len(_MAGIC)) == _MAGIC
 
 
 def metadata_hash(metadata: Mapping[str, str]) -> str:
-    """SHA-256 of a metadata record, but for the entry that holds it."""
+    """SHA-256 of the entries of a metadata record, except that of the hash."""
     entries = sorted((key, text) for key, text in metadata.items() if key != METADATA_HASH)
     return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
 
@@ -80,16 +80,17 @@ class Summary:
     """Summary section at the end of a finished file."""
 
     statistics: Statistics
-    """Counts of everything."""
+    """Counts of messages, channels and other records."""
     definitions: list[Schema | Channel]
-    """Schemas and channels, once more."""
+    """Schemas and channels, repeated."""
     data_crc: int
-    """Checksum of everything before the summary, and how long that is."""
+    """Checksum of the data section."""
     data_size: int
+    """Size of the data section [bytes]."""
 
 
 def read_summary(file: IO[bytes]) -> Summary:
-    """The summary of a finished file.
+    """Read the summary of a finished file.
 
     Raises:
         ValueError: the file was not finished, or its summary is damaged.
@@ -99,20 +100,20 @@ def read_summary(file: IO[bytes]) -> Summary:
     file.seek(max(size - tail, 0))
     ending = file.read()
     if not ending.endswith(_MAGIC) or size < tail + len(_MAGIC):
-        raise ValueError("it is unfinished: it does not end as an MCAP file")
+        raise ValueError("unfinished: no magic bytes of MCAP at the end")
     opcode, length, start, _, crc = _FOOTER.unpack(ending[: -len(_MAGIC)])
     data_end = start - _HEAD.size - 4
     if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not 0 < data_end < size:
-        raise ValueError("its footer is damaged")
+        raise ValueError("the footer is damaged")
     file.seek(data_end)
     end = file.read(start - data_end)
     summary = file.read(size - start - len(_MAGIC))
     if zlib.crc32(summary[:-4]) != crc:
-        raise ValueError("its summary is damaged: the checksum differs")
+        raise ValueError("the summary is damaged: its checksum differs")
     records = list(StreamReader(BytesIO(summary + _MAGIC), skip_magic=True).records)
     counts = [record for record in records if isinstance(record, Statistics)]
     if not counts:
-        raise ValueError("its summary counts nothing")
+        raise ValueError("the summary has no statistics")
     definitions = [record for record in records if isinstance(record, Schema | Channel)]
     return Summary(counts[0], definitions, *struct.unpack("<I", end[-4:]), data_end)
 
@@ -127,17 +128,17 @@ class Records:
     file: IO[bytes]
     """Open for reading."""
     problems: list[str] = field(default_factory=list)
-    """Damage that was skipped or ended the reading, attachments apart."""
+    """Damage that was skipped or ended the reading, except in attachments."""
     bad_attachments: list[str] = field(default_factory=list)
-    """Reasons for which attachments were skipped."""
+    """Damage of skipped attachments."""
     bad_chunks: int = 0
-    """Chunks that were skipped."""
+    """Number of skipped chunks."""
     whole: bool = False
     """Whether the end of the data section was reached."""
 
     def __iter__(self) -> Iterator[McapRecord]:
         if not begins_as_mcap(self.file):
-            self.problems.append("it is no MCAP file: it does not begin as one")
+            self.problems.append("not an MCAP file: wrong magic bytes")
             return
         size = os.fstat(self.file.fileno()).st_size
         while not self.whole:
@@ -150,11 +151,11 @@ class Records:
             content = self.file.read(length)
             try:
                 yield from self._intact(opcode, content)
-            except Exception as error:  # whatever a parser trips over
+            except Exception as error:  # any error of a parser
                 self._skip(opcode, offset, error)
 
     def _intact(self, opcode: int, content: bytes) -> list[McapRecord]:
-        """The records that one record at the top level is made of."""
+        """Records that one record at the top level contains."""
         stream = ReadDataStream(BytesIO(content))
         if opcode == Opcode.CHUNK:
             return _opened(Chunk.read(stream))
@@ -169,7 +170,7 @@ class Records:
             DataEnd.read(stream)
             self.whole = True
         elif opcode not in _IGNORED:
-            raise ValueError(f"it is of the unknown kind {opcode}")
+            raise ValueError(f"its opcode {opcode} is unknown")
         return []
 
     def _skip(self, opcode: int, offset: int, error: Exception) -> None:
@@ -184,14 +185,14 @@ def _opened(chunk: Chunk) -> list[McapRecord]:
     """Schemas, channels and messages of a chunk.
 
     Raises:
-        ValueError: the chunk is not as it was written.
+        ValueError: the chunk is damaged.
     """
     size = chunk.uncompressed_size
     if chunk.compression != "zstd":
         raise ValueError(f"its compression is {chunk.compression!r}")
     if size > min(LARGEST_CHUNK, _DENSEST * len(chunk.data)):
         raise ValueError(f"it would take {size} bytes")
-    # decompression allocates what the compressed bytes say, not what the chunk says
+    # decompression allocates the size in the compressed bytes, not that in the chunk
     if zstandard.frame_content_size(chunk.data) != size:
         raise ValueError("its two sizes differ")
     data = zstandard.decompress(chunk.data)
@@ -199,15 +200,15 @@ def _opened(chunk: Chunk) -> list[McapRecord]:
         raise ValueError("its checksum differs")
     records = breakup_chunk(replace(chunk, compression="", data=data))
     if not all(isinstance(record, Schema | Channel | Message) for record in records):
-        raise ValueError("it has other records than messages")
+        raise ValueError("it holds other records than messages")
     return records
 
 
 def _checked(metadata: Metadata) -> Metadata:
-    """A metadata record whose hash is right, or that has none.
+    """Metadata record with a correct hash, or without one.
 
     Raises:
-        ValueError: its hash is another.
+        ValueError: the hash differs.
     """
     known = metadata.metadata.get(METADATA_HASH)
     if known is not None and known != metadata_hash(metadata.metadata):

@@ -1,4 +1,4 @@
-"""Save what is left of a log that was cut off or damaged."""
+"""Recovery of the intact part of a truncated or damaged log."""
 
 from __future__ import annotations
 
@@ -24,50 +24,50 @@ from aslip.log.writer import (
 )
 
 RECOVERED_METADATA = "aslip/recovered"
-"""Name of the metadata record of a log that was recovered."""
+"""Name of the metadata record that marks a recovered log."""
 
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was saved."""
+    """Result of a recovery."""
 
     path: Path
-    """Of the recovered log."""
+    """Recovered log."""
     messages: int
-    """How many were saved."""
+    """Number of saved messages."""
     until: float
-    """Simulated time of the last one [s]."""
+    """Simulated time of the last saved message [s]."""
     complete: bool
-    """Whether the file had everything, but for its end at most."""
+    """Whether nothing was lost, except at most the summary at the end."""
     skipped_chunks: int
-    """Damaged chunks, of a simulated second at most each, that were left out."""
+    """Number of damaged chunks that were left out; each holds at most a simulated second."""
     dropped: tuple[str, ...]
-    """Attachments that were left out, because they are damaged."""
+    """Damaged attachments that were left out."""
     reason: str
-    """Damage found in the file; empty if there is none."""
+    """Damage found in the file, or an empty string."""
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
-    """Write a whole log of what is intact in a damaged one.
+    """Write the intact part of a damaged log to a new, complete one.
 
-    Damaged chunks and attachments are left out, with the attachments' hashes; so `read` takes the
-    new log. Reading ends where a length is wrong.
+    Damaged chunks and attachments are left out, and so are the hashes of the latter, so that `read`
+    accepts the new log. Reading ends where a length is wrong.
 
     Args:
-        path: of the damaged log, often `<name>.mcap.part`.
-        out: of the new log; `<name>.recovered.mcap` by default.
+        path: damaged log, often `<name>.mcap.part`.
+        out: new log; `<name>.recovered.mcap` by default.
 
     Raises:
         AssetError: there is no such file.
         ConfigurationError: `out` is the damaged file itself, or exists.
-        FileDamagedError: not one message can be read, or the log is of another format.
+        FileDamagedError: no message can be read, or the log has another format.
     """
     path = Path(path)
     out = path.with_name(path.name.split(".mcap")[0] + ".recovered.mcap") if out is None else out
     out = Path(out)
     if out.exists():
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
-    # not ".part", which the damaged log, or one that is being written, may be called
+    # not ".part", which may be the name of the damaged log
     temporary = out.with_name(out.name + ".recovering")
     with open_log(path) as damaged:
         found = _look(damaged)
@@ -91,7 +91,7 @@ class _Found:
     channels: dict[int, Channel] = field(default_factory=dict)
 
     def add(self, record: McapRecord) -> None:
-        """Take in the next record."""
+        """Add the next record."""
         if isinstance(record, Metadata) and METADATA_HASH in record.metadata:
             self.metadata[record.name] = dict(record.metadata)
         elif isinstance(record, Attachment):
@@ -102,21 +102,21 @@ class _Found:
             self.channels.setdefault(record.id, record)
 
     def saved(self, record: McapRecord) -> bool:
-        """Whether a record is a message that is described."""
+        """Whether a record is a message of a known channel and schema."""
         channel = self.channels.get(record.channel_id) if isinstance(record, Message) else None
         return channel is not None and channel.schema_id in self.schemas
 
 
 def _look(damaged: IO[bytes]) -> _Found:
-    """Read everything once.
+    """Read all records but messages.
 
     Raises:
-        FileDamagedError: there is no message, or the log is of another format.
+        FileDamagedError: there is no message, or the log has another format.
     """
     found = _Found(Records(damaged))
     for record in found.records:
         found.add(record)
-    # definitions that were in a damaged chunk
+    # definitions from damaged chunks
     with suppress(Exception):
         for record in read_summary(damaged).definitions:
             found.add(record)
@@ -160,10 +160,10 @@ def _copy(damaged: IO[bytes], found: _Found, file: IO[bytes], out: Path) -> Reco
 
 
 def _copy_attachments(writer: Writer, found: _Found) -> None:
-    """Write metadata and attachments, without those that are not what was attached."""
+    """Write metadata and attachments, except altered ones."""
     metadata = found.metadata.get(METADATA, {"format": messages.FORMAT})
     metadata = {key: text for key, text in metadata.items() if key != METADATA_HASH}
-    # with the metadata, hashes are lost; an attachment's checksum has been verified by then
+    # without metadata there are no hashes; checksums of attachments have been verified
     known = {key: metadata.pop(key) for key in list(metadata) if key.startswith(HASH_KEY)}
     kept = {}
     for attachment in found.attachments:
@@ -181,7 +181,7 @@ def _copy_attachments(writer: Writer, found: _Found) -> None:
 
 
 def _open_channels(writer: Writer, found: _Found) -> dict[int, int]:
-    """Announce the topics again; the new id of each by its old one."""
+    """Register the channels again; new ids by old ones."""
     schemas = {
         old: writer.register_schema(schema.name, schema.encoding, schema.data)
         for old, schema in found.schemas.items()

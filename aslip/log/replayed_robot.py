@@ -1,4 +1,4 @@
-"""The robot of a log, simulated: its model, its dynamics, and its states."""
+"""Simulation of the robot of a log, with its model, dynamics and states."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ _HISTORY = int(mujoco.mjtState.mjSTATE_HISTORY)
 
 
 class ReplayedRobot:
-    """One simulation as a log has it.
+    """Simulation of the robot of a log.
 
     Args:
-        recording: with `/dynamics`, which must say at the latest at the first state of a replay
-            what the robot is like.
+        recording: with `/dynamics`, which must begin no later than the first state of a replay.
 
     Raises:
         FileDamagedError: the log's model cannot be built, or its dynamics are not numbers.
@@ -42,28 +41,28 @@ class ReplayedRobot:
 
     @property
     def qpos(self) -> np.ndarray:
-        """(35,) copy of the configuration."""
+        """Copy of the configuration (nq,)."""
         return self._simulations.qpos[0].copy()
 
     @property
     def qvel(self) -> np.ndarray:
-        """(32,) copy of the velocity."""
+        """Copy of the velocity (nv,)."""
         return self._simulations.qvel[0].copy()
 
     def rows(self, states: Series) -> list[np.ndarray]:
-        """States of `/state`, checked to be such that simulating them is safe.
+        """States of `/state`, checked to be safe to simulate.
 
         Raises:
-            FileDamagedError: one is not a state of this robot.
+            FileDamagedError: a row is not a state of this robot.
         """
         pairs = zip(states["integration"], states["sensors"], strict=True)
         return [self._checked(np.concatenate([np.ravel(part) for part in pair])) for pair in pairs]
 
     def change(self, tick: int) -> None:
-        """Give the robot the dynamics that the log has last at or before an instant.
+        """Set the last dynamics that were logged at or before an instant.
 
         Raises:
-            FileDamagedError: there are none, or they are out of range.
+            FileDamagedError: dynamics are missing or out of range.
         """
         past = [at for at in self._changes if at <= tick]
         if not past:
@@ -81,14 +80,14 @@ class ReplayedRobot:
         self._simulations.write_fields(_ONE, fields)
 
     def set_state(self, row: np.ndarray) -> None:
-        """Put the robot into a state of the log."""
+        """Set a logged state."""
         memory = self._memory_of(row)
         self._lengthen(memory)
         state = self._converted(row[None], memory, self._memory)
         self._simulations.set_states(state)
 
     def state(self, row: np.ndarray) -> np.ndarray:
-        """The robot's state, as long as one of the log's."""
+        """State of the robot, with the length of a logged one."""
         self._lengthen(self._memory_of(row))
         return self._simulations.states()[0]
 
@@ -102,7 +101,7 @@ class ReplayedRobot:
         """Number of torque commands that a state remembers, from its length.
 
         Raises:
-            FileDamagedError: it has another length than a state of this robot.
+            FileDamagedError: the length is not that of a state of this robot.
         """
         more, rest = divmod(len(row) - self._size, 2 * self.model.nu)
         if rest:
@@ -118,17 +117,17 @@ class ReplayedRobot:
     def _checked(self, row: np.ndarray) -> np.ndarray:
         memory = self._memory_of(row)
         if row.dtype != np.float64 or not np.isfinite(row).all():
-            raise FileDamagedError("a state of the log is not of finite numbers")
+            raise FileDamagedError("a state of the log has non-finite numbers")
         start = mujoco.mj_stateSize(self.model, _HISTORY - 1)
         history = row[start : start + self.model.nu * (2 + 2 * memory)]
-        # where the newest command is: MuJoCo would look there without asking
+        # index of the newest command, which MuJoCo does not check
         newest = history.reshape(self.model.nu, -1)[:, 1]
         if not np.isin(newest, np.arange(memory)).all():
             raise FileDamagedError("a state of the log has commands outside of a motor's memory")
         return row
 
     def _lengthen(self, memory: int) -> None:
-        """Go on in simulations that remember more commands, as `SimulatedEnv.set_dynamics` does."""
+        """Continue in a simulation that remembers more commands, as `SimulatedEnv` does."""
         if memory <= self._memory:
             return
         states = self._converted(self._simulations.states(), self._memory, memory)
@@ -139,7 +138,7 @@ class ReplayedRobot:
         self._memory = memory
 
     def _converted(self, states: np.ndarray, memory: int, to: int) -> np.ndarray:
-        """States with so many commands as states with more."""
+        """States with room for `to` commands."""
         if memory == to:
             return states
         models = (thaw_model(self._files, memory=number) for number in (memory, to))
@@ -147,7 +146,7 @@ class ReplayedRobot:
 
 
 def _changes(series: Series) -> dict[int, dict[str, float]]:
-    """Dynamics of the robot from each instant of `/dynamics` on."""
+    """Dynamics by the instant of `/dynamics` from which they hold."""
     # logs of earlier versions lack the gains
     names = [*(n for n in DYNAMICS if n in series.columns or n not in _GAINS), MEMORY]
     columns = {name: series[name] for name in names}

@@ -1,4 +1,4 @@
-"""One log, from its first reset on: what is written when."""
+"""Topics of a log and the times at which they are written."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)
 _STEP_NS = CASSIE.substeps * _SUBSTEP_NS
 # a chunk, and a state to begin a replay from, once per simulated second
 _STEPS_PER_SECOND = round(1 / CASSIE.policy_period)
-# a foot touches down if it was in the air for as many steps before
+# policy steps in the air before a touchdown
 _AIRBORNE_STEPS = 4
 
 _TRUTH = (
@@ -38,10 +38,10 @@ _TRUTH = (
 )
 
 _TRUTH_READ = {*_TRUTH, "qpos", "qvel", "ground_force", "diverged"}
-# topics of named numbers, if the tensordict has them
+# groups of the tensordict that are topics of named numbers
 _GROUPS = ("truth", "estimate", "odometry", "true_odometry", "reference")
 _CLOCK = ("phase", "command")
-# what a step depends on
+# inputs of a step
 _CAUSES = (*_CLOCK, "action", "motor_target", "push")
 _OUTCOMES = ("reward", "terminated", "truncated", "done")
 _NEVER = np.zeros(1)
@@ -49,11 +49,11 @@ _NO_PUSH = np.zeros(3)
 _START = {"faults": "fault"}
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _SPRINGS = ("spring_stiffness", "joint_damping")
-# the filter's insides, and what follows from gaits, phase and command but is of no use to look at
+# internals of the filter, and functions of phase and command that nobody plots
 _UNLOGGED = {"estimate": {"memory"}, "reference": {"motor_velocity", "motor_torque"}}
 
 
-# one robot's entries of a part of the tensordict
+# entries of one robot in a part of the tensordict
 Row = dict[str, np.ndarray]
 
 
@@ -62,15 +62,15 @@ def _row(part: TensorDictBase, robot: int) -> Row:
 
 
 class _Flat:
-    """A topic of named numbers, taken from a robot's entries in a fixed order.
+    """Topic of named numbers, from a robot's entries in a fixed order.
 
     Args:
-        writer: where messages go.
-        topic: their topic; the type is named after it.
-        entries: keys of the entries, and how the names of their numbers begin.
-        sample: a row that has them.
-        dtype: of the numbers.
-        names: of all numbers; made of the entries' by default.
+        writer: writer of the log.
+        topic: topic, which also names the type.
+        entries: keys of the entries -> prefix of the names of their numbers.
+        sample: row with these entries.
+        dtype: type of the numbers.
+        names: names of all numbers; from the entries by default.
         length: entries are (length, k), k named arrays; 0 for single numbers.
     """
 
@@ -97,19 +97,19 @@ class _Flat:
         def build(marks: Marks) -> dict[str, Any]:
             return {name: marks.numbers(length) if length else marks.number() for name in names}
 
-        # of arrays, each number's values over the rows lie side by side
+        # an array holds the values of one number over the rows
         self._order: Literal["C", "F"] = "F" if length else "C"
         self._template = Template(kind, build, dtype)
         self._channel = writer.open_channel(topic, kind)
 
     def write(self, time_ns: int, row: Row) -> None:
-        """Add the message of a row."""
+        """Write the message of a row."""
         values = np.concatenate([row[key].ravel(self._order) for key in self._keys])
         self._writer.write(self._channel, time_ns, self._template.encode(time_ns, values))
 
 
 class Session:
-    """A log from its first reset on."""
+    """Log of one robot, from the first reset."""
 
     def __init__(
         self,
@@ -163,7 +163,7 @@ class Session:
     # --------------------------------------------------------------- events
 
     def reset(self, td: TensorDictBase) -> None:
-        """The robot stands at the start of an episode."""
+        """Write the first instant of an episode."""
         self._ticks += 1
         self._episode, self._episode_step = self._episode + 1, 0
         self._airborne = [0, 0]
@@ -178,7 +178,7 @@ class Session:
         self._keep_state()
 
     def step(self, td: TensorDictBase, after: TensorDictBase) -> None:
-        """A policy step has passed."""
+        """Write a policy step and the instant after it."""
         self._note_change()
         self._ticks += 1
         self._episode_step += 1
@@ -199,7 +199,7 @@ class Session:
         done = bool(after.get("done")[self._robot])
         if done:
             self._note_end(after)
-        # the last state of an episode, or a short one could not be compared with its replay
+        # with the last state, even a short episode can be compared with its replay
         self._state_due = not (done or self._ticks % _STEPS_PER_SECOND == 0)
         if not self._state_due:
             self._keep_state()
@@ -220,7 +220,7 @@ class Session:
         )
 
     def finish(self) -> None:
-        """Complete the file."""
+        """Finish the file."""
         if self._state_due:
             self._keep_state()
         self._writer.finish(
@@ -234,7 +234,7 @@ class Session:
         return self._ticks * _STEP_NS
 
     def _rows(self, td: TensorDictBase) -> dict[str, Row]:
-        """The recorded robot's entries of each group."""
+        """Entries of the recorded robot by group."""
         robot = self._robot
         truth = cast("TensorDictBase", td.get("truth"))
         rows = {"truth": {k: v.numpy()[robot] for k, v in truth.items() if k in _TRUTH_READ}}
@@ -255,7 +255,7 @@ class Session:
     def _policy_topics(
         self, rows: dict[str, Row], observed: Sequence[str] | None
     ) -> dict[str, _Flat]:
-        """Topics of what the robot measures and the policy sees, if the tensordict has them."""
+        """Topics of sensors and observation, if the tensordict has them."""
         topics = {}
         if row := rows.get("sensors"):
             names, (length, _) = {key: key for key in row}, next(iter(row.values())).shape
@@ -271,7 +271,7 @@ class Session:
         return topics
 
     def _place(self, rows: dict[str, Row]) -> None:
-        """Find out where everything is."""
+        """Compute all frame poses."""
         poses = self._poses
         self._kinematics.poses(rows["truth"]["qpos"], poses[: -len(ROM_FRAMES)])
         if "reference" in rows:
@@ -279,13 +279,13 @@ class Session:
             poses[-len(ROM_FRAMES) :, :3] = rom.body, rom.left, rom.right
 
     def _instant(self, rows: dict[str, Row]) -> None:
-        """What is so at this instant."""
+        """Write the topics that describe this instant."""
         for name, topic in self._flat.items():
             topic.write(self._time, rows[name])
         self._put(self._transforms, self._time, self._poses)
 
     def _write_step(self, before: Row, after: TensorDictBase, truth: Row) -> None:
-        """What was done, and what came of it."""
+        """Write `/step`: inputs and outcome."""
         row = {"push": _NO_PUSH, **before}
         row |= {key: truth[key] for key in ("ground_force", "diverged")}
         row |= {
@@ -303,7 +303,7 @@ class Session:
         self._step_topic.write(self._time, row)
 
     def _keep_state(self) -> None:
-        """A state to begin a replay from, and to compare one with; ends a chunk."""
+        """Write a state for replays, and end the chunk."""
         state = self._base.states()[self._robot]
         values = np.concatenate([[self._episode, self._episode_step], state])
         if self._state is None or self._state.count != len(values):
@@ -312,17 +312,17 @@ class Session:
             self._state = state_template(integration, len(state) - integration)
         data = self._state.encode(self._time, values)
         self._writer.write(self._state_channel, self._time, data)
-        self._dynamics = {}  # with every state, so that none depends on an earlier chunk
+        self._dynamics = {}  # written with every state, so that none depends on an earlier chunk
         self._note_change()
         self._writer.flush()
 
     def _dynamics_row(self) -> Row:
-        """Robot's dynamics, a row of `/dynamics`."""
+        """Dynamics of the robot, a row of `/dynamics`."""
         row = {name: values[self._robot, None] for name, values in self._base.dynamics.items()}
         return row | {messages.MEMORY: self._base.model.actuator_history[0, :1].astype(float)}
 
     def _note_change(self) -> None:
-        """Tell at once of dynamics that have changed since the last policy step."""
+        """Write `/dynamics` if they have changed since the last policy step."""
         if self._dynamics and not self._base.altered:
             return
         row = self._dynamics_row()
@@ -333,7 +333,7 @@ class Session:
             self._dynamics_topic.write(self._time, row)
 
     def _touchdowns(self, before: Row, truth: Row) -> None:
-        """Tell of feet that have come down."""
+        """Write `/touchdown` for feet that have come down."""
         for i, force in enumerate(truth["ground_force"][:, 2].tolist()):
             airborne = self._airborne[i]
             self._airborne[i] = 0 if force > CONTACT_FORCE else airborne + 1
@@ -348,12 +348,12 @@ class Session:
             self._event("/touchdown", values)
 
     def _joint_states(self, truth: Row) -> None:
-        """Joints at this instant."""
+        """Write the joints of this instant."""
         entries = np.concatenate([truth[key] for key in ("qpos", "qvel", "motor_torque")])
         self._put(self._joints, self._time, self._kinematics.joints(entries))
 
     def _substeps(self) -> None:
-        """Joints after each of the policy step's substeps."""
+        """Write the joints after each substep of the policy step."""
         start = self._time - _STEP_NS
         rows = self._kinematics.joints(self._base.watched)
         for substep, row in enumerate(rows):
@@ -375,7 +375,7 @@ class Session:
 
 
 def _entries(group: str, row: Row) -> dict[str, str]:
-    """Entries that a group's topic has, and how the names of their numbers begin."""
+    """Entries of a group's topic -> prefix of the names of their numbers."""
     if group == "truth":
         return {key: key for key in _TRUTH}
     return {key: _START.get(key, key) for key in row if key not in _UNLOGGED.get(group, ())}

@@ -1,4 +1,4 @@
-"""The walk in a log, as metrics read it."""
+"""Walk of a log in the form that metrics read."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FEET = tuple(f"{side}_foot_position" for side in SIDES)
 
 
 def read_walk(recording: Recording) -> Walks:
-    """The first episode of a log, n = 1; ahead is where the pelvis pointed at its start.
+    """First episode of a log, n = 1; x is the heading of the pelvis at its start.
 
     Raises:
         UnknownNameError: the log has no reference or no truth.
@@ -54,7 +54,7 @@ def read_walk(recording: Recording) -> Walks:
         "body_velocity": reference.vector("body_velocity")[rows],
         "body_to_foot": vectors(reference, _FEET),
     }
-    # there is nothing to say of a walk after its fall, as in `record_walks`
+    # undefined after the fall, as in `record_walks`
     arrays = {name: array.astype(np.float64) for name, array in arrays.items()}
     for array in arrays.values():
         array[~alive] = np.nan
@@ -63,7 +63,7 @@ def read_walk(recording: Recording) -> Walks:
 
 
 def _logged_odometry(truth: Series) -> dict[str, np.ndarray]:
-    """Entries of `ODOMETRY_SIZES` at each instant of a log, as if it began with a reset."""
+    """Odometry at each instant of a log, from the heading and place of its first instant."""
     rows = {
         name: torch.from_numpy(truth.vector(name, "wxyz" if size == 4 else "xyz"))
         for name, size in ODOMETRY_SIZES.items()

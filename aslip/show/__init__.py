@@ -1,1 +1,1 @@
-"""Pictures, films and the live page."""
+"""Pictures, films, MuJoCo's viewer and the live page."""

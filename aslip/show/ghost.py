@@ -1,8 +1,8 @@
-"""The reduced-order model beside the robot it guides, in the world: for pictures, logs, live views.
+"""Reduced-order model beside the robot that it guides: for pictures, logs, live views.
 
-The library's reference has no place on the floor; here its body goes with the robot's pelvis, at
-the reference's height, and its feet where the reference has them relative to the body, turned by
-the robot's yaw: the frame in which the reward compares feet.
+The reference of the library has no place on the floor. Here its body follows the pelvis of the
+robot at the height of the reference, and its feet are where the reference has them relative to the
+body, turned by the yaw of the robot: the frame in which the reward compares feet.
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from tensordict import TensorDictBase
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import SIDES, Side
+from aslip.robot.rotation import yaw
 from aslip.rom import Motion
 from aslip.show.palette import LEFT, MODEL, RIGHT, rgba
 
-# a foot of the reference that moves slower over ground is in stance [m/s]
+# speed of the reference's foot below which it is in stance [m/s]
 _STANCE_SPEED = 0.05
 # height above its lowest point up to which a foot of a motion is in stance [m]
 _STANCE_HEIGHT = 0.005
@@ -30,16 +31,16 @@ _STANCE_HEIGHT = 0.005
 _INSTANTS = 4096
 
 BODY_COLOR = rgba(MODEL)
-"""Of its body wherever it is drawn, red, green, blue and opacity."""
+"""Colour of the body: red, green, blue and opacity."""
 LEG_COLORS: dict[Side, tuple[float, float, float, float]] = {
     "left": rgba(LEFT),
     "right": rgba(RIGHT),
 }
-"""Of its legs in stance."""
+"""Colours of the legs in stance."""
 SWING_FADE = 0.55
-"""How much of a swing leg's colour is replaced by white."""
+"""Share of white in the colour of a leg in swing."""
 BODY_RADIUS, FOOT_RADIUS, WIRE_RADIUS = 0.07, 0.017, 0.0055
-"""Of its body, its feet, and the wire of its springs [m]."""
+"""Radius of the body, the feet, and the wire of the springs [m]."""
 
 _FEET = [f"{side}_foot_position" for side in SIDES]
 _FOOT_VELOCITIES = [f"{side}_foot_velocity" for side in SIDES]
@@ -56,24 +57,24 @@ class Ghost:
     right: np.ndarray
     """(3,) position of the right foot [m]."""
     left_stance: bool = True
-    """Whether the left leg carries."""
+    """Whether the left leg is in stance."""
     right_stance: bool = True
-    """Whether the right leg carries."""
+    """Whether the right leg is in stance."""
 
     @classmethod
     def of(cls, tensordict: TensorDictBase, robot: int = 0) -> Ghost:
-        """The reference of one robot, above the place where the robot is.
+        """Reference of one robot, at the place of the robot.
 
         Args:
             tensordict: has `("reference", ...)` and `("truth", ...)` of n robots.
-            robot: which of them.
+            robot: index of the robot.
         """
         groups = (cast("TensorDictBase", tensordict.get(name)) for name in ("reference", "truth"))
         return cls.of_rows(*({k: v[robot].numpy() for k, v in group.items()} for group in groups))
 
     @classmethod
     def of_rows(cls, reference: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> Ghost:
-        """The same from one robot's entries of `("reference", ...)` and `("truth", ...)`."""
+        """Ghost from one robot's entries of `("reference", ...)` and `("truth", ...)`."""
         body = truth["pelvis_position"].astype(np.float64)
         body[2] = reference["body_position"][2]
         turn = yaw_rotation(truth["pelvis_orientation"])
@@ -84,11 +85,11 @@ class Ghost:
 
 
 class Footholds:
-    """Planned footholds: where the reduced-order model would put its next foot down.
+    """Footholds that the reduced-order model plans.
 
     Args:
-        library: the motions, each with one swing per foot; between two of them the step is
-            interpolated linearly.
+        library: motions, each with one swing per foot; steps are interpolated linearly between
+            their speeds.
     """
 
     def __init__(self, library: GaitLibrary) -> None:
@@ -112,38 +113,32 @@ class Footholds:
         return float(np.interp(speed, self._speeds, self._phases[:, SIDES.index(side)]))
 
     def step(self, side: Side, speed: float) -> np.ndarray:
-        """(2,) from the stance foot to the foot that touches down, forward and left [m]."""
+        """Step (2,) from the stance foot to the other at touchdown, forward and left [m]."""
         steps = self._steps[SIDES.index(side)]
         return np.array([np.interp(speed, self._speeds, steps[:, axis]) for axis in range(2)])
 
     def planned(
         self, side: Side, speed: float, stance_foot: np.ndarray, orientation: np.ndarray
     ) -> np.ndarray:
-        """Where a foot should touch down, (2,) [m, world].
+        """Planned foothold (2,) [m, world].
 
-        The stance foot's actual place plus the reduced-order model's step, as in the paper's
-        comparison (Sec. V-A), turned by the robot's yaw.
+        The actual place of the stance foot plus the step of the reduced-order model, as in the
+        comparison of the paper (Sec. V-A), turned by the yaw of the robot.
 
         Args:
-            side: the foot in swing.
+            side: foot in swing.
             speed: commanded speed [m/s].
             stance_foot: (3,) sole centre of the other foot [m, world].
-            orientation: (4,) of the pelvis, wxyz.
+            orientation: (4,) pelvis to world, wxyz.
         """
         turn = yaw_rotation(orientation)[:2, :2]
         return stance_foot[:2] + turn @ self.step(side, speed)
 
 
-def heading(orientation: np.ndarray) -> np.ndarray:
-    """(*b,) turn about the vertical of orientations (*b, 4), wxyz [rad]."""
-    w, x, y, z = np.moveaxis(np.asarray(orientation, dtype=np.float64), -1, 0)
-    return np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
-
-
 def yaw_rotation(orientation: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation about the vertical that is part of an orientation (4,), wxyz."""
-    yaw = float(heading(orientation))
-    cosine, sine = math.cos(yaw), math.sin(yaw)
+    """Rotation (3, 3) about the vertical by the yaw of an orientation (4,), wxyz."""
+    angle = float(yaw(np.asarray(orientation, dtype=np.float64)))
+    cosine, sine = math.cos(angle), math.sin(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 

@@ -1,4 +1,4 @@
-"""A loop in step with the clock on the wall."""
+"""Real-time loop."""
 
 from __future__ import annotations
 
@@ -7,20 +7,19 @@ from collections import deque
 from collections.abc import Callable
 
 MOST_BEHIND = 0.1
-"""Of what a stall costs, so much is caught up [s]; the rest is let go, or a long stall would be
-followed by a robot in fast motion, and on a slow machine by ever more of it."""
+"""Delay that is caught up at most after a stall [s]; more would show the robot in fast motion."""
 
-# over which the factor is measured [s]
+# window of the real-time factor [s]
 _WINDOW = 2.0
 
 
 class Pacer:
-    """Waits so that a loop takes one period a turn, on average: no wait's error adds up.
+    """Timer that makes a loop take one period a turn on average, without accumulating errors.
 
     Args:
-        period: of the loop [s].
-        clock: seconds from any start, never going back.
-        sleep: waits for so many seconds, or less.
+        period: period of the loop [s].
+        clock: monotonic clock [s].
+        sleep: function that waits for a time [s] or less.
     """
 
     def __init__(
@@ -37,13 +36,13 @@ class Pacer:
         self.restart()
 
     def restart(self) -> None:
-        """Begin now, with nothing to catch up."""
+        """Restart now, with nothing to catch up."""
         self._due = self._clock()
         self._turns.clear()
         self._turns.append(self._due)
 
     def wait(self) -> None:
-        """Wait for the end of the loop's present turn; not at all if it is over."""
+        """Wait for the end of the present turn, if it is not over."""
         self._due += self._period
         now = self._clock()
         if now < self._due:
@@ -54,6 +53,6 @@ class Pacer:
 
     @property
     def factor(self) -> float:
-        """Periods passed in the last two seconds over time passed; 1 in real time."""
+        """Real-time factor over the last two seconds: periods over time passed."""
         elapsed = self._turns[-1] - self._turns[0]
         return (len(self._turns) - 1) * self._period / elapsed if elapsed > 0 else 1.0

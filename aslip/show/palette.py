@@ -6,7 +6,7 @@ Blue and red are the left and the right leg, and nothing else.
 from __future__ import annotations
 
 LEFT, RIGHT = "#1f78b5", "#d6302e"
-"""Legs and their forces."""
+"""Left and right leg, and their forces."""
 MODEL = "#333d52"
 """Body and curves of the reduced-order model."""
 ROBOT = "#e08a1e"
@@ -14,9 +14,9 @@ ROBOT = "#e08a1e"
 COMMAND = "#7f7f7f"
 """Commanded speed."""
 ESTIMATE = "#2ca02c"
-"""Curves of what the state estimator says."""
+"""Curves of the state estimate."""
 OTHERS = ("#ff7f0e", "#2ca02c", "#9467bd", "#8c564b", "#17becf")
-"""Curves that belong to none of these, such as reward terms or the motors of one leg."""
+"""Other curves, such as reward terms or the motors of one leg."""
 
 
 def rgb(color: str) -> tuple[int, int, int]:

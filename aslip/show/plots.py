@@ -33,11 +33,11 @@ _MODE_LABELS = {
 
 
 def gait_figure(gait: Gait, strides: int = 2) -> Figure:
-    """Body and feet of a gait in space, all paths coloured by contact mode.
+    """Figure of the paths of body and feet of a gait, coloured by contact mode.
 
     Args:
         gait: the gait.
-        strides: how many strides to draw.
+        strides: number of strides to draw.
     """
     motion = gait.sample(np.linspace(0.0, strides, 400 * strides, endpoint=False))
     figure = Figure(figsize=(9, 4.6), layout="constrained")
@@ -60,7 +60,7 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
 
 
 def gait_sheet(gaits: Sequence[Gait]) -> Figure:
-    """All gaits on a sheet: body height, forward speed, leg forces and swing height over phase."""
+    """Figure of all gaits: body height, forward speed, leg forces and swing height over phase."""
     quantities = ("body height [m]", "speed / mean", "leg force [N]", "foot height [m]")
     figure = Figure(figsize=(8.5, 10), layout="constrained")
     rows = figure.subplots(len(quantities), 1, sharex=True)
@@ -93,11 +93,11 @@ def gait_sheet(gaits: Sequence[Gait]) -> Figure:
 
 
 def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure:
-    """Episode length and return, and reward terms, over policy steps.
+    """Figure of episode length, return and reward terms over policy steps.
 
     Args:
         history: columns of a run's `progress.csv`.
-        title: of the figure.
+        title: title of the figure.
     """
     steps = np.asarray(history["step"]) / 1e6
     figure = Figure(figsize=(11, 4), layout="constrained")

@@ -48,16 +48,16 @@ def render_robot(
     robot: bool = True,
     supersampling: int = 1,
 ) -> np.ndarray:
-    """Draw the robot, one picture a configuration; the cameras follow it.
+    """Draw one picture of the robot for each configuration; the cameras follow it.
 
     Args:
-        qpos: (n, 35) configurations, MuJoCo's conventions.
+        qpos: (n, nq) configurations, MuJoCo's conventions.
         camera: camera of the model; `cassie.xml` has "side", "follow" and "front".
         width: of a picture [pixels].
         height: of a picture [pixels].
         model: another model; `aslip.robot.model.load_model()` by default.
-        ghosts: n reduced-order models to draw as well, one a picture.
-        robot: whether the robot itself is seen.
+        ghosts: n reduced-order models to draw, one a picture.
+        robot: draw the robot itself.
         supersampling: pixels are means over squares of this many pixels a side, for smooth edges.
 
     Returns:
@@ -93,7 +93,7 @@ def render_frames(
     robot: bool = True,
     supersampling: int = 1,
 ) -> Iterator[np.ndarray]:
-    """The same as `render_robot`, a picture (height, width, 3) at a time: for films."""
+    """Draw as `render_robot`, one picture (height, width, 3) at a time: for films."""
     model = load_model() if model is None else model
     qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
     _check(model, qpos, camera, (width, height, supersampling), ghosts)
@@ -140,8 +140,8 @@ def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
     A leg in stance has its full colour (left blue, right red); in swing it is pale.
 
     Args:
-        scene: what is about to be drawn; the next `update_scene` of a renderer clears it.
-        ghost: where body and feet are.
+        scene: scene before drawing; the next `update_scene` of a renderer clears it.
+        ghost: places of body and feet.
     """
     body = np.asarray(ghost.body, dtype=np.float64)
     _add_sphere(scene, body, BODY_RADIUS, np.array(BODY_COLOR))
@@ -217,7 +217,7 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
         _check_display()
         with _buffer(model, width, height):
             renderer = mujoco.Renderer(model, height, width)
-    except Exception as error:  # every backend has its own way to say that it is not there
+    except Exception as error:  # each backend raises its own error
         chosen = os.environ.get("MUJOCO_GL")
         raise RenderingError(
             f"MuJoCo has no working OpenGL ({type(error).__name__}: {error}); MUJOCO_GL is"
@@ -233,7 +233,7 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
 
 @contextlib.contextmanager
 def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
-    """Have an off-screen buffer made no larger than the picture: in software it takes its time."""
+    """Limit the off-screen buffer to the size of the picture, which is faster in software."""
     limits, whole = model.vis.global_, (model.vis.global_.offwidth, model.vis.global_.offheight)
     limits.offwidth, limits.offheight = width, height
     try:
@@ -243,9 +243,9 @@ def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
 
 
 def _check_display() -> None:
-    """Refuse to go on without an OpenGL context.
+    """Raise an error without an OpenGL context.
 
-    MuJoCo reports that once; the third time, its own report ends the process.
+    MuJoCo's own report ends the process the third time.
     """
     context = getattr(mujoco, "GLContext", None)
     if context is None:
@@ -260,7 +260,7 @@ def _check_display() -> None:
 
 
 def _shrink(image: np.ndarray, factor: int) -> np.ndarray:
-    """Means over squares of pixels."""
+    """Average an image over squares of pixels."""
     if factor == 1:
         return image
     height, width = image.shape[0] // factor, image.shape[1] // factor

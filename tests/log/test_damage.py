@@ -97,7 +97,7 @@ def assert_subset(rest: Recording, whole: Recording) -> None:
             assert set(map(str, column)) <= set(map(str, whole[topic][name]))
 
 
-def test_a_whole_log_has_no_problems(log: Path) -> None:
+def test_complete_log_has_no_problems(log: Path) -> None:
     assert check(log) == []
 
 
@@ -129,7 +129,7 @@ def test_numbers_of_a_log_are_verified_by_reading(log: Path, altered: Alter) -> 
             read(path)
 
 
-def test_a_damaged_attachment_does_not_keep_one_from_the_numbers(
+def test_numbers_are_read_beside_a_damaged_attachment(
     log: Path, altered: Alter, whole: Recording
 ) -> None:
     place = log.read_bytes().index(b"WeightedReward")
@@ -224,7 +224,7 @@ def test_a_damaged_attachment_is_left_out(
     assert len(rest["/step"]) == len(whole["/step"])
 
 
-def test_a_flipped_byte_in_a_message_is_told_as_such(
+def test_flipped_byte_in_a_message_is_reported(
     altered: Alter,
 ) -> None:
     def flip(data: bytearray) -> None:
@@ -236,17 +236,19 @@ def test_a_flipped_byte_in_a_message_is_told_as_such(
         read(path)
 
 
-def test_an_unfinished_log_is_told_as_such(
+def test_unfinished_log_is_reported(
     altered: Alter,
 ) -> None:
     def cut(data: bytearray) -> None:
         del data[len(data) // 2 :]
 
     path = altered(cut)
-    unfinished = "it is unfinished: it does not end as an MCAP file"
-    assert check(path)[0].startswith(f"{unfinished}; save what is in it with: python -m aslip.log")
+    unfinished = "unfinished: no magic bytes of MCAP at the end"
+    assert check(path)[0].startswith(f"{unfinished}; save its content with: python -m aslip.log")
     assert f"recover {path}" in check(path)[0]
-    with pytest.raises(FileDamagedError, match=f"no whole, intact log: {unfinished}; .* recover"):
+    with pytest.raises(
+        FileDamagedError, match=f"not a complete, intact log: {unfinished}; .* recover"
+    ):
         read(path)
 
 
@@ -283,7 +285,7 @@ def test_a_chunk_that_takes_much_memory_is_skipped(
 
 
 @pytest.mark.parametrize("count", ["7", "100000", "99999999999", "9" * 5000])
-def test_a_definition_of_other_sizes_is_refused(log: Path, tmp_path: Path, count: str) -> None:
+def test_definition_of_other_sizes_is_refused(log: Path, tmp_path: Path, count: str) -> None:
     """However much memory it asks for."""
     records = taken_apart(log.read_bytes())
     at = next(i for i, r in enumerate(records) if isinstance(r, Schema) and "Sensors" in r.name)
@@ -322,9 +324,9 @@ def test_other_formats_and_files_are_refused(log: Path, tmp_path: Path) -> None:
     assert "its format is '99'" in check(path)[0]
     text = tmp_path / "notes.mcap"
     text.write_text("walked well")
-    with pytest.raises(FileDamagedError, match=r"notes\.mcap' is no MCAP file"):
+    with pytest.raises(FileDamagedError, match=r"notes\.mcap' is not an MCAP file"):
         read(text)
-    assert "no MCAP file" in check(text)[0]
+    assert "not an MCAP file" in check(text)[0]
     for function in (read, check, recover):
         with pytest.raises(AssetError, match=r"gone\.mcap"):
             function(tmp_path / "gone.mcap")
@@ -359,7 +361,7 @@ def test_a_log_cut_anywhere_is_saved_up_to_the_cut(
     assert saved.until == 0.0 if "/step" not in rest.series else replay(rest).equal
 
 
-def test_what_is_saved_ends_a_second_before_the_cut_at_most(log: Path, tmp_path: Path) -> None:
+def test_recovery_loses_at_most_a_second_before_the_cut(log: Path, tmp_path: Path) -> None:
     """A process that dies has handed on all but what happened since the last whole second."""
     whole = read(log)
     states = whole["/state"]
@@ -385,7 +387,7 @@ def test_recovering_never_overwrites(log: Path, tmp_path: Path) -> None:
     assert out.read_bytes() == b"precious"
 
 
-def test_a_whole_log_can_be_recovered_too(log: Path, tmp_path: Path) -> None:
+def test_complete_log_is_recovered_completely(log: Path, tmp_path: Path) -> None:
     saved = recover(log, tmp_path / "copy.mcap")
     assert saved.complete
     assert read(saved.path)["/step"].time.tolist() == read(log)["/step"].time.tolist()

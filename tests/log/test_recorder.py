@@ -47,7 +47,7 @@ def _at(recording: Recording, topic: str, seen: list[TensorDict]) -> np.ndarray:
     return np.searchsorted(ticks, _ends(seen))
 
 
-def test_steps_have_what_was_done_and_what_came_of_it(walk: Walk, recording: Recording) -> None:
+def test_steps_have_inputs_and_outcome(walk: Walk, recording: Recording) -> None:
     seen, step = walk[1], recording["/step"]
     np.testing.assert_allclose(step.time, _ends(seen) * CASSIE.policy_period, atol=1e-12)
     for i, td in enumerate(seen):
@@ -147,7 +147,7 @@ def test_files_and_settings_are_attached(recording: Recording) -> None:
     assert recording.end["policy_steps"] == "80"
 
 
-def test_episodes_and_their_ends_are_told(walk: Walk, recording: Recording) -> None:
+def test_episodes_and_their_ends_are_noted(walk: Walk, recording: Recording) -> None:
     notes = recording["/log"]
     done = [i for i, td in enumerate(walk[1]) if td["next", "done"]]
     begun = [text for text in notes["msg"] if "begins" in text]
@@ -157,7 +157,7 @@ def test_episodes_and_their_ends_are_told(walk: Walk, recording: Recording) -> N
     assert recording.end["episodes"] == str(len(done) + 1)
 
 
-def test_touchdowns_are_where_the_foot_is_and_where_it_was_planned(
+def test_touchdowns_have_actual_and_planned_places(
     make_recorded: MakeRecorded, tmp_path: Path, library: GaitLibrary
 ) -> None:
     env = make_recorded(tmp_path / "walk.mcap")
@@ -185,7 +185,7 @@ def test_touchdowns_are_where_the_foot_is_and_where_it_was_planned(
         assert force[step] > 20 >= force[step - 3 : step].max()
 
 
-def test_the_policys_input_and_the_packets_are_logged(walk: Walk, recording: Recording) -> None:
+def test_observation_and_packets_are_logged(walk: Walk, recording: Recording) -> None:
     seen = walk[1]
     observation, sensors = recording["/observation"], recording["/sensors"]
     assert list(observation.columns)[:3] == [
@@ -335,9 +335,7 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
 # ------------------------------------------------------------------- mistakes
 
 
-def test_the_file_has_its_name_only_when_it_is_whole(
-    make_recorded: MakeRecorded, tmp_path: Path
-) -> None:
+def test_file_is_renamed_when_complete(make_recorded: MakeRecorded, tmp_path: Path) -> None:
     path = tmp_path / "walk.mcap"
     env = make_recorded(path)
     env.rollout(2)
@@ -356,7 +354,7 @@ def test_an_unfinished_log_is_not_overwritten(make_recorded: MakeRecorded, tmp_p
 def test_a_recorder_that_cannot_begin_leaves_no_file(
     make_recorded: MakeRecorded, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigurationError, match="no robot 7"):
+    with pytest.raises(ConfigurationError, match="cannot record robot 7"):
         make_recorded(tmp_path / "walk.mcap", robot=7).reset()
     env = make_recorded(tmp_path / "walk.mcap")
     env.base_env.model.geom_size[0] += 1.0
@@ -365,7 +363,7 @@ def test_a_recorder_that_cannot_begin_leaves_no_file(
     assert not list(tmp_path.iterdir())
 
 
-def test_settings_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+def test_invalid_settings_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="joint_rate"):
         Recorder(tmp_path / "a.mcap", joint_rate="fast")  # pyright: ignore
     with pytest.raises(AssetError, match="nobody"):
@@ -408,7 +406,7 @@ def test_a_log_names_the_code_that_made_it(recording: Recording) -> None:
     assert recording.metadata["version/python"] == platform.python_version()
 
 
-def test_numbers_are_named_in_their_order() -> None:
+def test_numbers_are_named_in_order() -> None:
     assert component_names("joint_position", 6) == [
         f"joint_position_{joint}" for joint in CASSIE.joint_names
     ]
@@ -417,7 +415,7 @@ def test_numbers_are_named_in_their_order() -> None:
     assert component_names("orientation", 4) == [f"orientation_{part}" for part in "wxyz"]
 
 
-def test_the_robot_that_was_chosen_is_recorded(make_recorded: Any, tmp_path: Path) -> None:
+def test_chosen_robot_is_recorded(make_recorded: Any, tmp_path: Path) -> None:
     env = make_recorded(tmp_path / "a.mcap", num_envs=3, robot=2)
     seen: Any = run(env, 4)
     env.close()

@@ -62,7 +62,7 @@ def _changed(
     return replace(recording, series={**recording.series, topic: replace(series, columns=columns)})
 
 
-def test_a_changed_target_is_seen_from_then_on(recording: Recording) -> None:
+def test_changed_target_makes_later_states_differ(recording: Recording) -> None:
     row = int(np.searchsorted(recording["/step"].time, 1.0))
     other = _changed(recording, "/step", "motor_target_left_knee", row, 1e-9)
     result = replay(other)
@@ -72,11 +72,11 @@ def test_a_changed_target_is_seen_from_then_on(recording: Recording) -> None:
     assert result.largest_difference > 0
 
 
-def test_a_changed_push_is_seen(recording: Recording) -> None:
+def test_changed_push_makes_states_differ(recording: Recording) -> None:
     assert not replay(_changed(recording, "/step", "push_y", 3, 1e-6)).equal
 
 
-def test_the_last_bit_of_a_state_is_seen(recording: Recording) -> None:
+def test_last_bit_of_a_state_makes_a_difference(recording: Recording) -> None:
     states = recording["/state"]
     integration = states["integration"].copy()
     # what comes after the last step is where an episode would begin
@@ -88,7 +88,7 @@ def test_the_last_bit_of_a_state_is_seen(recording: Recording) -> None:
     assert result.diverged_at == pytest.approx(states.time[last])
 
 
-def test_another_mujoco_is_told_as_such(recording: Recording) -> None:
+def test_another_mujoco_is_output_as_such(recording: Recording) -> None:
     other = replace(recording, metadata={**recording.metadata, "version/mujoco": "3.99.0"})
     with pytest.raises(ConfigurationError, match=r"mujoco==3\.99\.0.*strict=False"):
         replay(other)
@@ -97,7 +97,7 @@ def test_another_mujoco_is_told_as_such(recording: Recording) -> None:
     assert "3.99.0" in result.doubts[0]
 
 
-def test_drift_is_told_of_every_state(recording: Recording) -> None:
+def test_drift_is_output_of_every_state(recording: Recording) -> None:
     """It begins where something was different, and ends with the episode."""
     row = int(np.searchsorted(recording["/step"].time, 1.0))
     other = _changed(recording, "/step", "motor_target_left_knee", row, 1e-9)
@@ -119,7 +119,7 @@ def test_drift_is_told_of_every_state(recording: Recording) -> None:
 
 
 @pytest.mark.parametrize(("place", "moves"), [(0, 0), (1, 1), (35, 1), (36, 0), (-1, 0)])
-def test_drift_of_the_configuration_is_of_positions_alone(
+def test_drift_of_the_configuration_ignores_velocities(
     recording: Recording, place: int, moves: int
 ) -> None:
     """The time comes before them in a state, velocities and others after them."""
@@ -132,7 +132,7 @@ def test_drift_of_the_configuration_is_of_positions_alone(
     np.testing.assert_allclose(result.qpos_drift[-1], 1e-3 * moves, rtol=1e-6)
 
 
-def test_a_log_without_states_is_told_as_such(recording: Recording) -> None:
+def test_a_log_without_states_is_output_as_such(recording: Recording) -> None:
     series = {topic: s for topic, s in recording.series.items() if topic != "/state"}
     with pytest.raises(FileDamagedError, match="/state"):
         replay(replace(recording, series=series))
@@ -162,17 +162,17 @@ def test_a_gap_of_a_recovered_log_is_passed_over(recording: Recording) -> None:
 # ----------------------------------------------------------------- from a shell
 
 
-def test_commands_say_what_they_find(
+def test_commands_print_their_findings(
     walk: tuple[Path, list], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(walk[0])
     assert main(["info", log]) == 0
-    told = capsys.readouterr().out
-    assert "/joint_states" in told
-    assert "model.xml" in told
-    assert "term_com_vel" in told  # columns by name
+    output = capsys.readouterr().out
+    assert "/joint_states" in output
+    assert "model.xml" in output
+    assert "term_com_vel" in output  # columns by name
     assert main(["check", log]) == 0
-    assert "whole and intact" in capsys.readouterr().out
+    assert "complete and intact" in capsys.readouterr().out
     assert main(["replay", "--drift", log]) == 0
     drift = capsys.readouterr().out
     assert len(drift.splitlines()) == 3 + replay(log).compared
@@ -181,7 +181,7 @@ def test_commands_say_what_they_find(
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2
     assert lines[0].startswith("from 0.00 s: 80 policy steps")
-    assert all(line.endswith("all equal bit for bit") for line in lines)
+    assert all(line.endswith("all bit-equal") for line in lines)
     assert not lines[1].startswith("from 0.00 s")
 
 
@@ -191,9 +191,9 @@ def test_commands_fail_on_a_damaged_log(
     cut = tmp_path / "walk.mcap.part"
     cut.write_bytes(walk[0].read_bytes()[:-1000])
     assert main(["check", str(cut)]) == 1
-    told = capsys.readouterr().out
-    assert "unfinished" in told
-    assert f"python -m aslip.log recover {cut}" in told
+    output = capsys.readouterr().out
+    assert "unfinished" in output
+    assert f"python -m aslip.log recover {cut}" in output
     assert main(["replay", "--verify", str(cut)]) == 2
     assert "recover" in capsys.readouterr().err
     assert main(["recover", str(cut)]) == 0
@@ -213,7 +213,7 @@ def test_a_recovered_log_may_have_its_name_back(
     assert sorted(file.name for file in tmp_path.iterdir()) == ["walk.mcap", "walk.mcap.part"]
 
 
-def test_a_replay_of_nothing_verifies_nothing(
+def test_verifying_needs_a_policy_step(
     walk: tuple[Path, list], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", "--verify", "--start", "100", str(walk[0])]) == 2
@@ -236,9 +236,9 @@ def test_verifying_fails_when_the_simulation_differs(
     monkeypatch.setattr(PD, "torque", stronger)
     monkeypatch.setattr(module, "low_level_digest", lambda: "other")
     assert main(["replay", "--verify", str(walk[0])]) == 1
-    told = capsys.readouterr().out
-    assert "differs at" in told
-    assert "another version of this package" in told
+    output = capsys.readouterr().out
+    assert "differs at" in output
+    assert "with other code of the drive" in output
 
 
 def test_the_module_runs_from_a_shell(walk: tuple[Path, list]) -> None:

@@ -115,7 +115,7 @@ def _settings(recording: Recording, **changes: Any) -> Recording:
     return _with_file(recording, "model.json", json.dumps(settings).encode())
 
 
-def test_a_changed_model_is_told_as_such(recording: Recording) -> None:
+def test_changed_model_is_reported(recording: Recording) -> None:
     slippery = _settings(recording, floor_friction=0.5)
     with pytest.raises(ConfigurationError, match="compiles to another"):
         replay(slippery)
@@ -150,7 +150,7 @@ def test_a_model_with_forged_settings_is_refused(
 
 
 @pytest.mark.parametrize("damage", [b"", b"{", b"[]", b"{}", b"[" * 100_000])
-def test_a_model_that_cannot_be_built_is_told_as_such(recording: Recording, damage: bytes) -> None:
+def test_model_that_does_not_compile_is_reported(recording: Recording, damage: bytes) -> None:
     for name in ("model.json", "model.xml"):
         with pytest.raises(FileDamagedError, match="model of the log"):
             replay(_with_file(recording, name, damage), strict=False)
@@ -236,7 +236,7 @@ def test_dynamics_out_of_range_are_refused(recording: Recording, name: str) -> N
         replay(_with_column(recording, "/dynamics", name, text))
 
 
-def test_targets_that_are_no_numbers_are_refused(recording: Recording) -> None:
+def test_non_numeric_targets_are_refused(recording: Recording) -> None:
     column = np.array(["far"] * len(recording["/step"]))
     with pytest.raises(FileDamagedError, match="motor_target_left_knee"):
         replay(_with_column(recording, "/step", "motor_target_left_knee", column))

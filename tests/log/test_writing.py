@@ -89,9 +89,7 @@ def test_a_transform_after_the_recorder_is_refused(make_recorded: MakeRecorded, 
     assert not list(path.parent.iterdir())
 
 
-def test_an_environment_that_nobody_closes_finishes_its_log(
-    make_recorded: MakeRecorded, path: Path
-) -> None:
+def test_unclosed_environment_finishes_its_log(make_recorded: MakeRecorded, path: Path) -> None:
     env = make_recorded(path)
     run(env, 2)
     del env
@@ -181,7 +179,7 @@ def test_a_disk_that_is_full_at_the_start_is_an_error(
     assert not list(path.parent.iterdir())
 
 
-def test_a_folder_that_cannot_be_is_an_error(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+def test_impossible_folder_is_an_error(make_recorded: MakeRecorded, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match=r"cannot write the log.*walk\.mcap"):
         make_recorded(tmp_path / "file" / "walk.mcap").reset()

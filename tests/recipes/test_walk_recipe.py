@@ -33,7 +33,7 @@ from tests.helpers import started
 from tests.show.test_film import decoded_film, leaves_pipes
 
 
-def test_it_walks_the_schedule_and_logs_it(
+def test_walk_follows_the_schedule_and_is_logged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "walk.mcap"
@@ -70,7 +70,7 @@ def test_both_backends_and_the_truth_can_walk(tmp_path: Path) -> None:
     np.testing.assert_array_equal(estimate["height"], truth["pelvis_position_z"])
 
 
-def test_a_fall_ends_the_walk_and_the_log_is_whole(
+def test_fall_ends_the_walk_with_a_complete_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "fall.mcap"
@@ -105,7 +105,7 @@ def test_a_fall_ends_the_walk_and_the_log_is_whole(
         ({"video": Path("walk.mp4"), "width": 10**5}, ConfigurationError, "100000"),
     ],
 )
-def test_mistakes_are_named_before_anything_is_written(
+def test_invalid_settings_are_named_before_anything_is_written(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     settings: dict,
@@ -118,7 +118,7 @@ def test_mistakes_are_named_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_a_walk_that_is_not_kept_says_how_to_keep_it(capsys: pytest.CaptureFixture[str]) -> None:
+def test_walk_without_files_says_how_to_write_them(capsys: pytest.CaptureFixture[str]) -> None:
     walk.main(Config(command="0.5", duration=0.3, push=("0:50,0,0",)))
     told = capsys.readouterr().out
     assert "push at 0 s of (50.0, 0.0, 0.0) N for 0.12 s" in told
@@ -126,7 +126,7 @@ def test_a_walk_that_is_not_kept_says_how_to_keep_it(capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_walk_that_is_stopped_leaves_a_whole_log(
+def test_stopped_walk_leaves_a_complete_log(
     tmp_path: Path, number: signal.Signals, status: int
 ) -> None:
     path = tmp_path / "walk.mcap"
@@ -181,7 +181,7 @@ def test_a_viewer_is_shown_every_step_in_the_time_of_the_clock(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="how to tell is another matter elsewhere")
-def test_a_viewer_without_a_display_is_told_what_to_use(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_viewer_without_a_display_names_the_alternative(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(RenderingError, match="use --video"):

@@ -13,7 +13,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import SIDES
 from aslip.rom import PendulumWalk, SampledMotion, Track
-from aslip.show.ghost import Footholds, Ghost, heading, touchdown_phases, yaw_rotation
+from aslip.show.ghost import Footholds, Ghost, touchdown_phases, yaw_rotation
 from tests.helpers import MakeEnv
 
 
@@ -45,7 +45,9 @@ def test_feet_turn_with_the_robot(library: GaitLibrary) -> None:
 @pytest.mark.parametrize(
     ("phase", "stance"), [(0.2, (False, True)), (0.44, (True, True)), (0.7, (True, False))]
 )
-def test_stance_is_known(library: GaitLibrary, phase: float, stance: tuple[bool, bool]) -> None:
+def test_stance_follows_from_the_foot_velocity(
+    library: GaitLibrary, phase: float, stance: tuple[bool, bool]
+) -> None:
     """Of the stride: right, double, left, double."""
     ghost = Ghost.of(_instant(library, phase, 1.0, 0.0))
     assert (ghost.left_stance, ghost.right_stance) == stance
@@ -126,9 +128,3 @@ def test_yaw_rotation_of_a_pitched_and_turned_body() -> None:
     # first pitched, then turned
     quaternion = np.array([cy * cp, -sy * sp, cy * sp, sy * cp])
     np.testing.assert_allclose(yaw_rotation(quaternion)[:2, 0], [np.cos(yaw), np.sin(yaw)])
-
-
-def test_headings_of_many_orientations() -> None:
-    angle = np.array([0.0, 0.3, -2.0])
-    tilted = np.array([np.cos(angle / 2), 0 * angle, 0 * angle, np.sin(angle / 2)]).T
-    np.testing.assert_allclose(heading(tilted), angle)

@@ -46,7 +46,7 @@ def test_a_short_stall_is_caught_up():
     assert clock.time - start == pytest.approx(10 * PERIOD + 0.005, abs=0.001)
 
 
-def test_of_a_long_stall_little_is_caught_up():
+def test_long_stall_is_caught_up_in_part():
     clock = Clock()
     pacer = clock.pacer()
     clock.work(10.0)
@@ -57,7 +57,7 @@ def test_of_a_long_stall_little_is_caught_up():
     assert turns == int(MOST_BEHIND / PERIOD) + 2
 
 
-def test_a_loop_that_is_too_slow_never_sleeps_and_says_so():
+def test_slow_loop_never_sleeps_and_has_a_low_factor():
     clock = Clock()
     pacer = clock.pacer()
     for _ in range(200):
@@ -67,7 +67,7 @@ def test_a_loop_that_is_too_slow_never_sleeps_and_says_so():
     assert pacer.factor == pytest.approx(0.5)
 
 
-def test_the_factor_forgets_what_was_long_ago():
+def test_factor_covers_recent_turns_only():
     clock = Clock()
     pacer = clock.pacer()
     clock.work(10.0)

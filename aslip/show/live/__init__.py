@@ -1,4 +1,4 @@
-"""A page in the browser on which a person watches and steers one robot, in real time.
+"""Page in the browser to watch and steer one robot in real time.
 
     page = LivePage(Walker(), {"aslip": "aslip", "mine": "runs/ppo_aslip"})
     page.serve()  # until Ctrl-C

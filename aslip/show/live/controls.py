@@ -1,7 +1,7 @@
-"""What a person may do on the page.
+"""Sliders, buttons and choices of the page.
 
-What is set (a slider, a choice) is read by the simulation when it is ready for it; what happens (a
-click) waits in a queue. Clicks come on the server's threads, and nothing is done there.
+The simulation reads sliders and choices once a turn, and takes clicks from a queue, which the
+threads of the server fill.
 """
 
 from __future__ import annotations
@@ -37,28 +37,28 @@ _LEGEND = (
 
 @dataclass(frozen=True)
 class Settings:
-    """What is set at one moment."""
+    """Values of sliders and choices."""
 
     command: float
     """Commanded speed [m/s]."""
     policy: str
-    """Name of the policy that acts."""
+    """Name of the acting policy."""
     rom: RomPlace
-    """Where the reduced-order model is seen."""
+    """Place of the reduced-order model."""
     auto_reset: bool
-    """Whether the robot is put up again after a fall."""
+    """Whether the robot is reset after a fall."""
 
 
 class Controls:
-    """Sliders, buttons and choices, the same for everyone who looks at the page.
+    """Sliders, buttons and choices that all visitors of the page share.
 
-    Only valid values are taken from visitors; numbers out of range are clamped.
+    Only valid values are accepted; numbers out of range are clamped.
 
     Args:
-        server: of the page.
+        server: server of the page.
         speeds: lowest and highest command [m/s].
-        command: the first command [m/s].
-        policies: names to choose from; the first is chosen.
+        command: first command [m/s].
+        policies: names to choose from, the first of which is chosen.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Controls:
         self._guard(server, buttons.values())
 
     def _guard(self, server: viser.ViserServer, buttons: Iterable[viser.GuiButtonHandle]) -> None:
-        """Have what visitors send checked."""
+        """Check the values that visitors send."""
         checks: dict[str, Check] = {}
         checks |= {control._impl.uuid: switch for control in (*buttons, self.auto_reset)}
         for slider in (self.command, self.push_direction, self.push_size):
@@ -112,7 +112,7 @@ class Controls:
         guard(server, checks)
 
     def settings(self) -> Settings:
-        """What is set now."""
+        """Present values."""
         return Settings(
             command=self.command.value,
             policy=self.policy.value,
@@ -121,7 +121,7 @@ class Controls:
         )
 
     def clicks(self) -> Iterator[Click]:
-        """What has been clicked since the last call, in order."""
+        """Clicks since the last call, in order."""
         while True:
             try:
                 yield self._clicks.get_nowait()
@@ -134,7 +134,7 @@ class Controls:
         return self.push_size.value * np.array([np.cos(angle), np.sin(angle), 0.0])
 
     def show_paused(self, paused: bool) -> None:
-        """Say on the button what it does next; single steps are for while time stands still."""
+        """Label the button with its next action; single steps are for a paused page."""
         self.pause.label = "Resume" if paused else "Pause"
         self.step.disabled = not paused
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE

@@ -1,4 +1,4 @@
-"""The page and its loop: one thread owns the robot and takes it through time."""
+"""The page and its loop, in which one thread owns the robot."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ from aslip.show.live.server import page_url, start_server
 from aslip.show.pacing import Pacer
 from aslip.walking import Walker
 
-# the robot lies for so many turns of the loop before it is put up again (1 s)
+# turns of the loop from a fall to the reset (1 s)
 _TURNS_ON_THE_GROUND = round(1.0 / CASSIE.policy_period)
-# numbers change on one turn in so many (5.6 Hz); people cannot read faster
+# turns of the loop between two updates of the numbers (5.6 Hz)
 _TURNS_PER_READOUT = 6
 
 _PANEL_WIDTH = 340
 
 
 class LivePage:
-    """A page on which people watch one robot walk in real time, and steer it.
+    """Page to watch and steer one robot in real time.
 
-    It is served from when it is made, with the robot standing; time runs within `serve`. Only the
-    thread of `serve` may touch the walker then.
+    The server starts in the constructor, with the robot standing; the simulation runs in `serve`,
+    whose thread alone may use the walker then.
 
     Args:
-        walker: the robot; its present command is the slider's first.
-        policies: what there is to choose from, by name: what acts, or what `load_policy` takes.
-            The first takes over from the walker's own, which alone there is by default.
-        host: name or address of this machine on which to listen. Other machines see the page if
-            this is "0.0.0.0"; they may steer, too, and nothing asks who they are.
-        port: on which to listen; 0 for any that is free.
-        on_step: is given every policy step, as `Walker.step` returns it, on the thread of `serve`.
-            What it raises ends `serve`.
+        walker: robot; its present command is the first value of the slider.
+        policies: name -> policy, or its name or path. The first one acts at the start. The
+            walker's own policy by default.
+        host: name or address of this machine to listen on. With "0.0.0.0" other machines can see
+            the page and steer, without authentication.
+        port: port to listen on; 0 for any free one.
+        on_step: called with every policy step, as `Walker.step` returns it, on the thread of
+            `serve`. An exception ends `serve`.
 
     Raises:
-        ConfigurationError: the host is not this machine's, the port is taken or not allowed, there
-            is no policy to choose from, or a policy is not one.
+        ConfigurationError: the host is not this machine, the port is taken or not allowed,
+            `policies` is empty, or a policy is invalid.
         AssetError: there is no policy of a name or path.
     """
 
@@ -66,12 +66,12 @@ class LivePage:
         if policies is None:
             policies = {"the walker's": walker.policy}
         if not policies:
-            raise ConfigurationError("there is no policy to choose from: policies is empty")
+            raise ConfigurationError("policies must not be empty")
         self.walker = walker
         self.paused = False
-        """Whether time stands still."""
+        """Whether the simulation is paused."""
         self.falls = 0
-        """How often the robot has fallen."""
+        """Number of falls."""
         self._policies = {
             name: load_policy(policy) if isinstance(policy, str | Path) else policy
             for name, policy in policies.items()
@@ -82,11 +82,11 @@ class LivePage:
         self._closed = False
         self._pacer = Pacer(CASSIE.policy_period, sleep=self._stopping.wait)
         self._turns = 0
-        self._turns_down = 0
-        self._singles = 0
-        self._complaint = ""
+        self._fallen_turns = 0
+        self._single_steps = 0
+        self._error = ""
         self._drawn: TensorDictBase | None = None
-        self._told: Status | None = None
+        self._last_status: Status | None = None
         self._server = start_server(host, port)
         self._build()
 
@@ -100,49 +100,49 @@ class LivePage:
         self.controls = Controls(
             self._server, speeds=speeds, command=walker.command, policies=list(self._policies)
         )
-        """What people have set."""
-        # the command is the walker's already; the rest is yet to be done
-        self._asked = replace(self.controls.settings(), policy="", rom="through")
+        """Sliders, buttons and choices."""
+        # the walker has its command already; the rest is applied below
+        self._settings = replace(self.controls.settings(), policy="", rom="through")
         panel = gui.add_panel()
         with panel.add_tab("Readouts"):
             self._readouts = Readouts(gui)
         panel.dock_left()
         panel.set_width(_PANEL_WIDTH)
-        # a plot that was drawn as the page opened has lost its time axis
+        # a plot drawn while the page opens lacks its time axis
         self._server.on_client_connect(lambda _: self._readouts.redraw())
         self._scene = SceneView(self._server, load_model(), walker.library)
-        self._obey()
+        self._apply_settings()
         self._show()
 
     @property
     def url(self) -> str:
-        """Where a browser on this machine finds the page."""
+        """Address of the page on this machine."""
         return page_url(self._server)
 
     @property
     def factor(self) -> float:
-        """Simulated over real time, over the last two seconds of `serve`."""
+        """Real-time factor over the last two seconds of `serve`."""
         return self._pacer.factor
 
     @property
     def message(self) -> str:
-        """What people are told just now; empty if all is well."""
+        """Message on the page; empty if there is none."""
         if not self.walker.fallen:
-            return self._complaint
-        then = "it starts again in a second" if self._asked.auto_reset else "click Reset"
+            return self._error
+        then = "it starts again in a second" if self._settings.auto_reset else "click Reset"
         return f"Cassie has fallen; {then}"
 
     def serve(self) -> None:
-        """Let time run until `stop` is called or Ctrl-C is pressed; then the page is gone.
+        """Simulate until `stop` is called or Ctrl-C is pressed, then close the page.
 
         Raises:
-            ConfigurationError: the page is being served, or was stopped.
+            ConfigurationError: the page is being served, or was closed.
         """
         if not self._serving.acquire(blocking=False):
             raise ConfigurationError("this page is being served already")
         try:
             if self._closed:
-                raise ConfigurationError("this page was stopped; make another")
+                raise ConfigurationError("this page was closed; make another")
             self._pacer.restart()
             while not self._stopping.is_set():
                 self.turn()
@@ -154,7 +154,7 @@ class LivePage:
             self._serving.release()
 
     def stop(self) -> None:
-        """End `serve` after the turn that it is at, and close the page; from any thread."""
+        """End `serve` after its present turn, and close the page; from any thread."""
         self._stopping.set()
         if self._serving.acquire(blocking=False):
             try:
@@ -168,22 +168,22 @@ class LivePage:
             self._server.stop()
 
     def turn(self) -> None:
-        """One period of the loop: do as people ask, walk a policy step, show it."""
+        """Run one turn of the loop: apply clicks and settings, simulate a policy step, show it."""
         try:
             for click in self.controls.clicks():
                 self._click(click)
-            self._obey()
+            self._apply_settings()
         except AslipError as error:
-            self._complaint = str(error)
+            self._error = str(error)
         if self.walker.fallen:
-            self._lie()
-        elif self._singles or not self.paused:
-            self._singles = max(self._singles - 1, 0)
+            self._wait_fallen()
+        elif self._single_steps or not self.paused:
+            self._single_steps = max(self._single_steps - 1, 0)
             self._step()
         self._show()
 
     def _click(self, click: Click) -> None:
-        self._complaint = ""
+        self._error = ""
         if click == "push":
             truth = cast("Mapping[str, torch.Tensor]", self.walker.td["truth"])
             heading = yaw_rotation(truth["pelvis_orientation"][0].numpy())
@@ -191,56 +191,56 @@ class LivePage:
         elif click == "reset":
             self._reset()
         elif click == "step":
-            self._singles += self.paused
+            self._single_steps += self.paused
         else:
             self.paused = not self.paused
-            self._singles = 0
+            self._single_steps = 0
             self.controls.show_paused(self.paused)
 
-    def _obey(self) -> None:
-        """Do what has been set since the last turn; what nobody touched stays as it is."""
-        before, self._asked = self._asked, self.controls.settings()
-        asked = self._asked
-        if asked != before:
-            self._complaint = ""
-        if asked.rom != before.rom:
-            self._scene.place_rom(asked.rom)
-        if asked.policy != before.policy:
-            self.walker.policy = self._policies[asked.policy]
-        if asked.command != before.command:
-            self.walker.command = asked.command
+    def _apply_settings(self) -> None:
+        """Apply changed settings."""
+        before, self._settings = self._settings, self.controls.settings()
+        settings = self._settings
+        if settings != before:
+            self._error = ""
+        if settings.rom != before.rom:
+            self._scene.place_rom(settings.rom)
+        if settings.policy != before.policy:
+            self.walker.policy = self._policies[settings.policy]
+        if settings.command != before.command:
+            self.walker.command = settings.command
 
     def _step(self) -> None:
         td = self.walker.step()
         self._readouts.add(td)
         if self.walker.fallen:
             self.falls += 1
-            self._turns_down = 0
+            self._fallen_turns = 0
         if self._on_step is not None:
             self._on_step(td)
 
-    def _lie(self) -> None:
-        """Wait a while on the ground, then start again."""
-        if self._asked.auto_reset and not self.paused:
-            self._turns_down += 1
-            if self._turns_down >= _TURNS_ON_THE_GROUND:
+    def _wait_fallen(self) -> None:
+        """Count turns on the ground, then reset."""
+        if self._settings.auto_reset and not self.paused:
+            self._fallen_turns += 1
+            if self._fallen_turns >= _TURNS_ON_THE_GROUND:
                 self._reset()
 
     def _reset(self) -> None:
         self.walker.reset()
-        self._singles = 0
+        self._single_steps = 0
 
     def _show(self) -> None:
-        """Send what is new: the scene at once, numbers on some turns only."""
+        """Send the scene, and on some turns the numbers."""
         td = self.walker.td
         if td is not self._drawn:
             self._scene.update(td)
             self._drawn = td
         if self._turns % _TURNS_PER_READOUT == 0:
             status = self._status()
-            if status != self._told:
+            if status != self._last_status:
                 self._readouts.show(status)
-                self._told = status
+                self._last_status = status
         self._turns += 1
 
     def _status(self) -> Status:

@@ -1,4 +1,4 @@
-"""What the page tells in numbers: a few lines, a plot of speed, bars of the reward's terms."""
+"""Numbers on the page: lines of text, a plot of speed, bars of the reward terms."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from aslip.show.palette import COMMAND, MODEL, ROBOT
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
 PLOT_SPAN = 8.0
-"""What the plot reaches back [s]."""
+"""Time span of the plot [s]."""
 
-# [pixels]; above and to the right there must be room for half a number
+# [pixels], with room for half a number above and to the right
 _PLOT_HEIGHT, _PLOT_PADDING = 320, (12, 16, 0, 0)
-# the upright axis goes beyond the curves by a margin, to the next multiple of a step [m/s]
+# the vertical axis extends beyond the curves by a margin, to a multiple of a step [m/s]
 _MARGIN, _SPEED_STEP = 0.02, 0.2
 _CURVES: tuple[uplot.Series, ...] = (
     {"label": "spring-mass model", "stroke": MODEL, "width": 1.5},
@@ -38,7 +38,7 @@ _LEGEND = "".join(
     for curve in _CURVES
 )
 _LEGEND = f"<div style='padding:0 0.8em 0.4em;font-size:0.8em;text-align:center'>{_LEGEND}</div>"
-# how often a plot is built anew for a visitor: for 2 s, an even number
+# redraws of a plot for a new visitor: for 2 s, an even number
 _REDRAWS = 12
 # the paper's terms in its order; others follow
 _ORDER = {name: i for i, name in enumerate(PAPER_WEIGHTS)}
@@ -47,31 +47,31 @@ _TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#9aa5b8", "#333d52", "#c92a2a"
 
 @dataclass(frozen=True)
 class Status:
-    """What is told in lines of text."""
+    """Numbers of the lines of text."""
 
     time: float
-    """Since the last reset [s]."""
+    """Time since the last reset [s]."""
     speed: float
-    """Of the pelvis, forward [m/s]."""
+    """Forward speed of the pelvis [m/s]."""
     height: float
-    """Of the pelvis [m]."""
+    """Height of the pelvis [m]."""
     ahead: float
-    """Moved along x since the last reset [m]."""
+    """Distance ahead since the last reset [m]."""
     left: float
-    """Moved along y since the last reset [m]."""
+    """Distance to the left since the last reset [m]."""
     falls: int
-    """Since the page was opened."""
+    """Falls since the page was opened."""
     factor: float | None
-    """Simulated over real time; None while time stands still."""
+    """Real-time factor; None while paused."""
     message: str
-    """What a person should know just now; may be empty."""
+    """Message to visitors; may be empty."""
 
 
 class Readouts:
-    """Numbers, bars and a plot.
+    """Lines of text, bars and a plot.
 
     Args:
-        gui: of the server, within the panel where they are to be.
+        gui: interface of the server, within the panel to fill.
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
@@ -93,7 +93,7 @@ class Readouts:
         self._bars = gui.add_html("")
 
     def add(self, td: TensorDictBase) -> None:
-        """Take note of a policy step, as `Walker.step` returns it."""
+        """Add a policy step, as `Walker.step` returns it."""
         after = cast("TensorDictBase", td["next"])
         speed = after["true_odometry", "pelvis_velocity"][0, 0]
         reference = after["reference", "body_velocity"][0, 0]
@@ -104,14 +104,14 @@ class Readouts:
         self._reward["reward"] = float(after["reward"])
 
     def redraw(self) -> None:
-        """Have browsers build the plot anew, some times until a visitor's page has its size.
+        """Make browsers redraw the plot several times, until the page of a visitor has its size.
 
         uPlot leaves out the time axis of a plot that gets its data while the page is laid out.
         """
         self._redraws = _REDRAWS
 
     def show(self, status: Status) -> None:
-        """Bring what is shown up to date; meant for a few times a second."""
+        """Update lines, plot and bars; for a few calls a second."""
         self._lines.content = _lines(status, self._mean_speed())
         self._redraws = max(self._redraws - 1, 0)
         if (scales := self._scales()) != self._plot.scales:
@@ -139,14 +139,14 @@ class Readouts:
         high = _SPEED_STEP * math.ceil((speeds.max() + _MARGIN) / _SPEED_STEP)
         return {
             "x": {"time": False, "range": (float(self._time[0]), 0.0)},
-            # a change that nobody sees has browsers build the plot anew
+            # an invisible change makes browsers redraw the plot
             "y": {
                 "range": (round(float(low), 6), round(float(high), 6) + 1e-6 * (self._redraws % 2))
             },
         }
 
     def _mean_speed(self) -> float:
-        """Mean speed of the robot over what the plot shows [m/s]; 0 before the first step."""
+        """Mean speed of the robot over the span of the plot [m/s]; 0 before the first step."""
         return float(np.mean([speed for _, speed, _ in self._history])) if self._history else 0.0
 
 
@@ -172,7 +172,7 @@ def _lines(status: Status, mean_speed: float) -> str:
 
 
 def _bars(reward: Mapping[str, float]) -> str:
-    """Values from 0 to 1 by name, each with a bar."""
+    """Table of values from 0 to 1, each with a bar."""
     rows = "".join(
         f"<tr><td style='width:8em'>{html.escape(name)}</td>"
         "<td><div style='height:0.8em;border-radius:2px;background:#e5e7eb'>"

@@ -12,11 +12,11 @@ import viser
 from aslip.errors import ConfigurationError
 from aslip.robot.model import APPEARANCE_GROUP, geom_color
 
-# of a full turn; a multiple of 4, so that the corners reach out to the bounds of the shape
+# sections of a full turn; a multiple of 4, so that corners reach the bounds of the shape
 _SECTIONS = 24
-# from a pole to the equator
+# rings from a pole to the equator
 _LATITUDES = 6
-# around the wire of a tube
+# sections around the wire of a tube
 _WIRE_SECTIONS = 8
 
 
@@ -30,7 +30,7 @@ class Mesh(NamedTuple):
 
     @classmethod
     def join(cls, meshes: Sequence[Mesh]) -> Mesh:
-        """All of them as one."""
+        """Join meshes to one."""
         starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
         faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]
         return cls(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
@@ -43,7 +43,7 @@ class Mesh(NamedTuple):
 
 
 def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
-    """The surface of a geom, in the frame of its body.
+    """Surface of a geom, in the frame of its body.
 
     Args:
         model: the compiled model.
@@ -68,7 +68,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
     elif kind == kinds.mjGEOM_BOX:
         mesh = _box(size)
     else:
-        raise ConfigurationError(f"geom {geom} is no primitive shape: type {kind}")
+        raise ConfigurationError(f"geom {geom} is not a primitive shape: type {kind}")
     return mesh.moved(model.geom_pos[geom], model.geom_quat[geom])
 
 
@@ -84,12 +84,11 @@ def cylinder(radius: float, half: float) -> Mesh:
 
 
 def revolve(profiles: Sequence[np.ndarray]) -> Mesh:
-    """The surface that profiles sweep out in a turn about the z axis.
+    """Surface of revolution of profiles about the z axis.
 
     Args:
-        profiles: each (n, 2), distance from the axis and height [m], from below to above as seen
-            with the outside to the right; the surface is smooth along a profile and has an edge
-            between one and the next.
+        profiles: each (n, 2), distance from the axis and height [m], upwards with the outside to
+            the right; the surface is smooth along a profile and has an edge between profiles.
     """
     angle = np.linspace(0.0, 2 * np.pi, _SECTIONS, endpoint=False)
     turn = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
@@ -109,7 +108,7 @@ def tube(path: np.ndarray, radius: float) -> Mesh:
     """
     along = np.gradient(path, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # any direction across the wire would do, if it changes little from ring to ring
+    # any direction across the wire that changes little from ring to ring
     across = np.empty_like(path)
     across[0] = np.cross(along[0], np.eye(3)[np.abs(along[0]).argmin()])
     for i in range(1, len(path)):
@@ -129,7 +128,7 @@ def _arc(radius: float, height: float, start: float, end: float) -> np.ndarray:
 
 
 def _skin(rings: np.ndarray) -> Mesh:
-    """The surface through (n, k, 3) rings, counter-clockwise about the way from ring to ring."""
+    """Surface through rings (n, k, 3), counter-clockwise about the way from ring to ring."""
     count, sections = rings.shape[:2]
     ring, section = np.meshgrid(np.arange(count - 1), np.arange(sections), indexing="ij")
     a = (ring * sections + section).ravel()
@@ -154,14 +153,14 @@ Color = tuple[int, int, int]
 
 
 class RobotView:
-    """The robot's bodies, each a child of its parent body.
+    """Bodies of the robot, each a child of its parent body.
 
-    All its joints turn about the origin of their body, so that where a body is in its parent never
-    changes, and only orientations need be sent.
+    All joints turn about the origin of their body, so that positions in the parent are constant and
+    only orientations are sent.
 
     Args:
-        scene: where it is drawn, with the pelvis above the origin.
-        model: the robot with what is looked at, `aslip.robot.model.load_model()`.
+        scene: scene to draw in, with the pelvis above the origin.
+        model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
     """
 
     def __init__(self, scene: viser.SceneApi, model: mujoco.MjModel) -> None:
@@ -179,7 +178,7 @@ class RobotView:
                 self._meshes.append(scene.add_mesh_simple(name, *mesh, color=color))
 
     def update(self, qpos: np.ndarray) -> None:
-        """Move to a configuration (35,), MuJoCo's conventions; x and y of the pelvis count as 0."""
+        """Move to a configuration (nq,), MuJoCo's conventions, with x and y of the pelvis at 0."""
         model, data = self._model, self._data
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
@@ -191,13 +190,13 @@ class RobotView:
             frame.wxyz = local
 
     def fade(self, opacity: float | None) -> None:
-        """Let what is behind the robot shine through; None for not at all."""
+        """Set the opacity of the robot; None for opaque."""
         for mesh in self._meshes:
             mesh.opacity = opacity
 
 
 def body_meshes(model: mujoco.MjModel, body: int) -> Iterator[tuple[Color, Mesh]]:
-    """What is seen of a body, in its frame: a mesh for every colour.
+    """Visible shapes of a body, in its frame: a mesh for every colour.
 
     Args:
         model: the compiled model.
@@ -214,6 +213,6 @@ def body_meshes(model: mujoco.MjModel, body: int) -> Iterator[tuple[Color, Mesh]
 
 
 def to_color(rgba: Sequence[float] | np.ndarray) -> Color:
-    """Red, green and blue from 0 to 255, of what is from 0 to 1."""
+    """Red, green and blue from 0 to 255, from numbers between 0 and 1."""
     red, green, blue = (round(255 * float(part)) for part in rgba[:3])
     return red, green, blue

@@ -29,22 +29,22 @@ from aslip.show.render import spring_path
 
 RomPlace = Literal["beside", "through", "hidden"]
 ROM_PLACES: tuple[RomPlace, ...] = get_args(RomPlace)
-"""Where the reduced-order model may be seen: beside the robot, in its place, or nowhere."""
+"""Places of the reduced-order model: beside the robot, in its place, or hidden."""
 
 _BESIDE = np.array([0.0, -0.7, 0.0])
-"""Where it is beside the robot, from where it belongs [m]: to the robot's right."""
+"""Offset of the reduced-order model beside the robot [m]: to the right."""
 
-# a disc on the floor, half as thick as it stands out [m]
+# radius and half thickness of a disc on the floor [m]
 _FOOTHOLD_RADIUS = 0.05
 _FOOTHOLD_HALF = 0.002
 
 
 class RomView:
-    """A sphere on two coil springs that shorten and lengthen, and discs where feet should land.
+    """Reduced-order model, a sphere on two coil springs, and discs at planned footholds.
 
     Args:
-        scene: where it is drawn, with the robot's pelvis above the origin.
-        library: the gaits, for footholds.
+        scene: scene to draw in, with the pelvis of the robot above the origin.
+        library: gaits for footholds.
     """
 
     def __init__(self, scene: viser.SceneApi, library: GaitLibrary) -> None:
@@ -67,16 +67,16 @@ class RomView:
         }
 
     def place(self, place: RomPlace) -> None:
-        """Show it at a place."""
+        """Show the model at a place."""
         self._offset = _BESIDE if place == "beside" else np.zeros(3)
         self._root.position = self._turn @ self._offset
         self._root.visible = self._plans.visible = place != "hidden"
 
     def update(self, td: TensorDictBase) -> None:
-        """Move to the reference of the present.
+        """Move to the present reference.
 
         Args:
-            td: of one robot; has `command`, `("reference", ...)` and `("truth", ...)`.
+            td: tensordict of one robot with `command`, `("reference", ...)` and `("truth", ...)`.
         """
         ghost = Ghost.of(td)
         truth = cast("Mapping[str, torch.Tensor]", td["truth"])
@@ -84,7 +84,7 @@ class RomView:
         body = ghost.body - origin
         self._body.position = body
         orientation = truth["pelvis_orientation"][0].double().numpy()
-        # beside a robot that has turned, not in its way
+        # the offset turns with the robot
         self._turn = yaw_rotation(orientation)
         self._root.position = self._turn @ self._offset
         legs: tuple[tuple[Side, Side, np.ndarray, bool], ...] = (
@@ -103,10 +103,9 @@ class RomView:
 
 
 class _LegView:
-    """A coil spring with a round foot, one metre long and stretched to the leg's length.
+    """Coil spring with a round foot, one metre long and stretched to the length of the leg.
 
-    It is a skinned mesh, which viewers stretch as readily as they move things; a change of scale or
-    colour takes them longer.
+    A skinned mesh, which viewers stretch as fast as they move it; scaling takes them longer.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, side: Side) -> None:
@@ -121,7 +120,7 @@ class _LegView:
             *spring,
             bone_wxyzs=np.array([[1.0, 0.0, 0.0, 0.0]] * 2),
             bone_positions=np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
-            # a linear blend of two ends is a stretch
+            # a linear blend of both ends stretches the mesh
             skin_weights=np.stack([1.0 - along, along], axis=-1),
             color=color,
         )
@@ -137,27 +136,27 @@ class _LegView:
         self._spring.color = self._foot.color = self._colors[stance]
 
 
-# lines of the floor are so far apart [m]
+# distances of the lines on the floor [m]
 _CELL, _SECTION = 0.25, 1.0
 _FLOOR_COLOR = (240, 242, 245)
 _CELL_COLOR, _SECTION_COLOR = (205, 210, 218), (150, 158, 170)
 
-# where the camera starts and what it looks at [m], and how wide its view is upright [rad]
+# first position and target of the camera [m], and its vertical field of view [rad]
 _CAMERA = (2.1, 1.7, 1.1)
 _LOOK_AT = (0.0, -0.2, 0.52)
 _FIELD_OF_VIEW = 0.6
 
-# of the robot, where the reduced-order model is in its place
+# opacity of the robot with the reduced-order model in its place
 _ROBOT_OPACITY = 0.35
 
 
 class SceneView:
-    """The scene; it stays with the robot, so that the view does without being moved.
+    """Scene that moves with the robot, so that the camera need not.
 
     Args:
-        server: whose scene it is.
-        model: the robot with what is looked at, `aslip.robot.model.load_model()`.
-        library: the gaits, for footholds.
+        server: server of the page.
+        model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
+        library: gaits for footholds.
     """
 
     def __init__(
@@ -189,14 +188,14 @@ class SceneView:
             self._robot.fade(_ROBOT_OPACITY if place == "through" else None)
 
     def update(self, td: TensorDictBase) -> None:
-        """Draw the present.
+        """Draw the present instant.
 
         Args:
-            td: of one robot; has `command`, `("reference", ...)` and `("truth", ...)`.
+            td: tensordict of one robot with `command`, `("reference", ...)` and `("truth", ...)`.
         """
         qpos = cast("torch.Tensor", td["truth", "qpos"])[0].numpy()
         with self._server.atomic():
-            # the pattern repeats, so that it need not move further than it is wide
+            # the pattern repeats after a section
             self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
             self._robot.update(qpos)
             self._rom.update(td)

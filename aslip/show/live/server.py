@@ -1,4 +1,4 @@
-"""The server of the page: started at the address that was asked for, and guarded.
+"""Server of the page, at exactly the given address, which accepts only valid values.
 
 Whatever a browser sends, viser keeps and sends on to every later visitor. One value that cannot be
 encoded would close the page for all of them, and a page can set any attribute of a control, ask
@@ -26,15 +26,15 @@ _PORTS = 65536
 def start_server(host: str, port: int) -> viser.ViserServer:
     """Start a server.
 
-    viser would take the next free port if one is taken, and look for one for ever on a host that it
-    cannot have; here both are errors.
+    viser would take another port if one is taken, and search for ever on a host that is not this
+    machine; here both are errors.
 
     Args:
-        host: name or address of this machine on which to listen.
-        port: to listen on; 0 for any that is free.
+        host: name or address of this machine to listen on.
+        port: port to listen on; 0 for any free one.
 
     Raises:
-        ConfigurationError: the host is not this machine's, or the port is taken or not allowed.
+        ConfigurationError: the host is not this machine, or the port is taken or not allowed.
     """
     _check_free(host, port)
     logging.getLogger("websockets.server").addFilter(_without_tracebacks)
@@ -49,7 +49,7 @@ def start_server(host: str, port: int) -> viser.ViserServer:
 
 
 def page_url(server: viser.ViserServer) -> str:
-    """Where a browser on this machine finds a server."""
+    """Address of a server for a browser on this machine."""
     host = server.get_host()
     if host in ("0.0.0.0", "::"):
         host = "localhost"
@@ -57,7 +57,7 @@ def page_url(server: viser.ViserServer) -> str:
 
 
 def _without_tracebacks(record: logging.LogRecord) -> bool:
-    """Drop reports of requests that are not a browser's, such as HEAD; shorten others to a line."""
+    """Drop reports of requests that browsers do not send, such as HEAD; shorten others."""
     if record.exc_info and record.exc_info[1] is not None:
         record.msg, record.args = f"{record.getMessage()}: {record.exc_info[1]!r}", ()
         record.exc_info = record.exc_text = None
@@ -66,14 +66,14 @@ def _without_tracebacks(record: logging.LogRecord) -> bool:
 
 def _check_free(host: str, port: int) -> None:
     if not 0 <= port < _PORTS:
-        raise ConfigurationError(f"a port is a number from 0 to {_PORTS - 1}, got {port!r}")
+        raise ConfigurationError(f"port must be a number from 0 to {_PORTS - 1}, got {port!r}")
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
     except (OSError, UnicodeError) as error:
         raise ConfigurationError(f"there is no host {host!r}: {error}") from error
     for family, kind, protocol, _, address in found:
         with socket.socket(family, kind, protocol) as probe:
-            # as the server will have it; a port whose last owner has just gone is free
+            # as the server does: a port whose last owner has just gone is free
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(address)
@@ -88,7 +88,7 @@ def _check_free(host: str, port: int) -> None:
 
 
 Check = Callable[[object], Any]
-"""Map what a visitor sent to a valid value; raise ValueError if there is none."""
+"""Function from a visitor's value to a valid one; raises ValueError for invalid ones."""
 
 
 def number_within(low: float, high: float) -> Check:
@@ -103,7 +103,7 @@ def number_within(low: float, high: float) -> Check:
 
 
 def one_of(options: Sequence[str]) -> Check:
-    """Check for one of some names."""
+    """Check for one of several names."""
 
     def check(value: object) -> str:
         if not isinstance(value, str) or value not in options:
@@ -121,14 +121,14 @@ def switch(value: object) -> bool:
 
 
 def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
-    """Let nothing pass from visitors to a server but valid values of its controls.
+    """Accept only valid values of controls from visitors.
 
-    Values out of range are clamped; everything else that is invalid is dropped. What concerns one
-    visitor alone, such as the place of a camera, is not kept by the server and not touched here.
+    Values out of range are clamped; other invalid messages are dropped. State of a single visitor,
+    such as the place of a camera, is not kept by the server and not touched here.
 
     Args:
-        server: of the page.
-        checks: by uuid of the control.
+        server: server of the page.
+        checks: uuid of a control -> check of its value.
     """
     # viser has no public hook ahead of its own handlers
     connections, accept = server._websock_server, server.gui._handle_gui_updates

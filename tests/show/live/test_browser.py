@@ -148,7 +148,7 @@ def test_another_policy_is_chosen_falls_and_starts_again(desk):
     wait_for(lambda: not desk.live.walker.fallen)
 
 
-def test_two_who_look_see_the_same_and_one_may_leave_and_come_back(desk):
+def test_two_visitors_see_the_same_and_one_may_return(desk):
     other = desk.open()
     desk.pause()
     other.get_by_role("button", name="Resume").wait_for()

@@ -43,7 +43,7 @@ def test_huge_numbers_are_clamped_and_the_page_stays_open(open_page, value):
 
 
 @pytest.mark.parametrize("value", INVALID, ids=repr)
-def test_what_is_no_number_and_no_choice_changes_nothing(open_page, value):
+def test_invalid_numbers_and_choices_change_nothing(open_page, value):
     page = open_page(speed=0.5)
     before = page.controls.settings(), page.controls.push_force().tolist()
     controls = page.controls
@@ -97,7 +97,7 @@ def test_malformed_updates_are_dropped(open_page, capfd):
     ],
     ids=lambda message: message["type"],
 )
-def test_nothing_else_is_kept_or_done(open_page, monkeypatch, message: dict[str, Any]):
+def test_other_messages_are_dropped(open_page, monkeypatch, message: dict[str, Any]):
     asked = []
     monkeypatch.setattr("viser.ViserServer.request_share_url", lambda *_: asked.append(1))
     page = open_page()

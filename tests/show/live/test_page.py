@@ -65,7 +65,7 @@ def test_pause_stops_time_and_a_click_steps_once(open_page):
     assert page.controls.pause.label == "Pause"
 
 
-def test_a_single_step_is_not_for_a_robot_that_walks(open_page):
+def test_single_step_needs_a_paused_page(open_page):
     page = open_page()
     assert page.controls.step.disabled
     # from a page that was drawn before
@@ -100,7 +100,7 @@ def test_a_reset_drops_single_steps_that_wait(open_page):
     assert page.walker.steps == 0
 
 
-def test_a_complaint_goes_with_the_next_click(open_page):
+def test_error_message_goes_with_the_next_click(open_page):
     page = open_page(speed=0.5)
     page.controls.command.value = 7.0
     page.turn()
@@ -183,7 +183,7 @@ def test_policies_are_switched_without_a_restart(open_page):
     assert page.walker.steps == 4
 
 
-def test_every_fall_is_told_and_ends_with_a_reset_a_second_later(open_page):
+def test_fall_is_reported_and_reset_after_a_second(open_page):
     page = open_page({"limp": limp()}, speed=1.0)
     fell_after = []
     for falls in (1, 2):
@@ -202,7 +202,7 @@ def test_every_fall_is_told_and_ends_with_a_reset_a_second_later(open_page):
     assert fell_after[0] == fell_after[1] > 5
 
 
-def test_a_fallen_robot_lies_while_time_stands_still(open_page):
+def test_fallen_robot_stays_down_while_paused(open_page):
     page = open_page({"limp": limp()}, speed=1.0)
     while not page.walker.fallen:
         page.turn()
@@ -212,7 +212,7 @@ def test_a_fallen_robot_lies_while_time_stands_still(open_page):
     assert page.falls == 1
 
 
-def test_without_automatic_reset_the_robot_lies_until_the_button(open_page):
+def test_without_automatic_reset_the_robot_stays_down_until_a_click(open_page):
     page = open_page({"limp": limp()}, speed=1.0)
     page.controls.auto_reset.value = False
     while not page.walker.fallen:
@@ -229,7 +229,7 @@ def test_without_automatic_reset_the_robot_lies_until_the_button(open_page):
     assert page.walker.steps == 2
 
 
-def test_a_setting_that_cannot_be_is_told_and_the_robot_goes_on(open_page):
+def test_invalid_setting_is_reported_and_the_robot_walks_on(open_page):
     page = open_page(speed=0.5)
     page.controls.command.value = 7.0
     walk(page, 3)
@@ -260,7 +260,7 @@ def test_without_policies_the_walkers_own_walks(library):
         page.stop()
 
 
-def test_policies_that_are_not_there_are_named_before_anything_is_served(open_page, monkeypatch):
+def test_missing_policies_are_named_before_the_server_starts(open_page, monkeypatch):
     monkeypatch.setattr("aslip.show.live.page.start_server", lambda *_: pytest.fail("served"))
     with pytest.raises(AssetError, match="nobody"):
         open_page({"aslip": "aslip", "other": "nobody"})
@@ -278,13 +278,13 @@ def test_serving_ends_with_stop_and_the_page_is_gone(open_page):
     steps = page.walker.steps
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(page.url)
-    with pytest.raises(ConfigurationError, match="stopped"):
+    with pytest.raises(ConfigurationError, match="closed"):
         page.serve()
     assert page.walker.steps == steps
     page.stop()
 
 
-def test_ctrl_c_ends_serving_in_peace(open_page):
+def test_ctrl_c_ends_serving_without_an_error(open_page):
     def interrupt(td):
         raise KeyboardInterrupt
 
@@ -304,7 +304,7 @@ def test_an_error_on_a_step_ends_serving_with_that_error(open_page):
         urllib.request.urlopen(page.url)
 
 
-def test_what_viewers_are_sent_later_does_not_grow(open_page):
+def test_messages_for_new_visitors_do_not_accumulate(open_page):
     page = open_page(speed=1.0)
     kept = []
     for _ in range(2):

@@ -23,7 +23,7 @@ def test_blue_and_red_are_left_and_right():
     assert forces == LEGS
 
 
-def test_blue_and_red_are_nothing_else():
+def test_blue_and_red_have_no_other_meaning():
     motors = [viewer_layouts.motors(side, "position", "rad") for side in SIDES]
     plots = (viewer_layouts.VELOCITY, viewer_layouts.REWARD, *motors)
     used = {curve.color for plot in plots for curve in plot.curves}

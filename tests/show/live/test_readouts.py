@@ -42,7 +42,7 @@ def shown(server, monkeypatch) -> dict:
     return made
 
 
-def test_lines_tell_the_status_and_are_no_markup_of_others(shown, readouts):
+def test_lines_show_the_status_and_escape_markup(shown, readouts):
     readouts.show(STATUS)
     text = re.sub("<.*?>", " ", shown["html"][0].content)
     for part in ("12.34 s", "1.02 m/s", "0.871 m", "3 falls", "0.98", "&lt;fallen&gt;"):
@@ -104,7 +104,7 @@ def test_the_range_of_speeds_holds_the_curves_closely(shown, readouts, library):
         assert high - 0.25 < np.nanmax(speeds) < high
 
 
-def test_a_plot_is_built_anew_for_a_visitor_and_then_no_more(shown, readouts):
+def test_plot_is_redrawn_for_a_new_visitor_only(shown, readouts):
     def ranges(count: int) -> list[tuple[float, float]]:
         seen = []
         for _ in range(count):

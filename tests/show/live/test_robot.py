@@ -104,7 +104,7 @@ def test_a_tube_goes_along_its_path():
     np.testing.assert_allclose(across, 0, atol=1e-12)
 
 
-def test_what_is_seen_of_a_body_is_sorted_by_colour():
+def test_visible_shapes_of_a_body_are_grouped_by_colour():
     model = load_model()
     body = model.body("left_foot").id
     meshes = dict(body_meshes(model, body))

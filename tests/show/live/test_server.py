@@ -25,7 +25,7 @@ def test_a_port_that_is_taken_is_an_error_that_names_it():
 
 
 @pytest.mark.parametrize("port", [-1, 65536])
-def test_a_port_must_be_a_port(port):
+def test_port_out_of_range_is_an_error(port):
     with pytest.raises(ConfigurationError, match=str(port)):
         start_server("127.0.0.1", port)
 
@@ -97,7 +97,7 @@ def test_a_handler_that_fails_is_reported_in_a_line(caplog):
 @pytest.mark.parametrize(
     ("host", "shown"), [("0.0.0.0", "localhost"), ("::", "localhost"), ("::1", "[::1]")]
 )
-def test_a_url_is_one_that_a_browser_takes(host, shown):
+def test_url_is_valid_in_a_browser(host, shown):
     class Server:
         get_host = staticmethod(lambda: host)
         get_port = staticmethod(lambda: 8080)
