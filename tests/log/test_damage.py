@@ -257,7 +257,7 @@ def test_attachments_that_are_missing_or_altered_are_named(log: Path, tmp_path: 
     assert check(missing) == ["the attachment 'config.json' is missing"]
     other = _rewritten(log, tmp_path / "other.mcap", None, alter="model.xml")
     assert check(other) == [
-        "the attachment 'model.xml' is not what was attached: its SHA-256 differs"
+        "the attachment 'model.xml' is altered: its SHA-256 differs"
     ]
     for path in (missing, other):
         with pytest.raises(FileDamagedError, match="attachment"):
@@ -305,7 +305,7 @@ def test_a_wrong_or_absent_hash_is_named(log: Path, whole: Recording, tmp_path: 
     metadata = whole.metadata
     wrong = {**metadata, "sha256/config.json": "0" * 64}
     assert check(_rewritten(log, tmp_path / "wrong.mcap", wrong)) == [
-        "the attachment 'config.json' is not what was attached: its SHA-256 differs"
+        "the attachment 'config.json' is altered: its SHA-256 differs"
     ]
     del wrong["sha256/config.json"]
     assert check(_rewritten(log, tmp_path / "absent.mcap", wrong)) == [
