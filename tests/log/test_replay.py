@@ -88,7 +88,7 @@ def test_last_bit_of_a_state_makes_a_difference(recording: Recording) -> None:
     assert result.diverged_at == pytest.approx(states.time[last])
 
 
-def test_another_mujoco_is_output_as_such(recording: Recording) -> None:
+def test_other_mujoco_version_is_reported(recording: Recording) -> None:
     other = replace(recording, metadata={**recording.metadata, "version/mujoco": "3.99.0"})
     with pytest.raises(ConfigurationError, match=r"mujoco==3\.99\.0.*strict=False"):
         replay(other)
@@ -97,7 +97,7 @@ def test_another_mujoco_is_output_as_such(recording: Recording) -> None:
     assert "3.99.0" in result.doubts[0]
 
 
-def test_drift_is_output_of_every_state(recording: Recording) -> None:
+def test_drift_is_measured_for_every_state(recording: Recording) -> None:
     """It begins where something was different, and ends with the episode."""
     row = int(np.searchsorted(recording["/step"].time, 1.0))
     other = _changed(recording, "/step", "motor_target_left_knee", row, 1e-9)
@@ -132,7 +132,7 @@ def test_drift_of_the_configuration_ignores_velocities(
     np.testing.assert_allclose(result.qpos_drift[-1], 1e-3 * moves, rtol=1e-6)
 
 
-def test_a_log_without_states_is_output_as_such(recording: Recording) -> None:
+def test_log_without_states_is_reported(recording: Recording) -> None:
     series = {topic: s for topic, s in recording.series.items() if topic != "/state"}
     with pytest.raises(FileDamagedError, match="/state"):
         replay(replace(recording, series=series))
