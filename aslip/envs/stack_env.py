@@ -21,7 +21,6 @@ from torchrl.envs.transforms import (
 
 from aslip.envs.robot_env import RobotEnv
 from aslip.envs.simulated_env import SimulatedEnv, reset_request
-from aslip.envs.stacks import needs_simulation
 from aslip.errors import ConfigurationError
 from aslip.sim.checks import check_count
 from aslip.transforms import (
@@ -31,6 +30,8 @@ from aslip.transforms import (
     LastAction,
     LowReward,
     ObservationNoise,
+    RandomDynamics,
+    ReferenceStart,
     RewardTerm,
     SeededTransform,
     WeightedReward,
@@ -247,10 +248,8 @@ def check_wiring(env: StackEnv) -> None:
         summed |= isinstance(transform, WeightedReward)
         rewarded |= "reward" in transform.out_keys
         sensed |= isinstance(transform, EstimatedState)
-        if isinstance(transform, RewardTerm | ActionDelta):
+        if isinstance(transform, RewardTerm | ActionDelta | LastAction):
             require_keys(transform, available, transform.in_keys)
-        if isinstance(transform, LastAction):
-            require_keys(transform, available, ["action"])
 
 
 def _check_simulation(env: StackEnv) -> None:
@@ -266,7 +265,7 @@ def _check_simulation(env: StackEnv) -> None:
         truth = [key for key in transform.in_keys if key[0] == "truth" and key not in entries]
         if truth:
             lacks = f"reads {truth[0]!r}"
-        elif needs_simulation(transform) and not transform.in_keys:
+        elif isinstance(transform, ReferenceStart | RandomDynamics):
             lacks = "chooses the initial state or the dynamics"
         else:
             continue

@@ -280,7 +280,7 @@ def evaluation_stack(stack: Stack) -> Stack:
     common = default_stack()
     judges = {name: common[name] for name in ("start", *_EVALUATION)}
     seen = {name: make for name, make in stack.items() if name not in {"dynamics", *judges}}
-    goal = partial(ReferenceInjection, GaitLibrary.load(), reference_key="judge")
+    goal = partial(ReferenceInjection, GaitLibrary.load(), out_keys=("judge", "goal"))
     return {"start": judges.pop("start"), **seen, "judge": goal, **judges}
 
 

@@ -1,4 +1,4 @@
-"""From the policy's output to motor targets, and its memory."""
+"""Motor targets from the policy's action, and the action before."""
 
 from __future__ import annotations
 
@@ -13,52 +13,63 @@ from torch import Tensor
 from torchrl.data import Bounded, Composite
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import CASSIE
-from aslip.transforms.base import SeededTransform, extend_spec
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 
 
 class ActionDelta(SeededTransform):
-    r"""The policy's delta on the reference's motor angles: :math:`a = \hat a + \delta_a`.
+    r"""Add the policy's action to a baseline, the reference's motor angles: :math:`\hat a + a`.
 
     (Sec. III-B.) The delta is unbounded, unscaled and unfiltered, as in the paper. To act on
-    another baseline, such as what `Feedforward` writes, name its key. A robot whose action is not
-    finite counts as diverged: no motor could take it.
+    another baseline, such as the targets of `Feedforward`, name its key. A robot whose action is
+    not finite counts as diverged: no motor could take it.
 
     The action spec is bounded all the same, for algorithms that scale their actions to it and for
     random actions. The bound describes and never clips: what a policy sends is what is added. The
     shipped policies walk with deltas of up to 0.95 rad (aslip) and 1.21 rad (robust).
 
     Args:
-        baseline_key: (*b, 10) angles to add the delta to [rad].
+        baseline_key: key of the angles (n, m) that the action is added to [rad].
         limit: bound of the action spec, to either side, for all motors or for each of them [rad].
+        in_keys_inv: key of the motor targets (n, m), which the robot takes [rad].
+        out_keys_inv: key of the action (n, m), which the policy gives [rad].
 
     Raises:
-        ConfigurationError: the limit is not one or ten finite numbers above 0.
+        ConfigurationError: `limit` is not a finite number above 0, or m of them (raised when added
+            to a stack).
     """
+
+    num_in_keys, num_out_keys = 1, 0
 
     def __init__(
         self,
         baseline_key: NestedKey = ("reference", "motor_position"),
         *,
         limit: float | Sequence[float] = math.pi / 2,
+        in_keys_inv: Sequence[NestedKey] = ("motor_target",),
+        out_keys_inv: Sequence[NestedKey] = ("action",),
     ) -> None:
         super().__init__(in_keys=[baseline_key], out_keys=[])
+        for which, keys in (("in_keys_inv", in_keys_inv), ("out_keys_inv", out_keys_inv)):
+            self._check_keys(which, keys, 1)
+        self.in_keys_inv, self.out_keys_inv = list(in_keys_inv), list(out_keys_inv)
         self.baseline_key = baseline_key
         self.limit = _checked(limit)
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        target = add_delta(tensordict[self.baseline_key], tensordict["action"])
-        return tensordict.set("motor_target", target)
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict
+        baseline, action = tensordict[self.baseline_key], tensordict[self.out_keys_inv[0]]
+        return tensordict.set(self.in_keys_inv[0], add_delta(baseline, action))
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """Offer `action` in place of `motor_target`."""
-        shape = action_spec["motor_target"].shape
+        """Offer the action in place of the motor targets."""
+        (target,), (action,) = self.in_keys_inv, self.out_keys_inv
+        shape = action_spec[target].shape
+        if isinstance(self.limit, tuple) and len(self.limit) != shape[-1]:
+            raise ConfigurationError(
+                f"limit must be one number or {shape[-1]} of them [rad], got {self.limit}"
+            )
         high = torch.tensor(self.limit, dtype=torch.float32).expand(shape)
-        action_spec["action"] = Bounded(-high, high, shape=shape, dtype=torch.float32)
-        del action_spec["motor_target"]
+        del action_spec[target]
+        action_spec[action] = Bounded(-high, high, shape=shape, dtype=torch.float32)
         return action_spec
 
 
@@ -76,42 +87,62 @@ def add_delta(baseline: Tensor, action: Tensor) -> Tensor:
 
 
 def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:
-    """One number above 0, or one a motor.
+    """One finite number above 0, or a tuple of them.
 
     Raises:
-        ConfigurationError: it is anything else.
+        ConfigurationError: `limit` is anything else.
     """
     try:
         values = np.atleast_1d(np.asarray(limit, dtype=np.float64))
     except (TypeError, ValueError):
         values = np.zeros(0)
-    right_size = values.shape in {(1,), (len(CASSIE.motor_names),)}
-    if not right_size or not (np.isfinite(values) & (values > 0)).all():
+    if values.ndim > 1 or not values.size or not (np.isfinite(values) & (values > 0)).all():
         raise ConfigurationError(
-            f"limit must be a finite number above 0 [rad], or {len(CASSIE.motor_names)} of them,"
-            f" got {limit!r}"
+            f"limit must be a finite number above 0 [rad], or one for each motor, got {limit!r}"
         )
     numbers = tuple(values.tolist())
     return numbers[0] if len(numbers) == 1 else numbers
 
 
 class LastAction(SeededTransform):
-    """Remember the previous action under `last_action`; zero, no delta, after a reset."""
+    """Write the action of the step before; zero after a reset.
 
-    def __init__(self) -> None:
-        super().__init__(in_keys=[], out_keys=["last_action"])
+    Args:
+        in_keys: key of the action (n, m).
+        out_keys: key of the action before (n, m).
+    """
+
+    num_in_keys, num_out_keys = 1, 1
+
+    def __init__(
+        self,
+        *,
+        in_keys: Sequence[NestedKey] = ("action",),
+        out_keys: Sequence[NestedKey] = ("last_action",),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        self._size = 0
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        shape = (*tensordict_reset.batch_size, len(CASSIE.motor_names))
+        shape = (*tensordict_reset.batch_size, self._size or self._action_size())
         zeros = torch.zeros(shape, dtype=torch.float32)
-        return tensordict_reset.set("last_action", zeros)
+        return tensordict_reset.set(self.out_keys[0], zeros)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict.set("last_action", tensordict["action"].detach())
+        return next_tensordict.set(self.out_keys[0], tensordict[self.in_keys[0]].detach())
+
+    def _action_size(self) -> int:
+        """Length of the action of the environment that this belongs to."""
+        parent = self.parent
+        if parent is None:
+            raise RuntimeError("LastAction needs an environment; add it to one first")
+        require_keys(self, parent.full_action_spec, self.in_keys)
+        return parent.full_action_spec[self.in_keys[0]].shape[-1]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add `last_action`."""
-        return extend_spec(observation_spec, {"last_action": len(CASSIE.motor_names)})
+        """Add the action before."""
+        self._size = self._action_size()
+        return extend_spec(observation_spec, {self.out_keys[0]: self._size})

@@ -1,11 +1,11 @@
-"""What our transforms share: one place to compute, called on steps and at resets alike."""
+"""Base class of the transforms, and checks of their settings."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, ClassVar, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -17,19 +17,66 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 
 
 class SeededTransform(Transform):
-    """A transform whose `_call` also runs at resets, and that can be seeded.
+    """Base class of transforms that act at resets, too, and follow `env.set_seed`.
 
-    TorchRL runs `_call` on steps only; a key it writes would be missing after a reset.
+    Override `_call` for entries that follow from others of the same instant: TorchRL runs it on
+    steps only, this class at resets as well. Override `_step` and `_reset` for entries that follow
+    from the step before. Entries of an episode belong into the tensordict, not into the transform,
+    so that partial resets, several processes and replay need no care.
+
+    Without an environment, `transform(tensordict)`, as in a replay buffer or a model, a `_call`
+    acts on the tensordict, and a `_step` from it on its `"next"`.
+
+    Args:
+        in_keys: entries that it reads.
+        out_keys: entries that it writes.
+
+    Raises:
+        ConfigurationError: the keys are a string, or not as many as the class reads and writes.
     """
 
-    def __init__(self, in_keys: list[NestedKey], out_keys: Sequence[NestedKey]) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+    num_in_keys: ClassVar[int | None] = None
+    """Number of keys that the class reads; None for any."""
+    num_out_keys: ClassVar[int | None] = None
+    """Number of keys that the class writes; None for any."""
+    needs_env: ClassVar[str] = ""
+    """Reason why the class acts in environments only; empty if it does not."""
+
+    def __init__(self, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
+        for which, keys in (("in_keys", in_keys), ("out_keys", out_keys)):
+            self._check_keys(which, keys, getattr(self, f"num_{which}"))
+        super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.generator = torch.Generator()
         self.set_seed(0)
+
+    def _check_keys(self, which: str, keys: object, number: int | None) -> None:
+        kind = type(self).__name__
+        if isinstance(keys, str) or not isinstance(keys, Sequence):
+            raise ConfigurationError(f"{which} of {kind} must be a list of keys, got {keys!r}")
+        if number is not None and len(keys) != number:
+            raise ConfigurationError(f"{which} of {kind} must be {number} keys, got {keys!r}")
 
     def set_seed(self, seed: int) -> None:
         """Restart the transform's own random numbers."""
         self.generator.manual_seed(seed)
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Act on a tensordict without an environment.
+
+        Raises:
+            NotImplementedError: the transform acts in environments only; the message says why.
+        """
+        if self.needs_env:
+            raise NotImplementedError(
+                f"{type(self).__name__} acts in an environment only: {self.needs_env}"
+            )
+        if type(self)._step is Transform._step:
+            return self._call(tensordict)
+        following = cast("TensorDictBase", tensordict["next"])
+        return tensordict.set("next", self._step(tensordict, following))
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -71,15 +118,15 @@ class SeededTransform(Transform):
     ) -> TensorDictBase:
         """Put `draw` into the request for a reset, unless the caller chose a value.
 
-        A request that names robots to reset is a tensordict of the episode that ends; what it
-        holds is old, not chosen.
+        A request with a `_reset` mask is a tensordict of the episode that ends: its values are old,
+        not chosen.
         """
         if tensordict.get(key, None) is None or "_reset" in tensordict:
             tensordict.set(key, draw)
         return tensordict
 
     def _request(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        """The request for a reset; an empty one when all is to be reset to whatever is drawn."""
+        """Request for a reset; an empty one to reset all robots to whatever is drawn."""
         if tensordict is not None:
             return tensordict
         # slow, TorchRL builds the environment below anew: StackEnv never comes here
@@ -92,17 +139,17 @@ class SeededTransform(Transform):
 def check_number(
     name: str, value: Any, low: float = -math.inf, high: float = math.inf, what: str = ""
 ) -> float:
-    """A setting as a float, if it is a finite number from `low` to `high`.
+    """Setting as a float, checked to be a finite number from `low` to `high`.
 
     Args:
-        name: of the setting, for the message.
-        value: what was given.
+        name: name of the setting, for the message.
+        value: number to check.
         low: least value.
         high: greatest value.
         what: meaning and unit, for the message.
 
     Raises:
-        ConfigurationError: it is not.
+        ConfigurationError: `value` is no such number.
     """
     real = isinstance(value, Real) and not isinstance(value, bool)
     number = float(value) if real else math.nan
@@ -124,7 +171,7 @@ def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:
 
 
 def require_keys(transform: Transform, spec: TensorSpec, keys: Sequence[NestedKey]) -> None:
-    """Check that a spec has all that a transform reads.
+    """Check that a spec has all entries that a transform reads.
 
     Raises:
         UnknownNameError: a key is missing; the message lists the keys there are.
@@ -140,11 +187,11 @@ def require_keys(transform: Transform, spec: TensorSpec, keys: Sequence[NestedKe
             )
 
 
-def checked_column(tensordict: TensorDictBase, key: str) -> torch.Tensor:
-    """A value that a caller may have written, in single precision.
+def checked_column(tensordict: TensorDictBase, key: NestedKey) -> torch.Tensor:
+    """Entry (*b, 1) that a caller may have written, in single precision.
 
     Raises:
-        ShapeError: it has not one number a robot.
+        ShapeError: the entry is not one number a robot.
         ConfigurationError: a number is not finite.
     """
     value = torch.as_tensor(tensordict[key])

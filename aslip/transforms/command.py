@@ -1,4 +1,4 @@
-"""What the operator wants, and where in the stride the clock is (Fig. 2)."""
+"""Commanded speed, and the clock of the stride (Fig. 2)."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import cast
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
@@ -25,40 +26,47 @@ from aslip.transforms.base import (
 
 
 class SpeedCommand(SeededTransform):
-    """Forward speed to walk at: drawn at each reset, then held, or drawn anew now and then.
+    """Draw the commanded forward speed at each reset, and, on request, at random times after it.
 
-    To command from outside, write `td["command"]` between steps, or pass it to `env.reset`: a speed
-    of the library's range, else `SpeedOutOfRangeError` is raised. It acts on the reference that the
-    policy sees next, and on rewards from the step after; the phase goes on. In a reset of some
-    robots only, with a `_reset` mask, theirs are drawn anew. For another distribution override
-    `draw`.
+    To command from outside, write `td["command"]` between steps, or pass it to `env.reset`. The
+    speed must be within the library's range, else `SpeedOutOfRangeError` is raised. It acts on the
+    reference that the policy sees next, and on rewards from the step after; the phase goes on. In a
+    reset of some robots only, with a `_reset` mask, theirs are drawn anew. For another distribution
+    override `draw`.
 
     Args:
-        library: bounds the speeds.
+        library: gaits, which bound the speeds.
         speeds: speeds to draw from [m/s]; all gaits of the library by default ("a reference
             trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
         interval: mean time between changes within an episode [s], at any policy step with the same
             probability; infinite in the paper, where a speed is kept for an episode.
+        out_keys: key of the command (n, 1) [m/s].
+        period: duration of a policy step [s].
 
     Raises:
         SpeedOutOfRangeError: a speed is outside the library.
-        ConfigurationError: there are no speeds, or the interval is shorter than a policy step.
+        ConfigurationError: `speeds` is empty, or `interval` is shorter than a policy step.
     """
+
+    num_in_keys, num_out_keys = 0, 1
+    needs_env = "it draws commands at resets"
 
     def __init__(
         self,
         library: GaitLibrary,
         speeds: Sequence[float] | None = None,
         interval: float = math.inf,
+        *,
+        out_keys: Sequence[NestedKey] = ("command",),
+        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(in_keys=[], out_keys=["command"])
+        super().__init__(in_keys=[], out_keys=out_keys)
         number = isinstance(interval, Real) and not isinstance(interval, bool)
-        if not number or not interval >= CASSIE.policy_period:
+        if not number or not interval >= period:
             raise ConfigurationError(
-                f"interval must be a policy step, {CASSIE.policy_period} s, or more,"
-                f" got {interval!r}"
+                f"interval must be a policy step, {period} s, or more, got {interval!r}"
             )
-        self.interval = interval
+        self.interval, self._period = interval, period
         self.library = library
         self._bounds = torch.tensor([library.speeds[0], library.speeds[-1]], dtype=torch.float32)
         self.speeds: Tensor
@@ -73,27 +81,26 @@ class SpeedCommand(SeededTransform):
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
-        tensordict = self._draw_into_reset(
-            tensordict, "command", self.draw((*tensordict.batch_size, 1))
-        )
-        return tensordict.set("command", self._checked(tensordict))
+        draw = self.draw((*tensordict.batch_size, 1))
+        tensordict = self._draw_into_reset(tensordict, self.out_keys[0], draw)
+        return tensordict.set(self.out_keys[0], self._checked(tensordict))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return tensordict_reset.set("command", tensordict["command"])
+        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         command = self._checked(tensordict)
         if math.isfinite(self.interval):
             chance = torch.rand(command.shape, generator=self.generator)
-            changes = chance < CASSIE.policy_period / self.interval
+            changes = chance < self._period / self.interval
             command = torch.where(changes, self.draw((*tensordict.batch_size, 1)), command)
-        return next_tensordict.set("command", command)
+        return next_tensordict.set(self.out_keys[0], command)
 
     def _checked(self, tensordict: TensorDictBase) -> Tensor:
-        """What is commanded, if gaits for it are in the library."""
-        command = checked_column(tensordict, "command")
+        """Command within the range of the library."""
+        command = checked_column(tensordict, self.out_keys[0])
         # bounds rounded as the command is
         outside = (command < self._bounds[0]) | (command > self._bounds[1])
         if outside.any():
@@ -101,20 +108,20 @@ class SpeedCommand(SeededTransform):
         return command
 
     def draw(self, shape: tuple[int, ...]) -> Tensor:
-        """Speeds to command [m/s], by `self.generator`, so that seeds reach them."""
+        """Random speeds [m/s] of a shape, by `self.generator`, so that seeds reach them."""
         return self.speeds[torch.randint(len(self.speeds), shape, generator=self.generator)]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add `command`."""
-        return extend_spec(observation_spec, {"command": 1})
+        """Add the command."""
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare `command` as something a caller may set."""
-        return extend_spec(state_spec, {"command": 1})
+        """Declare the command as an entry that a caller may set."""
+        return extend_spec(state_spec, {self.out_keys[0]: 1})
 
 
 class PhaseClock(SeededTransform):
-    r"""Stride fraction in [0, 1): random at each reset, then advanced by time.
+    r"""Advance the stride fraction in [0, 1) by time, from a random one at each reset.
 
     .. math:: \phi \leftarrow (\phi + \Delta t / T(v)) \bmod 1
 
@@ -122,37 +129,54 @@ class PhaseClock(SeededTransform):
     keeps step length, frequency and speed consistent. A change of command keeps the phase.
 
     Args:
-        library: gives the duration T of a stride at speed v.
+        library: gaits, which have the duration T of a stride at speed v.
+        in_keys: key of the command (n, 1) [m/s].
+        out_keys: key of the phase (n, 1).
+        period: duration of a policy step [s].
     """
 
-    def __init__(self, library: GaitLibrary) -> None:
-        super().__init__(in_keys=["command"], out_keys=["phase"])
+    num_in_keys, num_out_keys = 1, 1
+    needs_env = "it draws phases at resets"
+
+    def __init__(
+        self,
+        library: GaitLibrary,
+        *,
+        in_keys: Sequence[NestedKey] = ("command",),
+        out_keys: Sequence[NestedKey] = ("phase",),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.library = library
+        self._period = period
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
         shape = (*tensordict.batch_size, 1)
         draw = torch.rand(shape, generator=self.generator, dtype=torch.float32)
-        tensordict = self._draw_into_reset(tensordict, "phase", draw)
-        return tensordict.set("phase", checked_column(tensordict, "phase") % 1.0)
+        key = self.out_keys[0]
+        tensordict = self._draw_into_reset(tensordict, key, draw)
+        return tensordict.set(key, checked_column(tensordict, key) % 1.0)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return tensordict_reset.set("phase", tensordict["phase"])
+        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         # a caller may have written either, command also as integers
-        command, phase = (checked_column(tensordict, key) for key in ("command", "phase"))
-        return next_tensordict.set("phase", advance_phase(self.library, phase, command))
+        keys = (*self.in_keys, *self.out_keys)
+        command, phase = (checked_column(tensordict, key) for key in keys)
+        following = advance_phase(self.library, phase, command, self._period)
+        return next_tensordict.set(self.out_keys[0], following)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add `phase`."""
-        return extend_spec(observation_spec, {"phase": 1})
+        """Add the phase."""
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare `phase` as something a caller may set."""
-        return extend_spec(state_spec, {"phase": 1})
+        """Declare the phase as an entry that a caller may set."""
+        return extend_spec(state_spec, {self.out_keys[0]: 1})
 
 
 def advance_phase(
@@ -161,7 +185,7 @@ def advance_phase(
     """Stride fraction (*b, 1) a policy step later.
 
     Args:
-        library: gives the duration of a stride.
+        library: gaits, which have the duration of a stride.
         phase: (*b, 1) stride fraction.
         command: (*b, 1) forward speed [m/s].
         period: duration of a policy step [s].
@@ -176,18 +200,30 @@ def clock_entries(phase: Tensor) -> dict[str, Tensor]:
 
 
 class ClockInput(SeededTransform):
-    """Write sine and cosine of the phase under `("clock", ...)`, as inputs of a policy."""
+    """Write sine and cosine of the phase, as inputs of a policy.
 
-    def __init__(self) -> None:
-        super().__init__(in_keys=["phase"], out_keys=[("clock", "sin"), ("clock", "cos")])
+    Args:
+        in_keys: key of the phase (n, 1).
+        out_keys: keys of sine and cosine (n, 1).
+    """
+
+    num_in_keys, num_out_keys = 1, 2
+
+    def __init__(
+        self,
+        *,
+        in_keys: Sequence[NestedKey] = ("phase",),
+        out_keys: Sequence[NestedKey] = (("clock", "sin"), ("clock", "cos")),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        entries = clock_entries(cast("Tensor", next_tensordict["phase"]))
+        entries = clock_entries(cast("Tensor", next_tensordict[self.in_keys[0]]))
         for key, entry in zip(self.out_keys, entries.values(), strict=True):
             next_tensordict.set(key, entry)
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add sine and cosine."""
-        require_keys(self, observation_spec, ["phase"])
-        return extend_spec(observation_spec, {("clock", "sin"): 1, ("clock", "cos"): 1})
+        require_keys(self, observation_spec, self.in_keys)
+        return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))

@@ -1,11 +1,13 @@
-"""When an episode begins, and when it is over."""
+"""Begin and end of episodes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from numbers import Integral
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
@@ -15,14 +17,19 @@ from aslip.transforms.base import SeededTransform, check_number
 
 
 class FirstStep(SeededTransform):
-    """Write whether the coming step is the first of its episode, `is_init` (n, 1) bool.
+    """Mark the first step of each episode, `is_init` (n, 1) bool.
 
     Recurrent policies forget by it, and TorchRL's collectors ask for it whatever the policy. As
     TorchRL's `InitTracker`, without asking for the specs of the whole stack.
+
+    Args:
+        out_keys: key of the mark.
     """
 
-    def __init__(self) -> None:
-        super().__init__(in_keys=[], out_keys=["is_init"])
+    num_in_keys, num_out_keys = 0, 1
+
+    def __init__(self, *, out_keys: Sequence[NestedKey] = ("is_init",)) -> None:
+        super().__init__(in_keys=[], out_keys=out_keys)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         del tensordict
@@ -36,23 +43,25 @@ class FirstStep(SeededTransform):
         return self._write(tensordict_reset, True)
 
     def _write(self, tensordict: TensorDictBase, first: bool) -> TensorDictBase:
-        return tensordict.set("is_init", torch.full((*tensordict.batch_size, 1), first))
+        return tensordict.set(self.out_keys[0], torch.full((*tensordict.batch_size, 1), first))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the flag."""
+        """Add the mark."""
         shape = torch.Size((*observation_spec.shape, 1))
-        observation_spec["is_init"] = Binary(shape=shape, dtype=torch.bool)
+        observation_spec[self.out_keys[0]] = Binary(shape=shape, dtype=torch.bool)
         return observation_spec
 
 
 class _Termination(SeededTransform):
     """End an episode, without bootstrap, where a condition holds after a step."""
 
-    def __init__(self, in_keys: list) -> None:
-        super().__init__(in_keys=in_keys, out_keys=["terminated", "done"])
+    num_in_keys = 1
+
+    def __init__(self, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
 
     def _over(self, value: Tensor) -> Tensor:
-        """(*b, 1) bool of the value under the first key."""
+        """End (*b, 1) bool of the episodes with this value."""
         raise NotImplementedError
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -76,14 +85,22 @@ class LowReward(_Termination):
     one along with other weights.
 
     Args:
-        threshold: "less than 0.3" in the paper (Sec. IV-B).
+        threshold: least reward that goes on, "less than 0.3" ends in the paper (Sec. IV-B).
+        in_keys: key of the reward (n, 1).
+        out_keys: keys of the flags (n, 1) to set.
 
     Raises:
-        ConfigurationError: the threshold is no finite number.
+        ConfigurationError: `threshold` is not a finite number.
     """
 
-    def __init__(self, threshold: float = 0.3) -> None:
-        super().__init__(["reward"])
+    def __init__(
+        self,
+        threshold: float = 0.3,
+        *,
+        in_keys: Sequence[NestedKey] = ("reward",),
+        out_keys: Sequence[NestedKey] = ("terminated", "done"),
+    ) -> None:
+        super().__init__(in_keys, out_keys)
         self.threshold = check_number("threshold", threshold)
 
     def _over(self, value: Tensor) -> Tensor:
@@ -99,14 +116,22 @@ class Fall(_Termination):
     learn from robots on the floor; with the full reward the threshold acts first.
 
     Args:
-        height: of the pelvis above the floor [m].
+        height: least height of the pelvis above the floor [m].
+        in_keys: key of the position (n, 3) [m].
+        out_keys: keys of the flags (n, 1) to set.
 
     Raises:
-        ConfigurationError: the height is no finite number.
+        ConfigurationError: `height` is not a finite number.
     """
 
-    def __init__(self, height: float = CASSIE.fall_height) -> None:
-        super().__init__([("truth", "pelvis_position")])
+    def __init__(
+        self,
+        height: float = CASSIE.fall_height,
+        *,
+        in_keys: Sequence[NestedKey] = (("truth", "pelvis_position"),),
+        out_keys: Sequence[NestedKey] = ("terminated", "done"),
+    ) -> None:
+        super().__init__(in_keys, out_keys)
         self.height = check_number("height", height, what="of the pelvis [m]")
 
     def _over(self, value: Tensor) -> Tensor:
@@ -114,7 +139,7 @@ class Fall(_Termination):
 
 
 class StaggeredEnds(SeededTransform):
-    """End the first episodes of robots at different times, or those that never fall stay in step.
+    """End the first episodes of robots at different times, so that they do not stay in step.
 
     When all robots are reset at once, each draws from 1 to `max_steps` policy steps after which its
     episode is truncated. Episodes after that are as long as the rest of the stack lets them be.
@@ -126,13 +151,24 @@ class StaggeredEnds(SeededTransform):
 
     Args:
         max_steps: longest first episode [policy steps].
+        in_keys: keys of the flags (n, 1) to set.
+        out_keys: key of the count (n, 1).
 
     Raises:
-        ConfigurationError: `max_steps` is no whole number of 1 or more.
+        ConfigurationError: `max_steps` is not a whole number of 1 or more.
     """
 
-    def __init__(self, max_steps: int) -> None:
-        super().__init__(in_keys=["truncated", "done"], out_keys=["truncated", "done", "stagger"])
+    num_out_keys = 1
+    needs_env = "it draws ends of episodes at resets"
+
+    def __init__(
+        self,
+        max_steps: int,
+        *,
+        in_keys: Sequence[NestedKey] = ("truncated", "done"),
+        out_keys: Sequence[NestedKey] = ("stagger",),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
         if not isinstance(max_steps, Integral) or isinstance(max_steps, bool) or max_steps < 1:
             raise ConfigurationError(
                 f"max_steps must be a whole number of 1 or more, got {max_steps!r}"
@@ -146,16 +182,16 @@ class StaggeredEnds(SeededTransform):
         left = torch.zeros(shape, dtype=torch.int64)
         if tensordict.get("_reset", None) is None:
             left = torch.randint(1, self.max_steps + 1, shape, generator=self.generator)
-        return tensordict_reset.set("stagger", left)
+        return tensordict_reset.set(self.out_keys[0], left)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        left = torch.as_tensor(tensordict["stagger"])
+        left = torch.as_tensor(tensordict[self.out_keys[0]])
         for key in self.in_keys:
             next_tensordict.set(key, torch.as_tensor(next_tensordict[key]) | (left == 1))
-        return next_tensordict.set("stagger", (left - 1).clamp(min=0))
+        return next_tensordict.set(self.out_keys[0], (left - 1).clamp(min=0))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the steps left."""
+        """Add the count."""
         shape = torch.Size((*observation_spec.shape, 1))
-        observation_spec["stagger"] = Unbounded(shape, dtype=torch.int64)
+        observation_spec[self.out_keys[0]] = Unbounded(shape, dtype=torch.int64)
         return observation_spec

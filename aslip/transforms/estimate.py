@@ -1,14 +1,15 @@
-"""What the robot believes about its state, under `("estimate", ...)` and `("odometry", ...)`."""
+"""State of the robot for policy and rewards: estimated, or the simulator's truth."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final, cast
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
-from tensordict.utils import NestedKey
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Binary, Composite, Unbounded
 
@@ -53,13 +54,13 @@ ODOMETRY_SIZES: Final = MappingProxyType(
         "right_foot_orientation": 4,
     }
 )
-"""Entries of `("odometry", ...)`: where pelvis and soles are believed to be, by the names of
+"""Entries of `("odometry", ...)`: estimated places of pelvis and soles, by the names of
 `("truth", ...)`, in the heading frame: z up against gravity, also on a slope, x along the robot's
-heading. Heights are above the ground below the robot. The way along the ground is counted from the
-start, and drifts; it is no part of the policy's input, but rewards can be given on it. The same of
-the truth is `("true_odometry", ...)`, see `HeadingFrame`."""
+heading. Heights are above the ground below the robot. Distances along the ground count from the
+start, and drift; the policy does not see them, but rewards can be given on them. Perfect odometry
+is `("true_odometry", ...)`, see `HeadingFrame`."""
 
-# where the entries of a perfect estimate are
+# keys of the entries of a perfect estimate
 _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
     "height": ("true_odometry", "pelvis_position"),
     "orientation": ("true_odometry", "pelvis_orientation"),
@@ -70,64 +71,81 @@ _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
 
 
 class _Estimator(SeededTransform):
-    """Writes `("estimate", ...)` and `("odometry", ...)`."""
+    """Base class of transforms that write estimate and odometry under their first two keys."""
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES` and `ODOMETRY_SIZES`."""
         require_keys(self, observation_spec, self.in_keys)
-        sizes = {("estimate", name): size for name, size in ESTIMATE_SIZES.items()}
-        sizes |= {("odometry", name): size for name, size in ODOMETRY_SIZES.items()}
-        return extend_spec(observation_spec, sizes)
+        for key, sizes in zip(self.out_keys, (ESTIMATE_SIZES, ODOMETRY_SIZES), strict=False):
+            group = Composite(shape=observation_spec.shape)
+            observation_spec[key] = extend_spec(group, sizes)
+        return observation_spec
 
 
 class TrueState(_Estimator):
-    """The truth in place of an estimate: a perfect estimator, to compare others with.
+    """Write the truth in place of an estimate, as a perfect estimator would.
 
-    Must come after `HeadingFrame`, whose frame it is in.
+    Reads `("truth", ...)` and `("true_odometry", ...)`, so it must come after `HeadingFrame`.
+
+    Args:
+        out_keys: keys of estimate and odometry.
     """
 
-    def __init__(self) -> None:
+    num_out_keys = 2
+
+    def __init__(self, *, out_keys: Sequence[NestedKey] = ("estimate", "odometry")) -> None:
         keys: set[NestedKey] = {("true_odometry", name) for name in ODOMETRY_SIZES}
         keys.update(_TRUTH_OF.values())
-        super().__init__(in_keys=sorted(keys), out_keys=["estimate", "odometry"])
+        super().__init__(in_keys=sorted(keys, key=str), out_keys=out_keys)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         estimate = {name: cast("Tensor", next_tensordict[key]) for name, key in _TRUTH_OF.items()}
         estimate["height"] = estimate["height"][..., 2:]
         odometry = {name: next_tensordict["true_odometry", name] for name in ODOMETRY_SIZES}
-        return next_tensordict.update({"estimate": estimate, "odometry": odometry})
+        for key, entries in zip(self.out_keys, (estimate, odometry), strict=True):
+            next_tensordict.set(key, TensorDict(entries, next_tensordict.batch_size))
+        return next_tensordict
 
 
 class EstimatedState(_Estimator):
-    """State estimated from the packets `("sensors", ...)`; see `aslip.estimation`.
+    """Estimate the state from the packets of the sensors; see `aslip.estimation`.
 
-    What the estimator remembers between steps travels as `("estimator", "memory")`, doubles. What
-    was wrong with a step's packets is `("estimator", "faults")` (n, 4) bool, in the order of
-    `aslip.estimation.FAULTS`; `("estimator", "contact")` (n, 2) tells which feet are loaded. A
-    robot that is reset is estimated afresh from its first packets.
-
-    The robot is told its heading, which `HeadingFrame` writes; without, it is the yaw of the first
-    packet's orientation.
+    The estimator's memory between steps travels as `("estimator", "memory")`, doubles. Faults of a
+    step's packets are `("estimator", "faults")` (n, 4) bool, in the order of
+    `aslip.estimation.FAULTS`; loaded feet are `("estimator", "contact")` (n, 2). A robot that is
+    reset is estimated afresh from its first packets.
 
     Args:
-        estimator: another one, or with other settings.
+        estimator: another estimator, or one with other settings.
+        in_keys: keys of the packets (n, w, k), in the order of `Robot.packet_sizes`.
+        out_keys: keys of estimate, odometry, and the estimator's own entries.
+        heading_key: key of the yaw (n, 1) that is straight ahead [rad], as `HeadingFrame` writes
+            it; where there is no such entry, the yaw of the first packet's orientation.
     """
 
-    def __init__(self, estimator: StateEstimator | None = None) -> None:
-        super().__init__(
-            in_keys=[("sensors", name) for name in CASSIE.packet_sizes],
-            out_keys=["estimate", "odometry", "estimator"],
-        )
+    num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
+    needs_env = "the estimator follows robots from their resets on"
+
+    def __init__(
+        self,
+        estimator: StateEstimator | None = None,
+        *,
+        in_keys: Sequence[NestedKey] = tuple(("sensors", name) for name in CASSIE.packet_sizes),
+        out_keys: Sequence[NestedKey] = ("estimate", "odometry", "estimator"),
+        heading_key: NestedKey = "heading",
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        self._heading_key = heading_key
         self.estimator = StateEstimator() if estimator is None else estimator
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        memory = cast("torch.Tensor", tensordict["estimator", "memory"])
+        memory = cast("torch.Tensor", tensordict[unravel_key((self.out_keys[2], "memory"))])
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
-        heading = next_tensordict.get("heading", None)
+        heading = next_tensordict.get(self._heading_key, None)
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
-        return next_tensordict.update(estimate_entries(tracking, estimate))
+        return next_tensordict.update(self._grouped(estimate_entries(tracking, estimate)))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -138,21 +156,28 @@ class EstimatedState(_Estimator):
         if mask is not None:
             rows = mask.reshape(-1)
         packets = self._packets(tensordict_reset)[rows.numpy()]
-        heading = tensordict_reset.get("heading", None)
+        heading = tensordict_reset.get(self._heading_key, None)
         if heading is not None:
             heading = heading[rows].double().numpy()
-        entries = estimate_entries(*self.estimator.start(packets, heading))
+        started = self._grouped(estimate_entries(*self.estimator.start(packets, heading)))
         if rows.all():
-            return tensordict_reset.update(entries)
-        started = TensorDict(entries, batch_size=[int(rows.sum())])
+            return tensordict_reset.update(started)
         for key, value in started.items(True, True):
             full = torch.zeros(len(rows), *value.shape[1:], dtype=value.dtype)
             full[rows] = value
             tensordict_reset.set(key, full)
         return tensordict_reset
 
+    def _grouped(self, entries: Mapping[str, Mapping[str, torch.Tensor]]) -> TensorDict:
+        """Entries of `estimate_entries` under the keys of this transform."""
+        num = len(entries["estimator"]["memory"])
+        grouped = TensorDict(batch_size=[num])
+        for key, group in zip(self.out_keys, entries.values(), strict=True):
+            grouped.set(key, TensorDict(dict(group), batch_size=[num]))
+        return grouped
+
     def _packets(self, tensordict: TensorDictBase) -> np.ndarray:
-        """(n, w, 42) the sensors' packets."""
+        """Packets (n, w, 42) of the sensors."""
         entries = [cast("torch.Tensor", tensordict[key]) for key in self.in_keys]
         return torch.cat(entries, dim=-1).double().numpy()
 
@@ -160,7 +185,7 @@ class EstimatedState(_Estimator):
         """Add the entries of `ESTIMATE_SIZES`, `ODOMETRY_SIZES`, and the estimator's own."""
         spec = super().transform_observation_spec(observation_spec)
         shape, size = tuple(spec.shape), tracking_size(self.estimator.robot)
-        spec["estimator"] = Composite(
+        spec[self.out_keys[2]] = Composite(
             memory=Unbounded(torch.Size((*shape, size)), dtype=torch.float64),
             faults=Binary(shape=torch.Size((*shape, len(FAULTS))), dtype=torch.bool),
             contact=Binary(shape=torch.Size((*shape, len(SIDES))), dtype=torch.bool),

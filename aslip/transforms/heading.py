@@ -1,12 +1,13 @@
-"""The robot's own frame: where it was, and which way it was to go, when it began."""
+"""Heading frame: the place of the start, and the direction that is straight ahead."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final, cast
 
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 
@@ -15,62 +16,77 @@ from aslip.transforms.base import SeededTransform, checked_column, extend_spec, 
 from aslip.transforms.estimate import ODOMETRY_SIZES
 from aslip.transforms.rotation import conjugate, multiply, rotate_inverse, upper_hemisphere, yaw
 
-_GROUP = "true_odometry"
-_ORIGIN = (_GROUP, "origin")
 _BODIES = ("pelvis", *(f"{side}_foot" for side in SIDES))
 # the reference's body sways about its line by 0.02 m: a start this close to it is on it [m]
 _SWAY: Final = 0.05
 
 
 class HeadingFrame(SeededTransform):
-    """Write the truth as perfect odometry, `("true_odometry", ...)`: where the robot went since.
+    """Write heading and perfect odometry, the truth in the robot's heading frame.
 
-    Entries have the names and the frame of `("odometry", ...)`, see `ODOMETRY_SIZES`: z is up
-    against gravity, x along the robot's heading. Rewards and metrics read them in place of
-    `("truth", ...)`, whose axes are the world's, so that a robot may start anywhere and turned by
-    any angle.
+    Entries of `("true_odometry", ...)` have the names and the frame of `("odometry", ...)`, see
+    `ODOMETRY_SIZES`: z is up against gravity, x along the robot's heading. Rewards and metrics read
+    them in place of `("truth", ...)`, whose axes are the world's, so that a robot may start
+    anywhere and turned by any angle.
 
-    The heading is a yaw against gravity, under `heading` (n, 1) [rad]. A reset takes it from its
-    tensordict, `env.reset(TensorDict(heading=...))`: what the robot is told about which way is
-    ahead; it turns no robot. By default, and in a reset of some robots only, with a `_reset` mask,
-    it is the true yaw of the pelvis then. Write `td["heading"]` between steps to change it.
+    The heading is a yaw against gravity, `heading` (n, 1) [rad], that the robot takes for straight
+    ahead; it turns no robot. Pass it to a reset, `env.reset(TensorDict(heading=...))`, or write
+    `td["heading"]` between steps to change it. By default, and in a reset of some robots only, with
+    a `_reset` mask, it is the true yaw of the pelvis at the reset.
 
     `("true_odometry", "origin")` (n, 3) [m, world] is on the floor below the place of the start, or
     at the world's origin where the pelvis starts within 0.05 m of it: the reference sways by
     0.02 m about its line.
+
+    Args:
+        truth_key: key of the truth, of which the entries of `ODOMETRY_SIZES` and `slope` are read.
+        out_keys: keys of heading and perfect odometry.
     """
 
-    def __init__(self) -> None:
-        truth = [*ODOMETRY_SIZES, "slope"]
-        super().__init__(in_keys=[("truth", name) for name in truth], out_keys=["heading", _GROUP])
+    num_out_keys = 2
+    needs_env = "headings are those of robots at their resets"
+
+    def __init__(
+        self,
+        *,
+        truth_key: str = "truth",
+        out_keys: Sequence[NestedKey] = ("heading", "true_odometry"),
+    ) -> None:
+        names = (*ODOMETRY_SIZES, "slope")
+        super().__init__(in_keys=[(truth_key, name) for name in names], out_keys=out_keys)
+        self._truth_key = truth_key
+        self._origin_key = unravel_key((self.out_keys[1], "origin"))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        truth = cast("Mapping[str, Tensor]", tensordict_reset["truth"])
-        # an old one, not one that was chosen, where a mask names the robots to reset
-        chosen = "_reset" not in tensordict and tensordict.get("heading", None) is not None
-        heading = checked_column(tensordict, "heading") if chosen else true_heading(truth)
+        truth = cast("Mapping[str, Tensor]", tensordict_reset[self._truth_key])
+        key = self.out_keys[0]
+        # with a mask of robots to reset the entry is old, not chosen
+        chosen = "_reset" not in tensordict and tensordict.get(key, None) is not None
+        heading = checked_column(tensordict, key) if chosen else true_heading(truth)
         return self._written(tensordict_reset, heading, start_of(truth))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        heading = checked_column(tensordict, "heading")
-        return self._written(next_tensordict, heading, cast("Tensor", tensordict[_ORIGIN]))
+        heading = checked_column(tensordict, self.out_keys[0])
+        return self._written(next_tensordict, heading, cast("Tensor", tensordict[self._origin_key]))
 
     def _written(self, into: TensorDictBase, heading: Tensor, origin: Tensor) -> TensorDictBase:
-        truth = cast("Mapping[str, Tensor]", into["truth"])
-        into.set("heading", heading)
-        return into.set(_GROUP, {"origin": origin, **in_heading_frame(truth, heading, origin)})
+        truth = cast("Mapping[str, Tensor]", into[self._truth_key])
+        into.set(self.out_keys[0], heading)
+        entries = {"origin": origin, **in_heading_frame(truth, heading, origin)}
+        return into.set(self.out_keys[1], TensorDict(entries, into.batch_size))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add `heading` and the entries of `ODOMETRY_SIZES`."""
+        """Add heading, origin and the entries of `ODOMETRY_SIZES`."""
         require_keys(self, observation_spec, self.in_keys)
-        sizes = {(_GROUP, name): size for name, size in ODOMETRY_SIZES.items()}
-        return extend_spec(observation_spec, {"heading": 1, _ORIGIN: 3, **sizes})
+        group = Composite(shape=observation_spec.shape)
+        observation_spec[self.out_keys[1]] = extend_spec(group, {"origin": 3, **ODOMETRY_SIZES})
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare `heading` as something a caller may set."""
-        return extend_spec(state_spec, {"heading": 1})
+        """Declare the heading as an entry that a caller may set."""
+        return extend_spec(state_spec, {self.out_keys[0]: 1})
 
 
 def true_heading(truth: Mapping[str, Tensor]) -> Tensor:

@@ -1,4 +1,4 @@
-"""Imperfect sensors: white noise and drifting bias on the packets that the robot sends."""
+"""Sensor noise: white noise and drifting bias on the packets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _BIAS_KEYS = tuple(("sensor_bias", name) for name in CASSIE.noise_channels)
 
 
 class ObservationNoise(SeededTransform):
-    r"""Noise on the packets `("sensors", name)`, each (n, W, k).
+    r"""Add noise to the packets `("sensors", name)`, each (n, W, k).
 
     Every packet errs by its own white noise and by a bias that is one for the W packets of a policy
     step. The bias is drawn at each reset and drifts from step to step (Ornstein-Uhlenbeck, exact
@@ -33,23 +33,25 @@ class ObservationNoise(SeededTransform):
 
     It travels in the tensordict as `("sensor_bias", name)` (n, k), in the sensor's unit. The
     orientation is turned by a rotation vector in the pelvis frame, k = 3 [rad], and stays a unit
-    quaternion with w >= 0. Sensors of zero level stay as they are, to the bit, and what one sensor
-    draws does not depend on the levels of others. NaN stays NaN, in its packet.
+    quaternion with w >= 0. Sensors of zero level stay as they are, to the bit, and the draws of one
+    sensor do not depend on the levels of others. NaN stays NaN, in its packet.
 
-    Must come before whatever reads the packets. It reads the bias before the step, so a caller who
-    makes up a tensordict must carry it on.
+    Must come before the transforms that read the packets. It reads the bias before the step, so a
+    caller who makes up a tensordict must carry it on.
 
     Args:
         levels: sensor -> level, in place of `Robot.sensor_noise`.
         scale: factor on all levels; 0 is a robot without noise.
         bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
+        period: duration of a policy step [s].
 
     Raises:
-        UnknownNameError: a level is for no sensor.
-        ConfigurationError: a level has not one value a channel; the scale is negative or not
-            finite; the time constant is not positive.
+        UnknownNameError: a level is for a sensor that the robot lacks.
+        ConfigurationError: a level has not one value a channel, `scale` is negative or not finite,
+            or `bias_time` is not positive.
     """
 
+    needs_env = "biases are drawn at resets and follow robots from there"
     _reads: ClassVar[Sequence[NestedKey]] = _SENSOR_KEYS
 
     def __init__(
@@ -57,6 +59,8 @@ class ObservationNoise(SeededTransform):
         levels: Mapping[str, NoiseLevel] | None = None,
         scale: float = 1.0,
         bias_time: float = 10.0,
+        *,
+        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=[*self._reads], out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
         scale = check_number("scale", scale, low=0)
@@ -64,8 +68,8 @@ class ObservationNoise(SeededTransform):
         if not number or not bias_time > 0:
             raise ConfigurationError(f"bias_time must be more than 0 s, got {bias_time!r}")
         self.levels = dict(CASSIE.sensor_noise) | _checked(levels or {})
-        self._decay = math.exp(-CASSIE.policy_period / bias_time)
-        self._renewal = math.sqrt(-math.expm1(-2 * CASSIE.policy_period / bias_time))
+        self._decay = math.exp(-period / bias_time)
+        self._renewal = math.sqrt(-math.expm1(-2 * period / bias_time))
         # settings, which no checkpoint holds
         self._levels: dict[str, tuple[Tensor, Tensor]] = {}
         for sensor, channels in CASSIE.noise_channels.items():
@@ -77,10 +81,10 @@ class ObservationNoise(SeededTransform):
                 self._levels[sensor] = white, bias
 
     def set_seed(self, seed: int) -> None:
-        """Restart the random numbers: of each sensor its own, and of resets others than of steps.
+        """Restart the random numbers, separate ones for each sensor, for resets and for steps.
 
-        What is drawn for a sensor must not depend on the levels of another, nor what is drawn in a
-        step on whether another robot was reset before it.
+        The draws of a sensor must not depend on the levels of another, nor the draws of a step on
+        whether another robot was reset before it.
         """
         super().set_seed(seed)
         seeds = torch.randint(2**62, (2, len(CASSIE.noise_channels)), generator=self.generator)

@@ -1,4 +1,4 @@
-"""The policy's input: 46 numbers of estimate, 18 of reference (Sec. IV-A); and the baseline's."""
+"""Input of the policy: 46 numbers of estimate and 18 of reference (Sec. IV-A)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OBSERVATION_TABLE: Final[tuple[NestedKey, ...]] = (
     *(("estimate", name) for name in ESTIMATE_SIZES),
     *(("reference", name) for name in _REFERENCE_NAMES),
 )
-"""Keys of the observation's entries, in order; see `AssembleObservation`."""
+"""Keys of the entries of the observation, in order; see `AssembleObservation`."""
 
 SINGLE_REFERENCE_TABLE: Final[tuple[NestedKey, ...]] = (
     *(("estimate", name) for name in ESTIMATE_SIZES),
@@ -35,11 +35,11 @@ SINGLE_REFERENCE_TABLE: Final[tuple[NestedKey, ...]] = (
     ("clock", "cos"),
     "command",
 )
-"""The single-reference method's 49 numbers: the same estimate, then clock and speed [m/s]."""
+"""Keys of the 49 numbers of the single-reference method: estimate, clock and speed [m/s]."""
 
 
 class AssembleObservation(SeededTransform):
-    """Join estimate and reference into `observation`.
+    """Join entries into one, by default estimate and reference into `observation`.
 
     | index | entry | unit, frame |
     |---|---|---|
@@ -63,20 +63,28 @@ class AssembleObservation(SeededTransform):
     reference's feet do not move sideways: entries 56 and 62 are always zero.
 
     Args:
-        in_keys: entries to join, another table for another policy input.
+        in_keys: keys of the entries to join (n, k), another table for another policy input.
+        out_keys: key of the joined entry.
     """
 
-    def __init__(self, in_keys: Sequence[NestedKey] = OBSERVATION_TABLE) -> None:
-        super().__init__(in_keys=list(in_keys), out_keys=["observation"])
+    num_out_keys = 1
+
+    def __init__(
+        self,
+        in_keys: Sequence[NestedKey] = OBSERVATION_TABLE,
+        *,
+        out_keys: Sequence[NestedKey] = ("observation",),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         return next_tensordict.set(self.out_keys[0], join_entries(next_tensordict, self.in_keys))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add `observation`."""
+        """Add the joined entry."""
         require_keys(self, observation_spec, self.in_keys)
         size = sum(observation_spec[key].shape[-1] for key in self.in_keys)
-        return extend_spec(observation_spec, {"observation": size})
+        return extend_spec(observation_spec, {self.out_keys[0]: size})
 
 
 def join_entries(tensordict: TensorDictBase, keys: Sequence[NestedKey]) -> Tensor:

@@ -1,4 +1,4 @@
-"""Robots that differ: dynamics and sensor noise drawn anew for each episode."""
+"""Domain randomisation: dynamics and sensor noise drawn anew for each episode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchrl.data import Composite
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.parameters import parameter_named
-from aslip.transforms.base import SeededTransform, extend_spec
+from aslip.transforms.base import SeededTransform, check_number, extend_spec
 from aslip.transforms.noise import ObservationNoise
 
 DYNAMICS_RANGES: Final = MappingProxyType(
@@ -40,8 +40,8 @@ DYNAMICS_RANGES: Final = MappingProxyType(
 )
 """Parameter of `aslip.sim.DYNAMICS` -> least and greatest value, for Cassie on its way to hardware.
 
-`apex` is the public code behind Siekmann et al. 2020 and 2021, from where the paper's comes, too.
-Opinions differ on how much is good: Xie et al. 2019 took policies to Cassie without any."""
+`apex` is the public code behind Siekmann et al. 2020 and 2021, and the origin of the paper's. Xie
+et al. 2019 took policies to Cassie without any domain randomisation."""
 
 # drawn aside, so that they leave the draws of all others as they were without them
 _GAINS = ("pd_stiffness", "pd_damping")
@@ -50,30 +50,37 @@ _FACTOR_KEY = ("dynamics", "sensor_noise")
 
 
 class RandomDynamics(SeededTransform):
-    """Draw parameters of each robot's dynamics at each of its resets.
+    """Draw parameters of each robot's dynamics at each of its resets, uniformly within ranges.
 
-    Uniformly within their ranges, under `("dynamics", name)` (n, 1) of resets and steps alike, for
-    logs and for critics that may know more than the actor; single precision. What is drawn for a
-    parameter does not depend on the ranges of others. Parameters without a range stay what the
-    environment has.
+    They are written as `("dynamics", name)` (n, 1) at resets and steps, for logs and for critics
+    with privileged input; single precision. The draws of a parameter do not depend on the ranges of
+    others. Parameters without a range stay as they are in the environment.
 
-    To choose instead, pass `("dynamics", name)` to `env.reset`, also for parameters that are not
-    drawn. In a reset of some robots only, with a `_reset` mask, theirs
-    are drawn anew.
+    To choose instead, pass `("dynamics", name)` to `env.reset`, also for parameters without a
+    range. In a reset of some robots only, with a `_reset` mask, theirs are drawn anew.
 
-    Part of no stack by default; `aslip.envs.randomise_stack` puts it and `RandomNoise` into one.
+    No stack has it by default; `aslip.envs.randomise_stack` puts it and `RandomNoise` into one.
 
     Args:
         ranges: parameter -> least and greatest value.
 
     Raises:
         UnknownNameError: there is no such parameter.
-        ConfigurationError: a range is empty or outside the parameter's limits.
+        ConfigurationError: `ranges` is not a mapping, or a range is not two numbers within the
+            limits of the parameter.
     """
 
+    num_in_keys = 0
+    needs_env = "it draws parameters at resets"
+
     def __init__(self, ranges: Mapping[str, tuple[float, float]] = DYNAMICS_RANGES) -> None:
-        for name, (low, high) in ranges.items():
+        if not isinstance(ranges, Mapping):
+            raise ConfigurationError(f"ranges must map parameters to (low, high), got {ranges!r}")
+        for name, pair in ranges.items():
             parameter = parameter_named(name)
+            if isinstance(pair, str) or not isinstance(pair, Sequence) or len(pair) != 2:
+                raise ConfigurationError(f"the range of {name!r} must be (low, high), got {pair!r}")
+            low, high = (check_number(f"a limit of {name!r}", value) for value in pair)
             if not parameter.low <= low <= high <= parameter.high:
                 raise ConfigurationError(
                     f"{name} must be drawn from a range within {parameter.low:g} to"
@@ -129,7 +136,7 @@ def _aside(generator: torch.Generator) -> torch.Generator:
 
 
 class RandomNoise(ObservationNoise):
-    """`ObservationNoise` with all its levels times each robot's `("dynamics", "sensor_noise")`.
+    """Add noise as `ObservationNoise`, times each robot's `("dynamics", "sensor_noise")`.
 
     Must come after `RandomDynamics`, which draws that factor. `("sensor_bias", name)` is the bias
     before it is multiplied.

@@ -1,79 +1,92 @@
-"""Where gaits and robot meet: the reference motion, and starting on it."""
+"""Reference motion of a gait library, feedforward, and starts on the reference."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Literal, cast, get_args
 
+import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from tensordict import TensorDict, TensorDictBase
-from tensordict.utils import NestedKey
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.errors import ConfigurationError
+from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
 
 _MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))
 _BODY = tuple(field.name for field in fields(Reference) if field.name not in _MOTORS)
-_GOAL_DISTANCE = ("goal", "distance")
 
 InitialVelocity = Literal["reference", "rest"]
 
 
 class ReferenceInjection(SeededTransform):
-    """Write the library's motion under `("reference", ...)` and `("goal", ...)`.
+    """Write the motion of a gait library as `("reference", ...)` and `("goal", ...)`.
 
-    Both are of the present command. Body and feet under "reference" are those of the present phase.
+    Both are of the present command. Body and feet of the reference are those of the present phase.
     Motor angles, rates and torques are those of the end of the coming policy step, where the PD
     loops are to arrive; the paper does not say which instant it means, and its public code does the
     same.
 
-    Body and feet under "goal" are those of the end of the coming policy step, too: a policy that
+    Body and feet of the goal are those of the end of the coming policy step, too: a policy that
     sees the reference is rewarded for reaching the goal, whatever is commanded in the meantime.
     Reward terms therefore read the goal among their `root_keys`. While the command is constant the
     goal is the next reference, bit for bit.
 
+    A planner may take the place of this transform. It must write the fields of
+    `aslip.library.Reference` under both keys, the goal without those of the motors.
+
     Args:
-        library: the gaits.
-        motor_lead: how far ahead the motors are read, in policy steps.
-        reference_key: another key in place of "reference".
-        goal_key: another key in place of "goal".
+        library: gaits.
+        motor_lead: lead of the motors' entries, in policy steps.
+        in_keys: keys of command (n, 1) [m/s] and phase (n, 1).
+        out_keys: keys of reference and goal.
+        period: duration of a policy step [s].
 
     Raises:
-        ConfigurationError: `motor_lead` is no finite number.
+        ConfigurationError: `motor_lead` is not a finite number.
     """
+
+    num_in_keys, num_out_keys = 2, 2
 
     def __init__(
         self,
         library: GaitLibrary,
         motor_lead: float = 1.0,
         *,
-        reference_key: str = "reference",
-        goal_key: str = "goal",
+        in_keys: Sequence[NestedKey] = ("command", "phase"),
+        out_keys: Sequence[NestedKey] = ("reference", "goal"),
+        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(in_keys=["command", "phase"], out_keys=[reference_key, goal_key])
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.library = library
         self.motor_lead = check_number("motor_lead", motor_lead, what="in policy steps")
+        self._period = period
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        command, phase = next_tensordict["command"], next_tensordict["phase"]
-        found = reference_and_goal(self.library, command, phase, motor_lead=self.motor_lead)
+        command, phase = (cast("Tensor", next_tensordict[key]) for key in self.in_keys)
+        found = reference_and_goal(
+            self.library, command, phase, motor_lead=self.motor_lead, period=self._period
+        )
         for key, entries in zip(self.out_keys, found, strict=True):
             next_tensordict.set(key, TensorDict(entries, next_tensordict.batch_size))
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of `aslip.library.Reference`, and of the goal."""
-        require_keys(self, observation_spec, ["command", "phase"])
-        sizes: dict[NestedKey, int] = {
-            (group, name): 3 for group in self.out_keys for name in _BODY
-        }
-        sizes |= {(self.out_keys[0], name): len(CASSIE.motor_names) for name in _MOTORS}
-        return extend_spec(observation_spec, sizes)
+        require_keys(self, observation_spec, self.in_keys)
+        start = torch.zeros(1)
+        found = reference_and_goal(self.library, start, start, motor_lead=self.motor_lead)
+        for key, entries in zip(self.out_keys, found, strict=True):
+            group = Composite(shape=observation_spec.shape)
+            sizes = {name: entry.shape[-1] for name, entry in entries.items()}
+            observation_spec[key] = extend_spec(group, sizes)
+        return observation_spec
 
 
 def reference_and_goal(
@@ -87,10 +100,10 @@ def reference_and_goal(
     """Entries of the reference and of the goal; see `ReferenceInjection`.
 
     Args:
-        library: the gaits.
+        library: gaits.
         command: (*b, 1) forward speed [m/s].
         phase: (*b, 1) stride fraction.
-        motor_lead: how far ahead the motors are read, in policy steps.
+        motor_lead: lead of the motors' entries, in policy steps.
         period: duration of a policy step [s].
     """
     stride = library.stride(command)
@@ -115,68 +128,105 @@ def feedforward_target(
 
 
 class Feedforward(SeededTransform):
-    r"""Write where PD loops must aim to follow the reference, ("reference", "motor_target").
+    r"""Write the motor targets with which PD loops follow the reference.
 
     .. math:: \hat a = \hat q + K_p^{-1} (\hat\tau + K_d \dot{\hat q})
 
     The loops' velocity target is zero and their stiffness finite: aimed at the reference's angles,
     as in the paper, they lag 0.1 s behind and give way by 0.7 rad at the knee under the robot's
     weight, which a policy first has to learn. The reduced-order model knows the load of each leg.
+
+    Args:
+        stiffness: (m,) gains K_p of the PD loops [N m/rad].
+        damping: (m,) gains K_d [N m s/rad].
+        in_keys: key of the reference, of which motor positions, velocities and torques are read.
+        out_keys: key of the targets (n, m) [rad].
     """
 
-    def __init__(self) -> None:
-        super().__init__(in_keys=["reference"], out_keys=[("reference", "motor_target")])
-        self._stiffness = torch.from_numpy(CASSIE.stiffness.copy()).float()
-        self._damping = torch.from_numpy(CASSIE.damping.copy()).float()
+    num_in_keys, num_out_keys = 1, 1
+
+    def __init__(
+        self,
+        stiffness: ArrayLike = CASSIE.stiffness,
+        damping: ArrayLike = CASSIE.damping,
+        *,
+        in_keys: Sequence[NestedKey] = ("reference",),
+        out_keys: Sequence[NestedKey] = (("reference", "motor_target"),),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        self._stiffness, self._damping = (
+            torch.tensor(np.asarray(gain), dtype=torch.float32) for gain in (stiffness, damping)
+        )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        reference = cast("Mapping[str, Tensor]", next_tensordict["reference"])
+        reference = cast("Mapping[str, Tensor]", next_tensordict[self.in_keys[0]])
         target = feedforward_target(reference, self._stiffness, self._damping)
         return next_tensordict.set(self.out_keys[0], target)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the target."""
-        require_keys(self, observation_spec, [("reference", "motor_torque")])
-        return extend_spec(observation_spec, {self.out_keys[0]: len(CASSIE.motor_names)})
+        group = unravel_key((self.in_keys[0], "motor_torque"))
+        require_keys(self, observation_spec, [group])
+        return extend_spec(observation_spec, {self.out_keys[0]: observation_spec[group].shape[-1]})
 
 
 class ReferenceDistance(SeededTransform):
-    """Write how far the reference has gone since the reset under `("reference", "distance")` [m].
+    """Write the distance that the reference has gone since the reset [m].
 
     The reference's own x is the deviation from uniform motion; added to this it is a place in the
-    world. `("goal", "distance")` is the distance at the end of the coming policy step. Must come
-    after `ReferenceInjection`.
+    world. Must come after `ReferenceInjection`, which writes all of reference and goal.
+
+    Args:
+        in_keys: key of the command (n, 1) [m/s].
+        out_keys: keys of the distance (n, 1) now, and at the end of the coming policy step.
+        period: duration of a policy step [s].
     """
 
-    def __init__(self) -> None:
-        super().__init__(in_keys=["command"], out_keys=[("reference", "distance"), _GOAL_DISTANCE])
+    num_in_keys, num_out_keys = 1, 2
+
+    def __init__(
+        self,
+        *,
+        in_keys: Sequence[NestedKey] = ("command",),
+        out_keys: Sequence[NestedKey] = (("reference", "distance"), ("goal", "distance")),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        self._period = period
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        return self._written(tensordict_reset, torch.zeros_like(tensordict_reset["command"]))
+        command = cast("Tensor", tensordict_reset[self.in_keys[0]])
+        return self._written(tensordict_reset, torch.zeros_like(command))
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        before = tensordict[self.out_keys[0]]
-        return self._written(next_tensordict, before + CASSIE.policy_period * tensordict["command"])
+        distance, command = (tensordict[key] for key in (self.out_keys[0], self.in_keys[0]))
+        return self._written(next_tensordict, distance + self._period * command)
 
     def _written(self, into: TensorDictBase, distance: Tensor) -> TensorDictBase:
-        into.set(_GOAL_DISTANCE, distance + CASSIE.policy_period * into["command"])
-        return into.set(self.out_keys[0], distance)
+        now, ahead = self.out_keys
+        into.set(ahead, distance + self._period * into[self.in_keys[0]])
+        return into.set(now, distance)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the distances."""
-        require_keys(self, observation_spec, ["command", ("reference", "body_position")])
+        require_keys(self, observation_spec, self.in_keys)
+        for group in (key[0] for key in self.out_keys if isinstance(key, tuple)):
+            if group not in observation_spec.keys():  # noqa: SIM118, of a spec
+                raise UnknownNameError(
+                    f"ReferenceDistance adds to {group!r}, which nothing before it in the stack"
+                    " writes"
+                )
         return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
 
 
 class ReferenceStart(SeededTransform):
     """Start each episode on the reference, at the drawn phase and command.
 
-    To start elsewhere, pass `("initial", "qpos")`, `("initial", "qvel")` or both to `env.reset`;
-    what is not given is the reference's. In a reset of some robots only, with a `_reset` mask, all
-    is the reference's.
+    To start elsewhere, pass `("initial", "qpos")`, `("initial", "qvel")` or both to `env.reset`.
+    In a reset of some robots only, with a `_reset` mask, these start on the reference.
 
     Must come before `SpeedCommand` and `PhaseClock` in the stack: TorchRL prepares resets from the
     last transform to the first.
@@ -186,15 +236,25 @@ class ReferenceStart(SeededTransform):
     to stand still, so we start with the velocities that belong to the position.
 
     Args:
-        library: the gaits.
+        library: gaits.
         velocity: "reference", or "rest" as in the public code.
+        in_keys: keys of command (n, 1) [m/s] and phase (n, 1).
 
     Raises:
         ConfigurationError: `velocity` is neither.
     """
 
-    def __init__(self, library: GaitLibrary, velocity: InitialVelocity = "reference") -> None:
-        super().__init__(in_keys=[], out_keys=[])
+    num_in_keys = 2
+    needs_env = "it places robots at resets"
+
+    def __init__(
+        self,
+        library: GaitLibrary,
+        velocity: InitialVelocity = "reference",
+        *,
+        in_keys: Sequence[NestedKey] = ("command", "phase"),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=[])
         if velocity not in get_args(InitialVelocity):
             raise ConfigurationError(
                 f"velocity must be one of {get_args(InitialVelocity)}, got {velocity!r}"
@@ -203,13 +263,14 @@ class ReferenceStart(SeededTransform):
         self.velocity = velocity
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        if tensordict is None or not {"phase", "command"} <= set(tensordict.keys()):
+        if tensordict is None or any(tensordict.get(key, None) is None for key in self.in_keys):
             raise ConfigurationError(
-                "ReferenceStart found no phase and command: it must stand before SpeedCommand and"
-                " PhaseClock in the stack, and what takes their place must write them in"
-                " `_reset_env_preprocess`, as they do"
+                f"ReferenceStart found no {' and '.join(map(str, self.in_keys))}: it must stand"
+                " before SpeedCommand and PhaseClock in the stack, and transforms in their place"
+                " must write these entries in `_reset_env_preprocess`, as they do"
             )
-        qpos, qvel = self.library.initial_state(tensordict["phase"], tensordict["command"])
+        command, phase = (cast("Tensor", tensordict[key]) for key in self.in_keys)
+        qpos, qvel = self.library.initial_state(phase, command)
         if self.velocity == "rest":
             qvel = torch.zeros_like(qvel)
         tensordict = self._draw_into_reset(tensordict, ("initial", "qpos"), qpos)
@@ -220,6 +281,3 @@ class ReferenceStart(SeededTransform):
     ) -> TensorDictBase:
         del tensordict
         return tensordict_reset
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        return next_tensordict

@@ -1,4 +1,4 @@
-"""Rewards: one transform a term, and their weighted sum (Sec. IV-B)."""
+"""Reward terms, one transform each, and their weighted sum (Sec. IV-B)."""
 
 from __future__ import annotations
 
@@ -17,20 +17,28 @@ TermFunction = Callable[..., Tensor]
 
 
 class RewardTerm(SeededTransform):
-    """One named term of the reward, computed by a pure function; see `aslip.transforms.rewards`.
+    """Write one named term of the reward, computed by a pure function.
 
-    TorchRL counts terms among the observations: what is in the specs of rewards are rewards to its
-    transforms, and many take one only.
+    The term is `("reward_terms", name)` (n, 1), zero after a reset. The functions of the paper's
+    terms are in `aslip.transforms.rewards`. A step raises `ShapeError` if the function does not
+    give one number a robot.
+
+    A term with memory, such as the time since a foot last touched the ground, is a transform of its
+    own: a `SeededTransform` that writes its memory and `("reward_terms", name)` in `_step` and
+    `_reset`, both declared in `transform_observation_spec`. TorchRL counts terms among the
+    observations: entries of reward specs are rewards to its transforms, and many take one only.
 
     Args:
-        name: the term is written under `("reward_terms", name)` (*b, 1); zero after a reset.
-        function: tensors (*b, k) in the order of the keys -> (*b, 1) in [0, 1].
-        next_keys: what it reads of the state after the step.
-        root_keys: what it reads of the state before the step and of the action; these come last.
+        name: name of the term.
+        function: tensors (*b, k) in the order of the keys -> (*b, 1).
+        next_keys: entries after the step that the function reads.
+        root_keys: entries before the step, and the action, that it reads; these come last.
             `("goal", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
-
-    A step raises `ShapeError` if the function does not give one number a robot.
+        diverged_key: key of the flag (n, 1) of robots whose simulation diverged in the step. These
+            were put back on their feet, and earn nothing. None for an environment without.
     """
+
+    num_out_keys = 1
 
     def __init__(
         self,
@@ -38,6 +46,8 @@ class RewardTerm(SeededTransform):
         function: TermFunction,
         next_keys: Sequence[NestedKey],
         root_keys: Sequence[NestedKey] = (),
+        *,
+        diverged_key: NestedKey | None = ("truth", "diverged"),
     ) -> None:
         if not isinstance(name, str) or not name:
             raise ConfigurationError(f"name must be a string that is not empty, got {name!r}")
@@ -50,7 +60,11 @@ class RewardTerm(SeededTransform):
             raise ConfigurationError(
                 f"the term {name!r} reads nothing; give next_keys or root_keys"
             )
-        super().__init__(in_keys=[*next_keys, *root_keys], out_keys=[("reward_terms", name)])
+        flags = [] if diverged_key is None else [diverged_key]
+        super().__init__(
+            in_keys=[*next_keys, *root_keys, *flags], out_keys=[("reward_terms", name)]
+        )
+        self._diverged_key = diverged_key
         self.function = function
         self.next_keys = tuple(next_keys)
         self.root_keys = tuple(root_keys)
@@ -58,19 +72,16 @@ class RewardTerm(SeededTransform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         inputs = [next_tensordict[key] for key in self.next_keys]
         inputs += [tensordict[key].detach() for key in self.root_keys]
-        # a robot that diverged was put back on its feet, for which it deserves nothing; and what
-        # made it diverge, an action that is no number, must not become a reward
-        diverged = next_tensordict.get(("truth", "diverged"), None)
-        if diverged is None:
-            # a robot that is no simulation
-            diverged = next_tensordict["terminated"]
-        value = self.function(*inputs)
-        if value.shape != diverged.shape:
+        value, expected = self.function(*inputs), (*next_tensordict.batch_size, 1)
+        if value.shape != expected:
             raise ShapeError(
-                f"the reward term {self.out_keys[0][-1]!r} must have shape {tuple(diverged.shape)},"
-                f" one number a robot, got {tuple(value.shape)}; reduce with dim=-1, keepdim=True"
+                f"the reward term {self.out_keys[0][-1]!r} must have shape {expected}, one number a"
+                f" robot, got {tuple(value.shape)}; reduce with dim=-1, keepdim=True"
             )
-        value = torch.where(diverged, 0.0, value.float())
+        value = value.float()
+        if self._diverged_key is not None:
+            # an action that is not finite, which made a robot diverge, must not become a reward
+            value = torch.where(next_tensordict[self._diverged_key], 0.0, value)
         return next_tensordict.set(self.out_keys[0], value)
 
     def _reset(
@@ -86,36 +97,46 @@ class RewardTerm(SeededTransform):
 
 
 class WeightedReward(SeededTransform):
-    """The reward: weighted sum of the terms there are.
+    """Write the reward, the weighted sum of the terms in the stack.
 
-    A term left out of the stack contributes nothing; a term of weight zero is still logged.
+    A term left out of the stack contributes nothing; a term of weight zero is still logged. A
+    penalty is a term with a negative weight.
 
     Args:
         weights: name of a term -> weight.
+        in_keys: key of the group of terms.
+        out_keys: key of the reward (n, 1).
 
     Raises:
-        ConfigurationError: a weight is negative or not finite.
+        ConfigurationError: a weight is not finite.
         UnknownNameError: there are no terms, or one has no weight (raised when added to a stack).
     """
 
-    def __init__(self, weights: Mapping[str, float]) -> None:
-        super().__init__(in_keys=["reward_terms"], out_keys=["reward"])
+    num_in_keys, num_out_keys = 1, 1
+
+    def __init__(
+        self,
+        weights: Mapping[str, float],
+        *,
+        in_keys: Sequence[NestedKey] = ("reward_terms",),
+        out_keys: Sequence[NestedKey] = ("reward",),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
         if not isinstance(weights, Mapping) or not weights:
             raise ConfigurationError(
                 f"weights must map names of terms to weights, at least one, got {weights!r}"
             )
-        penalty = "a penalty is a term that falls from one to zero, such as exp(-cost)"
         self.weights = {
-            name: check_number(f"the weight of {name!r}", weight, low=0, what=penalty)
+            name: check_number(f"the weight of {name!r}", weight)
             for name, weight in weights.items()
         }
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         del tensordict
         reward = torch.zeros(*next_tensordict.batch_size, 1, dtype=torch.float32)
-        for name, term in next_tensordict["reward_terms"].items():
+        for name, term in next_tensordict[self.in_keys[0]].items():
             reward = reward + self.weights[name] * term
-        return next_tensordict.set("reward", reward)
+        return next_tensordict.set(self.out_keys[0], reward)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -125,11 +146,12 @@ class WeightedReward(SeededTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Check that every term has a weight."""
-        if "reward_terms" not in observation_spec:
+        terms = observation_spec.get(self.in_keys[0], None)
+        if terms is None:
             raise UnknownNameError(
                 "WeightedReward finds no reward terms; the stack must have some, before it"
             )
-        missing = sorted(set(observation_spec["reward_terms"].keys()) - set(self.weights))
+        missing = sorted(set(terms.keys()) - set(self.weights))
         if missing:
             raise UnknownNameError(
                 f"no weight for the reward terms {missing}; weights are given for"
@@ -139,26 +161,37 @@ class WeightedReward(SeededTransform):
 
 
 class EpisodeSum(SeededTransform):
-    """Sum of the rewards since the reset, `reward` -> `episode_reward` (n, 1).
+    """Sum up the rewards since the reset.
 
     As TorchRL's `RewardSum`, which computes the specs of the whole stack again, twice, to find the
     shape of a reward: half the time it takes to make an environment.
+
+    Args:
+        in_keys: key of the reward (n, 1).
+        out_keys: key of the sum (n, 1).
     """
 
-    def __init__(self) -> None:
-        super().__init__(in_keys=["reward"], out_keys=["episode_reward"])
+    num_in_keys, num_out_keys = 1, 1
+
+    def __init__(
+        self,
+        *,
+        in_keys: Sequence[NestedKey] = ("reward",),
+        out_keys: Sequence[NestedKey] = ("episode_reward",),
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        total = tensordict.get("episode_reward", 0.0) + next_tensordict["reward"]
-        return next_tensordict.set("episode_reward", total)
+        total = tensordict.get(self.out_keys[0], 0.0) + next_tensordict[self.in_keys[0]]
+        return next_tensordict.set(self.out_keys[0], total)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
         zeros = torch.zeros(*tensordict_reset.batch_size, 1, dtype=torch.float32)
-        return tensordict_reset.set("episode_reward", zeros)
+        return tensordict_reset.set(self.out_keys[0], zeros)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the sum."""
-        return extend_spec(observation_spec, {"episode_reward": 1})
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})

@@ -67,10 +67,15 @@ def test_the_spec_states_a_bound_that_can_be_chosen(make: MakeEnv) -> None:
     assert env.action_spec.is_in(env.rand_action()["action"])
 
 
-@pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf, "x", None, [1.0] * 9, []])
-def test_a_bound_that_is_none_is_refused(limit: Any) -> None:
+@pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf, "x", None, []])
+def test_a_bound_that_is_no_positive_number_is_refused(limit: Any) -> None:
     with pytest.raises(ConfigurationError, match="limit must be a finite number above 0"):
         ActionDelta(limit=limit)
+
+
+def test_as_many_bounds_as_motors_are_asked_for(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match="limit must be one number or 10 of them"):
+        make(replace={"action": ActionDelta(limit=[1.0] * 9)})
 
 
 def test_another_baseline_can_be_named(make: MakeEnv) -> None:
