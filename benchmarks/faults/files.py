@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aslip.errors import AslipError, one_line_errors
+from aslip.errors import AslipError, FileDamagedError, one_line_errors
 from aslip.training.command_line import command_line
 
 
@@ -49,7 +49,7 @@ from tqdm import tqdm
 
 from aslip.training.run import peak_memory
 from aslip.walking import markdown
-from benchmarks.faults.archives import forged, unzipped, zipped
+from benchmarks.faults.archives import Program, forged, programs, unzipped, zipped
 from benchmarks.faults.kinds import KINDS, Kind
 
 MEMORY = 2.0**30
@@ -275,6 +275,22 @@ def damaged(kind: str, count: int, rng: np.random.Generator, folder: Path) -> in
         if found not in SURVIVED:
             tqdm.write(f"{number} of {kind}, {damage}: {found}")
     return sum(number for (_, found), number in counts.items() if found in SURVIVED)
+
+
+def strangers(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: the hidden program has not run, whether the file is refused or read without it."""
+    del rng
+    kinds, survived = [kind for kind in KINDS.values() if kind.archive], 0
+    for i in range(count):
+        kind, mark = kinds[i % len(kinds)], folder / f"ran-{i}"
+        path = folder / f"stranger{kind.suffix}"
+        kind.write(path)
+        ways = list(programs(path.read_bytes(), Program(mark)))
+        path.write_bytes(ways[i // len(kinds) % len(ways)])
+        with suppress(FileDamagedError):
+            kind.load(path)
+        survived += not mark.exists()
+    return survived
 
 
 def table(kind: str, count: int, seed: int, folder: Path) -> Counter[tuple[str, str]]:

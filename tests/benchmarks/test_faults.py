@@ -16,13 +16,12 @@ from aslip.envs import BatchEnv
 from aslip.errors import AslipError, ConfigurationError
 from aslip.training.run import read_progress
 from aslip.training.settings import check_types
+from benchmarks.faults import __main__ as suite
 from benchmarks.faults import (
     checkpoints,
     files,
     processes,
     simulations,
-    strangers,
-    suite,
     trainings,
 )
 from benchmarks.faults import settings as bad_settings
@@ -37,7 +36,7 @@ FEW: dict[suite.Inject, int] = {
     checkpoints.flips: 5,
     checkpoints.losses: 2,
     checkpoints.full_disks: 3,
-    strangers.strangers: 24,
+    files.strangers: 24,
     bad_settings.settings: 300,
     simulations.steps: 500,
 }

@@ -44,7 +44,7 @@ class AirTime(Transform):
         return next_tensordict.set("air_time", time)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        observation_spec["air_time"] = Unbounded((*observation_spec.shape, 1))
+        observation_spec["air_time"] = Unbounded(torch.Size([*observation_spec.shape, 1]))
         return observation_spec
 
 

@@ -19,10 +19,9 @@ import torch
 from aslip.errors import AslipError, FileDamagedError
 from aslip.files.archive import SUMS
 from aslip.files.writing import commit, replacing
-from benchmarks.faults.archives import forged, unzipped, zipped
+from benchmarks.faults.archives import Program, forged, programs, unzipped, zipped
 from benchmarks.faults.files import damages
 from benchmarks.faults.kinds import KINDS, Kind
-from benchmarks.faults.strangers import Program, programs
 
 every_kind = pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
 every_archive = pytest.mark.parametrize(
