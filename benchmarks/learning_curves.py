@@ -1,4 +1,4 @@
-r"""How fast the recipe learns: by default, on the truth, and with the paper's settings.
+r"""Learning curves of the recipe: its default, on the truth, and with the paper's settings.
 
     python -m benchmarks.learning_curves                      # train what is missing, then report
     python -m benchmarks.learning_curves --jobs 2             # two runs at once, a processor each
@@ -6,13 +6,12 @@ r"""How fast the recipe learns: by default, on the truth, and with the paper's s
     python -m benchmarks.learning_curves --record docs/learning_curves.csv --no-train \
         --variants default paper --seeds 0 1 2 3 4 5 6 7 8 9
 
-Each run is `recipes/ppo_aslip.py` in a folder of its own. Runs that were interrupted, with Ctrl-C
-or otherwise, go on from their last checkpoint the next time. Curves are means over seeds with
-their range.
+Each run is `recipes/ppo_aslip.py` in a folder of its own. The next call resumes interrupted runs
+from their last checkpoints. Curves are means over seeds with their range.
 
-Many seeds take days, and maybe several machines. A record, `--record`, keeps the curves of runs
-that are done, without their folders: it is reported with the rest, what it holds is not trained
-again, and what else is done is added to it.
+Many seeds take days, and maybe several machines. A record, `--record`, keeps the curves of finished
+runs without their folders: the report includes it, its runs are not trained again, and other
+finished runs are added to it.
 """
 
 from __future__ import annotations
@@ -27,22 +26,22 @@ from aslip.training.command_line import command_line
 
 @dataclass(frozen=True)
 class Config:
-    """Which runs."""
+    """Settings of the benchmark."""
 
     out: Path = Path("runs/learning_curves")
-    """Folder of the runs, one each, by variant and seed."""
+    """Folder of the runs' folders, by variant and seed."""
     variants: tuple[Literal["truth", "default", "paper"], ...] = ("truth", "default")
-    """Settings of the benchmark."""
+    """Variants of the recipe."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
     total_steps: int = 1_500_000
     """Policy steps of each run."""
     jobs: int = 1
-    """Runs at once; more than one are bound to a processor each."""
+    """Number of runs at once; several are bound to a processor each."""
     train: bool = True
-    """Train what is missing; otherwise report what there is."""
+    """Train missing runs before the report."""
     record: Path | None = None
-    """Curves of runs that are done, here or elsewhere; begun if there is none."""
+    """File of curves of finished runs; created if missing."""
     picture: Path = Path("runs/learning_curves/learning_curves.png")
     """File for the picture."""
 
@@ -90,7 +89,7 @@ COLUMNS: Final = (
     "step", "elapsed_s", "episode_length", "episode_return", "divergences",
     "eval_return", "eval_survived",
 )  # fmt: skip
-"""Of a run's progress, those that are reported; evaluations are NaN in rows without one."""
+"""Columns of a run's progress in the report; evaluations are NaN in rows without one."""
 
 _HEADER = ["variant", "seed", "commit", *COLUMNS]
 
@@ -98,7 +97,7 @@ _COLORS = {"truth": "black", "default": "tab:red", "paper": "tab:blue"}
 
 _RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
 _POLL = 5.0  # [s]
-_THINNED = 8  # a record keeps one row of so many
+_THINNED = 8  # a record keeps every eighth row
 
 
 @dataclass(frozen=True)
@@ -108,9 +107,9 @@ class Run:
     variant: str
     seed: int
     commit: str
-    """Of the code that ended it; empty if not known, or not ended."""
+    """Commit of the code that finished the run; empty if unknown or unfinished."""
     columns: dict[str, np.ndarray]
-    """By `COLUMNS`."""
+    """Columns of the progress, by name."""
 
     @property
     def steps(self) -> int:
@@ -118,7 +117,7 @@ class Run:
         return int(self.columns["step"][-1])
 
     def after(self, length: float) -> int | None:
-        """First row with episodes of such a mean length; None if there is none."""
+        """First row with episodes of a mean length; None if there is none."""
         found = np.flatnonzero(self.columns["episode_length"] >= length)
         return int(found[0]) if len(found) else None
 
@@ -127,7 +126,7 @@ class Run:
         return np.flatnonzero(np.isfinite(self.columns["eval_return"]))
 
     def thinned(self) -> Run:
-        """A few rows, with all those that the report is about."""
+        """Copy with every eighth row, and those that the report uses."""
         rows = {0, len(self.columns["step"]) - 1, *self.evaluations().tolist()}
         rows |= set(range(0, len(self.columns["step"]), _THINNED))
         rows |= {row for row in map(self.after, _LENGTHS) if row is not None}
@@ -143,12 +142,12 @@ _LENGTHS = (WALKING_LENGTH, ROBUST_LENGTH)
 
 
 def main(config: Config) -> None:
-    """Train, print and draw."""
+    """Train missing runs, print and draw."""
     config.out.mkdir(parents=True, exist_ok=True)
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
-        # days later, others may have added to it
+        # others may have added to it during the training
         recorded = read_record(config.record) if config.record else {}
     found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
     done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
@@ -172,7 +171,7 @@ def _longer(run: Run, other: Run | None) -> bool:
 
 
 def _wanted(config: Config) -> list[tuple[str, int]]:
-    """Variant by variant."""
+    """(Variant, seed) of all runs, variant by variant."""
     pairs = [(variant, seed) for variant in config.variants for seed in config.seeds]
     return list(dict.fromkeys(pairs))
 
@@ -185,7 +184,7 @@ def _folder(config: Config, variant: str, seed: int) -> Path:
 
 
 def _train(config: Config, recorded: Runs) -> None:
-    """Run what is missing, seed by seed, so that variants can be compared early."""
+    """Train missing runs seed by seed, so that variants can be compared early."""
     kept = {key for key, run in recorded.items() if run.steps >= config.total_steps}
     wanted = [run for run in _wanted(config) if run not in kept]
     wanted.sort(key=lambda run: run[1])
@@ -233,7 +232,7 @@ def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Pop
 
 
 def _found(config: Config) -> Runs:
-    """Runs in the folder, done or not."""
+    """Runs in the folder, finished or not."""
     runs = {}
     for variant, seed in _wanted(config):
         folder = _folder(config, variant, seed)
@@ -247,13 +246,13 @@ def _found(config: Config) -> Runs:
 
 
 def _commit(folder: Path) -> str:
-    """Of what made the policy of a run."""
+    """Commit that the policy of a run was trained with; empty without a policy."""
     policy = folder / POLICY_FILE
     return read_card(policy)["made_by"].get("commit") or "" if policy.exists() else ""
 
 
 def write_record(path: Path, runs: Runs) -> None:
-    """Keep runs, a line a row of their progress."""
+    """Write runs, a line for each row of their progress."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(_HEADER)
@@ -265,10 +264,10 @@ def write_record(path: Path, runs: Runs) -> None:
 
 
 def read_record(path: Path) -> Runs:
-    """Runs of a record; none if there is no file yet.
+    """Read the runs of a record; empty without a file.
 
     Raises:
-        FileDamagedError: it cannot be read.
+        FileDamagedError: the file cannot be read.
     """
     if not path.exists():
         return {}
@@ -297,12 +296,12 @@ def read_record(path: Path) -> Runs:
 
 
 def report(runs: Sequence[Run]) -> str:
-    """A row for each run, when it walks and how well in the end; their means for each variant."""
+    """Table: for each run the time to walk and the final results; means for each variant."""
     header = ["variant", "seed", "commit", "thousand steps", "minutes"]
     header += [f"episodes of {length} after" for length in _LENGTHS]
     header += ["in the end", "return", "evaluation: return", "speeds survived %"]
     header += ["diverged"]
-    # an interval of Student's does not know
+    # Student's interval would exceed 100 %
     most = [100.0 if name.endswith("%") else math.inf for name in header[3:]]
     lines = []
     for variant in dict.fromkeys(run.variant for run in runs):
@@ -317,12 +316,12 @@ def report(runs: Sequence[Run]) -> str:
 
 
 def _short(commit: str) -> str:
-    """Seven digits, and a plus if files had changed since."""
+    """First seven digits, and a plus if files had changed since."""
     return commit[:7] + "+" * commit.endswith("+")
 
 
 def _numbers(run: Run) -> list[float]:
-    """Of a row of the report; NaN for what the run did not come to."""
+    """Numbers of a run's row in the report; NaN for events that did not happen."""
     columns = run.columns
     reached = [run.after(length) for length in _LENGTHS]
     evaluations = run.evaluations()
@@ -341,7 +340,7 @@ def _numbers(run: Run) -> list[float]:
 
 
 def _cell(values: np.ndarray, most: float) -> str:
-    """One run's value, or mean and interval over several: all of them, or failures would hide."""
+    """Cell of one run's value, or of mean and interval over runs, if all have one."""
     if not np.isfinite(values).all():
         return f"{np.isfinite(values).sum()} of {len(values)}" if len(values) > 1 else "not yet"
     interval = Interval.of([values[i : i + 1] for i in range(len(values))])
@@ -349,7 +348,7 @@ def _cell(values: np.ndarray, most: float) -> str:
 
 
 def picture(runs: Sequence[Run]) -> Figure:
-    """Length and return of training episodes and of evaluations, mean and range over seeds."""
+    """Draw length and return of episodes and evaluations, mean and range over seeds."""
     figure = Figure(figsize=(12, 4), layout="constrained")
     axes = figure.subplots(1, 3, sharex=True)
     for variant in dict.fromkeys(run.variant for run in runs):
@@ -366,12 +365,12 @@ def picture(runs: Sequence[Run]) -> Figure:
 
 
 def _draw(axes: np.ndarray, variant: str, runs: Sequence[Run]) -> None:
-    """One variant in all panels, as far as its shortest run goes."""
+    """Draw one variant in all panels, up to the end of its shortest run."""
     shortest = min(runs, key=lambda run: run.steps).columns
     for axis, column in zip(axes, ("episode_length", "episode_return", "eval_return"), strict=True):
         steps = shortest["step"][np.isfinite(shortest[column])]
         values = np.stack([_at(run, column, steps) for run in runs])
-        # the shorter on top, as curves of truth and default coincide
+        # shorter curves on top, as those of truth and default coincide
         style = {"color": _COLORS[variant], "zorder": 3 - shortest["step"][-1] / 1e8}
         marker = "o" if column == "eval_return" else ""
         seeds = ", ".join(str(run.seed) for run in runs)
@@ -387,7 +386,7 @@ def _draw(axes: np.ndarray, variant: str, runs: Sequence[Run]) -> None:
 
 
 def _at(run: Run, column: str, steps: np.ndarray) -> np.ndarray:
-    """Values of a column at policy steps, between those that it has."""
+    """Values of a column at policy steps, interpolated."""
     known = np.isfinite(run.columns[column])
     if not known.any():
         return np.full(len(steps), math.nan)
