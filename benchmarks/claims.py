@@ -23,7 +23,7 @@ class Config(Common):
     """Settings of the benchmark."""
 
     baseline: tuple[str, ...] = ()
-    """Policies of `recipes/ppo_single_reference.py`, for the claims about the baseline."""
+    """Policies of `ppo_aslip.py single-reference`, for the claims about the baseline."""
     record: bool = False
     """Replace the record."""
 
@@ -42,7 +42,8 @@ from typing import Any
 import numpy as np
 
 from aslip.robot import CASSIE
-from aslip.training.run import read_progress, write_text
+from aslip.training.progress import read_progress
+from aslip.training.run import write_text
 from aslip.walking import Walks, markdown
 from aslip.walking.metrics import Placement, leg_length_correlation
 from benchmarks import foot_placement, ground_reaction, step_frequency, velocity_tracking

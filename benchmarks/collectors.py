@@ -15,17 +15,20 @@ On one machine this is the cost or gain of processes; several machines have more
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
-from aslip.training.settings import CollectorKind
+
+Kind = Literal["single", "distributed", "ray"]
+"""This process, several processes, or Ray actors."""
 
 
 @dataclass(frozen=True)
 class Config:
     """Settings of the benchmark."""
 
-    kinds: tuple[CollectorKind, ...] = ("single", "distributed", "ray")
+    kinds: tuple[Kind, ...] = ("single", "distributed", "ray")
     """Kinds of collectors; ratios are to the first."""
     num_envs: int = 256
     """Number of robots."""
@@ -45,13 +48,17 @@ if __name__ == "__main__":
 
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from functools import partial
+from typing import Any
 
 import torch
 from tensordict import TensorDict
 
-from aslip.training.collect import make_collector
+from aslip.training.cluster import DistributedCollectors
+from aslip.training.collectors import LocalCollector
+from aslip.training.ray import RayCollectors
 from aslip.walking import markdown
 from benchmarks.common import MakeEnv, Policy, Subject
 
@@ -67,18 +74,17 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
     # as in the other processes, which would wait for spinning threads of more
     torch.set_num_threads(1)
     subject = Subject.load(policy or config.policy, make_env)
+    makers: dict[Kind, Callable[..., Any]] = {
+        "single": LocalCollector,
+        "distributed": partial(DistributedCollectors, num_collectors=config.num_collectors),
+        "ray": partial(RayCollectors, num_collectors=config.num_collectors),
+    }
     with ExitStack() as stack:
-        batches: dict[CollectorKind, Iterator[TensorDict]] = {}
-        first: dict[CollectorKind, float] = {}
+        batches: dict[Kind, Iterator[TensorDict]] = {}
+        first: dict[Kind, float] = {}
         for kind in config.kinds:
-            collector = make_collector(
-                subject.env,
-                subject.policy,
-                kind=kind,
-                num_envs=config.num_envs,
-                samples=config.samples,
-                num_collectors=config.num_collectors,
-            )
+            size = {"num_envs": config.num_envs, "samples": config.samples}
+            collector = makers[kind](subject.env, subject.policy, **size)
             batches[kind] = iter(stack.enter_context(collector))
             first[kind] = _seconds(batches[kind])
         rounds = [

@@ -25,7 +25,7 @@ class Config(Common):
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
     """Commanded speeds [m/s]."""
     baseline: tuple[str, ...] = ()
-    """Policies of `recipes/ppo_single_reference.py` to compare with."""
+    """Policies of `ppo_aslip.py single-reference` to compare with."""
 
 
 if __name__ == "__main__":

@@ -73,13 +73,12 @@ from tqdm import tqdm
 
 from aslip.policy import POLICY_FILE, read_card
 from aslip.show.plots import save_figure
-from aslip.training.run import read_progress, steps_done, write_text
+from aslip.training.progress import read_progress, steps_done
+from aslip.training.run import write_text
 from aslip.walking import markdown
 from benchmarks.common import WALKING_LENGTH, Interval
 
-VARIANTS: Final = MappingProxyType(
-    {"truth": ("--truth",), "default": (), "paper": ("--preset", "paper")}
-)
+VARIANTS: Final = MappingProxyType({"truth": ("truth",), "default": (), "paper": ("paper",)})
 """Name -> flags of the recipe; all but `truth` learn on the state estimate."""
 
 ROBUST_LENGTH: Final = 390
@@ -215,8 +214,8 @@ def _train(config: Config, recorded: Runs) -> None:
 
 def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Popen[bytes]:
     folder = _folder(config, variant, seed)
-    command = [sys.executable, str(_RECIPE), "--seed", str(seed), "--out", str(folder)]
-    command += ["--total-steps", str(config.total_steps), *VARIANTS[variant]]
+    command = [sys.executable, str(_RECIPE), *VARIANTS[variant], "--seed", str(seed)]
+    command += ["--out", str(folder), "--total-steps", str(config.total_steps)]
     # where there is no checkpoint yet, that begins anew
     if (folder / "config.json").exists():
         command.append("--resume")

@@ -1,7 +1,7 @@
 """Ship a policy: its file, and a card of its training, its interface and its performance.
 
     python -m benchmarks.policy_card --run runs/ppo_aslip --name aslip
-    python -m benchmarks.policy_card --run runs/ppo_single_reference --name single_reference
+    python -m benchmarks.policy_card --run runs/single_reference --name single_reference
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
 `aslip.load_policy` finds it by name, and writes the card beside them. The card's contents come from
@@ -223,7 +223,9 @@ def limits(numbers: dict[str, Any]) -> str:
 
 def training_conditions(about: dict[str, Any]) -> str:
     """Line on the robots and floors of the training."""
-    if not about.get("made_by", {}).get("settings", {}).get("randomise"):
+    made = about.get("made_by", {})
+    trained_on = made.get("transforms", {})
+    if "training/dynamics" not in trained_on and not made.get("settings", {}).get("randomise"):
         return "- It was trained on level ground with friction 1, to walk straight ahead."
     ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in DYNAMICS_RANGES.items()]
     return (

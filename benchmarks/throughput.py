@@ -77,8 +77,9 @@ from aslip.robot import CASSIE
 from aslip.robot.model import physics_timesteps
 from aslip.sim import SimulationPool, Simulations
 from aslip.training import run
+from aslip.training.provenance import peak_memory
 from aslip.transforms import ActionDelta
-from aslip.walking import evaluate, markdown
+from aslip.walking import markdown
 from benchmarks.common import MakeEnv, Policy, Subject, quiet
 from recipes import ppo_aslip
 
@@ -249,11 +250,11 @@ def _iterations(config: ppo_aslip.Config, number: int) -> tuple[Spans, Spans, Sp
     with tempfile.TemporaryDirectory() as folder, quiet():
         short = replace(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
-            eval_interval=10**9, checkpoint_minutes=1e6,
+            eval_interval=10**9, eval_steps=1,
+            checkpoint_minutes=1e6,
         )  # fmt: skip
         with (
             mock.patch.object(ppo_aslip, "update", update),
-            mock.patch.object(ppo_aslip, "evaluate", partial(evaluate, num_steps=1)),
             mock.patch.object(run, "snapshot", copies),
             mock.patch.object(run, "save_checkpoint", save),
         ):
@@ -293,7 +294,7 @@ def memory_of(num_envs: int) -> float:
     """Peak memory of this process after eight policy steps of so many robots [GiB]."""
     with closing(aslip.make_env(num_envs=num_envs)) as env:
         env.rollout(8, aslip.load_policy("aslip"), break_when_any_done=False)
-        return run.peak_memory()
+        return peak_memory()
 
 
 def _round(candidates: Candidates, steps: int) -> dict[str, float]:

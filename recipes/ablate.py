@@ -1,12 +1,12 @@
-"""What each part of the method is worth: train without it, several seeds, one table.
+"""Train without each part of the method, several seeds, and compare in one table.
 
     python recipes/ablate.py                                        # all variants, three seeds
     python recipes/ablate.py --variants default no_delta --seeds 0 1 --total-steps 500000
     python recipes/ablate.py --list
 
-Variants are trained one after the other with the same budget. What is done is kept: started again,
-the command goes on where it stopped, in the middle of a training, too, and adds what is new to the
-table. All are evaluated on the same task (`aslip.envs.evaluation_stack`), whatever they trained
+Variants are trained one after the other with the same budget. Finished work is kept: the same
+command resumes where it stopped, in the middle of a training, too, and adds new rows to the table.
+All are evaluated on the same task (`aslip.envs.evaluation_stack`), whatever they trained
 on: walks of one robot at 21 speeds, with the paper's reward on the truth and the actuated
 spring-mass model's motion. Each policy sees what it has learned to see.
 """
@@ -32,7 +32,7 @@ class Config:
     """Settings of the ablations."""
 
     variants: tuple[str, ...] = NAMES
-    """Which, by name."""
+    """Names of the variants to train."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
     total_steps: int = 500_000
@@ -42,14 +42,14 @@ class Config:
     out: Path = Path("runs/ablation")
     """Folder of all trainings, the table and the numbers."""
     list: bool = False
-    """Only say which variants there are."""
+    """List the variants and train nothing."""
 
     def __post_init__(self) -> None:
         """Check the names.
 
         Raises:
-            UnknownNameError: there is no such variant.
-            ConfigurationError: there is nothing to train.
+            UnknownNameError: a variant is unknown.
+            ConfigurationError: there is no variant or no seed.
         """
         for name in self.variants:
             if name not in NAMES:
@@ -74,12 +74,23 @@ from typing import Any
 import numpy as np
 import ppo_aslip
 import torch
+from ppo_settings import PRESETS
 from scipy import stats
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 
 import aslip
-from aslip.envs import MAX_EPISODE_STEPS, Stack, command_speeds, default_stack, insert_before
+from aslip.envs import (
+    MAX_EPISODE_STEPS,
+    ON_TRUTH,
+    STACKS,
+    Stack,
+    command_speeds,
+    default_stack,
+    edit_stack,
+    evaluation_stack,
+    insert_before,
+)
 from aslip.library import pendulum_library
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
@@ -96,7 +107,7 @@ from aslip.transforms import (
 )
 from aslip.transforms.base import extend_spec
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking import TRACKING_TOLERANCE, WalkResult, markdown
+from aslip.walking import TRACKING_TOLERANCE, WalkResult, evaluate, markdown
 
 _CONFIDENCE = 0.95
 _RESULTS = "judged.json"
@@ -132,20 +143,19 @@ class Variant:
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Settings of `ppo_aslip.py` that differ."""
     edits: Callable[[], dict[str, Any]] = dict
-    """Settings of `aslip.make_env` that differ."""
+    """Makes the arguments of `aslip.make_env` that differ."""
 
 
 def without_term(name: str) -> Variant:
-    """No reward for one term; the others share its weight, so that the threshold means the same."""
+    """Variant without a reward term; the others share its weight and keep the largest reward."""
     rest = 1 - PAPER_WEIGHTS[name]
     weights = {key: 0.0 if key == name else w / rest for key, w in PAPER_WEIGHTS.items()}
-    return Variant(
-        f"no reward for {name}", edits=lambda: {"replace": {"reward": WeightedReward(weights)}}
-    )
+    reward = partial(WeightedReward, weights)
+    return Variant(f"no reward for {name}", edits=lambda: {"replace": {"reward": reward}})
 
 
 def with_dynamics(name: str, value: float) -> Callable[[], dict[str, Any]]:
-    """Edits that give all robots other dynamics."""
+    """Function that makes the edits for robots of other dynamics."""
 
     def edits() -> dict[str, Any]:
         dynamics = partial(RandomDynamics, {name: (value, value)})
@@ -172,7 +182,7 @@ VARIANTS: Mapping[str, Variant] = {
     "no_delta": Variant(
         "actions are angles from a standing pose, not from the reference's", edits=_absolute_actions
     ),
-    "no_feedforward": Variant("motor targets as in the paper", {"stack": "paper"}),
+    "no_feedforward": Variant("motor targets as in the paper", edits=lambda: {"stack": "paper"}),
     "no_symmetry": Variant("left and right are learned apart", {"symmetric": False}),
     "no_model_inputs": Variant(
         "clock and speed as inputs in place of the reduced-order model", edits=_blind_to_the_model
@@ -181,8 +191,10 @@ VARIANTS: Mapping[str, Variant] = {
         "linear inverted pendulum in place of the actuated spring-mass model",
         edits=lambda: {"library": pendulum_library(aslip.GaitLibrary.load().gaits)},
     ),
-    "truth": Variant("the truth in place of sensors and estimator", {"truth": True}),
-    "reward_on_estimate": Variant("rewards read the estimate", {"reward_on": "estimate"}),
+    "truth": Variant("the truth in place of sensors and estimator", edits=lambda: dict(ON_TRUTH)),
+    "reward_on_estimate": Variant(
+        "rewards read the estimate", edits=lambda: {"reward_on": "estimate"}
+    ),
     "no_delay": Variant("torques act at once", edits=with_dynamics("torque_delay", 0.0)),
     "no_reflected_inertia": Variant(
         "motors without inertia", edits=with_dynamics("reflected_inertia", 0.0)
@@ -192,11 +204,11 @@ VARIANTS: Mapping[str, Variant] = {
 
 
 def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, list[WalkResult]]]:
-    """Train what is missing, and print and write the table; returns the walks.
+    """Train missing variants, then print and write the table; returns the walks.
 
     Args:
-        config: what to train.
-        go_on: how to continue after an interruption, for messages.
+        config: the settings.
+        go_on: command that continues after an interruption, for messages.
     """
     if config.list:
         print("\n".join(f"{name:24s}{variant.question}" for name, variant in VARIANTS.items()))
@@ -224,7 +236,7 @@ def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, li
 
 
 def announcement(config: Config, count: int) -> str:
-    """Words at the start: how many trainings there are, and how long all take."""
+    """Message at the start: number of trainings, and their duration."""
     done = sum(path.exists() for path in _result_files(config))
     if done == count:
         return f"all of {count} trainings are done"
@@ -241,7 +253,7 @@ def _result_files(config: Config) -> list[Path]:
 
 
 def estimated_seconds(config: Config) -> float:
-    """Duration of a training and two evaluations, from some policy steps of as many robots."""
+    """Duration of a training and two evaluations, extrapolated from some policy steps [s]."""
     env = aslip.make_env(num_envs=config.num_envs)
     env.rollout(1)
     start = time.perf_counter()
@@ -253,38 +265,35 @@ def estimated_seconds(config: Config) -> float:
 
 
 def trained_on(variant: Variant) -> Stack:
-    """The stack that a variant's policies are trained on."""
-    settings = {"stack": variant.settings.get("stack", "aslip"), **variant.edits()}
-    stack, library = settings["stack"], settings.get("library")
-    truth = aslip.envs.ON_TRUTH if variant.settings.get("truth") else {}
-    return aslip.envs.edit_stack(
-        aslip.envs.STACKS[stack](library) if isinstance(stack, str) else stack,
-        truth.get("drop", ()),
-        {**settings.get("replace", {}), **truth.get("replace", {})},
-    )
+    """Stack that the policies of a variant are trained on."""
+    edits = {"stack": "aslip", **variant.edits()}
+    stack = edits["stack"]
+    if isinstance(stack, str):
+        stack = STACKS[stack](edits.get("library"), edits.get("reward_on", "truth"))
+    return edit_stack(stack, edits.get("drop", ()), edits.get("replace", {}))
 
 
 def judge(folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
-    """Walks of a training's policy at all speeds, by the judge of all."""
+    """Walks of a training's policy at all speeds, on the common task of evaluations."""
     speeds = aslip.GaitLibrary.load().speeds.tolist()
-    stack = aslip.envs.evaluation_stack(trained_on(variant))
+    stack = evaluation_stack(trained_on(variant))
     with closing(aslip.make_env(num_envs=len(speeds), seed=seed, stack=stack)) as env:
-        return ppo_aslip.evaluate(aslip.load_policy(folder), env, speeds)
+        return evaluate(aslip.load_policy(folder), env, speeds, PRESETS["default"].eval_steps)
 
 
 def train(
     config: Config, folder: Path, variant: Variant, seed: int, go_on: str
 ) -> list[WalkResult]:
-    """One training, resumed if it was interrupted.
+    """Walks of one training, which is resumed if it was interrupted.
 
     Raises:
-        ConfigurationError: it was begun with another budget.
+        ConfigurationError: it was started with another budget.
     """
     resume = (folder / SETTINGS_FILE).exists()
     if resume:
         check_budget(folder, read_settings(folder)[0], config)
     settings = replace(
-        ppo_aslip.PRESETS["default"],
+        PRESETS["default"],
         out=folder,
         seed=seed,
         total_steps=config.total_steps,
@@ -293,7 +302,8 @@ def train(
         resume=resume,
         **variant.settings,
     )
-    ppo_aslip.main(settings, variant.edits(), go_on)
+    make_env = partial(aslip.make_env, **variant.edits())
+    ppo_aslip.main(settings, make_env, go_on=go_on)
     results = judge(folder, variant, seed)
     kept = {**budget(config), "walks": [asdict(result) for result in results]}
     write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
@@ -301,7 +311,7 @@ def train(
 
 
 def budget(config: Config) -> dict[str, int]:
-    """What all trainings of a table must have alike."""
+    """Settings that all trainings of a table share."""
     return {"total_steps": config.total_steps, "num_envs": config.num_envs}
 
 
@@ -309,8 +319,7 @@ def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
     """Walks of a finished training; None if there is none.
 
     Raises:
-        ConfigurationError: it had another budget. To go on would not make it one of this budget:
-            learning rate and exploration fell in the end.
+        ConfigurationError: it had another budget; its schedule cannot be continued to this one.
         FileDamagedError: its results cannot be read.
     """
     path = folder / _RESULTS
@@ -328,7 +337,11 @@ def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
 
 
 def check_budget(folder: Path, kept: Mapping[str, Any], config: Config) -> None:
-    """Raise ConfigurationError if a training, finished or begun, had another budget."""
+    """Check the budget of a training.
+
+    Raises:
+        ConfigurationError: it is another.
+    """
     other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
     if other:
         raise ConfigurationError(
@@ -338,7 +351,7 @@ def check_budget(folder: Path, kept: Mapping[str, Any], config: Config) -> None:
 
 
 def measures(results: Sequence[WalkResult]) -> dict[str, float]:
-    """What a training is judged by; a walk that ended in a fall counts for as long as it lasted."""
+    """Columns of the table; a walk that ended in a fall counts for as long as it lasted."""
     returns = [
         r.steps * sum(weight * r.terms[name] for name, weight in PAPER_WEIGHTS.items())
         for r in results
@@ -354,7 +367,7 @@ def measures(results: Sequence[WalkResult]) -> dict[str, float]:
 
 
 def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: int) -> str:
-    """A row a variant: means and 95 % intervals over seeds."""
+    """Table with a row for each variant: means and 95 % intervals over seeds."""
     rows = []
     for name, by_seed in found.items():
         means = [measures(results) for results in by_seed.values()]
@@ -371,7 +384,7 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
 
 
 def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
-    """Words about what a table's cells are."""
+    """Sentence about the cells of a table."""
     seeds = [len(by_seed) for by_seed in found.values()]
     told = "mean and 95 % interval over seeds"
     if max(seeds) == 1:
@@ -382,7 +395,7 @@ def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
 
 
 def interval(values: Sequence[float]) -> str:
-    """Mean, and half of Student's interval if there are several values."""
+    """Mean, and half the width of Student's interval if there are several values."""
     mean = float(np.mean(values))
     digits = 0 if mean >= 100 else 1 if mean >= 10 else 3
     if len(values) < 2:

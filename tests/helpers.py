@@ -15,15 +15,16 @@ from tensordict.nn import TensorDictModule
 from aslip.envs import StackEnv
 from aslip.robot import CASSIE
 from aslip.sim import PD
-from aslip.training.ppo_settings import Config
+from recipes.ppo_settings import Config
 
 MakeEnv = Callable[..., StackEnv]
 
 MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}
 
 TINY = Config(
-    num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000, checkpoint_minutes=0
-)
+    num_envs=8, samples=64, total_steps=128, minibatch=32, eval_interval=1000, checkpoint_minutes=0,
+    eval_steps=5,
+)  # fmt: skip
 """Settings of a training of two updates."""
 
 

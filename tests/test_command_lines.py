@@ -14,16 +14,16 @@ import pytest
 
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line, program
-from aslip.training.ppo_settings import (
+from aslip.training.run import TrainingRun
+from aslip.training.settings import SETTINGS_FILE
+from recipes.ppo_settings import (
     PRESETS,
     Config,
-    kept_settings,
     resume_command,
+    run_settings,
     training_settings,
     with_schedule,
 )
-from aslip.training.run import TrainingRun
-from aslip.training.settings import SETTINGS_FILE
 from tests.helpers import started
 
 ROOT = Path(__file__).parent.parent
@@ -85,33 +85,41 @@ def run(tmp_path: Path) -> Config:
     return config
 
 
+def _settings(*words: str) -> Config:
+    return training_settings(PRESETS, words)
+
+
 def test_a_preset_fills_in_the_settings_that_are_not_given() -> None:
-    assert training_settings(arguments=[]) == PRESETS["default"]
-    assert training_settings(arguments=["--preset", "paper"]) == PRESETS["paper"]
-    given = training_settings(arguments=["--preset", "paper", "--seed", "3"])
-    assert given == replace(PRESETS["paper"], seed=3)
+    assert _settings() == PRESETS["default"]
+    assert _settings("paper") == PRESETS["paper"]
+    assert _settings("paper", "--seed", "3") == replace(PRESETS["paper"], seed=3)
+    assert all(config.preset == name for name, config in PRESETS.items())
 
 
 def test_a_resumed_run_keeps_its_settings(run: Config) -> None:
-    """Only given settings differ; the schedule does not follow a new number of steps."""
-    resumed = training_settings(arguments=["--resume", "--out", str(run.out)])
+    """Only given settings differ, and the schedule does not follow the number of steps."""
+    resume = ["paper", "--resume", "--out", str(run.out)]
+    resumed = _settings(*resume)
     assert resumed == replace(run, resume=True, schedule_steps=1000)
-    longer = ["--resume", "--out", str(run.out), "--total-steps", "3000"]
-    assert training_settings(arguments=longer) == replace(resumed, total_steps=3000)
-    TrainingRun(run.out, replace(resumed, total_steps=3000), resume=True)
-    assert training_settings(arguments=longer[:3]).total_steps == 3000
-    assert training_settings(arguments=longer[:3]).schedule_steps == 1000
+    longer = _settings(*resume, "--total-steps", "3000")
+    assert longer == replace(resumed, total_steps=3000)
+    TrainingRun(run.out, longer, resume=True)
+    assert _settings(*resume).total_steps == 3000
+    assert _settings(*resume).schedule_steps == 1000
 
 
-def test_a_run_of_another_version_is_refused(
+def test_a_run_of_another_version_or_preset_is_refused(
     run: Config, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    with pytest.raises(SystemExit):
+        _settings("--resume", "--out", str(run.out))
+    assert f"paper --resume --out '{run.out}'" in capsys.readouterr().err
     file = run.out / SETTINGS_FILE
     file.write_text(file.read_text().replace('"clip"', '"old_clip"'))
     with pytest.raises(ConfigurationError, match=r"another version.*\['old_clip'\]"):
-        kept_settings(run.out)
+        run_settings(run.out, PRESETS["paper"])
     with pytest.raises(SystemExit):
-        training_settings(arguments=["--resume", "--out", str(run.out)])
+        _settings("paper", "--resume", "--out", str(run.out))
     assert "error: the run in" in capsys.readouterr().err
 
 
@@ -119,12 +127,13 @@ def test_a_folder_without_a_run_cannot_be_resumed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
-        training_settings(arguments=["--resume", "--out", str(tmp_path)])
+        _settings("--resume", "--out", str(tmp_path))
     assert "holds no run to resume" in capsys.readouterr().err
 
 
-def test_the_command_to_resume_names_the_folder(run: Config) -> None:
-    assert resume_command(run) == f"{program()} --resume --out '{run.out}'"
+def test_the_command_to_resume_names_preset_and_folder(run: Config) -> None:
+    assert resume_command(run) == f"{program()} paper --resume --out '{run.out}'"
+    assert resume_command(Config()) == f"{program()} --resume --out runs/ppo_aslip"
 
 
 _TINY = (
@@ -141,7 +150,7 @@ def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
     command = [sys.executable, recipe, "--out", str(out), *_TINY.split()]
     with started(command, cwd=ROOT, stderr=subprocess.PIPE) as process:
         until = time.monotonic() + 240
-        while not list(out.glob("checkpoints/*.torchrl")) and time.monotonic() < until:
+        while not list(out.glob("checkpoints/*.zip")) and time.monotonic() < until:
             assert process.poll() is None, process.communicate()[1]
             time.sleep(0.1)
         process.send_signal(number)
@@ -152,7 +161,7 @@ def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
     assert f"to go on: {go_on}" in said
     assert "saved in" in said
     assert not (out / "policy.zip").exists()
-    assert max(out.glob("checkpoints/*.torchrl")).name in said
+    assert max(out.glob("checkpoints/*.zip")).name in said
 
 
 # ----------------------------------------------------------------------- imports

@@ -18,7 +18,7 @@ from packaging.specifiers import SpecifierSet
 import aslip
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
-from aslip.training.command_line import command_line
+from aslip.training.command_line import command_line, preset_command_line
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -30,8 +30,8 @@ LARGEST_README = 9000
 _SMALLER = {"total_steps=300_000": "total_steps=64, num_envs=8, samples=64, minibatch=32"}
 # programs outside this repository
 _FOREIGN = {"pip", "ray", "rerun", "plotjuggler"}
-# recipes whose settings are those of another
-_SETTINGS_OF = {"recipes.ppo_single_reference": "recipes.ppo_aslip"}
+# recipes that have presets
+_PRESETS_OF = {"recipes.ppo_aslip": "PRESETS", "recipes.ppo_cluster": "CLUSTER_PRESETS"}
 
 
 def _name(page: Path) -> str:
@@ -156,14 +156,18 @@ def _check_arguments(words: list[str]) -> None:
     else:
         assert words[1] == "-m" or (ROOT / words[1]).is_file(), words
         module, arguments = (words[2], words[3:]) if words[1] == "-m" else (words[1], words[2:])
-        if "--help" not in arguments:
+        module = module.removesuffix(".py").replace("/", ".")
+        if "--help" in arguments:
+            return
+        if module in _PRESETS_OF:
+            presets = getattr(importlib.import_module(module), _PRESETS_OF[module])
+            preset_command_line(presets, {}, _options(arguments))
+        else:
             command_line(_settings(module), arguments=_options(arguments))
 
 
 def _settings(module: str) -> Any:
     """Class of the settings of a recipe or benchmark."""
-    module = module.removesuffix(".py").replace("/", ".")
-    module = _SETTINGS_OF.get(module, module)
     for name in (module, f"{module}.__main__", f"{module}.config"):
         with contextlib.suppress(ModuleNotFoundError, AttributeError):
             return importlib.import_module(name).Config

@@ -31,7 +31,7 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "policy": {"robot", "transforms"},
     "control": {"robot", "library", "estimation", "transforms", "policy"},
     "envs": {"robot", "library", "estimation", "sim", "transforms", "policy"},
-    "training": {"robot", "sim", "policy", "envs"},
+    "training": {"robot", "sim", "transforms", "policy", "envs"},
     "walking": {"robot", "library", "transforms", "policy", "envs", "control"},
     "show": {"robot", "rom", "library", "transforms", "policy", "envs", "walking"},
     "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs", "control"}

@@ -1,6 +1,6 @@
-"""Command lines of programs: a dataclass of settings becomes flags, a mistake becomes one line.
+"""Command lines of programs: dataclasses become flags, mistakes become one-line errors.
 
-Programs parse before they import PyTorch, so that `--help` and a typing slip cost no seconds.
+Programs parse before they import PyTorch, so that `--help` and typos cost no seconds.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import difflib
 import io
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, NoReturn, TypeVar
 
@@ -22,7 +22,7 @@ Settings = TypeVar("Settings")
 def command_line(
     kind: type[Settings], default: Settings | None = None, arguments: Sequence[str] | None = None
 ) -> Settings:
-    """Settings from flags, which are named as the fields of a dataclass.
+    """Settings from flags that are named after the fields of a dataclass.
 
     Args:
         kind: the dataclass.
@@ -30,18 +30,48 @@ def command_line(
         arguments: words of the command line; those of this program by default.
 
     Raises:
-        SystemExit: the help was asked for, or the command line is wrong, which is told in one line
+        SystemExit: help was asked for, or the command line is wrong, which is reported in one line
             (exit status 2).
     """
     import tyro
 
-    given: dict[str, Any] = {"prog": program()}
-    if default is not None:
-        given["default"] = default
+    given = {} if default is None else {"default": default}
+    return _parsed(lambda **shared: tyro.cli(kind, args=arguments, **given, **shared), kind)
+
+
+def preset_command_line(
+    presets: Mapping[str, Settings],
+    descriptions: Mapping[str, str],
+    arguments: Sequence[str] | None = None,
+) -> Settings:
+    """Settings from the name of a preset, the first by default, and flags.
+
+    Args:
+        presets: settings by name.
+        descriptions: sentence about each preset, for `--help`.
+        arguments: words of the command line; those of this program by default.
+
+    Raises:
+        SystemExit: as `command_line`.
+    """
+    import tyro
+
+    first = next(iter(presets.values()))
+    kind = tyro.extras.subcommand_type_from_defaults(
+        presets, descriptions={name: descriptions.get(name, "") for name in presets}
+    )
+    options: dict[str, Any] = {"default": first, "config": (tyro.conf.CascadeSubcommandArgs,)}
+    return _parsed(
+        lambda **shared: tyro.cli(kind, args=arguments, **options, **shared), type(first)
+    )
+
+
+def _parsed(parse: Callable[..., tuple[Settings, list[str]]], kind: type[Settings]) -> Settings:
+    """Outcome of tyro's parser, its errors in one line."""
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            settings, unknown = tyro.cli(kind, args=arguments, return_unknown_args=True, **given)
+            settings, unknown = parse(prog=program(), return_unknown_args=True)
     except AslipError as error:
         usage_error(str(error))
     except SystemExit as stop:
@@ -54,7 +84,7 @@ def command_line(
 
 
 def usage_error(message: str) -> NoReturn:
-    """End the program for a wrong command line: say what is wrong and where help is."""
+    """End the program for a wrong command line, with the reason and the way to help."""
     print(f"error: {message}\nfor all options: {program()} --help", file=sys.stderr)
     raise SystemExit(2)
 
@@ -73,7 +103,7 @@ def this_command() -> str:
 
 
 def _reason(stop: SystemExit, said: str) -> str:
-    """Message of this package's error that ended a parser, or the first paragraph of its own."""
+    """Message of the error that ended the parser, or the first paragraph of the parser's own."""
     cause: BaseException | None = stop
     while cause is not None:
         if isinstance(cause, AslipError):
@@ -85,7 +115,7 @@ def _reason(stop: SystemExit, said: str) -> str:
 
 
 def _unknown(word: str, kind: Any) -> str:
-    """Message about a word that is no flag, with the nearest one."""
+    """Message about an unknown flag, with the nearest one."""
     flags = ["--" + field.name.replace("_", "-") for field in fields(kind)]
     near = difflib.get_close_matches(word.partition("=")[0].replace("_", "-"), flags, n=1)
     hint = f", did you mean {near[0]}?" if near else ""

@@ -1,8 +1,11 @@
-"""What made a file: to be kept with it."""
+"""Provenance of files: command, commit, versions; and the memory of this process."""
 
 from __future__ import annotations
 
+import contextlib
+import math
 import platform
+import re
 import shlex
 import subprocess
 import sys
@@ -11,6 +14,11 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+try:
+    import resource
+except ImportError:  # not on Windows
+    resource = None
 
 # what no program reads; a record of results among it is written by those that are compared
 _DOCUMENTS = [":(exclude,top)docs", ":(exclude,top)*.md"]
@@ -57,3 +65,17 @@ def commit() -> str | None:
     except (OSError, subprocess.CalledProcessError):
         return None
     return f"{head}+" if changed else head
+
+
+def peak_memory() -> float:
+    """Peak memory of this process [GiB]; NaN where the system does not report it."""
+    # getrusage on Linux counts what the process was forked from, too
+    with contextlib.suppress(OSError):
+        status = Path("/proc/self/status").read_text()
+        if peak := re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE):
+            return int(peak[1]) / 2**20
+    if resource is None:
+        return math.nan
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # bytes on macOS, kibibytes elsewhere
+    return peak / 2**30 if sys.platform == "darwin" else peak / 2**20

@@ -1,4 +1,4 @@
-"""The folder of a training run: settings, logs, checkpoints that resume.
+"""Folder of a training run: settings, logs, checkpoints to resume from.
 
     config.json         settings, as the recipe's dataclass has them, and transforms
     progress.csv        one row an update
@@ -8,20 +8,19 @@
 
 Files are written under a temporary name and renamed, but for the CSV, which grows by whole rows.
 
-A full disk does not end a training: it goes on with a warning, the checkpoints on disk stay as they
-are, rows wait in memory, and each of the next ones is another attempt. Only if the last checkpoint
-cannot be written the run ends with an error.
+A full disk does not end a training: it continues with a warning, the checkpoints on disk stay as
+they are, rows wait in memory, and each of the next ones is another attempt. Only if the last
+checkpoint cannot be written does the run end with an error.
+
+TorchRL's `Checkpoint` and `CheckpointRotation` (0.14.1) are not used: they keep no hashes, do not
+fall back when the newest file is damaged, and read files that may hold pickles.
 """
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import errno
 import json
 import math
-import os
-import re
 import shutil
 import signal
 import sys
@@ -32,48 +31,44 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from torch.utils.tensorboard import SummaryWriter
 from torchrl import torchrl_logger
-
-try:
-    import resource
-except ImportError:  # not on Windows
-    resource = None
+from torchrl.record.loggers import Logger
 
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.files.writing import replacing
 from aslip.policy import POLICY_FILE
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
+from aslip.training.progress import Progress, ProgressLog, read_progress
+from aslip.training.provenance import peak_memory
 from aslip.training.settings import SETTINGS_FILE, read_settings, settings_text
 
-_PROGRESS_FILE = "progress.csv"
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
 
-# settings that may differ between a run and its continuation
+# settings that may change when a run is resumed
 _MAY_DIFFER = ("resume", "out", "total_steps", "schedule_steps", "checkpoint_minutes")
-# an error names so many that may not, and so much of their texts
+# differences that an error lists, and characters of each
 _SHOWN, _SHOWN_TEXT = 4, 60
 
 
 class TrainingStoppedError(AslipError, RuntimeError):
-    """A training that could not go on, or whose last checkpoint could not be written."""
+    """A training that failed, or whose last checkpoint could not be written."""
 
 
 class TrainingRun:
-    """A run in a folder of its own.
+    """Training run in a folder of its own.
 
     Args:
-        folder: made if need be.
+        folder: created if need be.
         config: a frozen dataclass of settings.
         resume: continue the run in the folder instead of starting one there.
-        transforms: what the environment is made of, name -> text; kept with the settings.
-        go_on: how to resume the run, such as a command line; for messages.
+        transforms: text about each transform of the environment, by name; kept with the settings.
+        go_on: command that resumes the run, for messages.
+        logger: logger of TorchRL's that gets all rows, too.
 
     Raises:
-        ConfigurationError: the folder holds a checkpoint and `resume` is not set; or there is
-            nothing to resume; or settings or transforms differ from the run's; or the folder
-            cannot be written to.
+        ConfigurationError: the folder holds a run and `resume` is not set; or holds none to resume;
+            or settings or transforms differ from the run's; or the folder is not writable.
         FileDamagedError: the settings of the run in the folder cannot be read.
     """
 
@@ -85,16 +80,15 @@ class TrainingRun:
         resume: bool,
         transforms: Mapping[str, str] | None = None,
         go_on: str = "resume=True",
+        logger: Logger | None = None,
     ) -> None:
         self.folder = Path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         self.transforms = dict(transforms or {})
         self.go_on = go_on
         self.changes: list[str] = []
-        """Settings that a resumed run has from now on, such as `total_steps 100 -> 200`."""
-        self._csv = self.folder / _PROGRESS_FILE
-        self._rows = ""  # not in the file yet
-        self._tensorboard: SummaryWriter | None = None
+        """Settings that changed when the run was resumed, such as `total_steps 100 -> 200`."""
+        self._log = ProgressLog(self.folder, logger)
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint
         try:
@@ -107,31 +101,15 @@ class TrainingRun:
 
     @property
     def policy_file(self) -> Path:
-        """Where the run's policy belongs."""
+        """Path of the run's policy."""
         return self.folder / POLICY_FILE
 
-    # ------------------------------------------------------------------- logs
-
     def log(self, step: int, scalars: Mapping[str, float]) -> None:
-        """Add a row to the CSV and a point to each TensorBoard curve."""
-        if not self._rows and not self._csv.exists():
-            self._rows = ",".join(["step", *scalars]) + "\n"
-        self._rows += ",".join([str(step), *(f"{value:.6g}" for value in scalars.values())]) + "\n"
-        try:
-            self._write_rows()
-            if self._tensorboard is None:
-                # points that a resumed run writes again are dropped
-                folder = str(self.folder / "tensorboard")
-                self._tensorboard = SummaryWriter(folder, purge_step=step)
-            for name, value in scalars.items():
-                self._tensorboard.add_scalar(name, value, step)
-        except OSError as error:
-            # a writer that has failed once fails for good
-            self._tensorboard = None
-            torchrl_logger.warning(f"a row of the logs could not be written ({error})")
+        """Add a row to the logs."""
+        self._log.write(step, scalars)
 
     def history(self) -> dict[str, list[float]]:
-        """The CSV's columns; empty if there is none yet."""
+        """Columns of the CSV; empty if there is none yet."""
         return read_progress(self.folder)
 
     # ------------------------------------------------------------ checkpoints
@@ -140,21 +118,21 @@ class TrainingRun:
     def saving(
         self, components: Mapping[str, Any], minutes: float
     ) -> Iterator[Callable[[int, Mapping[str, Any]], None]]:
-        """Save checkpoints in the body of a `with`, and in the end, whatever ends it.
+        """Save checkpoints in the body of a `with`, and at its end, whatever ends it.
 
         Yields a function `keep(step, metadata)`, to be called after each update: it copies the
-        states of the components, and writes them if it is time. What ends the body in the middle of
-        an update, Ctrl-C, SIGTERM or an error, has the last copy written. Ctrl-C and SIGTERM say on
-        standard error what they stop, what is saved, and how to go on.
+        states of the components, and writes them if it is time. When Ctrl-C, SIGTERM or an error
+        ends the body in the middle of an update, the last copy is written. For Ctrl-C and SIGTERM a
+        message on standard error says what is saved, and how to resume.
 
         Args:
-            components: name -> what has `state_dict` and `load_state_dict`.
-            minutes: between checkpoints.
+            components: objects with `state_dict` and `load_state_dict`, by name.
+            minutes: time between checkpoints.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C, after the last checkpoint is written.
-            SystemExit: SIGTERM, likewise; with its exit status, 143.
-            TrainingStoppedError: the body raised something; or the last checkpoint could not be
+            KeyboardInterrupt: on Ctrl-C, after the last checkpoint is written.
+            SystemExit: on SIGTERM, likewise, with exit status 143.
+            TrainingStoppedError: the body raised an error, or the last checkpoint could not be
                 written.
         """
         last = -math.inf
@@ -188,11 +166,11 @@ class TrainingRun:
             raise TrainingStoppedError(self._stopped_by(cause, unsaved)) from cause or unsaved
 
     def restore(self, components: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Load the newest intact checkpoint into the components, and forget what came after it.
+        """Load the newest intact checkpoint into the components, and drop later rows of the logs.
 
         Returns:
-            What was kept with it, and `step`; None if the run was stopped before there was any,
-            which is not an error: it begins anew.
+            The metadata that was kept with it, and `step`; None if the run stopped before its first
+            checkpoint, and starts again.
 
         Raises:
             FileDamagedError: there are checkpoints, but none is intact.
@@ -205,25 +183,67 @@ class TrainingRun:
                 torchrl_logger.warning(f"{error}; falling back to the checkpoint before it")
                 damaged[path] = error
                 continue
-            # out of the way of those to come; only now, as all may be damaged by a mistake
+            # set aside only now: if no file loads, the mistake may be elsewhere
             for other in damaged:
                 other.replace(other.with_name(other.name + _DAMAGED))
             self._saved = int(metadata["step"])
-            self._forget_after(self._saved)
+            self._log.forget_after(self._saved)
             return metadata
         if damaged:
             reasons = "; ".join(map(str, damaged.values()))
             raise FileDamagedError(
                 f"{str(self.folder)!r} has no checkpoint to resume from: {reasons}"
             )
-        torchrl_logger.warning(f"{str(self.folder)!r} has no checkpoint yet; it begins anew")
-        self._forget_after(-1)
+        torchrl_logger.warning(f"{str(self.folder)!r} has no checkpoint yet; it starts again")
+        self._log.forget_after(-1)
         return None
 
+    def announcement(self, title: str, progress: Progress) -> str:
+        """Message at the start: where, how far, what, and how to stop and to resume.
+
+        Args:
+            title: settings to name.
+            progress: state of the training.
+        """
+        rounded = ""
+        if progress.total != progress.asked:
+            rounded = f" ({progress.asked} asked for, in updates of {progress.samples})"
+        plan = f"training for {progress.total} policy steps{rounded}"
+        if progress.finished:
+            plan = f"nothing left to train after {progress.step} of {progress.asked} policy steps"
+        elif progress.step:
+            plan = f"going on after {progress.step} of {progress.total} policy steps{rounded}"
+        about = "; ".join([f"{self.folder}: {plan}", title, *self.changes])
+        return f"{about}\nCtrl-C saves and stops; to go on: {self.go_on}"
+
+    def about(self, progress: Progress) -> dict[str, Any]:
+        """Settings, transforms and length of the training, for the policy's card."""
+        settings = {k: v for k, v in self.settings.items() if k not in ("out", "resume")}
+        return {
+            "settings": settings,
+            "transforms": self.transforms,
+            "steps": progress.step,
+            "seconds": round(progress.elapsed),
+        }
+
+    def finish(self, table: str, progress: Progress) -> None:
+        """Write and print the summary, and close the logs.
+
+        Args:
+            table: table of the final evaluation.
+            progress: state of the training.
+        """
+        footer = (
+            f"{progress.step} policy steps in {progress.elapsed / 60:.1f} minutes, peak memory"
+            f" {peak_memory():.2f} GiB"
+        )
+        write_text(self.folder / "summary.md", f"{table}\n\n{footer}\n")
+        print(f"\n{table}\n\n{footer}\nresults are in {self.folder}/")
+        self.close()
+
     def close(self) -> None:
-        """Finish the logs."""
-        if self._tensorboard is not None:
-            self._tensorboard.close()
+        """Close the logs."""
+        self._log.close()
 
     # ---------------------------------------------------------------- private
 
@@ -242,12 +262,12 @@ class TrainingRun:
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
 
     def _holds_something(self, settings_file: Path) -> bool:
-        """Whether the folder has what a new run would overwrite, of a run or of something else."""
-        if self._checkpoints() or self.policy_file.exists() or self._csv.exists():
+        """Tell whether the folder has files that a new run would overwrite."""
+        if self._checkpoints() or self.policy_file.exists() or self._log.path.exists():
             return True
         if not settings_file.exists():
             return False
-        # a run that ended before its first checkpoint leaves its settings alone
+        # a run that ended before its first checkpoint leaves only its settings
         try:
             return not self.settings.keys() <= json.loads(settings_file.read_text()).keys()
         except (ValueError, AttributeError):
@@ -258,20 +278,18 @@ class TrainingRun:
         return self.folder / "checkpoints"
 
     def _checkpoints(self) -> list[Path]:
-        """Files of checkpoints, oldest first: names sort by step."""
-        return sorted(self._checkpoint_folder.glob("checkpoint-*.torchrl"))
+        """Checkpoints, oldest first; names sort by step."""
+        return sorted(self._checkpoint_folder.glob("checkpoint-*.zip"))
 
     def _save(self) -> OSError | None:
-        """Write what was kept last, unless it is written; returns why it could not be."""
+        """Write the last copy unless it is written; returns the error of a failed attempt."""
         if self._state is None or self._state[0] == self._saved:
             return None
         step, metadata, states = self._state
         try:
             # or a resumed run would lack them
-            self._write_rows()
-            if self._tensorboard is not None:
-                self._tensorboard.flush()
-            path = self._checkpoint_folder / f"checkpoint-{step:012d}.torchrl"
+            self._log.flush()
+            path = self._checkpoint_folder / f"checkpoint-{step:012d}.zip"
             save_checkpoint(path, states, metadata)
             self._saved = step
             for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
@@ -281,7 +299,7 @@ class TrainingRun:
         return None
 
     def _interrupted(self, unsaved: OSError | None) -> str:
-        """A message that says where a run was stopped, what is saved, and how to go on."""
+        """Message about where the run was interrupted, what is saved, and how to resume."""
         if unsaved is not None:
             return self._stopped_by(None, unsaved)
         told = f"interrupted before the first update of {str(self.folder)!r}: nothing to save"
@@ -291,7 +309,7 @@ class TrainingRun:
         return f"{told}\nto go on: {self.go_on}"
 
     def _stopped_by(self, cause: Exception | None, unsaved: OSError | None) -> str:
-        """A message that says why, where it stopped, and what can be resumed."""
+        """Message about why and where the run stopped, and what it can resume from."""
         step = 0 if self._state is None else self._state[0]
         reasons = [f"training stopped after {step} policy steps"]
         if cause is not None:
@@ -301,28 +319,10 @@ class TrainingRun:
         newest = "no checkpoint" if self._saved < 0 else f"the checkpoint of {self._saved} steps"
         return f"{'; '.join(reasons)}; --resume goes on from {newest} in {str(self.folder)!r}"
 
-    def _write_rows(self) -> None:
-        """Append rows to the CSV, all or none.
-
-        Raises:
-            OSError: they could not be written, and wait.
-        """
-        if not self._rows:
-            return
-        with self._csv.open("ab", buffering=0) as file:
-            before, rows = file.tell(), self._rows.encode()
-            try:
-                if (file.write(rows) or 0) < len(rows):
-                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._csv))
-            except OSError:
-                file.truncate(before)
-                raise
-        self._rows = ""
-
     def _check_settings(self) -> None:
         old, transforms = read_settings(self.folder)
         differing = _differences(old, self.settings, _MAY_DIFFER)
-        # runs of before have not told what they are made of
+        # only where both are known
         if transforms and self.transforms:
             differing += _differences(transforms, self.transforms)
         if differing:
@@ -338,22 +338,11 @@ class TrainingRun:
             if name not in ("resume", "out") and old[name] != self.settings[name]
         ]
 
-    def _forget_after(self, step: int) -> None:
-        """Drop rows that the resumed run will write again, and what is damaged."""
-        if not self._csv.exists():
-            return
-        lines = self._csv.read_text(errors="replace").splitlines(keepends=True)
-        kept = [line for line in lines[1:] if (row := _row(line, lines[0])) and row[0] <= step]
-        if kept:
-            write_text(self._csv, "".join(lines[:1] + kept))
-        else:
-            self._csv.unlink()
-
 
 def _differences(
     old: Mapping[str, Any], new: Mapping[str, Any], may_differ: Sequence[str] = ()
 ) -> list[str]:
-    """Sentences about each name whose values differ; long texts from where they do."""
+    """Clauses about names whose values differ; long texts start near the difference."""
     told = []
     for name in sorted(old.keys() | new.keys()):
         if name not in may_differ and old.get(name) != new.get(name):
@@ -365,7 +354,7 @@ def _differences(
 
 
 def _shown(text: str, same: int) -> str:
-    """Part of a long text that begins shortly before the first difference."""
+    """Part of a long text that starts shortly before the first difference."""
     if len(text) <= _SHOWN_TEXT:
         return text
     start = max(0, same - _SHOWN_TEXT // 2)
@@ -384,7 +373,7 @@ def _say(message: str) -> None:
 
 @contextmanager
 def sigterm_exits() -> Iterator[None]:
-    """Have SIGTERM, with which clusters announce the end, raise SystemExit."""
+    """Let SIGTERM, by which clusters announce the end, raise SystemExit in the body."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -393,64 +382,6 @@ def sigterm_exits() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def read_progress(folder: Path) -> dict[str, list[float]]:
-    """Columns of a run's `progress.csv`; empty if there is none yet.
-
-    Raises:
-        FileDamagedError: a line is not numbers.
-    """
-    path = folder / _PROGRESS_FILE
-    if not path.exists():
-        return {}
-    lines = path.read_text(errors="replace").splitlines(keepends=True)
-    # a run that was killed, or writes at this moment, may have an unfinished last row
-    if not lines or not lines[0].endswith("\n"):
-        return {}
-    rows = []
-    for number, line in enumerate(lines[1:], 2):
-        row = _row(line, lines[0])
-        if row is not None:
-            rows.append(row)
-        elif line.endswith("\n"):
-            raise FileDamagedError(f"line {number} of {str(path)!r} is damaged: {line[:60]!r}")
-    return {name: [row[i] for row in rows] for i, name in enumerate(lines[0].strip().split(","))}
-
-
-def steps_done(folder: Path) -> int:
-    """Policy steps that a run has done.
-
-    Raises:
-        FileDamagedError: as `read_progress`.
-    """
-    steps = read_progress(folder).get("step")
-    return int(steps[-1]) if steps else 0
-
-
-def _row(line: str, header: str) -> list[float] | None:
-    """Numbers of a whole line of `progress.csv`."""
-    cells = line.strip().split(",")
-    if not line.endswith("\n") or len(cells) != header.count(",") + 1:
-        return None
-    try:
-        return [float(cell) for cell in cells]
-    except ValueError:
-        return None
-
-
-def peak_memory() -> float:
-    """The most memory this process has held [GiB]; NaN where the system does not tell."""
-    # getrusage on Linux counts what the process was forked from, too
-    with contextlib.suppress(OSError):
-        status = Path("/proc/self/status").read_text()
-        if peak := re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE):
-            return int(peak[1]) / 2**20
-    if resource is None:
-        return math.nan
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # bytes on macOS, kibibytes elsewhere
-    return peak / 2**30 if sys.platform == "darwin" else peak / 2**20
 
 
 def write_text(path: Path, text: str) -> None:

@@ -1,4 +1,4 @@
-"""Settings of trainings and programs: choices, checks and the file they are kept in.
+"""Settings of trainings and programs: their checks and their file.
 
 Imports nothing heavy, so that a command line is parsed before PyTorch is imported.
 """
@@ -12,9 +12,6 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from aslip.errors import ConfigurationError, FileDamagedError
 
-CollectorKind = Literal["single", "distributed", "ray"]
-"""Kinds of processes that simulate a training's robots."""
-
 SETTINGS_FILE = "config.json"
 """File of a run's settings, in its folder."""
 
@@ -22,7 +19,7 @@ _TRANSFORMS = "transforms"
 
 
 def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """Settings of the run in a folder, and what its environment is made of.
+    """Settings of the run in a folder, and a text about each of its transforms.
 
     Raises:
         ConfigurationError: the folder holds no run.
@@ -49,10 +46,10 @@ def settings_text(settings: dict[str, Any], transforms: dict[str, str]) -> str:
 
 
 def check_types(config: Any) -> None:
-    """Check that each setting of a dataclass is of its type; whole numbers do for floats.
+    """Check the type of each setting of a dataclass; integers pass as floats.
 
     Raises:
-        ConfigurationError: one is not, or is a float that is not finite.
+        ConfigurationError: a setting has another type, or is a float that is not finite.
     """
     for name, kind in get_type_hints(type(config)).items():
         value = getattr(config, name)
@@ -64,16 +61,27 @@ def check_types(config: Any) -> None:
             wanted = "a finite number"
         else:
             fits = isinstance(value, kind) and isinstance(value, bool) == (kind is bool)
-            wanted = {int: "a whole number", bool: "True or False"}.get(kind, f"a {kind.__name__}")
+            wanted = {int: "an integer", bool: "True or False"}.get(kind, f"a {kind.__name__}")
         if not fits:
             raise ConfigurationError(f"{name} must be {wanted}, got {value!r}")
 
 
-def check_shares(num_envs: int, samples: int, num_collectors: int) -> None:
-    """Check that each collector gets as many robots, and each robot as many samples.
+def check_positive(config: Any, *names: str) -> None:
+    """Check that settings are positive.
 
     Raises:
-        ConfigurationError: it does not.
+        ConfigurationError: a setting is not.
+    """
+    for name in names:
+        if getattr(config, name) <= 0:
+            raise ConfigurationError(f"{name} must be positive, got {getattr(config, name)}")
+
+
+def check_shares(num_envs: int, samples: int, num_collectors: int = 1) -> None:
+    """Check that robots are shared out equally to collectors, and samples to robots.
+
+    Raises:
+        ConfigurationError: there is a remainder, or no collector.
     """
     if num_collectors < 1:
         raise ConfigurationError(f"num_collectors must be 1 or more, got {num_collectors}")

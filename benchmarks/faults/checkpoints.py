@@ -90,7 +90,7 @@ def full_disks(count: int, rng: np.random.Generator, folder: Path) -> int:
                 keep(kept["step"] + 1, kept)
             after = {path: path.read_bytes() for path in (out / "checkpoints").iterdir()}
             keep(kept["step"] + 2, kept)
-        newest = out / "checkpoints" / f"checkpoint-{kept['step'] + 2:012d}.torchrl"
+        newest = out / "checkpoints" / f"checkpoint-{kept['step'] + 2:012d}.zip"
         told = any("could not be written" in line and "goes on" in line for line in said)
         survived += told and after == before and _loads(newest, components)
     return survived

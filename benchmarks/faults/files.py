@@ -47,7 +47,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from aslip.training.run import peak_memory
+from aslip.training.provenance import peak_memory
 from aslip.walking import markdown
 from benchmarks.faults.archives import Program, forged, programs, unzipped, zipped
 from benchmarks.faults.kinds import KINDS, Kind

@@ -164,7 +164,7 @@ KINDS: dict[str, Kind] = {
             damages={"forged sizes": _other_sizes},
         ),
         Kind("library", ".npz", _write_library, _load_library),
-        Kind("checkpoint", ".torchrl", _write_checkpoint, _load_checkpoint),
+        Kind("checkpoint", ".zip", _write_checkpoint, _load_checkpoint),
         Kind(
             "log",
             ".mcap",

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 import aslip
 from aslip.envs import StackEnv
-from aslip.training.run import peak_memory
+from aslip.training.provenance import peak_memory
 
 _BAD = (np.nan, np.inf, -np.inf, 1e300)
 

@@ -14,7 +14,7 @@ import pytest
 import aslip
 from aslip.envs import BatchEnv
 from aslip.errors import AslipError, ConfigurationError
-from aslip.training.run import read_progress
+from aslip.training.progress import read_progress
 from aslip.training.settings import check_types
 from benchmarks.faults import __main__ as suite
 from benchmarks.faults import (
@@ -86,7 +86,7 @@ def _say_nothing(*args: object, **kwargs: object) -> None:
 @pytest.mark.parametrize(
     ("inject", "count", "target"),
     [
-        (bad_settings.settings, 100, "aslip.training.ppo_settings.check_types"),
+        (bad_settings.settings, 100, "ppo_settings.check_types"),
         (checkpoints.cuts, 2, "aslip.training.run.torchrl_logger.warning"),
         (checkpoints.full_disks, 2, "aslip.training.run.torchrl_logger.warning"),
     ],

@@ -17,7 +17,7 @@ from aslip.errors import (
     one_line_errors,
 )
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
-from aslip.training.run import steps_done
+from aslip.training.progress import steps_done
 from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
 from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip

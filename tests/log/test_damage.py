@@ -256,9 +256,7 @@ def test_attachments_that_are_missing_or_altered_are_named(log: Path, tmp_path: 
     missing = _rewritten(log, tmp_path / "missing.mcap", None, drop="config.json")
     assert check(missing) == ["the attachment 'config.json' is missing"]
     other = _rewritten(log, tmp_path / "other.mcap", None, alter="model.xml")
-    assert check(other) == [
-        "the attachment 'model.xml' is altered: its SHA-256 differs"
-    ]
+    assert check(other) == ["the attachment 'model.xml' is altered: its SHA-256 differs"]
     for path in (missing, other):
         with pytest.raises(FileDamagedError, match="attachment"):
             read(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +15,16 @@ import aslip
 from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
 from aslip.transforms import ActionDelta, AssembleObservation
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking import WalkResult, evaluate
+from aslip.walking import WalkResult
 
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     """Small updates and short walks."""
-    recipe: Any = ablate.ppo_aslip
-    monkeypatch.setattr(recipe, "evaluate", partial(evaluate, num_steps=3))
-    tiny = ablate.replace(recipe.PRESETS["default"], num_envs=4, samples=16, minibatch=8)
-    monkeypatch.setitem(recipe.PRESETS, "default", tiny)
+    small = {"num_envs": 4, "samples": 16, "minibatch": 8, "eval_steps": 3}
+    monkeypatch.setitem(
+        ablate.PRESETS, "default", ablate.replace(ablate.PRESETS["default"], **small)
+    )
 
 
 def tiny(out: Path, *variants: str, seeds: tuple[int, ...] = (0,)) -> ablate.Config:
@@ -33,8 +32,7 @@ def tiny(out: Path, *variants: str, seeds: tuple[int, ...] = (0,)) -> ablate.Con
 
 
 def env_of(name: str) -> Any:
-    edits: dict[str, Any] = {"stack": VARIANTS[name].settings.get("stack", "aslip")}
-    return aslip.make_env(num_envs=2, **{**edits, **VARIANTS[name].edits()})
+    return aslip.make_env(num_envs=2, **VARIANTS[name].edits())
 
 
 @pytest.mark.parametrize("name", sorted(VARIANTS))
@@ -242,14 +240,15 @@ def test_all_are_judged_alike(name: str) -> None:
 def test_results_are_the_judges(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Kept results are of walks of the saved policy on the judge's stack."""
     envs, found = [], []
-    measure = ablate.ppo_aslip.evaluate
+    measure = ablate.evaluate
 
-    def spied(policy: Any, env: Any, speeds: Any) -> Any:
+    def spied(policy: Any, env: Any, *args: Any) -> Any:
         envs.append(env)
-        found.append(measure(policy, env, speeds))
+        found.append(measure(policy, env, *args))
         return found[-1]
 
-    monkeypatch.setattr(ablate.ppo_aslip, "evaluate", spied)
+    for module in (ablate, ablate.ppo_aslip):
+        monkeypatch.setattr(module, "evaluate", spied)
     kept = ablate.main(tiny(tmp_path, "reward_on_estimate"))["reward_on_estimate"][0]
     assert kept == found[-1]
     assert ["judge" in env.transform_names for env in envs] == [False, True]

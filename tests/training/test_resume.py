@@ -238,7 +238,7 @@ def test_a_training_stopped_in_the_middle_of_an_update_goes_on(
             assert info.type is KeyboardInterrupt
     assert not (config.out / "policy.zip").exists()
     newest = max((config.out / "checkpoints").iterdir())
-    assert newest.name == "checkpoint-000000000256.torchrl"
+    assert newest.name == "checkpoint-000000000256.zip"
     assert resumed(config) == undisturbed
 
 

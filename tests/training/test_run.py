@@ -19,7 +19,8 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.training import run as run_module
-from aslip.training.run import TrainingRun, TrainingStoppedError, peak_memory, write_text
+from aslip.training.provenance import peak_memory
+from aslip.training.run import TrainingRun, TrainingStoppedError, write_text
 from benchmarks.common import quiet
 
 
@@ -113,7 +114,7 @@ def test_a_run_without_a_checkpoint_begins_anew(settings: Settings) -> None:
     with quiet() as said:
         again = _open(settings, resume=True)
         assert again.restore({"net": _net(0.0)}) is None
-    assert "begins anew" in said[0]
+    assert "starts again" in said[0]
     assert again.history() == {}
     again.log(10, {"value": 2.0})
     assert again.history() == {"step": [10], "value": [2.0]}
@@ -247,7 +248,7 @@ def test_an_interrupted_training_says_what_is_saved_and_how_to_go_on(
     said = capsys.readouterr().err.split("\n")
     assert said[1] == f"stopping: saving the run in '{settings.out}'"
     assert said[3].startswith("interrupted after 20 policy steps; saved in ")
-    assert said[3].endswith("checkpoint-000000000020.torchrl'")
+    assert said[3].endswith("checkpoint-000000000020.zip'")
     assert said[4] == "to go on: python mine.py --resume"
     assert _steps(settings) == [10, 20]
 
@@ -342,8 +343,8 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(settings: Settings, h
         str(newest) in line and "falling back to the checkpoint before" in line for line in said
     )
     assert [path.name for path in _checkpoints(settings)] == [
-        "checkpoint-000000000010.torchrl",
-        "checkpoint-000000000020.torchrl.damaged",
+        "checkpoint-000000000010.zip",
+        "checkpoint-000000000020.zip.damaged",
     ]
     _save(run, 15)
     with quiet() as said:
@@ -396,8 +397,8 @@ def test_a_checkpoint_is_written_once(settings: Settings, monkeypatch: pytest.Mo
 def test_what_a_killed_process_was_writing_is_removed(settings: Settings) -> None:
     _save(_open(settings), 10)
     folder = settings.out / "checkpoints"
-    (folder / ".checkpoint-000000000020.torchrl.stage-1" / "components").mkdir(parents=True)
-    (folder / ".checkpoint-000000000020.torchrl.part").write_bytes(b"half")
+    (folder / ".checkpoint-000000000020.zip.stage-1" / "components").mkdir(parents=True)
+    (folder / ".checkpoint-000000000020.zip.part").write_bytes(b"half")
     _open(settings, resume=True)
     assert _steps(settings) == [10]
 
@@ -452,7 +453,7 @@ def test_an_unwritten_half_of_a_checkpoint_is_removed(
     monkeypatch.setattr(zipfile.ZipFile, "writestr", fill)
     with quiet(), pytest.raises(TrainingStoppedError):
         _save(run, 20)
-    assert [path.name for path in _checkpoints(settings)] == ["checkpoint-000000000010.torchrl"]
+    assert [path.name for path in _checkpoints(settings)] == ["checkpoint-000000000010.zip"]
 
 
 def test_rows_wait_for_room_on_the_disk(
@@ -588,7 +589,8 @@ def test_peak_memory_is_of_this_process_alone() -> None:
     """Linux adds that of the process it was started by to what getrusage says."""
     burden = bytearray(2**30)
     code = (
-        "from aslip.training.run import peak_memory; block = bytearray(2**27); print(peak_memory())"
+        "from aslip.training.provenance import peak_memory\n"
+        "block = bytearray(2**27); print(peak_memory())"
     )
     command = [sys.executable, "-c", code]
     shown = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout

@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 import torch
-from ppo_aslip import training_env
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import StepCounter
 
+import aslip
 from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError
+from aslip.training.environments import make_training_env
 from aslip.transforms import StaggeredEnds
 from tests.helpers import MakeEnv
 
@@ -20,8 +21,8 @@ LIMIT = 12
 
 def _env(num_envs: int = 24, seed: int = 0) -> StackEnv:
     """Robots that never fall, in a training."""
-    return training_env(
-        8.0,
+    return make_training_env(
+        aslip.make_env,
         num_envs=num_envs,
         seed=seed,
         num_threads=1,

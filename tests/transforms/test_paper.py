@@ -5,6 +5,8 @@ Green et al. 2021, "Learning Spring Mass Locomotion: Guiding Policies with a Red
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -15,8 +17,9 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.rom import SlipParameters
-from aslip.transforms import LowReward, rewards
-from recipes.ppo_aslip import PRESETS
+from aslip.transforms import LowReward, SpeedCommand, rewards
+from recipes.ppo_aslip import environments
+from recipes.ppo_settings import PRESETS
 from tests.helpers import MakeEnv
 
 
@@ -139,8 +142,10 @@ def test_ppo_hyper_parameters() -> None:
     assert config.samples == -(-5096 // config.num_envs) * config.num_envs
     assert config.last_learning_rate == config.learning_rate
     assert config.last_std == config.std == PolicyShape().std
-    assert config.command_interval == 0
-    assert config.stack == "paper"
+    env = environments("paper")["make_train_env"](num_envs=1, seed=0)
+    (command,) = [t for t in env.transforms if isinstance(t, SpeedCommand)]
+    assert math.isinf(command.interval)
+    assert "feedforward" not in env.transform_names
     assert not config.symmetric
     assert config.value_scale == 1
 

@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,15 +24,23 @@ from torchrl.objectives.value import GAE
 import aslip
 from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, set_std
-from aslip.training import collect
-from aslip.training.collect import SENT, CollectorKind, SampleCollector, make_collector
-from aslip.training.collect.ray import threads_each
-from aslip.training.run import TrainingStoppedError, read_progress
-from aslip.walking import evaluate
+from aslip.training.cluster import SENT, DistributedCollectors
+from aslip.training.collectors import LocalCollector
+from aslip.training.progress import read_progress
+from aslip.training.ray import RayCollectors, threads_each
+from aslip.training.run import TrainingStoppedError
 from recipes import ppo_aslip
+from recipes.ppo_cluster import ClusterConfig
+from recipes.ppo_cluster import main as train_on_cluster
 from tests.helpers import TINY, differing
 
 ROBOTS, SAMPLES = 4, 32
+
+_KINDS: dict[str, Any] = {
+    "single": LocalCollector,
+    "distributed": DistributedCollectors,
+    "ray": RayCollectors,
+}
 
 needs_ray = pytest.mark.skipif(
     importlib.util.find_spec("ray") is None, reason="Ray is not installed"
@@ -68,12 +75,12 @@ class Learner:
             return self.actor.get_dist(data.clone()).log_prob(data["action"])
 
 
-def _collector(kind: CollectorKind, actor: torch.nn.Module, **settings: Any) -> SampleCollector:
+def _collector(kind: str, actor: torch.nn.Module, **settings: Any) -> Any:
     settings = {"num_envs": ROBOTS, "samples": SAMPLES, "seed": 3, **settings}
-    return make_collector(aslip.make_env, actor, kind=kind, **settings)
+    return _KINDS[kind](aslip.make_env, actor, **settings)
 
 
-def _batches(kind: CollectorKind, number: int = 2) -> tuple[list[TensorDict], list[float]]:
+def _batches(kind: str, number: int = 2) -> tuple[list[TensorDict], list[float]]:
     """Batches with learning in between; how far log-probabilities are from the actor's own."""
     learner, batches, errors = Learner.make(), [], []
     with _collector(kind, learner.actor) as collector:
@@ -101,7 +108,7 @@ def ray() -> Iterator[tuple[list[TensorDict], list[float]]]:
 class TestOtherProcesses:
     @pytest.fixture
     def collected(
-        self, kind: CollectorKind, request: pytest.FixtureRequest
+        self, kind: str, request: pytest.FixtureRequest
     ) -> tuple[list[TensorDict], list[float]]:
         return request.getfixturevalue(kind)
 
@@ -173,9 +180,9 @@ def test_the_same_seed_gives_the_same_batches(distributed: Any, ray: Any) -> Non
 # --------------------------------------------------------------------- trainings
 
 
-@pytest.fixture(autouse=True)
-def short_walks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ppo_aslip, "evaluate", partial(evaluate, num_steps=2))
+def _cluster(backend: Any, **settings: Any) -> ClusterConfig:
+    """Settings of a tiny training."""
+    return ClusterConfig(**{**vars(TINY), "backend": backend, **settings})
 
 
 def _rows(folder: Path) -> list[list[float]]:
@@ -187,8 +194,7 @@ def _rows(folder: Path) -> list[list[float]]:
 @pytest.mark.slow
 def test_a_training_whose_collector_is_killed_goes_on_later(tmp_path: Path) -> None:
     """It ends with an error that says so; what was written is whole; none is left running."""
-    config = replace(TINY, out=tmp_path / "run", collector="distributed", total_steps=192)
-    config = replace(config, randomise=True, command_interval=0.1)  # transforms that must travel
+    config = _cluster("distributed", out=tmp_path / "run", total_steps=192, preset="robust")
     update = ppo_aslip.update
 
     def killing(*args: Any) -> Any:
@@ -199,13 +205,13 @@ def test_a_training_whose_collector_is_killed_goes_on_later(tmp_path: Path) -> N
         return update(*args)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ppo_aslip, "update", killing)
+        patch.setattr(sys.modules["ppo_aslip"], "update", killing)
         with pytest.raises(TrainingStoppedError, match=r"CollectorError.*--resume goes on"):
-            ppo_aslip.main(config)
+            train_on_cluster(config)
     assert multiprocessing.active_children() == []
     before = _rows(config.out)
     assert [row[0] for row in before] == [64, 128]
-    ppo_aslip.main(replace(config, resume=True))
+    train_on_cluster(replace(config, resume=True))
     after = _rows(config.out)
     assert [row[0] for row in after] == [64, 128, 192]
     assert repr(after[:2]) == repr(before)  # NaN where nothing was evaluated
@@ -215,9 +221,9 @@ def test_a_training_whose_collector_is_killed_goes_on_later(tmp_path: Path) -> N
 @pytest.mark.slow
 @needs_ray
 def test_a_training_with_ray_leaves_nothing_running(tmp_path: Path) -> None:
-    """Two updates, on commands and robots that change."""
-    config = replace(TINY, out=tmp_path / "run", collector="ray", randomise=True)
-    ppo_aslip.main(replace(config, command_interval=0.1))
+    """Two updates, on robots that differ."""
+    config = _cluster("ray", out=tmp_path / "run", preset="robust")
+    train_on_cluster(config)
     assert [row[0] for row in _rows(config.out)] == [64, 128]
     assert not importlib.import_module("ray").is_initialized()
 
@@ -228,6 +234,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from recipes import ppo_aslip
+from recipes.ppo_cluster import ClusterConfig
+from recipes.ppo_cluster import main as train_on_cluster
 from tests.helpers import TINY
 
 if __name__ == "__main__":
@@ -288,7 +296,7 @@ def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:
         ({"num_collectors": 3}, "num_envs must be a multiple of num_collectors = 3, got 4"),
         ({"num_collectors": 0}, "num_collectors must be 1 or more, got 0"),
         ({"samples": 30}, "samples must be a multiple of num_envs = 4, got 30"),
-        ({"kind": "cluster"}, "collector must be one of .* got 'cluster'"),
+        ({"device": "cuda"}, "need device='cpu', got cuda"),
     ],
 )
 def test_shares_that_are_not_equal_are_refused(change: dict[str, Any], message: str) -> None:
@@ -296,10 +304,9 @@ def test_shares_that_are_not_equal_are_refused(change: dict[str, Any], message: 
         _collector(**{"kind": "distributed", "actor": torch.nn.Identity(), **change})
 
 
-def test_a_recipe_refuses_them_at_once() -> None:
-    assert replace(TINY, num_collectors=3).num_collectors == 3
+def test_the_recipe_refuses_them_at_once() -> None:
     with pytest.raises(ConfigurationError, match="multiple of num_collectors = 3, got 8"):
-        replace(TINY, collector="distributed", num_collectors=3)
+        _cluster("distributed", num_collectors=3)
 
 
 def test_without_ray_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -348,7 +355,6 @@ def test_a_resumed_collector_draws_other_numbers() -> None:
     seeds: set[tuple[int, int]] = set()
     for batches in range(3):
         collector = _collector("distributed", torch.nn.Identity())
-        assert isinstance(collector, collect.RemoteCollectors)
         collector.load_state_dict({"batches": batches})
         assert collector.state_dict() == {"batches": batches}
         seeds |= {(robots.env_seed, robots.torch_seed) for robots in collector._robots(1)}

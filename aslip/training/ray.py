@@ -1,8 +1,9 @@
-"""Samples from robots in actors of Ray, on this machine or on a cluster."""
+"""Samples from robots in Ray actors, on this machine or on a cluster."""
 
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import signal
 import threading
@@ -10,22 +11,32 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
+from torch import nn
 from torchrl.collectors import BaseCollector, Collector
 
 from aslip.errors import ConfigurationError
 from aslip.sim.pool import processors
-from aslip.training.collect.base import SETTINGS
-from aslip.training.collect.remote import ENDLESS, RemoteCollectors, sent
+from aslip.training.cluster import ENDLESS, RemoteCollectors
+from aslip.training.environments import MakeEnv
 
-# of Ray's store of objects [byte]; a batch of 2048 samples has 1.3 MB
+# Ray's object store [byte]; a batch of 2048 samples has 1.3 MB
 _STORE = 2**29
 
 
 class RayCollectors(RemoteCollectors):
-    """Robots in actors of Ray, by TorchRL's `RayCollector`."""
+    """Robots in Ray actors, by TorchRL's `RayCollector`.
+
+    Raises:
+        ConfigurationError: Ray is not installed; or as `RemoteCollectors`.
+    """
 
     _collector: BaseCollector | None = None
     _ours = False
+
+    def __init__(self, make_env: MakeEnv, actor: nn.Module, **settings: Any) -> None:
+        if importlib.util.find_spec("ray") is None:
+            raise ConfigurationError("collecting with Ray needs Ray: pip install 'aslip[ray]'")
+        super().__init__(make_env, actor, **settings)
 
     def _start(self) -> BaseCollector:
         ray = importlib.import_module("ray")
@@ -43,14 +54,14 @@ class RayCollectors(RemoteCollectors):
             backend="ray",
             sync=True,
             backend_options={
-                "collector_kwargs": {**SETTINGS, "postproc": sent},
+                "collector_kwargs": self._collector_settings(),
                 "remote_configs": {"num_cpus": threads, "scheduling_strategy": "SPREAD"},
             },
         )
         return self._collector
 
     def shutdown(self) -> None:
-        """End the actors, and Ray, if it began with them."""
+        """End the actors, and Ray, if it started with them."""
         if self._collector is not None:
             self._collector.shutdown()
             self._collector = None
@@ -60,10 +71,10 @@ class RayCollectors(RemoteCollectors):
 
 
 def _join_ray(ray: Any, num_collectors: int) -> None:
-    """Join the cluster of `RAY_ADDRESS`, or begin a Ray here.
+    """Join the cluster of `RAY_ADDRESS`, or start a Ray here.
 
     Raises:
-        ConfigurationError: the cluster does not let us in.
+        ConfigurationError: the cluster cannot be joined.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     address = os.environ.get("RAY_ADDRESS")
@@ -90,7 +101,7 @@ def _join_ray(ray: Any, num_collectors: int) -> None:
 
 @contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Let the body, Ray, not take over what SIGTERM does to a training."""
+    """Keep Ray from replacing the handler of SIGTERM in the body."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -102,7 +113,11 @@ def _signals_kept() -> Iterator[None]:
 
 
 def threads_each(processors: list[int], num_collectors: int) -> int:
-    """The most physics threads a collector may have, with machines of so many processors.
+    """Largest number of physics threads that every collector can have.
+
+    Args:
+        processors: number of processors of each machine.
+        num_collectors: number of collectors.
 
     Raises:
         ConfigurationError: there are fewer processors than collectors, which Ray would wait for.

@@ -1,0 +1,81 @@
+"""Samples from robots in this process."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any, Final, Self, cast
+
+import torch
+from tensordict import TensorDict
+from torch import nn
+from torchrl.collectors import Collector
+
+from aslip.policy import add_memory
+from aslip.training.checkpoint import CollectorState
+from aslip.training.environments import MakeEnv
+
+TORCHRL_SETTINGS: Final[Mapping[str, Any]] = MappingProxyType(
+    {"trust_policy": True, "auto_register_policy_transforms": False}
+)
+"""Settings of all of TorchRL's collectors."""
+
+
+class LocalCollector:
+    """Batches of samples (num_envs, T), time last; a training resumes from it bit for bit.
+
+    Each batch is by the actor as it is when the batch is asked for. A context that ends with
+    `shutdown`.
+
+    Args:
+        make_env: makes the environment.
+        actor: the policy.
+        num_envs: number of robots.
+        samples: policy steps of a batch, of all robots together.
+        seed: seed of the environment; actions follow torch's.
+        device: device of the actor and the batches.
+    """
+
+    def __init__(
+        self,
+        make_env: MakeEnv,
+        actor: nn.Module,
+        *,
+        num_envs: int,
+        samples: int,
+        seed: int = 0,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        env = add_memory(make_env(num_envs=num_envs, seed=seed), actor)
+        devices = {}
+        if torch.device(device).type != "cpu":
+            devices = {"policy_device": device, "storing_device": device, "env_device": "cpu"}
+        self._collector = Collector(
+            env, actor, frames_per_batch=samples, total_frames=-1, **devices, **TORCHRL_SETTINGS
+        )
+        self._state = CollectorState(self._collector)
+
+    def __iter__(self) -> Iterator[TensorDict]:
+        return cast("Iterator[TensorDict]", iter(self._collector))
+
+    def state_dict(self) -> dict[str, Any]:
+        """State of all simulations, see `CollectorState`."""
+        return self._state.state_dict()
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue from what `state_dict` returned.
+
+        Raises:
+            ConfigurationError: the state is of another environment.
+        """
+        self._state.load_state_dict(state)
+
+    def shutdown(self) -> None:
+        """Close the environment."""
+        self._collector.shutdown()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.shutdown()

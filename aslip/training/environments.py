@@ -1,0 +1,65 @@
+"""Environments to train in and to evaluate on."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any
+
+from torchrl.envs.transforms import StepCounter
+
+from aslip.envs import StackEnv, command_speeds, describe_transforms
+from aslip.transforms import SpeedCommand, StaggeredEnds
+
+MakeEnv = Callable[..., StackEnv]
+"""Function of the keywords `num_envs` and `seed`, such as `aslip.make_env`; of `num_threads`, too,
+for robots in other processes."""
+
+
+def make_training_env(
+    make_env: MakeEnv, command_interval: float = 8.0, **settings: Any
+) -> StackEnv:
+    """Environment to train in: first episodes of different lengths, and changing commands.
+
+    Args:
+        make_env: makes the environment.
+        command_interval: mean time between changes of the commanded speed [s], infinite for one
+            speed an episode; a `SpeedCommand` with a finite interval of its own keeps that.
+        settings: keywords of `make_env`.
+    """
+    env = make_env(**settings)
+    limits = [t.max_steps for t in env.transforms if isinstance(t, StepCounter)]
+    if limits and limits[0] is not None:
+        env.append_transform(StaggeredEnds(limits[0]))
+        env.set_seed(env.seed)
+    for transform in env.transforms:
+        if isinstance(transform, SpeedCommand) and math.isinf(transform.interval):
+            transform.interval = command_interval
+    return env
+
+
+def make_evaluation_env(make_env: MakeEnv, seed: int) -> tuple[StackEnv, list[float]]:
+    """Environment of a robot for each speed that it may command, and the speeds [m/s].
+
+    Args:
+        make_env: makes the environment.
+        seed: seed of the environment.
+    """
+    with closing(make_env(num_envs=1, seed=seed)) as env:
+        speeds = command_speeds(env)
+    return make_env(num_envs=len(speeds), seed=seed), speeds
+
+
+def describe_environments(env: StackEnv, make_train_env: MakeEnv) -> dict[str, str]:
+    """Text about each transform of the evaluation, and of the training where it differs.
+
+    Args:
+        env: environment of the evaluation.
+        make_train_env: makes the environment of the training.
+    """
+    texts = describe_transforms(env)
+    with closing(make_train_env(num_envs=1, seed=0)) as training:
+        described = describe_transforms(training)
+    differing = {name: text for name, text in described.items() if texts.get(name) != text}
+    return texts | {f"training/{name}": text for name, text in differing.items()}

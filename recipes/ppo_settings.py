@@ -1,0 +1,225 @@
+"""Settings, presets and command line of `ppo_aslip.py`, without any import of PyTorch.
+
+python recipes/ppo_aslip.py --help
+python recipes/ppo_aslip.py paper --seed 1
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tyro
+
+from aslip.errors import AslipError, ConfigurationError
+from aslip.training.command_line import preset_command_line, program, usage_error
+from aslip.training.settings import check_positive, check_shares, check_types, read_settings
+
+DESCRIPTIONS = {
+    "default": "aslip stack, settings that learn fast",
+    "paper": "paper's stack, its settings where it gives them (5120 is 20 x 256, near 5096)",
+    "single-reference": "paper's baseline: one reference motion in joint space (Xie et al. 2018)",
+    "robust": "robots, floors and noise that differ between episodes (domain randomisation)",
+    "truth": "policy that observes the simulator's truth in place of an estimate",
+    "coarse": "physics steps of 1 ms in place of 0.5 in training",
+}
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings of learning; "Table II" is the paper's table of PPO hyper-parameters."""
+
+    preset: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "default"
+    """Name of the preset that the other settings started from."""
+    out: Path = Path("runs/ppo_aslip")
+    """Folder of the run."""
+    resume: bool = False
+    """Continue the run in the folder, with its settings unless others are given."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    device: str = "cpu"
+    """PyTorch device of networks and updates, such as "cuda"; robots are simulated on the CPU."""
+    total_steps: int = 1_500_000
+    """Policy steps to train for, rounded up to whole updates, after one batch that only initialises
+    the input normaliser; the paper trains for 175 million."""
+    schedule_steps: int = 0
+    """Policy steps after which learning rate and standard deviation have their final values; 0 for
+    the total_steps that the run is started with."""
+    num_envs: int = 256
+    """Robots simulated in parallel."""
+    samples: int = 2048
+    """Policy steps per update; Table II says 5096."""
+    minibatch: int = 256
+    """Samples per gradient step; Table II says 64."""
+    epochs: int = 5
+    """Passes over the samples of an update; Table II says 3."""
+    learning_rate: float = 3e-4
+    """Initial learning rate of Adam; Table II says 1e-4."""
+    last_learning_rate: float = 2e-5
+    """Final learning rate of Adam; constant in the paper."""
+    std: float = 0.15
+    """Initial standard deviation of the policy [rad]; the paper gives none, its public code
+    exp(-2)."""
+    last_std: float = 0.05
+    """Final standard deviation of the policy [rad]; constant in the paper."""
+    fall_after: float = 0.6
+    """Share of schedule_steps after which learning rate and standard deviation fall,
+    exponentially; until then both keep their initial values."""
+    adam_epsilon: float = 1e-5
+    """Epsilon of Adam (Table II)."""
+    gamma: float = 0.95
+    """Discount factor; Table II says 0.99. A horizon of 0.6 s in place of 3 s gives advantages with
+    less noise, and an action shows its effect within a stride."""
+    gae_lambda: float = 0.95
+    """Lambda of generalised advantage estimation; the paper gives none."""
+    clip: float = 0.2
+    """Clipping range of PPO's probability ratio (Table II)."""
+    max_grad_norm: float = 0.5
+    """Largest gradient norm, of actor and critic each; the paper gives none."""
+    symmetric: bool = True
+    """Make actor and critic equivariant to left-right mirroring; not in the paper."""
+    value_scale: float = 10.0
+    """Factor on the output of the critic's network; 1 in the paper."""
+    eval_interval: int = 250_000
+    """Policy steps between evaluations over all speeds."""
+    eval_steps: int = 400
+    """Policy steps of an evaluation's walks."""
+    checkpoint_minutes: float = 3.0
+    """Minutes between checkpoints; 0 for one after every update."""
+
+    def __post_init__(self) -> None:
+        """Check types and ranges.
+
+        Raises:
+            ConfigurationError: a setting is of another type, or out of range.
+        """
+        check_types(self)
+        if self.preset not in DESCRIPTIONS:
+            raise ConfigurationError(
+                f"preset must be one of {[*DESCRIPTIONS]}, got {self.preset!r}"
+            )
+        if not re.fullmatch(r"(cpu|cuda|mps|xpu)(:\d+)?", self.device):
+            raise ConfigurationError(f"device must be one of PyTorch's, got {self.device!r}")
+        check_positive(
+            self, "total_steps", "num_envs", "samples", "minibatch", "epochs", "eval_interval",
+            "eval_steps", "learning_rate", "last_learning_rate", "adam_epsilon", "clip",
+            "max_grad_norm", "value_scale", "std", "last_std",
+        )  # fmt: skip
+        for name in ("gamma", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigurationError(f"{name} must be in [0, 1], got {getattr(self, name)}")
+        if not 0 <= self.fall_after < 1:
+            raise ConfigurationError(f"fall_after must be in [0, 1), got {self.fall_after}")
+        if not 0 <= self.seed < 2**63:
+            raise ConfigurationError(f"seed must be from 0 to 2**63 - 1, got {self.seed}")
+        for name in ("checkpoint_minutes", "schedule_steps"):
+            if getattr(self, name) < 0:
+                raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        check_shares(self.num_envs, self.samples)
+
+
+_PAPER = Config(
+    preset="paper", out=Path("runs/paper"), symmetric=False, value_scale=1.0, samples=5120,
+    minibatch=64, epochs=3, learning_rate=1e-4, last_learning_rate=1e-4, gamma=0.99,
+    std=math.exp(-2), last_std=math.exp(-2),
+)  # fmt: skip
+
+PRESETS = {
+    config.preset: config
+    for config in (
+        Config(),
+        _PAPER,
+        replace(
+            _PAPER, preset="single-reference", out=Path("runs/single_reference"),
+            total_steps=6_250_000, fall_after=0.8, last_learning_rate=1e-5, last_std=0.05,
+        ),
+        Config(preset="robust", out=Path("runs/robust")),
+        Config(preset="truth", out=Path("runs/truth")),
+        Config(preset="coarse", out=Path("runs/coarse")),
+    )
+}  # fmt: skip
+"""Settings to start from, by name; `ppo_aslip.ENVIRONMENTS` has the environment of each."""
+
+AnyConfig = TypeVar("AnyConfig", bound=Config)
+
+
+def training_settings(
+    presets: Mapping[str, AnyConfig], arguments: Sequence[str] | None = None
+) -> AnyConfig:
+    """Settings from the command line.
+
+    Settings that are not given are those of the preset or, with `--resume`, those of the run.
+
+    Args:
+        presets: settings by name; the first is the default.
+        arguments: words of the command line; those of this program by default.
+
+    Raises:
+        SystemExit: help was asked for, or the command line is wrong.
+    """
+    config = preset_command_line(presets, DESCRIPTIONS, arguments)
+    if not config.resume:
+        return config
+    try:
+        kept = run_settings(config.out, presets[config.preset])
+    except AslipError as error:
+        usage_error(str(error))
+    return preset_command_line({**presets, config.preset: kept}, DESCRIPTIONS, arguments)
+
+
+def run_settings(folder: Path, preset: AnyConfig) -> AnyConfig:
+    """Settings of the run in a folder, which may have been moved.
+
+    Args:
+        folder: folder of the run.
+        preset: settings that the run does not have.
+
+    Raises:
+        ConfigurationError: the folder holds no run, one of another preset, or one with settings
+            that are unknown.
+        FileDamagedError: the settings cannot be read.
+    """
+    kept = read_settings(folder)[0]
+    unknown = sorted(kept.keys() - {field.name for field in fields(preset)})
+    if unknown:
+        raise ConfigurationError(
+            f"the run in {str(folder)!r} is of another version or recipe: it has the settings"
+            f" {unknown}; resume it with the version that started it"
+        )
+    if kept.get("preset") != preset.preset:
+        raise ConfigurationError(
+            f"the run in {str(folder)!r} has the preset {kept.get('preset')!r}; to resume it:"
+            f" {program()} {kept.get('preset')} --resume --out {shlex.quote(str(folder))}"
+        )
+    return with_schedule(replace(preset, **{**kept, "out": folder, "resume": False}), kept)
+
+
+def with_schedule(config: AnyConfig, kept: Mapping[str, Any] | None = None) -> AnyConfig:
+    """Fix the length of the schedule, so that a longer training does not stretch it.
+
+    Args:
+        config: the settings.
+        kept: settings of the run that is resumed; None for a new run.
+    """
+    if config.schedule_steps:
+        return config
+    steps = (kept or {}).get("schedule_steps", config.total_steps)
+    return replace(config, schedule_steps=steps)
+
+
+def scheduled(config: Config, step: int, first: float, last: float) -> float:
+    """Value that falls exponentially from `first` to `last` over the schedule's last part."""
+    steps = config.schedule_steps or config.total_steps
+    share = (step / steps - config.fall_after) / (1 - config.fall_after)
+    return first * (last / first) ** min(max(share, 0.0), 1.0)
+
+
+def resume_command(config: Config) -> str:
+    """Command line that resumes the run of this program."""
+    preset = "" if config.preset == "default" else f" {config.preset}"
+    return f"{program()}{preset} --resume --out {shlex.quote(str(config.out))}"
