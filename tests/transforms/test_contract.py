@@ -1,0 +1,215 @@
+"""TorchRL's contract of transforms, situation by situation, for every public transform."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import nn
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
+from torchrl.envs.transforms import Compose, Transform
+from torchrl.envs.utils import check_env_specs
+
+import aslip
+from aslip import transforms
+from aslip.envs import StackEnv, default_stack, insert_before
+from aslip.library import GaitLibrary
+from aslip.transforms import SeededTransform
+from tests.helpers import leaves
+
+NUM = 2
+PUBLIC = {
+    value
+    for name in transforms.__all__
+    if isinstance(value := getattr(transforms, name), type)
+    and issubclass(value, SeededTransform)
+    and value is not SeededTransform
+}
+
+ONLY_INSIDE = {
+    transforms.SpeedCommand: "writes the request of the robots' own reset",
+    transforms.PhaseClock: "writes the request of the robots' own reset",
+    transforms.ReferenceStart: "writes the request of the robots' own reset",
+    transforms.RandomDynamics: "writes the request of the robots' own reset",
+    transforms.StaggeredEnds: "tells resets of all robots at once from others",
+    transforms.ObservationNoise: "changes packets before the estimator reads them",
+    transforms.RandomNoise: "changes packets before the estimator reads them",
+    transforms.EstimatedState: "estimates robots along one axis of the batch",
+    transforms.ActionDelta: "hides the motor targets of the environment below",
+}
+"""Transforms that cannot stand around a batch of environments, and why."""
+
+
+def make_env(seed: int = 0) -> StackEnv:
+    """An environment with one transform of each public class."""
+    library = GaitLibrary.load()
+    stack = insert_before(default_stack(library), "start", dynamics=transforms.RandomDynamics)
+    stack = insert_before(
+        stack,
+        "observation",
+        random_noise=transforms.RandomNoise,
+        clock_input=transforms.ClockInput,
+        distance=transforms.ReferenceDistance,
+        truth=partial(transforms.TrueState, out_keys=("true_estimate", "copied_odometry")),
+    )
+    # both noises must stand before the estimator
+    noise = stack.pop("random_noise")
+    stack = insert_before(stack, "estimator", random_noise=noise)
+    stack = insert_before(stack, "episode_sum", stagger=partial(transforms.StaggeredEnds, 9))
+    return aslip.make_env(stack=stack, num_envs=NUM, seed=seed, num_threads=1)
+
+
+@pytest.fixture(scope="module")
+def env() -> Iterator[StackEnv]:
+    env = make_env()
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def recorded(env: StackEnv) -> TensorDictBase:
+    """Transitions (k,) of a rollout."""
+    torch.manual_seed(0)
+    rollout = env.rollout(6, break_when_any_done=False)
+    assert rollout["next", "done"].any()
+    return rollout.reshape(-1)
+
+
+CLASSES = sorted(PUBLIC, key=lambda kind: kind.__name__)
+OFFLINE = [kind for kind in CLASSES if not kind.needs_env]
+
+
+def of_class(env: StackEnv, kind: type[SeededTransform]) -> SeededTransform:
+    """The environment's transform of a class, without the environment."""
+    found = next(t for t in env.transforms if type(t) is kind)
+    return found.clone()
+
+
+def check_recomputed(found: TensorDictBase, recorded: TensorDictBase, kind: type) -> None:
+    """Check that a transform wrote again, to the bit, the entries that it had written."""
+    transform = kind.__name__
+    expected = leaves(recorded)
+    wrote = {key: value for key, value in leaves(found).items() if key in expected}
+    assert wrote.keys() == leaves(found).keys(), transform
+    for key, value in wrote.items():
+        assert torch.equal(value, expected[key]), (transform, key)
+
+
+def without_outputs(recorded: TensorDictBase, transform: Transform) -> TensorDictBase:
+    """Transitions that lack an entry that the transform writes, where it does not read it, too."""
+    step = type(transform)._step is not Transform._step
+    keys = [key for key in transform.out_keys if key not in {"terminated", "done"}]
+    own = [("next", *((key,) if isinstance(key, str) else key)) if step else key for key in keys]
+    if isinstance(transform, transforms.ReferenceInjection):
+        own = [("reference", "body_position"), ("goal", "body_position")]
+    return recorded.exclude(*own).clone()
+
+
+def test_the_environment_has_every_public_transform(env: StackEnv) -> None:
+    assert {type(t) for t in env.transforms if isinstance(t, SeededTransform)} == PUBLIC
+
+
+def test_single_environment(env: StackEnv) -> None:
+    check_env_specs(env)
+
+
+@pytest.mark.parametrize("kind", [SerialEnv, ParallelEnv])
+def test_inside_several_environments(kind: Callable[..., EnvBase]) -> None:
+    several = kind(2, [partial(make_env, seed) for seed in (0, 1)])
+    check_env_specs(several)
+    several.close(raise_if_closed=False)
+
+
+def test_around_several_environments(env: StackEnv) -> None:
+    """Entries written around a batch of environments are those written inside them.
+
+    Not applicable to a `ParallelEnv`: when a transform stands around it, TorchRL hands its
+    processes declared states only, and memories that transforms inside carry (of the estimator,
+    of noise) are observations.
+    """
+    batch = SerialEnv(2, [partial(make_env, seed) for seed in (0, 1)])
+    around = [
+        transform.clone()
+        for transform in env.transforms
+        if isinstance(transform, SeededTransform) and type(transform) not in ONLY_INSIDE
+    ]
+    several = TransformedEnv(
+        batch,
+        Compose(*around),  # pyright: ignore[reportArgumentType]
+        auto_unwrap=False,
+    )
+    torch.manual_seed(0)
+    rollout = several.rollout(3, break_when_any_done=False)
+    assert rollout.batch_size == (2, NUM, 3)
+    for kind in (transforms.ClockInput, transforms.AssembleObservation, transforms.TrueState):
+        transform = of_class(env, kind)
+        check_recomputed(transform(without_outputs(rollout, transform)), rollout, kind)
+    several.close()
+
+
+@pytest.mark.parametrize("kind", OFFLINE, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("wrap", [lambda t: t, lambda t: Compose(t), lambda t: nn.Sequential(t)])
+def test_without_environment_in_a_compose_and_in_a_model(
+    env: StackEnv,
+    recorded: TensorDictBase,
+    kind: type[SeededTransform],
+    wrap: Callable[[Transform], Callable[[TensorDictBase], TensorDictBase]],
+) -> None:
+    if kind in {transforms.LastAction, transforms.FirstStep, transforms.ReferenceDistance}:
+        recorded = recorded[~recorded["next", "done"][:, 0]]
+    transform = of_class(env, kind)
+    found = wrap(transform)(without_outputs(recorded, transform))
+    check_recomputed(found, recorded, kind)
+
+
+@pytest.mark.parametrize("kind", OFFLINE, ids=lambda kind: kind.__name__)
+def test_in_a_replay_buffer(
+    env: StackEnv, recorded: TensorDictBase, kind: type[SeededTransform]
+) -> None:
+    transform = of_class(env, kind)
+    buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(64), batch_size=8)
+    stored = recorded.clone()
+    stored["row"] = torch.arange(len(stored))
+    buffer.extend(without_outputs(stored, transform))
+    buffer.append_transform(transform)
+    sample = buffer.sample().exclude("index")
+    check_recomputed(sample, stored[sample["row"]], kind)
+
+
+@pytest.mark.parametrize(
+    "kind", [kind for kind in CLASSES if kind.needs_env], ids=lambda kind: kind.__name__
+)
+def test_a_transform_that_needs_an_environment_says_why(
+    env: StackEnv, recorded: TensorDictBase, kind: type[SeededTransform]
+) -> None:
+    with pytest.raises(NotImplementedError, match=f"{kind.__name__} acts in an environment only"):
+        of_class(env, kind)(recorded.clone())
+
+
+@pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)
+def test_inverse(env: StackEnv, recorded: TensorDictBase, kind: type[SeededTransform]) -> None:
+    """Actions become motor targets in one transform; the others leave them alone."""
+    found = of_class(env, kind).inv(recorded.clone())
+    if kind is transforms.ActionDelta:
+        expected = recorded["reference", "motor_target"] + recorded["action"]
+        assert torch.equal(found.pop("motor_target"), expected)
+    assert leaves(found).keys() == leaves(recorded).keys()
+    assert torch.equal(found["action"], recorded["action"])
+
+
+def test_keys_are_checked_where_a_transform_is_made() -> None:
+    with pytest.raises(aslip.errors.ConfigurationError, match="out_keys of ClockInput must be 2"):
+        transforms.ClockInput(out_keys=["sine"])
+    with pytest.raises(aslip.errors.ConfigurationError, match="must be a list of keys, got 'a'"):
+        transforms.ClockInput(in_keys="a")
+
+
+def test_nested_keys_take_the_place_of_the_defaults() -> None:
+    clock = transforms.ClockInput(in_keys=[("mine", "phase")], out_keys=["sine", ("a", "cosine")])
+    found = clock(TensorDict(mine=TensorDict(phase=torch.full((3, 1), 0.25)), batch_size=3))
+    assert found["sine"].allclose(torch.ones(3, 1))
+    assert found["a", "cosine"].allclose(torch.zeros(3, 1), atol=1e-6)
