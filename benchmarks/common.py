@@ -17,6 +17,7 @@ import io
 import json
 import logging
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -36,6 +37,7 @@ from aslip.policy import add_memory, policy_stack
 from aslip.robot import CASSIE
 from aslip.rom import Gait
 from aslip.show.plots import save_figure
+from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import write_text
 from aslip.walking import Interval, Walks, record_walks
 from benchmarks.flags import Common
@@ -43,10 +45,12 @@ from benchmarks.flags import Common
 __all__ = [
     "WALKING_LENGTH",
     "Common",
+    "Holder",
     "Interval",
     "MakeEnv",
     "Policy",
     "Subject",
+    "checkpoint_times",
     "constant_walks",
     "load_subjects",
     "nearest_gait",
@@ -235,3 +239,35 @@ def quiet() -> Iterator[list[str]]:
             yield messages
     finally:
         torchrl_logger.handlers[:] = handlers
+
+
+# ---------------------------------------------------------------------- checkpoints
+
+
+class Holder:
+    """Component of a checkpoint that any state can be loaded into."""
+
+    def __init__(self, state: Any = None) -> None:
+        self.state = state
+
+    def state_dict(self) -> Any:
+        """State that was loaded."""
+        return self.state
+
+    def load_state_dict(self, state: Any) -> None:
+        """Keep a state."""
+        self.state = state
+
+
+def checkpoint_times(path: Path) -> dict[str, float]:
+    """Size of a checkpoint [bytes], and times to copy its states and to write them [s]."""
+    names = ("actor", "critic", "optimizer", "rng", "collector")
+    components = {name: Holder() for name in names}
+    metadata = load_checkpoint(path, components)
+    start = time.perf_counter()
+    states = snapshot(components)
+    copied = time.perf_counter()
+    save_checkpoint(path, states, metadata)
+    written = time.perf_counter()
+    times = {"copied_s": copied - start, "written_s": written - copied}
+    return {"bytes": path.stat().st_size, **times}

@@ -12,8 +12,8 @@ Two rows of `mujoco.batch` with constant torques give the cost of 60 calls in pl
 For few robots there are two more: the dm_control task in a loop, and TorchRL's `ParallelEnv`, a
 process a robot. Those processes walk on their own, as many at a time as there are processors.
 
-Two tables follow: the share of an update of PPO in an iteration of training, and the memory that
-environment, policy and samples take.
+Two tables follow: the share of an iteration of training that is learning (everything but collecting
+samples), and the memory that environment, policy and samples take.
 """
 
 from __future__ import annotations
@@ -56,19 +56,18 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import mujoco
 import numpy as np
 import torch
-from tensordict import TensorDictBase
+from tensordict import TensorDict, TensorDictBase
 from torchrl.envs import EnvBase, ParallelEnv
 
 import aslip
@@ -76,11 +75,11 @@ from aslip.envs import ON_TRUTH
 from aslip.robot import CASSIE
 from aslip.robot.model import physics_timesteps
 from aslip.sim import SimulationPool, Simulations
-from aslip.training import run
+from aslip.training.collectors import LocalCollector
 from aslip.training.provenance import peak_memory
 from aslip.transforms import ActionDelta
 from aslip.walking import markdown
-from benchmarks.common import MakeEnv, Policy, Subject, quiet
+from benchmarks.common import MakeEnv, Policy, Subject, checkpoint_times, quiet
 from recipes import ppo_aslip
 
 _BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
@@ -218,66 +217,72 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
         print("\n" + memory_table(config))
 
 
+class TimedCollector(LocalCollector):
+    """Collector that keeps the instants at which batches are asked for and delivered [s]."""
+
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.spans: list[tuple[float, float]] = []
+
+    def __iter__(self) -> Iterator[TensorDict]:
+        batches, asked = super().__iter__(), time.perf_counter()
+        for batch in batches:
+            self.spans.append((asked, time.perf_counter()))
+            yield batch
+            asked = time.perf_counter()
+
+
 def update_table(config: Config) -> str:
-    """Seconds that a training spends between updates and on them, on copies and checkpoints."""
-    header = ["settings", "samples", "collecting s", "update s", "share of the update"]
+    """Seconds that a training spends on collecting, learning, copies of states and checkpoints."""
+    header = ["settings", "samples", "collecting s", "learning s", "share of learning"]
     header += ["copy s", "checkpoint s"]
     rows = []
     for name, preset in ppo_aslip.PRESETS.items():
         training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
-        updates, copies, saves = _iterations(training, config.rounds)
-        collecting = [after[0] - before[1] for before, after in itertools.pairwise(updates)]
-        updating = [end - start for start, end in updates[1:]]
-        share = statistics.median(u / (c + u) for c, u in zip(collecting, updating, strict=True))
+        spans, cost = time_iterations(name, training, config.rounds)
+        # the first batch only initialises the normaliser
+        collecting = [delivered - asked for asked, delivered in spans[2:]]
+        learning = [after[0] - before[1] for before, after in itertools.pairwise(spans[1:])]
+        share = statistics.median(u / (c + u) for c, u in zip(collecting, learning, strict=True))
         cells = [name, str(training.samples)]
-        cells += [f"{statistics.median(times):.2f}" for times in (collecting, updating)]
-        cells += [f"{100 * share:.0f} %"]
-        cells += [f"{statistics.median(e - s for s, e in spans):.2f}" for spans in (copies, saves)]
+        cells += [f"{statistics.median(times):.2f}" for times in (collecting, learning)]
+        cells += [f"{100 * share:.0f} %", f"{cost['copied_s']:.2f}", f"{cost['written_s']:.2f}"]
         rows.append(cells)
     return markdown(header, rows, ["---", *["---:"] * 6])
 
 
-Spans = list[tuple[float, float]]
+def time_iterations(
+    preset: str, config: ppo_aslip.Config, number: int
+) -> tuple[list[tuple[float, float]], dict[str, float]]:
+    """Time the first iterations of a training.
 
+    Args:
+        preset: name of the preset.
+        config: its settings.
+        number: number of iterations, one less than are trained.
 
-def _iterations(config: ppo_aslip.Config, number: int) -> tuple[Spans, Spans, Spans]:
-    """When updates, copies of all states after them, and checkpoints began and ended [s].
-
-    Those of the first iterations of a training, one more than the number.
+    Returns:
+        Instants at which each batch was asked for and delivered [s], and `checkpoint_times`.
     """
-    update = _Watched(ppo_aslip.update)
-    copies, save = _Watched(run.snapshot), _Watched(run.save_checkpoint)
+    made: list[TimedCollector] = []
+
+    def make_collector(*args: Any, **settings: Any) -> TimedCollector:
+        made.append(TimedCollector(*args, **settings))
+        return made[-1]
+
     with tempfile.TemporaryDirectory() as folder, quiet():
         short = replace(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
-            eval_interval=10**9, eval_steps=1,
-            checkpoint_minutes=1e6,
+            eval_interval=10**9, eval_steps=1, checkpoint_minutes=1e6,
         )  # fmt: skip
-        with (
-            mock.patch.object(ppo_aslip, "update", update),
-            mock.patch.object(run, "snapshot", copies),
-            mock.patch.object(run, "save_checkpoint", save),
-        ):
-            ppo_aslip.main(short)
-    return update.spans, copies.spans, save.spans
-
-
-class _Watched:
-    """A function that remembers when its calls began and ended."""
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
-        self.spans: Spans = []
-
-    def __call__(self, *args: Any) -> Any:
-        start = time.perf_counter()
-        result = self._function(*args)
-        self.spans.append((start, time.perf_counter()))
-        return result
+        parts = ppo_aslip.environments(preset)
+        ppo_aslip.main(short, **parts, make_collector=make_collector)
+        cost = checkpoint_times(max((short.out / "checkpoints").iterdir()))
+    return made[0].spans, cost
 
 
 def memory_table(config: Config) -> str:
-    """The most memory of a process that collects samples with so many robots."""
+    """Table of the peak memory of a process that collects samples, a row for each N."""
     code = (
         "import sys; from benchmarks.throughput import memory_of;"
         " print(memory_of(int(sys.argv[1])))"
@@ -291,14 +296,14 @@ def memory_table(config: Config) -> str:
 
 
 def memory_of(num_envs: int) -> float:
-    """Peak memory of this process after eight policy steps of so many robots [GiB]."""
+    """Peak memory of this process after eight policy steps of N robots [GiB]."""
     with closing(aslip.make_env(num_envs=num_envs)) as env:
         env.rollout(8, aslip.load_policy("aslip"), break_when_any_done=False)
         return peak_memory()
 
 
 def _round(candidates: Candidates, steps: int) -> dict[str, float]:
-    """Seconds of some policy steps, by candidate."""
+    """Seconds of a number of policy steps, by candidate."""
     total: dict[str, float] = {}
     for _ in range(steps):
         for name, seconds in candidates.step().items():

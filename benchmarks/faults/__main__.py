@@ -62,11 +62,19 @@ from tqdm import tqdm
 
 from aslip.training.run import write_text
 from aslip.walking import markdown
-from benchmarks.faults.checkpoints import checkpoint_cost, cuts, flips, full_disks, losses
 from benchmarks.faults.files import damaged, strangers
 from benchmarks.faults.kinds import KINDS
-from benchmarks.faults.processes import kills, raises, workers
-from benchmarks.faults.settings import settings
+from benchmarks.faults.runs import (
+    checkpoint_cost,
+    cuts,
+    flips,
+    full_disks,
+    kills,
+    losses,
+    raises,
+    settings,
+    workers,
+)
 from benchmarks.faults.simulations import bad_numbers, steps
 
 Inject = Callable[[int, np.random.Generator, Path], int]

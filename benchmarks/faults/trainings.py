@@ -1,4 +1,4 @@
-"""Tiny trainings to disturb, and whether two of them are the same."""
+"""Tiny trainings to disturb, and comparison of their results."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import torch
 
 from aslip.training.checkpoint import load_checkpoint
 from aslip.training.progress import read_progress
-from benchmarks.common import quiet
+from benchmarks.common import Holder, quiet
 from recipes import ppo_aslip
 
 TINY = ppo_aslip.Config(
@@ -26,31 +26,31 @@ TINY = ppo_aslip.Config(
 """A training of eight updates, a checkpoint each."""
 
 PATIENCE = 120.0
-"""A training whose policy step is not over by then hangs [s]."""
+"""Duration after which a training that makes no progress counts as hung [s]."""
 
 
-def train(config: ppo_aslip.Config) -> dict[str, Any]:
-    """Train, with short evaluations and without a word; returns what `fingerprint` says."""
+def train(config: ppo_aslip.Config, **parts: Any) -> dict[str, Any]:
+    """Train silently, with other parts of `ppo_aslip.main` if given; returns the `fingerprint`."""
     with quiet():
-        ppo_aslip.main(config)
+        ppo_aslip.main(config, **parts)
     return fingerprint(config.out)
 
 
 def resumed(config: ppo_aslip.Config) -> dict[str, Any]:
-    """Train on to the end."""
+    """Resume a training to its end; returns the `fingerprint`."""
     return train(replace(config, resume=True))
 
 
 def undisturbed(folder: Path) -> dict[str, Any]:
-    """What a training leaves that nothing happens to; trained once a folder."""
+    """Fingerprint of an undisturbed training, which runs once a folder."""
     config = replace(TINY, out=folder / "undisturbed")
     return fingerprint(config.out) if config.out.exists() else train(config)
 
 
 def fingerprint(out: Path) -> dict[str, Any]:
-    """All of a finished run that is no time: its progress, last checkpoint, and policy.
+    """Results of a finished run without its times: progress, last checkpoint, and policy.
 
-    Of the global generators only torch's: those of Python and NumPy are neither seeded nor used.
+    Includes torch's global generator only: those of Python and NumPy are neither seeded nor used.
     """
     progress = read_progress(out)
     del progress["elapsed_s"]
@@ -71,7 +71,7 @@ def fingerprint(out: Path) -> dict[str, Any]:
 
 
 def _checksums(path: Path) -> dict[str, int]:
-    """Checksums of an archive's arrays and trees; other entries say how long the training took."""
+    """Checksums of an archive's arrays and trees; other entries hold times."""
     with zipfile.ZipFile(path) as archive:
         infos = archive.infolist()
     return {i.filename: i.CRC for i in infos if i.filename.endswith((".npy", "tree.json"))}
@@ -88,10 +88,10 @@ train(replace(TINY, out=Path(sys.argv[1])))
 
 
 def killed(out: Path, after: int, delay: float) -> None:
-    """Train in a process of its own, and kill it after so many updates and a delay [s].
+    """Train in another process, and kill it after some updates and a delay [s].
 
     Raises:
-        RuntimeError: it ended, or hung, before.
+        RuntimeError: the training ended, or hung, before.
     """
     command = [sys.executable, "-c", _VICTIM, str(out)]
     victim = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -108,7 +108,7 @@ def killed(out: Path, after: int, delay: float) -> None:
 
 
 def updates(out: Path) -> int:
-    """How many a training has told of."""
+    """Number of updates that a training has logged."""
     try:
         return len(read_progress(out).get("step", ()))
     except (OSError, ValueError):  # read while a row was being written
@@ -124,18 +124,3 @@ def same(a: Any, b: Any) -> bool:
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(map(same, a, b))
     return a == b
-
-
-class Holder:
-    """Something to load any state into."""
-
-    def __init__(self, state: Any = None) -> None:
-        self.state = state
-
-    def state_dict(self) -> Any:
-        """What was loaded."""
-        return self.state
-
-    def load_state_dict(self, state: Any) -> None:
-        """Keep it."""
-        self.state = state

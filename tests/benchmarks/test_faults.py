@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tensordict import TensorDictBase
+from torchrl.envs.transforms import Transform
 
 import aslip
 from aslip.envs import BatchEnv
@@ -18,26 +20,24 @@ from aslip.training.progress import read_progress
 from aslip.training.settings import check_types
 from benchmarks.faults import __main__ as suite
 from benchmarks.faults import (
-    checkpoints,
     files,
-    processes,
+    runs,
     simulations,
     trainings,
 )
-from benchmarks.faults import settings as bad_settings
 from benchmarks.faults.kinds import KINDS
 from benchmarks.faults.trainings import TINY
 from recipes import ppo_aslip
 
 FEW: dict[suite.Inject, int] = {
     simulations.bad_numbers: 20,
-    processes.raises: 1,
-    checkpoints.cuts: 5,
-    checkpoints.flips: 5,
-    checkpoints.losses: 2,
-    checkpoints.full_disks: 3,
+    runs.raises: 1,
+    runs.cuts: 5,
+    runs.flips: 5,
+    runs.losses: 2,
+    runs.full_disks: 3,
     files.strangers: 24,
-    bad_settings.settings: 300,
+    runs.settings: 300,
     simulations.steps: 500,
 }
 
@@ -59,7 +59,7 @@ def test_faults_are_survived(inject: suite.Inject, folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("inject", [processes.kills, processes.workers], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("inject", [runs.kills, runs.workers], ids=lambda f: f.__name__)
 def test_killed_processes_are_survived(inject: suite.Inject, tmp_path: Path) -> None:
     assert _survived(inject, 2, tmp_path) == 2
 
@@ -86,9 +86,9 @@ def _say_nothing(*args: object, **kwargs: object) -> None:
 @pytest.mark.parametrize(
     ("inject", "count", "target"),
     [
-        (bad_settings.settings, 100, "ppo_settings.check_types"),
-        (checkpoints.cuts, 2, "aslip.training.run.torchrl_logger.warning"),
-        (checkpoints.full_disks, 2, "aslip.training.run.torchrl_logger.warning"),
+        (runs.settings, 100, "ppo_settings.check_types"),
+        (runs.cuts, 2, "aslip.training.run.torchrl_logger.warning"),
+        (runs.full_disks, 2, "aslip.training.run.torchrl_logger.warning"),
     ],
 )
 def test_faults_that_are_not_survived_are_not_counted(
@@ -98,23 +98,30 @@ def test_faults_that_are_not_survived_are_not_counted(
     assert _survived(inject, count, folder) < count
 
 
-def test_simulations_that_diverge_do_not_stop_a_training(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+class Spoiling(Transform):
+    """Put NaN into one robot's state after three of the policy steps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._taken = 0
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        del tensordict
+        self._taken += 1
+        base: Any = self.parent
+        while not isinstance(base, BatchEnv):
+            base = base.base_env
+        if self._taken in (8, 12, 19):
+            states = base.states()
+            states[self._taken % base.num_envs, 3] = math.nan
+            base.set_states(states)
+        return next_tensordict
+
+
+def test_simulations_that_diverge_do_not_stop_a_training(tmp_path: Path) -> None:
     """NaN in one robot's state, three times: three divergences, and numbers everywhere."""
-    advance, taken = BatchEnv._advance, [0]
-
-    def spoil(env: BatchEnv, *args: Any) -> np.ndarray:
-        taken[0] += env.num_envs == TINY.num_envs
-        if env.num_envs == TINY.num_envs and taken[0] in (9, 13, 20):
-            states = env.states()
-            states[taken[0] % env.num_envs, 3] = math.nan
-            env.set_states(states)
-        return advance(env, *args)
-
-    monkeypatch.setattr(BatchEnv, "_advance", spoil)
     config = replace(TINY, out=tmp_path / "run", total_steps=128)
-    trainings.train(config)
+    trainings.train(config, make_collector=runs.faulty_collector(Spoiling))
     progress = read_progress(config.out)
     assert progress["divergences"] == [2, 3]
     for name, column in progress.items():
@@ -128,7 +135,7 @@ def test_simulations_that_diverge_do_not_stop_a_training(
 def test_a_setting_of_a_wrong_type_is_named(field: Any) -> None:
     rng = np.random.default_rng(len(field.name))
     for _ in range(20):
-        value = bad_settings.bad_value(field.name, rng)
+        value = runs.bad_value(field.name, rng)
         with pytest.raises(ConfigurationError, match=field.name):
             replace(TINY, **{field.name: value})
 

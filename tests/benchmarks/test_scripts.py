@@ -88,10 +88,10 @@ def test_collectors_are_measured_side_by_side(capsys: pytest.CaptureFixture[str]
 
 
 def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ppo_aslip, "PRESETS", {"tiny": TINY})
+    monkeypatch.setattr(ppo_aslip, "PRESETS", {"default": TINY})
     config = throughput.Config(num_envs=(2,), rounds=2)
     row = throughput.update_table(config).splitlines()[-1]
-    assert row.startswith("| tiny | 64 | ")
+    assert row.startswith("| default | 64 | ")
     *_, share, copied, saved, _ = row.split("|")
     assert 0 < float(share.strip(" %")) < 100
     assert math.isfinite(float(copied))
