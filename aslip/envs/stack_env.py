@@ -218,6 +218,7 @@ def check_wiring(env: StackEnv) -> None:
     available = env.full_observation_spec.clone()
     available.update(env.full_action_spec)
     available.update(env.full_reward_spec)
+    available.update(env.full_done_spec)
     summed = rewarded = sensed = False
     ever_rewarded = any("reward" in transform.out_keys for transform in env.transforms)
     for name, transform in zip(env.transform_names, env.transforms, strict=True):

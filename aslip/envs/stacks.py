@@ -250,12 +250,24 @@ def robot_stack(stack: Stack | None = None) -> Stack:
     """
     stack = default_stack(reward_on="estimate") if stack is None else stack
     _require_names(stack, [])
-    made = {name: make() for name, make in stack.items()}
+    makers = {name: partial(_make_for_robot, make) for name, make in stack.items()}
+    made = {name: make() for name, make in makers.items()}
     return {
-        name: stack[name]
+        name: makers[name] if isinstance(transform, RewardTerm) else stack[name]
         for name, transform in made.items()
         if not needs_simulation(transform) and not isinstance(transform, ObservationNoise)
     }
+
+
+def _make_for_robot(make: Callable[[], Transform]) -> Transform:
+    """Make a transform; a reward term reads that a robot has stopped, not that it diverged."""
+    made = make()
+    if not isinstance(made, RewardTerm):
+        return made
+    name = made.out_keys[0][-1]
+    return RewardTerm(
+        name, made.function, made.next_keys, made.root_keys, diverged_key="terminated"
+    )
 
 
 def needs_simulation(transform: Transform) -> bool:
