@@ -264,7 +264,7 @@ def _make_for_robot(make: Callable[[], Transform]) -> Transform:
     made = make()
     if not isinstance(made, RewardTerm):
         return made
-    name = made.out_keys[0][-1]
+    name = str(made.out_keys[0][-1])
     return RewardTerm(
         name, made.function, made.next_keys, made.root_keys, diverged_key="terminated"
     )
