@@ -75,7 +75,6 @@ import numpy as np
 import ppo_aslip
 import torch
 from ppo_settings import PRESETS
-from scipy import stats
 from tensordict import TensorDictBase
 from torchrl.data import Composite
 
@@ -107,9 +106,8 @@ from aslip.transforms import (
 )
 from aslip.transforms.base import extend_spec
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking import TRACKING_TOLERANCE, WalkResult, evaluate, markdown
+from aslip.walking import TRACKING_TOLERANCE, Interval, WalkResult, evaluate, markdown
 
-_CONFIDENCE = 0.95
 _RESULTS = "judged.json"
 # evaluations on the way cost a tenth of so short a training [policy steps]
 _NEVER = 10**12
@@ -237,7 +235,8 @@ def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, li
 
 def announcement(config: Config, count: int) -> str:
     """Message at the start: number of trainings, and their duration."""
-    done = sum(path.exists() for path in _result_files(config))
+    names = [f"{name}-{seed}" for seed in config.seeds for name in config.variants]
+    done = sum((config.out / name / _RESULTS).exists() for name in names)
     if done == count:
         return f"all of {count} trainings are done"
     seconds = (count - done) * estimated_seconds(config)
@@ -246,10 +245,6 @@ def announcement(config: Config, count: int) -> str:
         f"{count - done} of {count} trainings to go, {config.total_steps} policy steps each: about"
         f" {about} (hours:minutes:seconds) on this machine; Ctrl-C saves, and what is done is kept"
     )
-
-
-def _result_files(config: Config) -> list[Path]:
-    return [config.out / f"{n}-{s}" / _RESULTS for s in config.seeds for n in config.variants]
 
 
 def estimated_seconds(config: Config) -> float:
@@ -371,14 +366,14 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
     rows = []
     for name, by_seed in found.items():
         means = [measures(results) for results in by_seed.values()]
-        cells = [interval([m[key] for m in means]) for key in means[0]]
+        cells = [cell([m[key] for m in means]) for key in means[0]]
         rows.append([name, str(len(means)), *cells])
     first = next(iter(next(iter(found.values())).values()))
     header = ["variant", "seeds", *measures(first)]
     text = markdown(header, rows, ["---", *["---:"] * (len(header) - 1)])
+    near = f"tracked within {TRACKING_TOLERANCE:g} m/s"
     counted = (
-        f"Of {len(first)} speeds those are counted that were survived, on the feet, and tracked"
-        f" within {TRACKING_TOLERANCE:g} m/s."
+        f"Of {len(first)} speeds those are counted that were survived, on the feet, and {near}."
     )
     return f"{text}\n\n{total_steps} policy steps each; {_cells(found)}. {counted}"
 
@@ -394,14 +389,12 @@ def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
     return f"{told}; the largest return is {MAX_EPISODE_STEPS}"
 
 
-def interval(values: Sequence[float]) -> str:
-    """Mean, and half the width of Student's interval if there are several values."""
-    mean = float(np.mean(values))
-    digits = 0 if mean >= 100 else 1 if mean >= 10 else 3
-    if len(values) < 2:
-        return f"{mean:.{digits}f}"
-    half = stats.t.ppf(0.5 + _CONFIDENCE / 2, len(values) - 1) * stats.sem(values)
-    return f"{mean:.{digits}f} ± {half:.{digits}f}"
+def cell(values: Sequence[float]) -> str:
+    """Mean over seeds, and half the width of its interval if there are several values."""
+    found = Interval.of([np.array([value]) for value in values])
+    digits = 0 if found.mean >= 100 else 1 if found.mean >= 10 else 3
+    half = f" ± {found.high - found.mean:.{digits}f}" if len(values) > 1 else ""
+    return f"{found.mean:.{digits}f}{half}"
 
 
 if __name__ == "__main__":
