@@ -109,10 +109,8 @@ from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import TRACKING_TOLERANCE, Interval, WalkResult, evaluate, markdown
 
 _RESULTS = "judged.json"
-# evaluations on the way cost a tenth of so short a training [policy steps]
-_NEVER = 10**12
-# a duration is estimated from so many policy steps, and updates take this much more than them
-_TIMED_STEPS, _UPDATES_TOO = 4, 1.2
+_NEVER = 10**12  # policy steps; evaluations would cost a tenth of so short a training
+_TIMED_STEPS, _UPDATES_TOO = 4, 1.2  # of an estimated duration: policy steps, factor for updates
 
 
 class StandingBaseline(SeededTransform):
@@ -369,8 +367,8 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
         cells = [cell([m[key] for m in means]) for key in means[0]]
         rows.append([name, str(len(means)), *cells])
     first = next(iter(next(iter(found.values())).values()))
-    header = ["variant", "seeds", *measures(first)]
-    text = markdown(header, rows, ["---", *["---:"] * (len(header) - 1)])
+    names = [*measures(first)]
+    text = markdown(["variant", "seeds", *names], rows, ["---", "---:", *["---:"] * len(names)])
     near = f"tracked within {TRACKING_TOLERANCE:g} m/s"
     counted = (
         f"Of {len(first)} speeds those are counted that were survived, on the feet, and {near}."
