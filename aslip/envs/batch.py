@@ -49,7 +49,7 @@ class BatchEnv(SimulatedEnv):
         self._settings = {"num_threads": num_threads, "robot": robot, "drive": drive}
         self.simulations = SimulationPool(num_envs, model=model, **self._settings)
         self._watched_robot: int | None = None
-        super().__init__(num_envs, robot, self.simulations.command_size)
+        super().__init__(num_envs, robot, self.simulations.command_size, drive)
 
     @property
     def model(self) -> mujoco.MjModel:

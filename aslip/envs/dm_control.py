@@ -172,7 +172,7 @@ class DmControlEnv(SimulatedEnv):
             environment.physics.use_drive(drive)
             environment.reset()
         self._model = copy(self.physics[0].model.ptr)
-        super().__init__(num_envs, CASSIE, self.physics[0].drive.command_size)
+        super().__init__(num_envs, CASSIE, self.physics[0].drive.command_size, drive)
 
     @property
     def physics(self) -> list[BipedPhysics]:

@@ -40,7 +40,7 @@ from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 from aslip.envs.robot_env import RobotEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
-from aslip.sim import Dynamics, Snapshot, true_state
+from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
 
@@ -55,11 +55,18 @@ class SimulatedEnv(RobotEnv):
         num_envs: number of robots.
         robot: the robot.
         command_size: numbers in `motor_target`; one a motor by default.
+        drive: low level that `motor_target` commands.
     """
 
     def __init__(
-        self, num_envs: int, robot: Robot = CASSIE, command_size: int | None = None
+        self,
+        num_envs: int,
+        robot: Robot = CASSIE,
+        command_size: int | None = None,
+        drive: MakeDrive = PD,
     ) -> None:
+        self.make_drive = drive
+        """Low level that `motor_target` commands."""
         self.indices = robot.indices
         self.divergences = 0
         """Simulations that diverged, and were put back on their feet, since construction."""

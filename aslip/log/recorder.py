@@ -30,6 +30,7 @@ from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
 from aslip.robot import CASSIE
 from aslip.show.ghost import Footholds
+from aslip.sim import PD
 from aslip.training.provenance import commit, versions
 
 CONFIG_FILE = "config.json"
@@ -61,8 +62,9 @@ class Recorder(Transform):
 
     Raises:
         ConfigurationError: `joint_rate` is unknown; a log or an unfinished log of that name exists;
-            a transform comes after this one; the environment has no such robot; or its model was
-            changed by other means than `SimulatedEnv.set_dynamics`.
+            a transform comes after this one; the environment has no such robot, or another low
+            level than `PD`; or its model was changed by other means than
+            `SimulatedEnv.set_dynamics`.
         AssetError: there is no such policy.
     """
 
@@ -166,6 +168,11 @@ class Recorder(Transform):
         if not 0 <= self._robot < base.num_envs:
             raise ConfigurationError(
                 f"cannot record robot {self._robot!r}: the environment has {base.num_envs}, from 0"
+            )
+        if base.make_drive is not PD:
+            raise ConfigurationError(
+                "a log replays under the low level `PD` only, so a Recorder cannot record"
+                f" drive={base.make_drive!r}; drop the recorder"
             )
         if self._fast:
             base.watch(self._robot)

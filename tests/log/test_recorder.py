@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import platform
 import xml.etree.ElementTree as ET
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
 import aslip
-from aslip.envs import default_stack
+from aslip.envs import BatchEnv, SimulatedEnv, default_stack
+from aslip.envs.dm_control import DmControlEnv
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.estimation import FAULTS
 from aslip.files.assets import asset_path
@@ -26,6 +28,7 @@ from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 from aslip.show.ghost import Footholds, Ghost
+from aslip.sim import Torque
 from aslip.training.provenance import commit
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from tests.log.helpers import MakeRecorded, run
@@ -359,6 +362,17 @@ def test_a_recorder_that_cannot_begin_leaves_no_file(
     env = make_recorded(tmp_path / "walk.mcap")
     env.base_env.model.geom_size[0] += 1.0
     with pytest.raises(ConfigurationError, match=r"differs .* in \['geom_size'\]"):
+        env.reset()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("backend", [BatchEnv, DmControlEnv])
+def test_a_low_level_that_replays_do_not_know_is_refused(
+    backend: type[SimulatedEnv], tmp_path: Path
+) -> None:
+    stack = {**default_stack(), "recorder": lambda: Recorder(tmp_path / "walk.mcap")}
+    env = aslip.make_env(base=partial(backend, drive=Torque), stack=stack)
+    with pytest.raises(ConfigurationError, match=r"cannot record drive=.*Torque"):
         env.reset()
     assert not list(tmp_path.iterdir())
 
