@@ -1,4 +1,4 @@
-"""Motions at all commands with the joint angles of the robot, in one table.
+"""Gait libraries: motions over a grid of commands, with joint angles of the robot.
 
     walks = optimize_gaits((0.0, 0.5, 1.0), parameters=SlipParameters(mass=33.3))
     library = GaitLibrary.from_motions(walks)      # inverse kinematics
@@ -6,8 +6,8 @@
     library = GaitLibrary.load("gaits.npz")        # by default the library that ships
     library(phase, command).motor_position
 
-Motions of any reduced-order model will do, see `aslip.rom.Motion`. Looking motions up loads neither
-an optimiser nor the inverse kinematics nor a simulator.
+A library is made of motions of any reduced-order model, see `aslip.rom.Motion`. Looking motions up
+imports none of CasADi, Pinocchio and MuJoCo.
 """
 
 from __future__ import annotations

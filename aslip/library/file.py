@@ -1,4 +1,4 @@
-"""The file of a gait library: its arrays and its origin; NumPy reads it, too."""
+"""Read and write files of gait libraries; `numpy.load` opens them, too."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from aslip.errors import AssetError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.library.table import ARRAYS, GaitTable
+from aslip.robot import CASSIE, Robot
 from aslip.rom.gait import Gait
 from aslip.rom.motion import Motion, SampledMotion
 
@@ -24,19 +25,19 @@ _MADE_BY = "made_by.json"
 def write_library(
     path: Path, motions: Sequence[Motion], table: GaitTable, made_by: Mapping[str, str]
 ) -> None:
-    """Store motions and table.
+    """Write motions and table.
 
-    An optimal gait is stored as it is, another motion by `SampledMotion`, in as many samples as the
-    table has.
+    An optimal gait is stored unchanged, another motion as a `SampledMotion` with the number of
+    samples of the table.
 
     Args:
-        path: the file; replaced as a whole.
+        path: file to write; an existing one is replaced as a whole.
         motions: motions of the table.
-        table: the same motions sampled.
-        made_by: the command and the versions that made them.
+        table: table of the motions.
+        made_by: command and package versions that made the library.
 
     Raises:
-        OSError: the file cannot be written; an older file of the name is then untouched.
+        OSError: the file cannot be written; an existing one is unchanged.
     """
     arrays = {f"table/{name}": getattr(table, name) for name in (*ARRAYS, "torque_jumps")}
     arrays |= {f"table/axis{i}": axis for i, axis in enumerate(table.axes)}
@@ -52,8 +53,10 @@ def write_library(
     FORMAT.write(path, {**entries, _MADE_BY: as_json(dict(made_by))})
 
 
-def read_library(path: Path) -> tuple[list[Motion], GaitTable, dict[str, str]]:
-    """Motions, table and origin of a file.
+def read_library(
+    path: Path, robot: Robot = CASSIE
+) -> tuple[list[Motion], GaitTable, dict[str, str]]:
+    """Read motions, table and origin of a library of a robot.
 
     Raises:
         AssetError: there is no such file.
@@ -61,13 +64,13 @@ def read_library(path: Path) -> tuple[list[Motion], GaitTable, dict[str, str]]:
     """
     if not path.is_file():
         raise AssetError(
-            f"there is no gait library {str(path)!r}; make it with recipes/gait_library.py"
+            f"there is no gait library {str(path)!r}; create it with recipes/gait_library.py"
         )
     entries = FORMAT.read(path)
     try:
         arrays = _arrays(entries)
         parts = _parts(arrays)
-        table = _table(parts.pop("table"))
+        table = _table(parts.pop("table"), robot)
         motions = [_motion(parts[f"motion{i:02d}"]) for i in range(len(parts))]
         made_by = dict(json.loads(entries[_MADE_BY]))
     except Exception as error:  # any error that foreign arrays cause
@@ -75,10 +78,10 @@ def read_library(path: Path) -> tuple[list[Motion], GaitTable, dict[str, str]]:
     return motions, table, made_by
 
 
-def _table(arrays: Mapping[str, np.ndarray]) -> GaitTable:
+def _table(arrays: Mapping[str, np.ndarray], robot: Robot) -> GaitTable:
     axes = tuple(arrays[f"axis{i}"] for i in range(len(arrays.keys() - {*ARRAYS, "torque_jumps"})))
     columns = {name: arrays[name] for name in ARRAYS}
-    return GaitTable(axes=axes, torque_jumps=bool(arrays["torque_jumps"]), **columns)
+    return GaitTable(axes=axes, torque_jumps=bool(arrays["torque_jumps"]), robot=robot, **columns)
 
 
 def _motion(arrays: Mapping[str, np.ndarray]) -> Motion:
@@ -90,7 +93,7 @@ def _arrays(entries: Mapping[str, bytes]) -> dict[str, np.ndarray]:
     """Arrays by name.
 
     Raises:
-        ValueError: one cannot be read, or has numbers that are not finite.
+        ValueError: an array cannot be read, or has non-finite entries.
     """
     found = {
         name.removesuffix(".npy"): from_npy(data)
@@ -99,7 +102,7 @@ def _arrays(entries: Mapping[str, bytes]) -> dict[str, np.ndarray]:
     }
     for name, array in found.items():
         if array.dtype.kind != "U" and not np.isfinite(array).all():
-            raise ValueError(f"{name!r} has entries that are not finite")
+            raise ValueError(f"{name!r} has non-finite entries")
     return found
 
 

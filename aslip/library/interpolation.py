@@ -24,11 +24,11 @@ class CommandGrid(nn.Module):
             self.register_buffer(f"_axis{i}", torch.tensor(np.array(axis)), persistent=False)
 
     def corners(self, command: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Points of the grid around commands (*b, c), which are clamped to the grid.
+        """Corners of the grid cells around commands (*b, c), which are clamped to the grid.
 
         Returns:
-            Indices (*b, 2^c) of the points in order of the flattened grid, and for each axis the
-            weight (*b, 1) of its upper neighbours. An axis of one value has no neighbours.
+            Indices (*b, 2^c) of the corners in the flattened grid, and for each axis the weight
+            (*b, 1) of the upper corners. An axis of one value is left out.
         """
         index = torch.zeros_like(command[..., :1], dtype=torch.long)
         weights = []
@@ -38,7 +38,7 @@ class CommandGrid(nn.Module):
             if size == 1:
                 continue
             value = command[..., i : i + 1].to(axis.dtype).clamp(axis[0], axis[-1])
-            # of so few commands, counting those below is faster than a search
+            # with so few values, counting the smaller ones is faster than a search
             row = (value.unsqueeze(-1) >= axis[1:-1]).sum(-1)
             low, high = axis[row], axis[row + 1]
             weights.append((value - low) / (high - low))
@@ -56,15 +56,15 @@ def multilinear(values: Tensor, weights: Sequence[Tensor]) -> Tensor:
 
 
 class PeriodicTable(nn.Module):
-    """(n, m, k) samples of n motions over phase, interpolated; phase j of m is at j / m.
+    """Interpolation of n motions over phase, from m samples of k values at phases j / m.
 
     Args:
-        values: samples.
-        jumps: (k,) columns that are monotone between samples; the others are twice differentiable.
+        values: (n, m, k) samples.
+        jumps: (k,) mask of columns interpolated monotonically; the others are twice differentiable.
     """
 
     nodes: Tensor
-    """(n, m, 2, k) value and slope per sample, gathered together."""
+    """(n, m, 2, k) value and slope of each sample, adjacent in memory."""
 
     def __init__(self, values: np.ndarray, jumps: np.ndarray | None = None) -> None:
         super().__init__()
@@ -90,7 +90,7 @@ class PeriodicTable(nn.Module):
         return _hermite(self._at(first + column), after, (position - left).unsqueeze(-1))
 
     def _at(self, index: Tensor) -> Tensor:
-        """(*b, 2, k) nodes; selecting whole rows is several times faster than indexing twice."""
+        """Nodes (*b, 2, k) by index; selecting rows is several times faster than indexing twice."""
         nodes = self.nodes.flatten(0, 1).index_select(0, index.flatten())
         return nodes.reshape(*index.shape, *nodes.shape[1:])
 

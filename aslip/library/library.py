@@ -1,8 +1,8 @@
 """Look a reference motion up by phase and command.
 
-Guarantees: continuous in phase and command, periodic and once continuously differentiable in phase,
-linear along each axis of the command between neighbouring motions; at a motion's own command and a
-stored phase the stored numbers are returned.
+Guarantees: the reference is continuous in phase and command, periodic and once continuously
+differentiable in phase, and linear along each axis of the command between neighbouring motions. At
+the command of a motion and the phase of a sample it is that sample.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from aslip.files.assets import asset_path
 from aslip.library.file import read_library, write_library
 from aslip.library.interpolation import CommandGrid, PeriodicTable, multilinear
 from aslip.library.table import GaitTable
-from aslip.robot import CASSIE, SIDES
+from aslip.robot import CASSIE, SIDES, Robot
 from aslip.rom.gait import Gait
 from aslip.rom.motion import PHASE_SAMPLES, Motion
 
@@ -31,7 +31,7 @@ SHIPPED = ("gaits", "single_reference")
 
 @dataclass(frozen=True)
 class Reference:
-    """One instant of a motion, in the walking frame: x forward, y left, z up, batch shape b.
+    """Reference motion at one instant, walking frame: x forward, y left, z up; batch shape b.
 
     Body and feet are the reduced-order model's. The body is mapped to the pelvis origin, a foot to
     the centre of the sole.
@@ -40,12 +40,12 @@ class Reference:
     motor_position: Tensor
     """(*b, 10) motor angles of the inverse kinematics [rad]."""
     motor_velocity: Tensor
-    """(*b, 10) their rates [rad/s]."""
+    """(*b, 10) motor velocities [rad/s]."""
     motor_torque: Tensor
     """(*b, 10) joint torques that balance the model's leg forces [N m]."""
     body_position: Tensor
     """(*b, 3) forward deviation from uniform motion at the mean speed, sway, height above ground
-    [m]. Public code lets x grow from 0 to a stride and jump back; we subtract the mean motion so
+    [m]. Public code lets x grow over a stride and jump back to 0; we subtract uniform motion so
     that the reference is continuous."""
     body_velocity: Tensor
     """(*b, 3) [m/s]."""
@@ -54,12 +54,12 @@ class Reference:
     left_foot_velocity: Tensor
     """(*b, 3) velocity over ground, zero in stance [m/s]."""
     right_foot_position: Tensor
-    """(*b, 3) as the left foot's."""
+    """(*b, 3) sole centre minus body [m]."""
     right_foot_velocity: Tensor
-    """(*b, 3) as the left foot's."""
+    """(*b, 3) velocity over ground, zero in stance [m/s]."""
 
     def to_tensordict(self) -> TensorDict:
-        """Tensordict with one entry a field."""
+        """Convert to a tensordict with one entry per field."""
         entries = {field.name: getattr(self, field.name) for field in fields(self)}
         return TensorDict(entries, batch_size=self.motor_position.shape[:-1])
 
@@ -68,16 +68,15 @@ class GaitLibrary(nn.Module):
     """Motions over a grid of commands, with their inverse kinematics.
 
     A module without parameters: tables are buffers, which move to another device with `to` and are
-    left out of `state_dict`, because they come from a file. One library serves any number of
-    environments.
+    left out of `state_dict`, because they come from a file. Environments may share a library.
 
     Args:
-        motions: the motions in order of the table's commands.
-        table: the motions sampled at equal steps of phase, with the robot's configuration.
-        made_by: a note about its origin, such as the command and the versions; kept in its file.
+        motions: motions in order of the table's commands.
+        table: table of the motions, from `tabulate`.
+        made_by: origin, such as the command and package versions; saved in the file.
 
     Raises:
-        ConfigurationError: the motions have other commands than the table.
+        ConfigurationError: commands of the motions are not those of the table.
     """
 
     def __init__(
@@ -93,8 +92,8 @@ class GaitLibrary(nn.Module):
         commands = [np.asarray(motion.command).tolist() for motion in motions]
         if commands != table.commands.tolist():
             raise ConfigurationError(
-                f"motions must be those of the table's commands, {table.commands.tolist()}, got"
-                f" {len(commands)} of {commands}"
+                f"commands of motions must be those of the table, {table.commands.tolist()}, got"
+                f" {commands}"
             )
         self.table = table
         columns = _reference_columns(table)
@@ -114,46 +113,48 @@ class GaitLibrary(nn.Module):
     def from_motions(
         cls,
         motions: Sequence[Motion],
+        robot: Robot = CASSIE,
         *,
         samples: int = PHASE_SAMPLES,
         torque_jumps: bool = False,
         made_by: Mapping[str, str] | None = None,
     ) -> GaitLibrary:
-        """Library of motions whose inverse kinematics is solved by `tabulate`.
+        """Tabulate motions and make a library of them.
 
         Arguments and errors are those of `tabulate` and of the class.
         """
         from aslip.library.tabulate import tabulate
 
-        table = tabulate(motions, samples=samples, torque_jumps=torque_jumps)
+        table = tabulate(motions, robot, samples=samples, torque_jumps=torque_jumps)
         return cls(motions, table, made_by=made_by)
 
     @classmethod
-    def load(cls, path: str | Path = "gaits") -> GaitLibrary:
+    def load(cls, path: str | Path = "gaits", robot: Robot = CASSIE) -> GaitLibrary:
         """Read a library.
 
         Args:
-            path: a file, or the name of a shipped library: "gaits", the 21 optimal gaits of the
-                paper, or "single_reference", the one motion of the baseline.
+            path: file, or name of a shipped library: "gaits", the 21 optimal gaits of the paper, or
+                "single_reference", the motion of the single-reference baseline.
+            robot: robot of the library.
 
         Raises:
             AssetError: there is no such file.
             FileDamagedError: the file is truncated, altered, or no gait library.
         """
         file = asset_path(f"{path}.npz") if path in SHIPPED else Path(path)
-        motions, table, made_by = read_library(file)
+        motions, table, made_by = read_library(file, robot)
         return cls(motions, table, made_by=made_by)
 
     def save(self, path: str | Path) -> None:
-        """Write motions and table; `load` gives the same bits back.
+        """Write motions and table; `load` returns the same bits.
 
-        Motions other than optimal gaits come back as `aslip.rom.SampledMotion`.
+        Motions other than optimal gaits are loaded as `aslip.rom.SampledMotion`.
 
         Args:
-            path: the file; replaced as a whole.
+            path: file to write; an existing one is replaced as a whole.
 
         Raises:
-            OSError: the file cannot be written; an older file of the name is then untouched.
+            OSError: the file cannot be written; an existing one is unchanged.
         """
         write_library(Path(path), self.motions, self.table, self.made_by)
 
@@ -167,21 +168,21 @@ class GaitLibrary(nn.Module):
         """Optimal gaits of the actuated SLIP, with forces and certificates.
 
         Raises:
-            ConfigurationError: the library has other motions, see `motions`.
+            ConfigurationError: a motion is not an optimal gait; `motions` has all motions.
         """
         gaits = tuple(motion for motion in self.motions if isinstance(motion, Gait))
         if len(gaits) < len(self.motions):
             kinds = sorted({type(motion).__name__ for motion in self.motions})
             raise ConfigurationError(
-                f"this library has no optimal gaits but motions of type {', '.join(kinds)}"
+                f"motions must be optimal gaits, got motions of type {', '.join(kinds)}"
             )
         return gaits
 
     def check_speed(self, speed: float) -> float:
-        """The speed, if the library covers it.
+        """Check that the library covers a speed, and return it.
 
         Raises:
-            SpeedOutOfRangeError: it does not.
+            SpeedOutOfRangeError: the speed is outside the library.
         """
         low, high = self.speeds[0], self.speeds[-1]
         if not low <= speed <= high:
@@ -197,18 +198,18 @@ class GaitLibrary(nn.Module):
     def lookup(self, phase: Tensor, command: Tensor) -> Reference:
         """Reference motion at a point of the stride (Sec. III-A).
 
-        Between samples: cubic in phase, multilinear in the command. Phase wraps. A command outside
-        the library is clamped to its range, so that a joystick can do no harm.
+        Interpolation is cubic in phase and multilinear in the command. Phase wraps; commands are
+        clamped to the range of the library.
 
         Args:
             phase: (*b, 1) stride fraction; 0 is left lift-off.
-            command: (*b, c) a value per axis of the grid; today forward speed [m/s], c = 1.
+            command: (*b, c) one value per axis of the grid; today forward speed [m/s], c = 1.
 
         Returns:
             Reference with batch shape b, single precision.
 
         Raises:
-            ShapeError: one is no tensor of such a shape.
+            ShapeError: an argument is not a tensor of its shape.
         """
         values = self._interpolate(self._reference, phase, command).float()
         return Reference(*values.split(self._widths, dim=-1))
@@ -220,7 +221,7 @@ class GaitLibrary(nn.Module):
         return multilinear(self._strides[motion], weights).to(command.dtype)
 
     def initial_state(self, phase: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
-        """The robot's configuration and velocity on the reference.
+        """Configuration and velocity of the robot on the reference.
 
         Args:
             phase: (*b, 1) stride fraction.
@@ -228,10 +229,10 @@ class GaitLibrary(nn.Module):
 
         Returns:
             `qpos` (*b, 35) and `qvel` (*b, 32), double precision, MuJoCo's conventions; the pelvis
-            is at x = 0. Between two motions the loops close to a fraction of a millimetre.
+            is at x = 0. Between motions the loops are open by a fraction of a millimetre.
         """
         qpos = self._interpolate(self._qpos, phase, command)
-        for quaternion in CASSIE.indices.quaternions:
+        for quaternion in self.table.robot.indices.quaternions:
             qpos[..., quaternion] = nn.functional.normalize(qpos[..., quaternion], dim=-1)
         return qpos, self._interpolate(self._qvel, phase, command)
 

@@ -1,4 +1,4 @@
-"""Libraries of the linear inverted pendulum: of an ablation, and of the single-reference method."""
+"""Libraries of inverted-pendulum walks: for an ablation, and for the single-reference baseline."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from aslip.rom.motion import PHASE_SAMPLES, MotionSample, Track, displacement
 from aslip.rom.pendulum import PendulumWalk, pendulum_walks
 
 SINGLE_REFERENCE_WALK: Final = PendulumWalk(clearance=0.15)
-"""The one motion of the baseline. Its feet rise less than the model's: with this clearance the
-shipped policy `single_reference` was trained."""
+"""Motion of the baseline; its clearance, lower than the model's, is that with which the shipped
+policy `single_reference` was trained."""
 
 
 def pendulum_library(
     gaits: Sequence[Gait], walk: PendulumWalk | None = None, *, samples: int = PHASE_SAMPLES
 ) -> GaitLibrary:
-    """Library of pendulum walks in place of optimal gaits, see `aslip.rom.pendulum_walks`.
+    """Library of pendulum walks that replace optimal gaits, see `aslip.rom.pendulum_walks`.
 
     Args:
-        gaits: in order of speed.
-        walk: mass, width, clearance and share of swing of all of them; by default mass, width and
-            clearance of the gait's own model.
-        samples: of a stride.
+        gaits: gaits in order of speed.
+        walk: mass, width, clearance and share of swing of all walks; by default mass, width and
+            clearance of each gait's model.
+        samples: samples of a stride.
 
     Raises:
         UnreachablePoseError: the robot cannot take a pose of a walk.
@@ -44,23 +44,25 @@ def single_reference_library(
     top_speed: float = PAPER_SPEEDS[-1],
     samples: int = PHASE_SAMPLES,
 ) -> GaitLibrary:
-    """Library of one walk: only the forward motion of the pelvis is stretched by the command.
+    """Library of one walk: the command scales the forward motion of the pelvis only.
 
-    Joint angles stay those of the one walk (Xie et al. 2018). Between the two rows of this library,
-    at rest and at the top speed, everything is linear in speed, so that every speed is covered.
+    Joint angles are those of the walk at every speed (Xie et al. 2018). The table has two rows, at
+    rest and at the top speed; between them everything is linear in speed.
 
     Args:
-        walk: the one motion, `SINGLE_REFERENCE_WALK` by default.
-        top_speed: of the library [m/s].
-        samples: of a stride.
+        walk: reference motion, `SINGLE_REFERENCE_WALK` by default.
+        top_speed: largest speed of the library [m/s].
+        samples: samples of a stride.
 
     Raises:
-        ConfigurationError: the walk does not go forward.
+        ConfigurationError: the speed of the walk is not positive.
         UnreachablePoseError: the robot cannot take a pose of the walk.
     """
     walk = walk or SINGLE_REFERENCE_WALK
     if walk.speed <= 0:
-        raise ConfigurationError(f"a walk to be stretched must go forward, got {walk.speed} m/s")
+        raise ConfigurationError(
+            f"the forward speed of the walk must be positive, got {walk.speed} m/s"
+        )
     speeds = np.array([0.0, top_speed])
     one = GaitLibrary.from_motions([walk], samples=samples, torque_jumps=True)
     walks = [StretchedWalk(walk, float(speed)) for speed in speeds]
@@ -69,10 +71,10 @@ def single_reference_library(
 
 @dataclass(frozen=True)
 class StretchedWalk:
-    """A walk at another speed: the body's forward motion is stretched, all else goes with it."""
+    """Walk at another speed: its forward motion is scaled, its feet stay below the body."""
 
     walk: PendulumWalk
-    """The walk as it is."""
+    """Walk before scaling."""
     speed: float
     """Mean forward speed of the body [m/s]."""
 
@@ -87,7 +89,7 @@ class StretchedWalk:
         return self.walk.stride
 
     def sample(self, phase: np.ndarray) -> MotionSample:
-        """The walk at phases (m,); velocities of the feet are those of the walk as it is."""
+        """Sample the walk at phases (m,); velocities of the feet are not scaled."""
         sample = self.walk.sample(phase)
         factor = np.array([self.speed / self.walk.speed, 1.0, 1.0])
         deviation = sample.body.position - displacement(self.walk, phase)

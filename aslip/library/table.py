@@ -1,4 +1,4 @@
-"""Motions on a grid of commands and phases, with the robot on them: plain arrays."""
+"""Table of a gait library: motions and robot configurations as plain arrays."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, Robot
 
 PAPER_SPEEDS = tuple(round(0.1 * i, 1) for i in range(21))
 """Speeds of the paper's library: 0 to 2 m/s in steps of 0.1 m/s (Sec. III-A)."""
@@ -18,16 +18,17 @@ FEWEST_SAMPLES = 4
 
 @dataclass(frozen=True, eq=False)
 class GaitTable:
-    """Motions at all points g of a grid of commands and at m equal steps of phase.
+    """Motions over a grid of commands, sampled at equal steps of phase.
 
-    g stands for one axis per axis of the command, m for phases from left lift-off. Walking frame: x
-    forward, y left, z up. Body and feet as in `aslip.library.Reference`. Arrays are read-only.
+    In shapes, g is the shape of the grid, with one axis per axis of the command, and m the number
+    of phases, the first at left lift-off. Walking frame: x forward, y left, z up. Body and feet are
+    those of `aslip.library.Reference`. Arrays are read-only.
 
     Raises:
-        ConfigurationError: values along an axis that do not ascend, strides that are not positive,
-            or entries that are not finite.
-        ShapeError: an array has another number of motions, samples or columns, or there are fewer
-            than four samples.
+        ConfigurationError: an axis does not ascend, a stride is not positive, or an entry is not
+            finite.
+        ShapeError: arrays differ in their number of motions or samples, have the wrong number of
+            columns, or fewer than four samples.
     """
 
     axes: tuple[np.ndarray, ...]
@@ -35,7 +36,7 @@ class GaitTable:
     strides: np.ndarray
     """(*g,) duration of a stride [s]."""
     body_position: np.ndarray
-    """(*g, m, 3) x is the deviation from uniform motion [m]."""
+    """(*g, m, 3) position, x as deviation from uniform motion [m]."""
     body_velocity: np.ndarray
     """(*g, m, 3) [m/s]."""
     foot_position: np.ndarray
@@ -49,15 +50,17 @@ class GaitTable:
     motor_torque: np.ndarray
     """(*g, m, 10) joint torques that balance the model's leg forces [N m]."""
     qpos: np.ndarray
-    """(*g, m, 35) configuration, pelvis x as the body's."""
+    """(*g, m, 35) configuration; x of the pelvis is a deviation from uniform motion, too."""
     qvel: np.ndarray
     """(*g, m, 32) velocity."""
     torque_jumps: bool = False
-    """Motor torques may jump between samples, as when a pendulum changes its stance foot; they are
-    then interpolated such that they never overshoot the samples."""
+    """Motor torques may jump between samples, as at a pendulum's change of stance; they are then
+    interpolated monotonically, without overshoot."""
+    robot: Robot = CASSIE
+    """Robot of configurations and motors."""
 
     def __post_init__(self) -> None:
-        """Make the arrays read-only, and check that they belong together."""
+        """Make the arrays read-only, and check that they fit together."""
         object.__setattr__(self, "axes", tuple(_read_only(axis) for axis in self.axes))
         for name in ARRAYS:
             object.__setattr__(self, name, _read_only(getattr(self, name)))
@@ -84,13 +87,21 @@ class GaitTable:
             for axis in self.axes
         ):
             raise ConfigurationError(
-                "each axis of a library needs ascending commands, got"
+                "each axis of a gait library needs ascending commands, got"
                 f" {[axis.tolist() for axis in self.axes]}"
             )
 
+    def _shape(self, name: str) -> tuple[int, ...]:
+        """Shape of one sample of an array."""
+        kind, indices = name.split("_")[0], self.robot.indices
+        if kind == "motor":
+            return (len(self.robot.motor_names),)
+        shapes = {"qpos": (indices.num_qpos,), "qvel": (indices.num_qvel,)}
+        return shapes.get(name, (2, 3) if kind == "foot" else (3,))
+
     def _check(self, name: str) -> None:
         array, samples = getattr(self, name), self.qpos.shape[len(self.axes) : -1]
-        inner = () if name == "strides" else (*samples, *_shape(name))
+        inner = () if name == "strides" else (*samples, *self._shape(name))
         enough = len(samples) == 1 and samples[0] >= FEWEST_SAMPLES
         if array.shape != (*self.grid, *inner) or not enough:
             raise ShapeError(
@@ -98,20 +109,13 @@ class GaitTable:
                 f" samples of a stride, got {array.shape}"
             )
         if not np.isfinite(array).all():
-            raise ConfigurationError(f"{name} has entries that are not finite")
+            raise ConfigurationError(f"{name} has non-finite entries")
 
 
-ARRAYS = tuple(f.name for f in fields(GaitTable) if f.name not in ("axes", "torque_jumps"))
+_SETTINGS = ("axes", "torque_jumps", "robot")
+
+ARRAYS = tuple(f.name for f in fields(GaitTable) if f.name not in _SETTINGS)
 """Names of a table's arrays over the grid."""
-
-
-def _shape(name: str) -> tuple[int, ...]:
-    """Shape of one sample of an array."""
-    kind = name.split("_")[0]
-    if kind == "motor":
-        return (len(CASSIE.motor_names),)
-    shapes = {"qpos": (CASSIE.indices.num_qpos,), "qvel": (CASSIE.indices.num_qvel,)}
-    return shapes.get(name, (2, 3) if kind == "foot" else (3,))
 
 
 def _read_only(values: np.ndarray) -> np.ndarray:

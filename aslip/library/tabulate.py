@@ -1,4 +1,4 @@
-"""Motions -> inverse kinematics and statics -> one table."""
+"""Tabulate motions: inverse kinematics and statics at every sample."""
 
 from __future__ import annotations
 
@@ -9,42 +9,49 @@ import numpy as np
 from aslip.errors import ConfigurationError
 from aslip.ik import BodyTarget, IkSolution, Kinematics, solve, static_torque
 from aslip.library.table import FEWEST_SAMPLES, GaitTable
+from aslip.robot import CASSIE, Robot
 from aslip.rom.motion import PHASE_SAMPLES, Motion, MotionSample, displacement
 
 
 def tabulate(
-    motions: Sequence[Motion], *, samples: int = PHASE_SAMPLES, torque_jumps: bool = False
+    motions: Sequence[Motion],
+    robot: Robot = CASSIE,
+    *,
+    samples: int = PHASE_SAMPLES,
+    torque_jumps: bool = False,
 ) -> GaitTable:
-    """Put the robot on motions whose commands form a grid.
+    """Tabulate motions whose commands form a grid, with the robot's configurations and torques.
 
-    The body of the reduced-order model is mapped to the pelvis origin and its point feet to the
-    centres of the soles, at the model's lateral positions, toes along their heading and soles level
-    along them; across, a sole leans with its leg (0.04 rad), for there is no motor for its roll.
-    Public code keeps the legs in their vertical planes and the foot motors still, so that its feet
-    tilt and sink into the floor. Forces of the model's legs act on the soles, too, and become
+    Inverse kinematics maps the body of the reduced-order model to the pelvis origin and its point
+    feet to the centres of the soles. Toes point along the foot heading and soles are level along
+    the toes; a leg without a motor for the roll of its foot lets the sole lean with it (0.04 rad
+    for Cassie). Public code keeps the legs in vertical planes and the foot motors still, so that
+    its feet tilt and sink into the floor. Statics turns the model's ground forces into motor
     torques.
 
     Args:
         motions: one motion per point of the grid, in ascending order of commands; the last axis of
             the command varies fastest.
-        samples: samples of a stride m.
+        robot: robot that the motions are mapped to.
+        samples: samples of a stride.
         torque_jumps: forces may jump between samples, see `GaitTable`.
 
     Raises:
-        ConfigurationError: commands do not form such a grid; a stride is not finite; a body has
-            turned after a stride; or samples fewer than four.
+        ConfigurationError: the commands do not form a grid, a stride is not finite, a motion turns,
+            or there are fewer than four samples.
         UnreachablePoseError: the robot cannot take a pose of a motion.
     """
     if samples < FEWEST_SAMPLES:
         raise ConfigurationError(f"samples must be {FEWEST_SAMPLES} or more, got {samples!r}")
     axes = grid_axes(motions)
-    kinematics, phase = Kinematics(), np.arange(samples) / samples
+    kinematics, phase = Kinematics(robot), np.arange(samples) / samples
     rows = [_row(kinematics, motion, phase) for motion in motions]
     grid = tuple(map(len, axes))
     columns = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     return GaitTable(
         axes=axes,
         torque_jumps=torque_jumps,
+        robot=robot,
         **{name: column.reshape(*grid, *column.shape[1:]) for name, column in columns.items()},
     )
 
@@ -53,7 +60,7 @@ def grid_axes(motions: Sequence[Motion]) -> tuple[np.ndarray, ...]:
     """Values of the command along each axis of the grid that motions form.
 
     Raises:
-        ConfigurationError: the commands, in order, are not those of a grid.
+        ConfigurationError: the commands do not form a grid in ascending order.
     """
     commands = [np.asarray(motion.command, dtype=float) for motion in motions]
     if commands and all(c.ndim == 1 and c.shape == commands[0].shape for c in commands):
@@ -62,13 +69,13 @@ def grid_axes(motions: Sequence[Motion]) -> tuple[np.ndarray, ...]:
         if np.array_equal(mesh, commands):
             return axes
     raise ConfigurationError(
-        "commands of motions must be ascending and form a grid, one motion per point; got"
+        "commands of motions must be ascending and form a grid, one motion per point, got"
         f" {[command.tolist() for command in commands]}"
     )
 
 
 def _row(kinematics: Kinematics, motion: Motion, phase: np.ndarray) -> dict[str, np.ndarray]:
-    """Arrays of a table for one motion, by name."""
+    """Rows of a table for one motion, by name of the array."""
     sample, uniform = motion.sample(phase), displacement(motion, phase)
     _check_heading(motion)
     pose = _pose(kinematics, motion, sample)
@@ -89,8 +96,8 @@ def _row(kinematics: Kinematics, motion: Motion, phase: np.ndarray) -> dict[str,
 
 
 def _pose(kinematics: Kinematics, motion: Motion, sample: MotionSample) -> IkSolution:
-    """The robot on the samples of a stride."""
-    # toes: rate by central differences over the closed stride, 0 for toes that do not turn
+    """Inverse kinematics at the samples of a stride."""
+    # central differences over the closed stride, 0 for toes that do not turn
     toes = sample.foot_heading
     turn = np.roll(toes, -1, axis=0) - np.roll(toes, 1, axis=0)
     toe_rate = turn * len(toes) / (2 * motion.stride)
@@ -127,6 +134,6 @@ def _check_heading(motion: Motion) -> None:
     start, end = motion.sample(np.array([0.0, 1.0])).heading.angle
     if not np.isclose(start, end, atol=1e-6):
         raise ConfigurationError(
-            f"a motion must keep its mean heading to be tabulated; this one turns by"
+            f"a motion must return to its heading after a stride to be tabulated; this one turns by"
             f" {end - start:.3g} rad a stride"
         )

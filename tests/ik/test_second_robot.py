@@ -1,4 +1,4 @@
-"""A biped with six motors a leg and no loops, from nothing but its MJCF and a `Robot`."""
+"""Second robot: a biped with six motors per leg and no loops, from an MJCF and a `Robot`."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without type stubs
@@ -11,12 +11,15 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+import torch
 
 from aslip.errors import UnreachablePoseError
 from aslip.ik import BodyTarget, Kinematics, solve, standing_pose, static_torque
+from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, SIDES, Robot
+from aslip.rom import PendulumWalk
 
-# name, axis, place in the parent, lowest and highest angle, angle of the standing pose
+# name, axis, position in the parent, lowest and highest angle, angle of the standing pose
 JOINTS = (
     ("hip_yaw", "0 0 1", "0 {y} -0.05", -0.8, 0.8, 0.0),
     ("hip_roll", "1 0 0", "0 0 -0.02", -0.6, 0.6, 0.0),
@@ -102,7 +105,7 @@ def test_feet_meet_their_targets_in_all_six_axes(robot, kinematics):
             np.testing.assert_allclose(velocity[3:], linear, atol=1e-11)
 
 
-def test_it_stands_and_carries_a_load(kinematics: Kinematics) -> None:
+def test_second_robot_stands_and_carries_a_load(kinematics: Kinematics) -> None:
     qpos = standing_pose(kinematics, 0.85).qpos
     torque = static_torque(kinematics, qpos, np.array([[[0.0, 0.0, 100.0], [0.0, 0.0, 100.0]]]))
     left, right = torque.reshape(2, len(JOINTS))
@@ -112,7 +115,21 @@ def test_it_stands_and_carries_a_load(kinematics: Kinematics) -> None:
     assert abs(left[knee]) > 10
 
 
-def test_limit_in_the_way_is_named(kinematics: Kinematics) -> None:
+def test_motions_are_tabulated_for_a_second_robot(robot: Robot, tmp_path: Path) -> None:
+    walk = PendulumWalk(speed=0.3, height=0.78, width=0.2, clearance=0.1)
+    library = GaitLibrary.from_motions([walk], robot, samples=16, torque_jumps=True)
+    library.save(tmp_path / "biped.npz")
+    loaded = GaitLibrary.load(tmp_path / "biped.npz", robot)
+    phase = torch.arange(16, dtype=torch.float64)[:, None] / 16
+    qpos, _ = loaded.initial_state(phase, torch.full_like(phase, 0.3))
+    kinematics = Kinematics(robot)
+    soles = kinematics.legs(kinematics.to_pinocchio(qpos.numpy())).position
+    expected = loaded.table.foot_position[0] + loaded.table.body_position[0][:, None]
+    np.testing.assert_allclose(soles, expected, atol=1e-9)
+    assert loaded.lookup(phase, torch.full_like(phase, 0.3)).motor_torque.shape == (16, 12)
+
+
+def test_limiting_joint_is_named(kinematics: Kinematics) -> None:
     feet = [BodyTarget(np.array([[0.0, y, -1.0]])) for y in (0.1, -0.1)]
     with pytest.raises(UnreachablePoseError, match=r"stretched, left_knee at its limit 0\.0500"):
         solve(kinematics, BodyTarget(np.array([[0.0, 0.0, 0.9]])), *feet)
