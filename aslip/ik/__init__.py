@@ -1,4 +1,4 @@
-"""Closed-loop inverse kinematics: pelvis and feet -> configuration and motor angles.
+"""Inverse kinematics of legs with closed loops: pelvis and feet -> configuration, motor angles.
 
 Pinocchio reads the MJCF of the simulator, loops included, and gives frames, Jacobians and loop
 closures. All arguments and results follow MuJoCo's conventions (wxyz quaternions, `qpos` and `qvel`

@@ -1,13 +1,13 @@
-"""The equations that a pose of the legs meets, and their Jacobian.
+"""Equations that a pose of the legs satisfies, and their Jacobian.
 
 ====================  ===========================================================================
 rows of a leg         equation
 ====================  ===========================================================================
 3                     the centre of the sole is at its target [m]
-motors - 3            the sole points as its target does: five motors point the toes (x axis) and
-                      leave the sole's roll about them to the lean of the leg; six turn it fully
+motors - 3            the sole has the orientation of its target: with six motors fully; with five
+                      in the direction of the toes (x axis), the roll about it being the leg's
 3 for each loop       the loop is closed [m]
-1 for each rod        a rod between a ball joint and a loop's end is not turned about itself
+1 for each rod        a rod between a ball joint and a loop's end does not spin about its axis
 ====================  ===========================================================================
 
 Springs are at rest. A planar loop has a row that is always zero, so that there may be more rows
@@ -30,7 +30,7 @@ POSITION: Final = slice(0, 3)
 # entries of the rotation from sole to target that vanish: toes left, toes up, left side up
 _ROWS, _COLUMNS = (1, 2, 2), (0, 0, 1)
 
-_DAMPING = 1e-12  # keeps singular poses finite; refinement takes its effect away elsewhere
+_DAMPING = 1e-12  # keeps singular poses finite; elsewhere the refinement removes its effect
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ class Equations:
     sole_to_target: np.ndarray
     """(n, 2, 3, 3) rotation."""
     turn: np.ndarray
-    """(n, 2, motors - 3, 3) derivative of the rows of the direction with respect to the sole's
-    angular velocity."""
+    """(n, 2, motors - 3, 3) derivative of the orientation rows with respect to the angular velocity
+    of the sole."""
 
     @classmethod
     def at(cls, kinematics: Kinematics, configuration: np.ndarray, feet: FootMotion) -> Equations:
@@ -68,7 +68,7 @@ class Equations:
 
     @property
     def direction(self) -> slice:
-        """Rows that point the sole."""
+        """Rows of the sole's orientation."""
         return slice(POSITION.stop, POSITION.stop + self.turn.shape[-2])
 
     def loop_gap(self, kinematics: Kinematics) -> np.ndarray:
@@ -78,12 +78,12 @@ class Equations:
         return np.linalg.norm(rows.reshape(*rows.shape[:-1], kinematics.loop_rows // 3, 3), axis=-1)
 
     def solved(self, tolerance: float) -> np.ndarray:
-        """(n, 2) legs that meet their equations, with toes that point forward, not backward."""
+        """(n, 2) legs that satisfy their equations, with toes that point forward, not backward."""
         forward = self.sole_to_target[..., 0, 0] > 0
         return forward & (np.abs(self.residual) <= tolerance).all(-1)
 
     def toe_angle(self) -> np.ndarray:
-        """(n, 2) angle between the toes and where they should point [rad]."""
+        """(n, 2) angle between the toes and their target direction [rad]."""
         toes = self.sole_to_target[..., 0]
         return np.arctan2(np.linalg.norm(toes[..., 1:], axis=-1), toes[..., 0])
 

@@ -1,8 +1,8 @@
-"""A biped in Pinocchio, in MuJoCo's conventions.
+"""Pinocchio model of a biped, in MuJoCo's conventions.
 
-Both read the same MJCF. They differ in the order of quaternions (Pinocchio: xyzw) and in the frame
-of the free joint's linear velocity (Pinocchio: pelvis, MuJoCo: world). Hinge angles are equal, and
-angular velocities are in the body's frame in both.
+Both libraries read the same MJCF. They differ in the order of quaternions (Pinocchio: xyzw) and in
+the frame of the free joint's linear velocity (Pinocchio: pelvis, MuJoCo: world). Hinge angles are
+equal, and angular velocities are in the body's frame in both.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -38,22 +38,22 @@ class LegState:
     jacobian: np.ndarray
     """(n, 2, 6, k) of the sole's linear and angular velocity, world axes."""
     closure: np.ndarray
-    """(n, 2, c) zero where the loops are closed: the three coordinates of each loop's gap [m], then
-    for each rod on a ball joint the sine of half its turn about itself, which is free."""
+    """(n, 2, c) residual of the loops: the three coordinates of each loop's gap [m], then for each
+    rod on a ball joint the sine of half its spin angle, which is otherwise free."""
     closure_jacobian: np.ndarray
     """(n, 2, c, k)."""
 
 
 @dataclass(frozen=True)
 class _Rod:
-    """A body between a ball joint and a loop's end, which nothing keeps from spinning."""
+    """Rod between a ball joint and a loop's end, free to spin about its axis."""
 
     quaternion: np.ndarray
-    """(4,) where its orientation is in a configuration, xyzw."""
+    """(4,) indices of its orientation in a configuration, xyzw."""
     columns: np.ndarray
-    """(3,) where its angular velocity is among those of its leg."""
+    """(3,) indices of its angular velocity among the velocities of its leg."""
     axis: np.ndarray
-    """(3,) unit vector from end to end, own frame."""
+    """(3,) unit vector from end to end, in the frame of the rod."""
 
 
 class Kinematics:
@@ -63,15 +63,15 @@ class Kinematics:
         robot: the robot.
         model: the Pinocchio model.
         start: (nq,) configuration of the standing robot, pelvis at the origin.
-        leg_q: (2, k) where the angles of each leg are in `qpos`, springs left out; three entries
-            of the quaternion stand for a ball joint.
-        leg_v: (2, k) where their velocities are in `qvel`.
-        leg_motors: (2, m) which of the k are motors, in motor order.
-        leg_joints: (2, k) names of their joints.
-        loop_rows: first rows of `LegState.closure`, which are the gaps of loops.
-        hips: (2, 3) first joint of each leg, pelvis frame [m].
-        lower: (2, k) least angles; -inf where there is no limit.
-        upper: (2, k) largest angles.
+        leg_q: (2, k) indices in `qpos` of the angles of each leg, without springs; three entries
+            of its quaternion represent a ball joint.
+        leg_v: (2, k) indices in `qvel` of the velocities of each leg.
+        leg_motors: (2, m) indices of the motors among the k, in motor order.
+        leg_joints: (2, k) names of the joints.
+        loop_rows: number of first rows of `LegState.closure` that are gaps of loops.
+        hips: (2, 3) position of the first joint of each leg, pelvis frame [m].
+        lower: (2, k) lower limits of the angles, -inf for none.
+        upper: (2, k) upper limits of the angles, inf for none.
     """
 
     def __init__(self, robot: Robot = CASSIE) -> None:
@@ -89,7 +89,7 @@ class Kinematics:
         self._index_joints()
         self._read_limits()
         self._read_loops(loops)
-        self.start = self.below_origin(self.to_pinocchio(robot.standing))
+        self.start = self.at_origin(self.to_pinocchio(robot.standing))
 
     def _index_joints(self) -> None:
         """Resolve every index once, by name."""
@@ -123,7 +123,7 @@ class Kinematics:
         """Read the limits of the legs' hinges.
 
         Pinocchio 4.1 measures angles from a joint's `ref`, as MuJoCo does, yet subtracts the `ref`
-        from the limits. It bounds the quaternions of ball joints, too, which is no limit.
+        from the limits. Its bounds on quaternions of ball joints are not limits of the robot.
         """
         model, reference = self.model, self.model.referenceConfigurations["qpos0"]
         hinge = np.isin(
@@ -136,7 +136,7 @@ class Kinematics:
         self.lower, self.upper = np.where(hinge, lower, -np.inf), np.where(hinge, upper, np.inf)
 
     def _read_loops(self, loops: Sequence[pin.PointAnchorConstraintModel]) -> None:
-        """Sort the loops by leg, and find the rods that they leave to spin."""
+        """Assign the loops to legs, and find the rods that are free to spin."""
         self.loop_rows = 3 * len(loops) // len(SIDES)
         self._loops = [
             [(loop, loop.createData()) for loop in loops if loop.joint1_id in leg]
@@ -164,8 +164,8 @@ class Kinematics:
         """MuJoCo's `qpos` (..., nq) of Pinocchio's configuration (..., nq)."""
         return configuration[..., self._xyzw_to_wxyz]
 
-    def below_origin(self, configuration: np.ndarray) -> np.ndarray:
-        """Configurations (..., nq) with the pelvis at the origin of the world, upright."""
+    def at_origin(self, configuration: np.ndarray) -> np.ndarray:
+        """Move configurations (..., nq) to the origin of the world, with an upright pelvis."""
         moved = configuration.copy()
         moved[..., self.robot.indices.pelvis_position] = 0
         moved[..., self.robot.indices.pelvis_orientation] = (0, 0, 0, 1)
@@ -174,8 +174,8 @@ class Kinematics:
     def legs(self, configuration: np.ndarray) -> LegState:
         """Feet and loops of Pinocchio's configurations (n, nq).
 
-        A configuration costs a dozen calls of Pinocchio, 15 microseconds in all: less than the
-        algebra that follows, so that there is no compiled path beside it.
+        A configuration takes a dozen calls of Pinocchio, 15 microseconds in all. That is less than
+        the algebra that follows, so there is no compiled path.
         """
         n, sides = len(configuration), len(SIDES)
         position, rotation = np.empty((n, sides, 3)), np.empty((n, sides, 3, 3))
@@ -204,11 +204,11 @@ class Kinematics:
         )
 
     def _own(self, jacobian: np.ndarray) -> np.ndarray:
-        """Columns of each leg's own velocities, (n, 2, r, nv) -> (n, 2, r, k)."""
+        """Select the columns of each leg's velocities, (n, 2, r, nv) -> (n, 2, r, k)."""
         return np.stack([jacobian[:, i][..., v] for i, v in enumerate(self.leg_v)], axis=1)
 
     def _spin(self, configuration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Turn of the rods about themselves (n, 2, b) and its Jacobian (n, 2, b, k)."""
+        """Spin of the rods about their axes (n, 2, b) and its Jacobian (n, 2, b, k)."""
         shape = len(configuration), len(SIDES), len(self._rods[0])
         spin, jacobian = np.empty(shape), np.zeros((*shape, self.leg_v.shape[1]))
         for side, rods in enumerate(self._rods):
@@ -221,14 +221,14 @@ class Kinematics:
         return spin, jacobian
 
     def integrate(self, configuration: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Configurations (n, nq) after the legs' velocities (n, 2, k) have acted for 1 s."""
+        """Integrate configurations (n, nq) with leg velocities (n, 2, k) for 1 s."""
         velocity = np.zeros((len(configuration), self.model.nv))
         velocity[:, self.leg_v] = step
         pairs = zip(configuration, velocity, strict=True)
         return np.array([pin.integrate(self.model, q, v) for q, v in pairs])
 
     def centre_of_mass(self, qpos: np.ndarray) -> np.ndarray:
-        """Centre of mass (3,) of the configuration `qpos` (nq,), world frame [m].
+        """Centre of mass (3,) of a configuration `qpos` (nq,), world frame [m].
 
         Raises:
             ShapeError: `qpos` is not (nq,).

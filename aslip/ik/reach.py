@@ -1,4 +1,4 @@
-"""Why a leg cannot reach: by how much it misses, and which joint limits stop it."""
+"""Error for a foot target out of reach: distance missed, and joint limits that stop the leg."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from aslip.ik.kinematics import Kinematics
 from aslip.ik.target import FootMotion
 from aslip.robot import SIDES
 
-_LOOP_WEIGHT = 1e3  # loops are closed first
-_DIRECTION_WEIGHT = 0.3  # a miss by 1 rad is as bad as one by 0.3 m
-_ALONG = 0.9  # cosine between the leg and the miss beyond which the leg's length is at fault
+_LOOP_WEIGHT = 1e3  # closed loops come first
+_DIRECTION_WEIGHT = 0.3  # an error of 1 rad counts as much as one of 0.3 m
+_ALONG = 0.9  # cosine between leg and miss above which the leg is too short or too long
 
 
 def unreachable(
     kinematics: Kinematics, feet: FootMotion, pose: int, side: int
 ) -> UnreachablePoseError:
-    """Error that tells the pose, the foot, the distance that it misses by, and what stops it."""
+    """Error with the pose, the foot, the distance missed and the joint limits reached."""
     target = feet.take([pose])
     closest, held = _closest(kinematics, target, side)
     miss = -closest.residual[0, side, POSITION]
@@ -42,7 +42,7 @@ def unreachable(
 def _closest(
     kinematics: Kinematics, target: FootMotion, side: int
 ) -> tuple[Equations, dict[str, float]]:
-    """Equations where one leg comes closest to one target, and the joint limits that it is at."""
+    """Equations of the closest posture of a leg to a target, and the joint limits reached."""
     start = kinematics.start[None]
 
     def at(change: np.ndarray) -> Equations:
@@ -54,7 +54,7 @@ def _closest(
         equations = at(change)
         weight = np.full(equations.residual.shape[-1], _LOOP_WEIGHT)
         weight[POSITION], weight[equations.direction] = 1, _DIRECTION_WEIGHT
-        # toes that point backward miss by as much to the side and up as toes that point forward
+        # toes that point backward have the same sideways and upward residual as forward ones
         backward = _DIRECTION_WEIGHT * (equations.sole_to_target[0, side, 0, 0] - 1)
         return np.append(weight * equations.residual[0, side], backward)
 

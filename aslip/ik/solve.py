@@ -1,4 +1,4 @@
-"""Pelvis and foot targets -> configuration, velocity and motor angles."""
+"""Solve for configuration, velocity and motor angles from pelvis and foot targets."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy as np
 from aslip.ik.equations import POSITION, Equations, least_squares
 from aslip.ik.kinematics import Kinematics
 from aslip.ik.reach import unreachable
-from aslip.ik.target import BodyTarget, FootMotion, Motion
+from aslip.ik.target import BodyMotion, BodyTarget, FootMotion
 from aslip.robot.rotation import quaternion_to_matrix, rotate_back
 
 TOLERANCE: Final = 1e-13
 """Largest residual of a solved pose [m, rad]: rounding leaves a few 1e-16."""
 
 MAX_ITERATIONS: Final = 20
-"""Newton takes four to six steps to a pose of walking; more than these, and it is out of reach."""
+"""Newton steps after which a pose is out of reach; poses of walking take four to six."""
 
 MAX_STEP: Final = 0.8
 """Largest change of an angle in one step [rad]."""
@@ -25,7 +25,7 @@ MAX_STEP: Final = 0.8
 
 @dataclass(frozen=True)
 class IkResidual:
-    """The largest errors over all poses of a solution."""
+    """Largest errors over all poses of a solution."""
 
     foot_position: float
     """Distance of a sole's centre from its target [m]."""
@@ -53,12 +53,12 @@ class IkSolution:
 def solve(
     kinematics: Kinematics, pelvis: BodyTarget, left_foot: BodyTarget, right_foot: BodyTarget
 ) -> IkSolution:
-    """Configurations with the pelvis and both feet at their targets, springs at rest.
+    """Solve for configurations with the pelvis and both feet at their targets, springs at rest.
 
     Newton's method from the standing pose. A leg with five motors places the centre of the sole and
     points its toes, in yaw and pitch; the sole's roll about its toe axis follows from the lean of
     the leg. Velocities follow the targets' and keep the loops closed and the springs at rest. Loops
-    are closed to rounding. Each pose is solved on its own, bit for bit the same in any batch.
+    are closed to rounding. Poses are independent: a pose gives the same bits in any batch.
 
     Args:
         kinematics: the robot.
@@ -70,11 +70,11 @@ def solve(
         UnreachablePoseError: a foot cannot get to its target within the joint limits.
         ShapeError: an array has the wrong shape.
     """
-    base = Motion.from_target("pelvis", pelvis)
+    base = BodyMotion.from_target("pelvis", pelvis)
     count = len(base.position)
-    left = Motion.from_target("left_foot", left_foot, count)
-    right = Motion.from_target("right_foot", right_foot, count)
-    feet = FootMotion.relative(Motion.stack(left, right), base)
+    left = BodyMotion.from_target("left_foot", left_foot, count)
+    right = BodyMotion.from_target("right_foot", right_foot, count)
+    feet = FootMotion.relative(BodyMotion.stack(left, right), base)
     configuration, solved = newton(kinematics, feet)
     angle = configuration[:, kinematics.leg_q]
     inside = ((kinematics.lower <= angle) & (angle <= kinematics.upper)).all(-1)
@@ -93,10 +93,10 @@ def solve(
 
 
 def newton(kinematics: Kinematics, feet: FootMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Solve the equations of both legs for all poses at once, whatever the joint limits.
+    """Solve the equations of both legs for all poses at once, without joint limits.
 
     Returns:
-        Pinocchio's configurations (n, nq), pelvis at the origin, and which legs (n, 2) are solved.
+        Pinocchio's configurations (n, nq), pelvis at the origin, and a mask (n, 2) of solved legs.
     """
     count = len(feet.position)
     configuration = np.tile(kinematics.start, (count, 1))
@@ -126,9 +126,9 @@ def _leg_velocity(equations: Equations, feet: FootMotion) -> np.ndarray:
 
 
 def _whole_body(
-    kinematics: Kinematics, base: Motion, configuration: np.ndarray, leg_velocity: np.ndarray
+    kinematics: Kinematics, base: BodyMotion, configuration: np.ndarray, leg_velocity: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`qpos` (n, nq) and `qvel` (n, nv) of a pelvis motion and what the legs do below it."""
+    """`qpos` (n, nq) and `qvel` (n, nv) from a pelvis motion and the motion of the legs."""
     indices = kinematics.robot.indices
     qpos = kinematics.to_mujoco(configuration)
     qpos[:, indices.pelvis_position] = base.position

@@ -1,4 +1,4 @@
-"""Standing still: a pose, and the torques that carry a load."""
+"""Statics: standing pose, and motor torques that balance ground forces."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _MAX_ITERATIONS = 50
 def standing_pose(kinematics: Kinematics, height: float = 0.95) -> IkSolution:
     """One pose (n = 1) with an upright pelvis above the origin and level soles on the floor z = 0.
 
-    The soles are as far apart as in the MJCF's keyframe "standing". Their centres are below the
-    centre of mass, which moves with the legs: a fixed point, found by iteration.
+    The lateral distance of the soles is that of the MJCF's keyframe "standing". Their centres are
+    below the centre of mass, which moves with the legs, so the pose is found by iteration.
 
     Args:
         kinematics: the robot.
-        height: of the pelvis above the floor [m].
+        height: height of the pelvis above the floor [m].
 
     Raises:
         UnreachablePoseError: the legs are too short or too long for that height.
@@ -53,7 +53,7 @@ def static_torque(kinematics: Kinematics, qpos: np.ndarray, force: np.ndarray) -
     Args:
         kinematics: the robot.
         qpos: (n, nq) configurations with closed loops.
-        force: (n, 2, 3) on the left and the right sole's centre [N, world].
+        force: (n, 2, 3) ground force at the centre of the left and the right sole [N, world].
 
     Returns:
         (n, motors) torques at the joints [N m], motor order.
@@ -63,14 +63,14 @@ def static_torque(kinematics: Kinematics, qpos: np.ndarray, force: np.ndarray) -
     """
     if qpos.ndim != 2 or force.shape != (len(qpos), 2, 3):
         raise ShapeError(f"qpos (n, nq) needs force (n, 2, 3), got {qpos.shape}, {force.shape}")
-    legs = kinematics.legs(kinematics.below_origin(kinematics.to_pinocchio(qpos)))
+    legs = kinematics.legs(kinematics.at_origin(kinematics.to_pinocchio(qpos)))
     orientation = qpos[:, None, kinematics.robot.indices.pelvis_orientation]
     local = rotate_back(quaternion_to_matrix(orientation), force)
     count = kinematics.leg_motors.shape[1]
     motors = np.eye(kinematics.leg_v.shape[1])[kinematics.leg_motors]
     rows = np.broadcast_to(motors, (len(qpos), *motors.shape))
     constraint = np.concatenate((legs.closure_jacobian, rows), axis=-2)
-    # each motor turns on its own at unit rate, loops stay closed
+    # each motor in turn moves at unit rate while loops stay closed
     rate = np.eye(constraint.shape[-2])[:, -count:]
     velocity = least_squares(constraint, np.broadcast_to(rate, (*constraint.shape[:-1], count)))
     sole = legs.jacobian[..., :3, :] @ velocity

@@ -31,8 +31,8 @@ class BodyTarget:
 
 
 @dataclass(frozen=True)
-class Motion:
-    """`BodyTarget` with every array checked and present.
+class BodyMotion:
+    """Checked `BodyTarget` without missing arrays.
 
     Leading axes are (n,) for one body and (n, 2) for the feet, left first.
     """
@@ -43,14 +43,13 @@ class Motion:
     angular_velocity: np.ndarray
 
     @classmethod
-    def from_target(cls, name: str, target: BodyTarget, count: int | None = None) -> Motion:
+    def from_target(cls, name: str, target: BodyTarget, count: int | None = None) -> BodyMotion:
         """Check and complete a target.
 
         Args:
-            name: of the body, for messages.
-            target: to be checked.
-            count: number of instants that it must have, if that is given.
-
+            name: name of the body in error messages.
+            target: target to check.
+            count: expected number of instants; any by default.
 
         Raises:
             ShapeError: an array has the wrong shape.
@@ -71,10 +70,10 @@ class Motion:
         )
 
     @staticmethod
-    def stack(left: Motion, right: Motion) -> Motion:
+    def stack(left: BodyMotion, right: BodyMotion) -> BodyMotion:
         """Both feet as one motion with leading axes (n, 2)."""
         pairs = zip(vars(left).values(), vars(right).values(), strict=True)
-        return Motion(*(np.stack(pair, axis=1) for pair in pairs))
+        return BodyMotion(*(np.stack(pair, axis=1) for pair in pairs))
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,8 @@ class FootMotion:
     """(n, 2, 3) [rad/s]."""
 
     @classmethod
-    def relative(cls, feet: Motion, pelvis: Motion) -> FootMotion:
-        """The feet (n, 2) as seen from the moving pelvis (n,)."""
+    def relative(cls, feet: BodyMotion, pelvis: BodyMotion) -> FootMotion:
+        """Motion of the feet (n, 2) relative to the moving pelvis (n,)."""
         pelvis_to_world = quaternion_to_matrix(pelvis.orientation)[:, None]
         omega = pelvis.angular_velocity[:, None]
         offset = feet.position - pelvis.position[:, None]
@@ -130,5 +129,5 @@ def _checked(
 def _unit(name: str, quaternion: np.ndarray) -> np.ndarray:
     norm = np.linalg.norm(quaternion, axis=1, keepdims=True)
     if not (norm > 0).all():
-        raise UnreachablePoseError(f"{name}[{int(norm.argmin())}] is zero: not a rotation")
+        raise UnreachablePoseError(f"{name}[{int(norm.argmin())}] is zero and not a rotation")
     return quaternion / norm

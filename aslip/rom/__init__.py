@@ -4,8 +4,8 @@
     gait.stride, gait.double_stance    # [s]
     gait.sample(np.linspace(0, 1, 24, endpoint=False)).body.position    # (24, 3) [m]
 
-Motions need NumPy and SciPy; CasADi is imported by the optimisation alone. The room knows neither
-the robot nor any learning library.
+Sampling a motion needs NumPy and SciPy only; CasADi is imported when a gait is optimised. The
+package imports neither the robot nor a learning library.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The evidence that a gait is optimal, feasible and obeys the dynamics."""
+"""Certificate of a gait: it is optimal, feasible and obeys the dynamics."""
 
 import json
 from collections.abc import Mapping
@@ -13,12 +13,12 @@ DEFECT_TOLERANCE = 1e-8
 INTEGRATION_TOLERANCE = 1e-3
 """Largest distance between collocated and integrated body position at the end of a mode [m]."""
 MARGIN_TOLERANCE = 1e-8
-"""How far a margin may be below zero in a certified gait [units of the margin]."""
+"""Largest violation of a bound in a certified gait [units of the bound]."""
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """Checks on a solved problem, with the numbers found."""
+    """Residuals, errors and margins of a solved problem."""
 
     solver_status: str
     """IPOPT's return status."""
@@ -37,10 +37,10 @@ class Certificate:
     max_defect: float
     """Largest Hermite-Simpson defect over all intervals and states [state units]."""
     integration_error: float
-    """Largest end error of the body position over the contact modes [m].
+    """Largest error of the body position at the end of a contact mode [m].
 
     Each mode is integrated from its first point with an adaptive eighth-order Runge-Kutta method
-    and the collocation's piecewise quadratic input, without correction on the way.
+    and the piecewise quadratic input of the collocation.
     """
     margins: Mapping[str, float]
     """Distance to each bound at the closest collocation point, negative where violated.
@@ -54,7 +54,7 @@ class Certificate:
 
     @property
     def ok(self) -> bool:
-        """Success of every check."""
+        """True if every check succeeds."""
         return not self.failures()
 
     def failures(self) -> list[str]:
@@ -71,7 +71,7 @@ class Certificate:
             if not getattr(self, name) <= limit
         ]
         failed += [
-            f"{name} is missed by {-margin:.2e}"
+            f"{name} violates its bound by {-margin:.2e}"
             for name, margin in self.margins.items()
             if not margin >= -MARGIN_TOLERANCE
         ]

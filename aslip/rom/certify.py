@@ -19,7 +19,7 @@ def kkt_residual(
     """Largest violation of stationarity, feasibility and complementarity, all unscaled.
 
     Args:
-        gradient: of the Lagrangian (variables,).
+        gradient: gradient of the Lagrangian (variables,).
         g: constraint values (rows,).
         lower: their lower bounds, -inf where there is none.
         upper: their upper bounds, inf where there is none.
@@ -27,7 +27,7 @@ def kkt_residual(
     """
     infeasible = np.maximum(np.maximum(lower - g, g - upper), 0.0)
     slack = np.where(lam > 0.0, upper - g, g - lower)
-    # a multiplier that pulls towards a bound that does not exist counts in full
+    # without a bound on that side the multiplier itself is the violation
     products = np.where(np.isfinite(slack), lam * slack, lam)
     return float(max(np.abs(gradient).max(), infeasible.max(), np.abs(products).max()))
 
@@ -47,14 +47,14 @@ def integrate_mode(
         start: first state (10,).
         control: inputs at the collocation points (2, 2 N + 1) [m/s^2], quadratic per interval.
         feet: positions of left and right foot (3,) [m].
-        duration: of the mode [s].
+        duration: duration of the mode [s].
         p: model parameters.
     """
     flow, state = flow_function(mode, p), start
     intervals = control.shape[1] // 2
     h = duration / intervals
     for i in range(intervals):
-        # restart at each interval: the input has a corner there
+        # restart at each interval, where the input has a corner
         piece = control[:, 2 * i : 2 * i + 3]
 
         def rate(t: float, x: np.ndarray, piece: np.ndarray = piece) -> np.ndarray:
@@ -66,7 +66,7 @@ def integrate_mode(
 
 
 def integration_error(half: HalfStride, speed: float, p: SlipParameters) -> float:
-    """Largest end error of the body position over both modes of half a stride [m].
+    """Largest error of the body position at the end of both modes of half a stride [m].
 
     The other half is an exact mirror image, so its errors are the same.
     """
@@ -108,7 +108,7 @@ def certify(problem: WalkingProblem, half: HalfStride, speed: float, seconds: fl
     """Certificate of a problem that has just been solved.
 
     Args:
-        problem: as solved.
+        problem: problem whose solver has just succeeded.
         half: its solution.
         speed: mean speed [m/s].
         seconds: wall-clock time the solver took [s].

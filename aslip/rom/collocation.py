@@ -26,7 +26,7 @@ def defects(state: Any, derivative: Any, interval: Any) -> Any:
     Returns:
         (2 k, N), first the k midpoint gaps and then the k end gaps of each interval.
     """
-    # explicit stop: CasADi misreads a negative one with a stride on a matrix of one row
+    # CasADi misreads a negative stop with a step on a matrix of one row
     last = state.shape[1] - 1
     x0, xm, x1 = state[:, 0:last:2], state[:, 1::2], state[:, 2::2]
     f0, fm, f1 = derivative[:, 0:last:2], derivative[:, 1::2], derivative[:, 2::2]
@@ -44,14 +44,14 @@ def weights(intervals: int) -> np.ndarray:
 
 
 def quadratic(values: np.ndarray, fraction: float) -> np.ndarray:
-    """Input inside one interval, the parabola through start, middle and end.
+    """Input inside an interval: the parabola through start, middle and end.
 
     Args:
-        values: (k, 3), the input at start, middle and end of the interval.
-        fraction: where in the interval, 0 at the start and 1 at the end.
+        values: (k, 3) input at start, middle and end of the interval.
+        fraction: position in the interval, 0 at the start and 1 at the end.
 
     Returns:
-        (k,) the input there.
+        (k,) input.
     """
     s = fraction
     return values @ np.array([(2 * s - 1) * (s - 1), 4 * s * (1 - s), s * (2 * s - 1)])

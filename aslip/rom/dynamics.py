@@ -35,7 +35,7 @@ def leg_axis(body: ca.SX, velocity: ca.SX, foot: ca.SX) -> tuple[ca.SX, ca.SX, c
 def leg_function(p: SlipParameters) -> ca.Function:
     """CasADi function (state, left foot, right foot) -> (leg forces (2,) [N], lengths (2,) [m]).
 
-    Both legs are taken to be on the ground; the caller drops the one that is not.
+    Both legs are treated as in stance; the caller discards the values of a swing leg.
     """
     state, feet = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("feet", 3, 2)
     force, length = ca.SX(2, 1), ca.SX(2, 1)
@@ -54,9 +54,8 @@ def flow_function(mode: Mode, p: SlipParameters) -> ca.Function:
         I_m\,\ddot d_i = I_m\,u_i - F_i \text{ in stance}, \quad \ddot d_i = u_i \text{ in swing}
 
     Paper says u is the acceleration of the leg actuator and lists I_m without an equation. The
-    published gaits show what is meant: the spring pushes back on the actuator inertia in stance,
-    for it is d'' + F / I_m, not d'', that is nearly constant over a stance. A swing leg carries no
-    force.
+    published gaits show the equation above: over a stance d'' + F / I_m is nearly constant and d''
+    is not, so the spring force acts back on the actuator. A swing leg carries no force.
     """
     state, control = ca.SX.sym("x", STATE_SIZE), ca.SX.sym("u", CONTROL_SIZE)
     feet = ca.SX.sym("feet", 3, 2)

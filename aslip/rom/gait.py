@@ -1,4 +1,4 @@
-"""A periodic walking gait of the actuated SLIP, sampled at the collocation points."""
+"""Periodic walking gait of the actuated SLIP, sampled at the collocation points."""
 
 import json
 from collections.abc import Mapping
@@ -14,14 +14,14 @@ from aslip.rom.slip import Mode, SlipParameters, leg_force
 from aslip.rom.swing import swing_foot
 
 _TRACKS = {"body": ("body_position", "body_velocity"), "feet": ("foot_position", "foot_velocity")}
-"""Names of the tracks of a gait, and of their arrays in a file."""
+"""Track of a gait -> names of its arrays in a file."""
 _COLUMNS = ("leg_force", "set_point", "set_point_velocity", "control")
 _SCALARS = ("speed", "stride", "cost")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class GaitSample(MotionSample):
-    """A gait at m phases, with the state of its legs."""
+    """Gait sampled at m phases, with the state of its legs."""
 
     mode: np.ndarray
     """(m,) contact mode, values of `Mode`."""
@@ -110,15 +110,15 @@ class Gait:
         return 1.0 - self.single_stance / self.stride
 
     def sample(self, phase: np.ndarray) -> GaitSample:
-        """The gait at any phases.
+        """Sample the gait at any phases.
 
         Body and set points are cubic Hermite interpolants through the collocation points and their
         velocities are the exact derivatives; swing feet are evaluated from their polynomials; leg
         forces follow from the interpolated state.
 
         Args:
-            phase: (m,) stride fractions, 0 at left lift-off. A phase outside [0, 1) is another
-                stride: x is moved by whole stride lengths.
+            phase: (m,) stride fractions, 0 at left lift-off. Phases outside [0, 1) belong to other
+                strides, whole stride lengths ahead or behind.
 
         Returns:
             Arrays with leading dimension m.
@@ -128,7 +128,7 @@ class Gait:
         """
         strides, within = split_phase(phase)
         time, travelled = within * self.stride, displacement(self, strides)
-        # the last point is the first of the next stride, so the search stops short of it
+        # the last point opens the next stride and is left out of the search
         mode = self.mode[np.searchsorted(self.time[:-1], time, side="right") - 1]
         body, velocity = self._interpolate(self.body.position, self.body.velocity, time)
         set_point, rate = self._interpolate(self.set_point, self.set_point_velocity, time)
@@ -190,7 +190,9 @@ class Gait:
             certificate = Certificate.from_json(str(arrays["certificate"]))
             parameters = SlipParameters(**json.loads(str(arrays["parameters"])))
         except (ValueError, TypeError) as error:
-            raise FileDamagedError(f"certificate or parameters unreadable: {error}") from error
+            raise FileDamagedError(
+                f"certificate or parameters of a gait are unreadable: {error}"
+            ) from error
         return cls(
             speed=float(arrays["speed"]),
             stride=float(arrays["stride"]),
@@ -212,7 +214,7 @@ def swinging_feet(
         time: (m,) since left lift-off, at most a stride [s].
         stride: duration of a stride [s].
         footholds: (2, 2, 3) start and end of the left and of the right swing [m].
-        p: duration of the swing and clearance.
+        p: model parameters, with duration and clearance of the swing.
     """
     feet = [
         swing_foot(
@@ -229,7 +231,7 @@ def swinging_feet(
 def _frozen(
     name: str, value: np.ndarray, shape: tuple[int, ...], kind: type[int | float] = float
 ) -> np.ndarray:
-    """Read-only copy of an array of a shape."""
+    """Copy an array, check its shape and make it read-only."""
     array = np.array(value, dtype=kind)
     if array.shape != shape:
         raise ShapeError(f"{name} must have shape {shape}, got {array.shape}")

@@ -25,12 +25,12 @@ from scipy.interpolate import CubicHermiteSpline
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
 
 PHASE_SAMPLES = 128
-"""Samples of a stride in a table: one every 6 ms, five a policy step."""
+"""Samples of a stride in a table: one every 6 ms, five per policy step."""
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Points that move: position and velocity of equal shape, (m, 3) for the body."""
+    """Positions and velocities of moving points, of equal shape: (m, 3) for the body."""
 
     position: np.ndarray
     """(..., 3) [m]."""
@@ -49,16 +49,16 @@ class Angle:
 
     @classmethod
     def zeros(cls, count: int) -> Angle:
-        """Angle of a body that does not turn."""
+        """Zero angle at every instant."""
         return cls(np.zeros(count), np.zeros(count))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MotionSample:
-    """A motion at m phases; left before right on every foot axis.
+    """Motion sampled at m phases; left before right on every foot axis.
 
     Raises:
-        ShapeError: an array has another shape than documented, or entries that are not finite.
+        ShapeError: an array has the wrong shape, or non-finite entries.
     """
 
     body: Track
@@ -115,10 +115,10 @@ class Motion(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SampledMotion:
-    """Motion known at equal steps of phase, such as a recorded one.
+    """Motion given by samples at equal steps of phase, such as a recorded walk.
 
-    Positions between two samples are cubics with the samples' velocities, so that a foot at rest at
-    both stays at rest; forces and toe directions are linear.
+    Between samples, positions are cubics that match the velocities, so that a stance foot stays at
+    rest; forces and toe directions are linear.
 
     Raises:
         ConfigurationError: fewer than two samples, or a stride that is not positive and finite.
@@ -204,7 +204,7 @@ class SampledMotion:
         return Track(position, path(within, 1) / self.stride)
 
     def _hermite(self, value: np.ndarray, rate: np.ndarray) -> CubicHermiteSpline:
-        """Cubics over phase through m + 1 samples and their time derivatives."""
+        """Cubic spline over phase through m + 1 samples with given time derivatives."""
         return CubicHermiteSpline(np.linspace(0.0, 1.0, len(value)), value, self.stride * rate)
 
     def _linear(self, values: np.ndarray, within: np.ndarray) -> np.ndarray:
@@ -215,10 +215,10 @@ class SampledMotion:
 
 
 def displacement(motion: Motion, phase: np.ndarray) -> np.ndarray:
-    """(m, 3) way from phase 0 to phases (m,) at the commanded velocity [m].
+    """Displacement (m, 3) from phase 0 to phases (m,) at the commanded velocity [m].
 
     Raises:
-        ConfigurationError: the motion stands, or its command has a yaw rate.
+        ConfigurationError: the stride is infinite, or the command has a yaw rate.
     """
     command = np.asarray(motion.command, dtype=float)
     if command.ndim != 1 or not 1 <= len(command) <= 2:
@@ -234,7 +234,7 @@ def displacement(motion: Motion, phase: np.ndarray) -> np.ndarray:
 
 
 def split_phase(phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Whole strides of phases (m,), and the phases within a stride.
+    """Split phases (m,) into whole strides and phases within a stride.
 
     Raises:
         ShapeError: phase is not one-dimensional, or not finite.
@@ -247,5 +247,5 @@ def split_phase(phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _closed(values: np.ndarray, ahead: np.ndarray | float = 0.0) -> np.ndarray:
-    """Samples of a stride, and the first of the next stride."""
+    """Samples of a stride, followed by the first sample of the next stride."""
     return np.concatenate([values, values[:1] + ahead])

@@ -26,20 +26,20 @@ def optimize_gait(
     guess: Gait | None = None,
     objective: Objective = "mean",
 ) -> Gait:
-    r"""The most economical periodic gait with a given mean speed.
+    r"""Optimise the most economical periodic gait at a mean speed.
 
     .. math:: \min \frac1T \int_0^T (u_l^2 + u_r^2)\,dt
 
-    Paper says the integral is minimised; the gaits its authors released minimise the mean over the
-    stride, which lengthens double stance by 8 %: with it stride and body height agree with theirs
-    to 0.5 ms and 0.5 mm. We do the latter, because those gaits trained the published policies and
-    because at a given speed it is also the cost of transport. `objective="integral"` follows the
-    paper's formula.
+    Paper says the integral is minimised; the gaits released by its authors minimise the mean over
+    the stride, which lengthens double stance by 8 %. We minimise the mean, because the released
+    gaits trained the published policies, and because at a given speed the mean is the cost of
+    transport. Strides and body heights then agree with the released gaits to 0.5 ms and 0.5 mm.
+    `objective="integral"` follows the paper's formula.
 
     Args:
         speed: mean forward speed [m/s], from 0 to `parameters.max_speed`.
         parameters: model and bounds; Table I by default.
-        guess: a gait to start from, for instance at a nearby speed; a rough guess by default.
+        guess: gait to start from, for instance at a nearby speed; a rough guess by default.
         objective: "mean" or "integral" of u_l^2 + u_r^2 over the stride.
 
     Returns:
@@ -63,7 +63,7 @@ def optimize_gaits(
     objective: Objective = "mean",
     progress: Callable[[int, int, Gait], None] | None = None,
 ) -> list[Gait]:
-    """Optimal gaits at several speeds, each started from the previous one.
+    """Optimise gaits at several speeds, each from the previous one as initial guess.
 
     Args:
         speeds: mean forward speeds [m/s], best in ascending or descending order.
@@ -75,7 +75,7 @@ def optimize_gaits(
         One gait per speed, in the order given.
 
     Raises:
-        SpeedOutOfRangeError: a speed is not finite or out of range; nothing has been solved then.
+        SpeedOutOfRangeError: a speed is not finite or out of range; raised before any solve.
         GaitOptimizationError: as in `optimize_gait`.
     """
     for speed in speeds:

@@ -1,16 +1,16 @@
-r"""Walking of the linear inverted pendulum, in closed form: reference of baseline and ablation.
+r"""Walk of the linear inverted pendulum in closed form: motion of a baseline and an ablation.
 
-The body keeps its height z and follows, from each stance foot, the orbit of
-:math:`\ddot x = \omega^2 x` with :math:`\omega = \sqrt{g / z}` (Kajita et al. 2001) that repeats
-itself, mirrored, step after step:
+The body keeps its height z. Relative to each stance foot it follows the solution of
+:math:`\ddot x = \omega^2 x` with :math:`\omega = \sqrt{g / z}` (Kajita et al. 2001) that repeats,
+mirrored, at every step:
 
 .. math::
     x(t) = \tfrac{L}{2}\,\frac{\sinh \omega (t - T/2)}{\sinh \omega T/2}, \qquad
     y(t) = -\tfrac{w}{2}\,\frac{\cosh \omega (t - T/2)}{\cosh \omega T/2}
 
-for a step of length L, width w and duration T; y is away from a left stance foot to the right. The
-force on the ground then has a single, flat hump a stance. Swing feet move as those of the
-spring-mass gaits, and wait on the ground before they take over.
+for a step of length L, width w and duration T, relative to a left stance foot. The ground force
+has a single, flat hump per stance. Swing feet move as in the spring-mass gaits; each lands
+before the stance changes, and carries no load until then.
 """
 
 from __future__ import annotations
@@ -31,31 +31,30 @@ _MODEL = SlipParameters()
 
 @dataclass(frozen=True)
 class PendulumWalk:
-    """A walk of the linear inverted pendulum.
+    """Walk of the linear inverted pendulum.
 
-    Mass, width and clearance are by default those of the actuated spring-mass model, so that the
-    two differ in nothing but how the body moves over its feet.
+    Default mass, width and clearance are those of the actuated spring-mass model, so that the two
+    differ only in the motion of the body over its feet.
 
     Raises:
-        ConfigurationError: a length, time or mass is not positive, the share not within (0, 1], or
-            the speed not finite.
+        ConfigurationError: a length, time or mass is not positive, the share is not in (0, 1], or
+            the speed is not finite.
     """
 
     speed: float = 0.75
-    """Mean forward speed [m/s]; as the motion that the single-reference method was published
-    with."""
+    """Mean forward speed [m/s]; by default that of the published single-reference motion."""
     stride: float = 0.84
     """Duration of a stride, two steps [s]."""
     height: float = 0.92
-    """Constant height of the body [m]; with it, the legs are a little bent as they pass."""
+    """Constant height of the body [m]; at the default the legs are slightly bent at mid-stance."""
     width: float = _MODEL.foot_separation
-    """Sideways distance of the feet [m]."""
+    """Lateral distance between the feet [m]."""
     clearance: float = _MODEL.swing_clearance
-    """Height of a foot in the middle of its swing [m]."""
+    """Height of a foot at mid-swing [m]."""
     mass: float = _MODEL.mass
-    """Mass of the body [kg]; joint torques carry its weight."""
+    """Mass of the body [kg], which the ground forces carry."""
     swing_share: float = 0.8
-    """Share of a step that the foot is in the air."""
+    """Share of a step for which the swing foot is in the air."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -73,10 +72,10 @@ class PendulumWalk:
         return np.array([self.speed])
 
     def sample(self, phase: np.ndarray) -> MotionSample:
-        """The walk at any phases (m,), 0 at left lift-off; the body starts at x = 0.
+        """Sample the walk at any phases (m,), 0 at left lift-off; the body starts at x = 0.
 
-        Forces are those on the feet of a body of the walk's mass. While both feet stand, the one
-        that came down bears nothing yet.
+        Ground forces act on one foot at a time: in double stance the foot that has just landed
+        carries no load.
         """
         strides, phase = split_phase(phase)
         ahead = displacement(self, strides)
@@ -102,7 +101,7 @@ class PendulumWalk:
         second = phase >= 0.5
         time = (phase - 0.5 * second) * self.stride
         angle, end = omega * (time - duration / 2), omega * duration / 2
-        # the right foot, at -y, carries first
+        # the right foot, at -y, is the first stance foot
         side = np.where(second, -1.0, 1.0)
         start = np.where(second, length, 0.0)
         flat = np.zeros_like(time)
@@ -123,7 +122,7 @@ class PendulumWalk:
         duration, length = self.stride / 2, self.speed * self.stride / 2
         feet = []
         for i, begins in enumerate((0.0, 0.5)):
-            # a foot stands one half step before and behind the middle of its stances
+            # a foot lifts off half a step behind the body
             first = np.array([(2 * begins - 0.5) * length, (0.5 - i) * self.width, 0.0])
             feet.append(
                 swing_foot(
@@ -141,16 +140,16 @@ class PendulumWalk:
 
 
 def pendulum_walks(gaits: Sequence[Gait], walk: PendulumWalk | None = None) -> list[PendulumWalk]:
-    """Pendulum walks of the same speeds and strides as gaits.
+    """Pendulum walks with the speeds and strides of gaits.
 
-    Each keeps the height that the body of the gait whose place it takes has in the middle of a
-    stance, so that a foot in mid-swing is as far below the body as the gait's. At the gait's mean
-    height the robot's legs are too long for the model's clearance from 1.8 m/s on.
+    The body of a walk keeps the height of the gait's body at mid-stance, so that a foot at
+    mid-swing is as far below the body as in the gait. At the gait's mean height, from 1.8 m/s on,
+    the robot's legs are too long for the model's clearance.
 
     Args:
-        gaits: the gaits.
-        walk: mass, width, clearance and share of swing of all of them; by default mass, width and
-            clearance of the gait's own model.
+        gaits: gaits that give speeds, strides and heights.
+        walk: mass, width, clearance and share of swing of all walks; by default mass, width and
+            clearance of each gait's model.
     """
     walks = []
     for gait in gaits:

@@ -1,13 +1,13 @@
-r"""The optimal control problem: half a stride of the most economical walking at one mean speed.
+r"""Optimal control problem: half a stride of the most economical walking at one mean speed.
 
 Time 0 is left lift-off. Half a stride is right single stance, then double stance with the left foot
 ahead; the other half is its mirror image. Only the speed varies between gaits, so the problem is
 written and differentiated once and solved for one speed after another.
 
 Paper says direct collocation over a given contact sequence, analytical gradients, IPOPT; we do the
-same. The sides of its published gaits differ by 0.1 mm; mirror images do not differ. It does not
-name its rule; ours is Hermite-Simpson, with which an adaptive integrator that starts at the
-beginning of a contact mode ends within a micrometre of its collocated end.
+same. Left and right of its published gaits differ by 0.1 mm; ours are exact mirror images. The
+paper does not name its collocation rule; ours is Hermite-Simpson, with which an adaptive
+integration of a contact mode ends within a micrometre of the collocated state.
 """
 
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ INTERVALS = 25
 """Hermite-Simpson intervals per contact mode: 51 points; the published gaits have 50."""
 
 MIRROR = np.array([0, 1, 2, 3, 4, 5, 7, 6, 9, 8])
-"""Order of the state after left and right have changed names; y and its rate also change sign."""
+"""Order of the state with left and right exchanged."""
 MIRROR_SIGN = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-"""Sign of the state after left and right have changed names."""
+"""Sign of the state with left and right exchanged: y and its rate change sign."""
 
 _IPOPT = {
     "print_level": 0,
@@ -48,8 +48,8 @@ _IPOPT = {
 class HalfStride:
     """Half a stride at the collocation points: right single stance, then double stance.
 
-    The last column of single stance and the first of double stance are one instant. The state has a
-    column for it once; the input, which may jump there, twice.
+    Single stance ends at the instant at which double stance begins. The state has one column for
+    it; the input, which may jump there, has two.
     """
 
     state: np.ndarray
@@ -65,7 +65,7 @@ class HalfStride:
 
 
 class WalkingProblem:
-    """The transcribed problem, with the speed as its only parameter.
+    """Nonlinear program of half a stride, with the speed as its only parameter.
 
     Attributes:
         opti: CasADi problem; its solver is silent.
@@ -112,7 +112,7 @@ class WalkingProblem:
             self._require(name, ca.vec(gaps), ca.vec(gaps) == 0)
 
         # path constraints -----------------------------------------------------------------------
-        # the last instant is the mirror image of the first, so each bound is stated once
+        # the last point is the mirror image of the first, where the bounds hold already
         force, length = leg_function(p)(state, left, right)
         landing, standing = force[0, points - 1 : -1] / p.weight, force[1, :-1] / p.weight
         landed_length, standing_length = length[0, points - 1 : -1], length[1, :-1]
@@ -171,7 +171,7 @@ class WalkingProblem:
             self.opti.set_initial(getattr(self, name), value)
 
     def rough_guess(self, speed: float) -> HalfStride:
-        """A sine-like vault at constant speed on straight legs; good enough from 0 to 2 m/s."""
+        """Initial guess: a sine-like vault at constant speed, sufficient from 0 to 2 m/s."""
         p, points = self.parameters, 2 * INTERVALS + 1
         double_stance = 0.1
         stance = np.linspace(0.0, p.single_stance, points)
@@ -192,5 +192,5 @@ def _effort(control: ca.MX) -> ca.MX:
 
 @lru_cache(maxsize=4)
 def walking_problem(parameters: SlipParameters, objective: Objective = "mean") -> WalkingProblem:
-    """The problem for these parameters, built on first use."""
+    """Problem for given parameters, built on first use."""
     return WalkingProblem(parameters, objective)

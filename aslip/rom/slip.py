@@ -1,4 +1,4 @@
-"""The actuated spring-loaded inverted pendulum: parameters, contact modes, force of a leg."""
+"""Actuated spring-loaded inverted pendulum: parameters, contact modes, force of a leg."""
 
 import math
 from dataclasses import dataclass, fields
@@ -59,9 +59,9 @@ class SlipParameters:
     """Largest set point of the landing leg, in double stance only [m] (published gaits).
 
     The paper speaks of bounds on leg extension. In the published gaits the set point stops at 1 m
-    for the leg that has just landed, and only while both feet are down: at 2 m/s the other leg
-    exceeds it by 9 mm, at rest a single stance by 1 mm. A bound on both legs at all times lowers
-    the highest body position by 1 mm at rest and by 5 mm at 2 m/s, so we keep theirs.
+    for the leg that has just landed, and only in double stance: the other leg exceeds 1 m by 9 mm
+    at 2 m/s, and single stance by 1 mm at rest. A bound on both legs at all times would lower the
+    highest body position by 1 mm at rest and by 5 mm at 2 m/s, so we keep theirs.
     """
     min_leg_length: float = 0.700
     """Shortest stance leg [m]; the paper gives no number and no gait comes within 0.1 m of it."""
@@ -70,13 +70,13 @@ class SlipParameters:
     min_body_height: float = 0.800
     """Lowest body height [m] (published gaits: active from 1.6 m/s on)."""
     max_speed: float = 2.4
-    """Fastest mean speed that may be asked for [m/s]; the paper's library ends at 2 m/s.
+    """Largest mean speed of a gait [m/s]; the paper's library ends at 2 m/s.
 
-    From 2.5 m/s on no gait of this model keeps the bounds above.
+    From 2.5 m/s on no gait of this model satisfies the bounds above.
     """
 
     def __post_init__(self) -> None:
-        """Refuse values with which the model means nothing."""
+        """Check that values are positive and finite and bounds in order."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not (math.isfinite(value) and value > 0.0):
@@ -100,7 +100,7 @@ def leg_force(
     .. math:: F = k\,(d - \ell) + b\,(\dot d - \dot\ell)
 
     Spring and damper of Green et al. 2021, Table I. Plain arithmetic: floats, NumPy arrays and
-    CasADi expressions of any one shape are accepted.
+    CasADi expressions of equal shape are accepted.
 
     Args:
         length: leg length l, foot to body [m].

@@ -1,9 +1,9 @@
-r"""Swing foot: the path of least integrated squared jerk between two footholds (Sec. III-A).
+r"""Swing foot: path of least integrated squared jerk between two footholds (Sec. III-A).
 
 Paper says the profile has minimum jerk and a given clearance at the midpoint. Its public gaits land
 one collocation node early, after 48/49 of the single stance; ours fills the single stance exactly,
-lift-off to touchdown, because a foot that waits on the ground is not in swing. Forward, one
-rest-to-rest quintic; vertical, two quintics that meet at the clearance height.
+lift-off to touchdown, because a foot on the ground is in stance. The forward profile is one
+rest-to-rest quintic, the vertical profile two quintics that meet at the clearance height.
 
 Both profiles are functions of swing fraction s in [0, 1]; derivatives are per unit of s. Outside
 [0, 1] a profile holds the value of the nearer end.
@@ -21,7 +21,7 @@ _RISE = np.polynomial.Polynomial(np.array([0, 0, 0, 20, -25, 8]) / 3.0)
 
 
 def travel(fraction: np.ndarray, order: int = 0) -> np.ndarray:
-    """Share of the way from foothold to foothold, or one of its derivatives.
+    """Share of the distance between footholds, or one of its derivatives.
 
     Args:
         fraction: swing fraction s, any shape.
@@ -36,8 +36,8 @@ def travel(fraction: np.ndarray, order: int = 0) -> np.ndarray:
 def lift(fraction: np.ndarray, order: int = 0) -> np.ndarray:
     """Height above ground as a share of the clearance, or one of its derivatives.
 
-    The spline is four times continuously differentiable at s = 1/2, the mark of least jerk with a
-    via point; it rests at both ends and, by symmetry, at the top.
+    The spline is four times continuously differentiable at s = 1/2, as least jerk with a via point
+    requires; it rests at both ends and, by symmetry, at the top.
 
     Args:
         fraction: swing fraction s, any shape.
@@ -61,7 +61,7 @@ def swing_foot(
         time: (m,) since lift-off [s]; negative before it.
         start: foothold until lift-off (3,) [m].
         end: foothold from touchdown on (3,) [m], at equal height.
-        duration: of the swing [s].
+        duration: duration of the swing [s].
         clearance: height at half swing [m].
 
     Returns:

@@ -1,4 +1,4 @@
-"""From half a stride to a whole one, and back."""
+"""Unfold half a stride into a gait, and fold a gait back into half a stride."""
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from aslip.rom.problem import INTERVALS, MIRROR, MIRROR_SIGN, HalfStride
 from aslip.rom.slip import Mode, SlipParameters
 
 _POINTS = 2 * INTERVALS
-"""Collocation points per contact mode, without the last one, which opens the next mode."""
+"""Collocation points per contact mode, except the last one, which opens the next mode."""
 
 
 def unfold(half: HalfStride, speed: float, certificate: Certificate, p: SlipParameters) -> Gait:
-    """The whole stride: right single stance, double stance, and the mirror images of both."""
+    """Gait of half a stride (right single stance, double stance) and its mirror image."""
     half_period = p.single_stance + half.double_stance
     step = speed * half_period
     time = np.r_[
@@ -54,13 +54,15 @@ def unfold(half: HalfStride, speed: float, certificate: Certificate, p: SlipPara
 
 
 def fold(gait: Gait) -> HalfStride:
-    """The first half of a gait, as a starting point for the optimiser.
+    """First half of a gait, an initial guess for the optimiser.
 
     Raises:
-        ShapeError: the gait has another number of collocation points than the optimiser.
+        ShapeError: the gait's number of collocation points is not the optimiser's.
     """
     if len(gait.time) != 4 * _POINTS + 1:
-        raise ShapeError(f"a guess needs {4 * _POINTS + 1} points, got {len(gait.time)}")
+        raise ShapeError(
+            f"a guess needs {4 * _POINTS + 1} collocation points, got {len(gait.time)}"
+        )
     half = slice(0, 2 * _POINTS + 1)
     state = np.hstack(
         [gait.body.position, gait.body.velocity, gait.set_point, gait.set_point_velocity]
@@ -75,7 +77,7 @@ def fold(gait: Gait) -> HalfStride:
 
 
 def mirrored(state: np.ndarray, step: float) -> np.ndarray:
-    """States (10, n) with left and right exchanged, one step ahead."""
+    """Mirror states (10, n): left and right exchanged, one step ahead."""
     image = MIRROR_SIGN[:, None] * state[MIRROR]
     image[0] += step
     return image
@@ -101,7 +103,7 @@ def _forces(
     p: SlipParameters,
 ) -> np.ndarray:
     """Leg forces (n, 2) [N], 0 in swing."""
-    # left stands on its second foothold from its touchdown on; right does so after its own swing
+    # the stance foothold of the left foot is its second one, of the right foot only once landed
     landed = time >= half_period + p.single_stance
     left = np.repeat(footholds[0, 1][:, None], len(time), axis=1)
     right = np.where(landed, footholds[1, 1][:, None], footholds[1, 0][:, None])

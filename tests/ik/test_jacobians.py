@@ -20,7 +20,7 @@ STEP = 1e-6
 @pytest.fixture(scope="module")
 def configuration(kinematics, random_qpos) -> np.ndarray:
     """(20, nq) with the pelvis at the origin, loops open."""
-    return kinematics.below_origin(kinematics.to_pinocchio(random_qpos[:20]))
+    return kinematics.at_origin(kinematics.to_pinocchio(random_qpos[:20]))
 
 
 def test_jacobian_of_the_equations_is_their_derivative(kinematics, configuration):
