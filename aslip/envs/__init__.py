@@ -1,20 +1,20 @@
 """Environments: robots, simulators, and named stacks of transforms around them.
 
-An experiment is a stack that differs from the default one in a line or two:
+An experiment changes the default stack in a line or two:
 
     make_env(drop=["foot_orient"])                               # ablate a reward term
-    make_env(replace={"reward": WeightedReward({...})})          # weigh the terms otherwise
+    make_env(replace={"reward": WeightedReward({...})})          # other weights of the terms
     make_env(replace={"start": ReferenceStart(library, "rest")}) # start at rest
-    make_env(replace={"estimator": TrueState()})                 # perfect knowledge of the state
+    make_env(replace={"estimator": TrueState()})                 # true state, no estimator
     make_env(drop=["noise"])                                     # perfect sensors
-    make_env(reward_on="estimate")                               # reward what the robot knows
+    make_env(reward_on="estimate")                               # reward the estimated state
     make_env(stack=insert_before(stack, "reward", my_term=...))  # one more term
-    make_env(stack=randomise_stack(default_stack()))             # robots that differ
+    make_env(stack=randomise_stack(default_stack()))             # domain randomisation
     make_env(stack="paper")                                      # the paper's own settings
     make_env(stack="single_reference")                           # the paper's baseline
 
-A stack is an ordered dict of names and transforms. It is never edited in place once it belongs to
-an environment, where TorchRL would keep stale specs; build another.
+A stack is an ordered dict, name -> function that makes a transform. The transforms of an
+environment are never edited in place, as TorchRL would keep stale specs: make another environment.
 """
 
 from __future__ import annotations

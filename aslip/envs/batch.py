@@ -1,4 +1,4 @@
-"""The training backend: all robots in one native batch."""
+"""Simulator for training: all robots in one native batch."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from aslip.sim.checks import check_count
 from aslip.sim.dynamics import with_longer_memory
 
 MAX_BATCH_ENVS: Final = 65_536
-"""Most robots of one environment, each of some 50 kB. More is a slip of the finger, which would
-fill all memory before it failed."""
+"""Largest number of robots of one environment, at 50 kB each. A larger number is a typing error,
+which would fill all memory before it failed."""
 
 
 class BatchEnv(SimulatedEnv):
@@ -25,12 +25,12 @@ class BatchEnv(SimulatedEnv):
 
     Args:
         num_envs: number of robots, at most `MAX_BATCH_ENVS`.
-        num_threads: threads to step on, 0 for all processors.
+        num_threads: physics threads, 0 for all processors.
         floor_friction: sliding friction of the floor.
-        timestep: of the physics [s]; see `aslip.robot.model.load_model`.
+        timestep: physics timestep [s]; see `aslip.robot.model.load_model`.
         robot: the robot.
-        drive: low level that `motor_target` commands: `PD` for joint angles, `Torque` for torques
-            at the joints, or another `aslip.sim.Drive`.
+        drive: low level that takes `motor_target`: `PD` takes joint angles, `Torque` takes joint
+            torques; or another `aslip.sim.Drive`.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class BatchEnv(SimulatedEnv):
 
     @property
     def model(self) -> mujoco.MjModel:
-        """See `SimulatedEnv.model`; without what is only looked at."""
+        """See `SimulatedEnv.model`; without visual geoms."""
         return self.simulations.model
 
     def states(self) -> np.ndarray:

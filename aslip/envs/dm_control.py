@@ -1,8 +1,8 @@
-"""The reference simulator: a dm_control task of walking, and environments of it.
+"""Reference simulator: a walking task of dm_control, and robot environments made from it.
 
-`Walk` rewards walking at a speed with the body upright; it knows no gait library, so that any
-dm_control agent can use the robot. `DmControlEnv` runs it without its rewards and ends. Its states
-equal the batched simulator's bit for bit: it is for comparison and for dm_control's tools.
+`Walk` rewards walking upright at a given speed. It needs no gait library, so that any dm_control
+agent can use the robot. `DmControlEnv` runs the task without its rewards and ends; its states equal
+those of the batched simulator bit for bit. It serves comparison and dm_control's tools.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from aslip.sim.checks import check_count, check_states
 from aslip.sim.dynamics import with_longer_memory, write_fields
 
 MAX_DM_CONTROL_ENVS: Final = 1_024
-"""Most robots of one environment, each with a model of its own; for more take the batch backend."""
+"""Largest number of robots of one environment, each with its own model."""
 
 _ONE = np.zeros(1, dtype=int)
-# the body height [m] from which standing is rewarded in full; gaits of the library bob above it
+# pelvis height [m] of full reward; gaits of the library stay above it
 _STAND_HEIGHT = 0.75
-# a speed error [m/s] at which the reward has fallen to a tenth
+# speed error [m/s] at which the reward falls to a tenth
 _SPEED_MARGIN = 0.5
-# PD targets may lie this far [rad] outside the joint range to ask for torque at the limit
+# margin [rad] of PD targets beyond the joint range, for torque at the joint's limit
 _TARGET_MARGIN = 1.0
 
 
@@ -51,8 +51,8 @@ class Walk(base.Task):
 
     Args:
         speed: forward speed to keep [m/s].
-        terminate_on_fall: end the episode, without bootstrap, when the robot has fallen.
-        random: `numpy.random.RandomState` or seed; the pelvis' initial velocity is drawn from it.
+        terminate_on_fall: end the episode with discount 0 when the robot has fallen.
+        random: `numpy.random.RandomState` or seed for the pelvis' initial velocity.
     """
 
     def __init__(
@@ -69,14 +69,14 @@ class Walk(base.Task):
         self._terminate_on_fall = terminate_on_fall
 
     def action_spec(self, physics: BipedPhysics) -> specs.BoundedArray:
-        """Ten joint angles [rad], within the joints' ranges and a margin."""
+        """Ten joint angles [rad], bounded by the joints' ranges and a margin."""
         low, high = physics.motor_range().T
         return specs.BoundedArray(
             low.shape, np.float64, low - _TARGET_MARGIN, high + _TARGET_MARGIN, "motor_target"
         )
 
     def initialize_episode(self, physics: BipedPhysics) -> None:
-        """Stand, pushed a little in a random direction."""
+        """Stand with a small horizontal velocity in a random direction."""
         physics.stand()
         physics.data.qvel[physics.indices.pelvis_velocity][:2] = self.random.uniform(
             -0.1, 0.1, size=2
@@ -84,7 +84,7 @@ class Walk(base.Task):
         super().initialize_episode(physics)
 
     def get_observation(self, physics: BipedPhysics) -> OrderedDict[str, np.ndarray]:
-        """The robot's true state but for its place on the floor."""
+        """True state of the robot without its position on the floor."""
         state = physics.true_state()
         observation = OrderedDict(height=state["pelvis_position"][2:])
         for name in (
@@ -101,7 +101,7 @@ class Walk(base.Task):
         return observation
 
     def get_reward(self, physics: BipedPhysics) -> float:
-        """Product of upright, high enough, and at speed; in [0, 1]."""
+        """Product of the rewards for upright pelvis, height and speed; in [0, 1]."""
         upright = (1 + physics.pelvis_upright()) / 2
         high = rewards.tolerance(
             physics.pelvis_height(), (_STAND_HEIGHT, float("inf")), margin=_STAND_HEIGHT / 2
@@ -112,7 +112,7 @@ class Walk(base.Task):
         return float(upright * high * at_speed)
 
     def get_termination(self, physics: BipedPhysics) -> float | None:
-        """Discount 0 after a fall."""
+        """Discount 0 after a fall, else None."""
         fallen = self._terminate_on_fall and physics.pelvis_height() < CASSIE.fall_height
         return 0.0 if fallen else None
 
@@ -125,11 +125,11 @@ def walk_environment(
     floor_friction: float = DEFAULT_FLOOR_FRICTION,
     random: np.random.RandomState | int | None = None,
 ) -> control.Environment:
-    """A dm_control environment of the `Walk` task at the policy rate of 33 Hz.
+    """Make a dm_control environment of the `Walk` task at the policy rate of 33 Hz.
 
     Args:
         speed: forward speed to keep [m/s].
-        time_limit: length of an episode [s]; 12 s are the paper's 400 policy steps.
+        time_limit: length of an episode [s]; by default the paper's 400 policy steps.
         terminate_on_fall: end the episode when the robot has fallen.
         floor_friction: sliding friction of the floor.
         random: `numpy.random.RandomState` or seed.
@@ -145,12 +145,12 @@ def walk_environment(
 
 
 class DmControlEnv(SimulatedEnv):
-    """N dm_control environments; see `SimulatedEnv` for the keys.
+    """N robots in dm_control; see `SimulatedEnv` for the keys.
 
     Args:
-        num_envs: number of robots, simulated in turn; at most `MAX_DM_CONTROL_ENVS`.
+        num_envs: number of robots, simulated one after another; at most `MAX_DM_CONTROL_ENVS`.
         floor_friction: sliding friction of the floor.
-        drive: low level that `motor_target` commands; see `BatchEnv`.
+        drive: low level that takes `motor_target`; see `BatchEnv`.
     """
 
     def __init__(
@@ -161,7 +161,7 @@ class DmControlEnv(SimulatedEnv):
         drive: MakeDrive = PD,
     ) -> None:
         num_envs = check_count("num_envs", num_envs, most=MAX_DM_CONTROL_ENVS)
-        # time limit and falls are the transforms' and the base class's business
+        # transforms end episodes
         self.environments = [
             walk_environment(
                 time_limit=float("inf"), terminate_on_fall=False, floor_friction=floor_friction
@@ -176,12 +176,12 @@ class DmControlEnv(SimulatedEnv):
 
     @property
     def physics(self) -> list[BipedPhysics]:
-        """The robots' physics."""
+        """Physics of each robot."""
         return [environment.physics for environment in self.environments]
 
     @property
     def model(self) -> mujoco.MjModel:
-        """See `SimulatedEnv.model`; all of it."""
+        """See `SimulatedEnv.model`; with visual geoms."""
         return self._model
 
     def states(self) -> np.ndarray:
@@ -197,7 +197,7 @@ class DmControlEnv(SimulatedEnv):
     def watch(self, index: int | None) -> None:
         """See `SimulatedEnv.watch`."""
         if index is not None and not 0 <= index < self.num_envs:
-            raise ConfigurationError(f"no robot {index!r}; there are {self.num_envs}, from 0")
+            raise ConfigurationError(f"robot must be from 0 to {self.num_envs - 1}, got {index!r}")
         for i, physics in enumerate(self.physics):
             physics.watch(i == index)
 
@@ -207,7 +207,7 @@ class DmControlEnv(SimulatedEnv):
         for physics in self.physics:
             if physics.watched is not None:
                 return physics.watched
-        raise ConfigurationError("no robot is watched; call watch(index) first")
+        raise ConfigurationError("watched needs a robot; call watch(index) first")
 
     def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
         for k, i in enumerate(ids):

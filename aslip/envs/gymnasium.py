@@ -1,13 +1,12 @@
 """Environments for Gymnasium: one robot, or n robots in one batch.
 
-NumPy in and out, and the policy's observation as one array: what Stable-Baselines3, CleanRL and
-their like expect. TorchRL's own `register_gym` takes environments of a single, unbatched robot only
-and gives all entries as tensors.
+Actions and observations are NumPy arrays, as Stable-Baselines3 and CleanRL expect. TorchRL's own
+`register_gym` is no alternative: it takes unbatched environments only and returns tensors.
 
     env = aslip.GymEnv(render_mode="rgb_array", stack="paper")
     envs = aslip.GymVectorEnv(64, drop=["noise"])
 
-or, by Gymnasium's registry, `gymnasium.make("aslip.envs.gymnasium:aslip/Walk-v0")` and
+or from Gymnasium's registry: `gymnasium.make("aslip.envs.gymnasium:aslip/Walk-v0")` and
 `gymnasium.make_vec("aslip.envs.gymnasium:aslip/Walk-v0", 64)`.
 """
 
@@ -42,15 +41,15 @@ Info = dict[str, Any]
 class GymEnv(gymnasium.Env):
     """One robot for Gymnasium.
 
-    The observation is what the stack's `AssembleObservation` writes. `info` has the terms of the
-    reward and what is commanded, by the names of their entries.
+    The observation is the entry `observation` of the stack. `info` has the entries `command` and
+    `reward_terms`.
 
     Args:
         render_mode: "rgb_array" for pictures; needs OpenGL, see `aslip.show.render`.
-        settings: of `make_env`; without a `seed` each environment draws its own.
+        settings: arguments of `make_env`; without `seed` each environment draws its own.
 
     Raises:
-        ConfigurationError: the settings ask for more than one robot, or are refused by `make_env`.
+        ConfigurationError: `num_envs` is not 1, or `make_env` refuses a setting.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -61,7 +60,7 @@ class GymEnv(gymnasium.Env):
     def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
         _check_render_mode(render_mode, self.metadata)
         if settings.get("num_envs", 1) != 1:
-            raise ConfigurationError("GymEnv is one robot; GymVectorEnv(num_envs) is several")
+            raise ConfigurationError("GymEnv has one robot; GymVectorEnv(num_envs) has several")
         self.render_mode = render_mode
         self.env = _make(settings)
         self.observation_space, self.action_space = _spaces(self.env)
@@ -71,14 +70,14 @@ class GymEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: Info | None = None
     ) -> tuple[np.ndarray, Info]:
-        """Begin an episode.
+        """Start an episode.
 
         Args:
             seed: seed of all random numbers from now on.
-            options: entries that a reset of the stack takes, such as `{"command": 1.0}`.
+            options: entries of the stack's reset request, such as `{"command": 1.0}`.
 
         Raises:
-            UnknownNameError: an option is no such entry.
+            UnknownNameError: a reset of the stack does not take such an option.
         """
         super().reset(seed=seed)
         self._state = _reset(self.env, seed, options)
@@ -98,7 +97,7 @@ class GymEnv(gymnasium.Env):
         )
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Picture (480, 640, 3) of the robot as it stands, in the mode "rgb_array"."""
+        """Picture (480, 640, 3) of the robot; None without a `render_mode`."""
         if self.render_mode is None:
             return None
         if self._camera is None:
@@ -116,12 +115,12 @@ class GymEnv(gymnasium.Env):
 class GymVectorEnv(VectorEnv):
     """N robots in one batch for Gymnasium.
 
-    A robot whose episode ends is reset in the same step: the observation is the new episode's
-    first, and `info["final_obs"]`, `info["final_info"]` are of the old one's last step.
+    A robot whose episode ends is reset in the same step: its observation is the first of the new
+    episode, and `info["final_obs"]` and `info["final_info"]` describe the last step of the old one.
 
     Args:
         num_envs: number of robots.
-        settings: of `make_env`; without a `seed` each environment draws its own.
+        settings: arguments of `make_env`; without `seed` each environment draws its own.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -145,7 +144,7 @@ class GymVectorEnv(VectorEnv):
         seed: int | None = None,  # pyright: ignore[reportIncompatibleMethodOverride]
         options: Info | None = None,
     ) -> tuple[np.ndarray, Info]:
-        """Begin an episode of every robot; see `GymEnv.reset`."""
+        """Start an episode of every robot; see `GymEnv.reset`."""
         super().reset(seed=seed)
         self._state = _reset(self.env, seed, options)
         return _observation(self._state), _info(self._state)
@@ -173,7 +172,7 @@ class GymVectorEnv(VectorEnv):
 
 
 class _Camera:
-    """A renderer that follows one robot."""
+    """Renderer that follows one robot."""
 
     def __init__(self) -> None:
         model = load_model()
@@ -194,11 +193,11 @@ class _Camera:
 
 
 def _make(settings: Info) -> StackEnv:
-    """An environment of `make_env`, with a seed of its own unless one is given."""
+    """Make an environment; draw its seed unless one is given."""
     own = int(np.random.SeedSequence().generate_state(1)[0])
     env = make_env(**{"seed": own, **settings})
     if "observation" not in env.observation_spec:
-        raise ConfigurationError("the stack writes no `observation`, which Gymnasium needs")
+        raise ConfigurationError("Gymnasium needs an `observation`, but no transform writes it")
     return env
 
 
@@ -209,7 +208,7 @@ def _check_render_mode(mode: str | None, metadata: Info) -> None:
 
 
 def _spaces(env: StackEnv) -> tuple[spaces.Box, spaces.Box]:
-    """Spaces of the observation and the action of one robot."""
+    """Observation space and action space of one robot."""
     size = env.observation_spec["observation"].shape[-1]
     action = cast("Any", env.action_spec_unbatched.space)
     low, high = (np.asarray(bound, dtype=np.float32) for bound in (action.low, action.high))
@@ -236,7 +235,7 @@ def _act(state: TensorDictBase, action: np.ndarray) -> TensorDictBase:
 
 
 def _column(state: TensorDictBase, key: str) -> np.ndarray:
-    """(n,) of an entry (n, 1)."""
+    """(n,) numbers of an entry (n, 1)."""
     return cast("Tensor", state[key])[:, 0].detach().numpy().copy()
 
 
@@ -246,14 +245,14 @@ def _observation(state: TensorDictBase) -> np.ndarray:
 
 
 def _outcome(state: TensorDictBase) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(n,) rewards, terminations and truncations of a step."""
+    """(n,) rewards, terminated and truncated flags of a step."""
     terminated = _column(state, "terminated")
     truncated = _column(state, "truncated") if "truncated" in state else np.zeros_like(terminated)
     return _column(state, "reward"), terminated, truncated
 
 
 def _info(state: TensorDictBase) -> Info:
-    """(n,) commands and terms of the reward."""
+    """(n,) commands and reward terms."""
     info: Info = {"command": _column(state, "command")} if "command" in state else {}
     if "reward_terms" in state:
         terms = cast("TensorDictBase", state["reward_terms"])
@@ -273,11 +272,11 @@ def _configuration(state: TensorDictBase) -> np.ndarray:
     """(35,) configuration of the first robot.
 
     Raises:
-        ConfigurationError: there is none, before a reset or without a simulator.
+        ConfigurationError: it is unknown before a reset, and of robots that are not simulated.
     """
     qpos = state.get(("truth", "qpos"), None)
     if qpos is None:
-        raise ConfigurationError("pictures need ('truth', 'qpos'), of a simulated robot, reset")
+        raise ConfigurationError("render needs a simulated robot and a reset before")
     return qpos[0].numpy()
 
 

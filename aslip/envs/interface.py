@@ -1,4 +1,4 @@
-"""Interface between environments and policies: what is observed, and what an action means."""
+"""Interface between environment and policy: entries of the observation, baseline of the action."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
 def stack_name(env: StackEnv) -> str | None:
     """Name of the stack in `STACKS` with the same interface to a policy, or None.
 
-    The entries of the observation and their order, what the action is added to, and the motion of
-    the reference make a difference; rewards, ends of episodes, robots, sensors, and transforms that
-    write anything else do not.
+    Stacks differ if the entries of the observation, their order, the baseline of the action or the
+    motion of the reference differ. Rewards, ends of episodes, robots, sensors and other entries do
+    not matter.
     """
     keys = _observation_keys(env.transforms), baseline_key(env)
     if None in keys:
@@ -57,26 +57,26 @@ def stack_name(env: StackEnv) -> str | None:
 
 
 def baseline_key(env: StackEnv) -> NestedKey | None:
-    """Key of the angles that the action is added to.
+    """Key of the angles that the action is added to, its baseline.
 
-    None if there is no `ActionDelta`, or another transform changes actions as well.
+    None without an `ActionDelta`, or if another transform changes actions, too.
     """
     acting = [t for t in env.transforms if _changes_actions(t)]
     return _baseline_key(acting[0]) if len(acting) == 1 else None
 
 
 def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
-    """Check that observation and action of an environment are those a policy was trained with.
+    """Check that an environment has the observation and action that a policy was trained with.
 
     Args:
-        policy: what `aslip.load_policy` takes.
-        env: the environment.
+        policy: name or path, as `aslip.load_policy` takes it.
+        env: environment.
 
     Raises:
-        AssetError: there is no such policy.
-        FileDamagedError: it is truncated, altered, or no policy.
-        ConfigurationError: the observation's entries or their order differ, or the key of the
-            angles that the action is added to.
+        AssetError: the policy does not exist.
+        FileDamagedError: the file is truncated, altered or not a policy.
+        ConfigurationError: the entries of the observation, their order or the baseline of the
+            action differ.
     """
     card = read_card(policy)
     shown, key = entry_names(observation_keys(env)), baseline_key(env)
@@ -88,13 +88,13 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
     added_to = None if key is None else entry_names([key])[0]
     if card["baseline"] != added_to:
         raise ConfigurationError(
-            f"the policy {str(policy)!r} does not fit the environment: its action is to be added to"
-            f" {card['baseline']!r}, the environment adds it to {added_to!r}"
+            f"the policy {str(policy)!r} does not fit the environment: its action must be added to"
+            f" {card['baseline']!r}, but the environment adds it to {added_to!r}"
         )
 
 
 def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] | None:
-    """Keys of the observation's entries; None if not one `AssembleObservation` alone writes it."""
+    """Keys of the observation's entries; None unless one `AssembleObservation` alone writes it."""
     writing = [t for t in transforms if "observation" in t.out_keys]
     if len(writing) != 1 or not isinstance(writing[0], AssembleObservation):
         return None
@@ -108,7 +108,7 @@ def _changes_actions(transform: Transform) -> bool:
         return True
     if isinstance(transform, KeepKeys):
         return False
-    # TorchRL's own name the keys that they change; others need not
+    # transforms of TorchRL name the keys that they change, others may not
     owner = next(kind for kind in type(transform).__mro__ if "_inv_call" in vars(kind))
     return not owner.__module__.startswith("torchrl.")
 
@@ -121,16 +121,16 @@ def observation_keys(env: StackEnv) -> list[NestedKey]:
     """Keys of the entries of an environment's observation, in order.
 
     Raises:
-        ConfigurationError: no `AssembleObservation` makes one.
+        ConfigurationError: the stack has no `AssembleObservation`.
     """
     return list(_only(env, AssembleObservation).in_keys)
 
 
 def command_speeds(env: StackEnv) -> list[float]:
-    """Speeds that an environment may command [m/s], each once.
+    """Distinct speeds that an environment may command [m/s].
 
     Raises:
-        ConfigurationError: no `SpeedCommand` commands any.
+        ConfigurationError: the stack has no `SpeedCommand`.
     """
     speeds = _only(env, SpeedCommand).speeds.tolist()
     return list(dict.fromkeys(round(speed, 6) for speed in speeds))
@@ -139,8 +139,8 @@ def command_speeds(env: StackEnv) -> list[float]:
 def describe_transforms(env: StackEnv) -> dict[str, str]:
     """Transforms of an environment: name -> class and settings.
 
-    A function is described by its name and a hash of its code (`function_text`), any other value
-    without a short text by its class.
+    The text of a function is its name and a hash of its code (`function_text`); the text of a value
+    that has no short one is its class.
     """
     return {
         name: f"{type(t).__name__}({', '.join(_settings(t))})"
@@ -149,7 +149,7 @@ def describe_transforms(env: StackEnv) -> dict[str, str]:
 
 
 def _settings(transform: Transform) -> list[str]:
-    """Public attributes of a transform that TorchRL does not give to all."""
+    """Public attributes of a transform beyond those of TorchRL's `Transform`."""
     usual = vars(Transform())
     keys = {key: getattr(transform, key) for key in ("in_keys", "out_keys")}
     own = {
@@ -164,7 +164,7 @@ def _settings(transform: Transform) -> list[str]:
     return [f"{name}={_text(value)}" for name, value in sorted({**keys, **own}.items())]
 
 
-# what follows from others, or changes while a training goes on
+# attributes that follow from others, or change during a training
 _LEFT_OUT = ("generator", "next_keys", "root_keys")
 
 
@@ -188,17 +188,21 @@ Kind = TypeVar("Kind", bound=Transform)
 
 
 def _only(env: StackEnv, kind: type[Kind]) -> Kind:
-    """The first transform of a kind."""
+    """First transform of a class.
+
+    Raises:
+        ConfigurationError: the stack has none.
+    """
     for transform in env.transforms:
         if isinstance(transform, kind):
             return transform
     raise ConfigurationError(
-        f"the stack lacks a {kind.__name__}, or a subclass; it has {list(env.transform_names)}"
+        f"the stack lacks a {kind.__name__}; its transforms are {list(env.transform_names)}"
     )
 
 
 def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
-    """The reference's motion at some points of the stride, to compare motions."""
+    """Samples of the reference motion over the stride, to compare motions."""
     libraries = [t.library for t in transforms if isinstance(t, ReferenceInjection)]
     if not libraries:
         return []
@@ -210,15 +214,15 @@ def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
 
 
 def function_text(function: Callable[..., Any], text: Callable[[Any], str]) -> str:
-    """Name of a function and a hash of its code; the same in every process.
+    """Name of a function and hash of its code; the same in every process.
 
-    The hash covers the byte code, constants, names, default arguments and closure, but not the line
-    in the file. It differs between minor versions of Python, and does not follow calls: an edit of
-    a function that this one calls goes unnoticed.
+    The hash covers byte code, constants, names, default arguments and closure, but not the line in
+    the file. It differs between minor versions of Python. It does not cover other functions that
+    this one calls.
 
     Args:
-        function: a function, lambda, bound method or `functools.partial`.
-        text: tells what a bound value is, in the same words in every process.
+        function: function, lambda, bound method or `functools.partial`.
+        text: gives the text of a bound value, the same in every process.
     """
     if isinstance(function, partial):
         given = ", ".join([*map(text, function.args), text(function.keywords)])
@@ -232,9 +236,9 @@ def function_text(function: Callable[..., Any], text: Callable[[Any], str]) -> s
 def _named_hash(
     function: FunctionType, text: Callable[[Any], str], within: tuple[FunctionType, ...]
 ) -> str:
-    """Name and hash of a function; `within` are the functions it is bound in."""
+    """Name and hash of a function that the functions `within` have bound."""
     if function in within:
-        return function.__qualname__  # it refers to itself
+        return function.__qualname__  # recursion
     bound = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items()]
     told = [
         _named_hash(value, text, (*within, function))
@@ -247,7 +251,7 @@ def _named_hash(
 
 
 def _closure(function: FunctionType) -> Iterator[Any]:
-    """Values of a function's free variables; a variable not bound yet has none."""
+    """Values of a function's free variables that are bound."""
     for cell in function.__closure__ or ():
         with contextlib.suppress(ValueError):
             yield cell.cell_contents
@@ -261,7 +265,7 @@ def _code_parts(code: CodeType) -> Iterator[str]:
         if isinstance(constant, CodeType):
             yield from _code_parts(constant)
         elif isinstance(constant, frozenset):
-            # its order is that of hashes, which differ between processes
+            # the order of a set follows hashes, which differ between processes
             yield repr(sorted(map(repr, constant)))
         else:
             yield repr(constant)

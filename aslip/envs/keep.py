@@ -1,4 +1,4 @@
-"""Small transitions: only the entries that an algorithm reads."""
+"""Small transitions with only the entries that an algorithm reads."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from torchrl.data import Composite
 from aslip.transforms.base import SeededTransform
 
 HIDDEN = "_hidden"
-"""Group of the entries that are not kept. TorchRL's collectors carry groups with an underscore from
-step to step, and leave them out of the batches that they give."""
+"""Group of the hidden entries. As its name begins with an underscore, TorchRL's collectors carry it
+from step to step but leave it out of their batches."""
 
 
 class KeepKeys(SeededTransform):
     """Hide all entries but the named ones in the group `_hidden`; must be the last transform.
 
-    Before the next step the hidden entries are put back, so that other transforms find what they
-    remember. An entry that a caller writes in the meantime takes the place of the hidden one.
+    The next step puts the hidden entries back for the other transforms. An entry that the caller
+    has written since then replaces the hidden one.
 
     Args:
-        keep: entries or groups that stay where they are.
+        keep: entries or groups that stay visible.
     """
 
     def __init__(self, keep: Iterable[NestedKey]) -> None:
@@ -31,7 +31,7 @@ class KeepKeys(SeededTransform):
         self.keep = [unravel_key(key) for key in keep]
         kept = [key if isinstance(key, tuple) else (key,) for key in self.keep]
         self._kept = set(kept)
-        # groups that are kept in part
+        # groups of which a part is kept
         self._opened = {key[:depth] for key in kept for depth in range(len(key))}
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -47,7 +47,7 @@ class KeepKeys(SeededTransform):
     def _hidden_keys(
         self, entries: TensorDictBase | Composite, above: tuple[str, ...]
     ) -> list[tuple[str, ...]]:
-        """The fewest keys that cover all that is to be hidden."""
+        """Smallest set of keys that covers all entries to hide."""
         keys = []
         for name in map(str, entries.keys()):
             key = (*above, name)
@@ -58,7 +58,7 @@ class KeepKeys(SeededTransform):
         return keys
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Move the entries that are hidden."""
+        """Move the specs of the hidden entries to their group."""
         hidden = Composite(shape=observation_spec.shape)
         for key in self._hidden_keys(observation_spec, ()):
             hidden[key] = observation_spec[key]
@@ -67,7 +67,7 @@ class KeepKeys(SeededTransform):
         return observation_spec
 
 
-# written by the environment beside its observations
+# entries of the environment that are not observations
 _FLAGS = frozenset({"reward", "done", "terminated", "truncated"})
 
 

@@ -1,4 +1,4 @@
-"""A backend and a stack put together."""
+"""`make_env`: a simulator, or another robot, with a stack of transforms."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 
 MakeTransform = Transform | Callable[[], Transform]
-"""A transform, or something that makes it."""
+"""Transform, or function that makes it."""
 
 
 def make_env(
@@ -41,34 +41,35 @@ def make_env(
 ) -> StackEnv:
     """Make a TorchRL environment of n robots with a stack of transforms.
 
-    Losses that need the action's range take `env.action_spec_unbatched`, that of one robot. Given
-    `env.action_spec`, which is of all n, `SACLoss` aims at n times the entropy.
+    Give losses `env.action_spec_unbatched`, the spec of one robot. With `env.action_spec`, that of
+    all n robots, the target entropy of `SACLoss` is n times too large.
 
     Args:
-        backend: simulator, "batch" for training or "dm_control" as the reference; same keys and
-            same states.
+        backend: simulator: "batch" for training, or "dm_control" as the reference. Keys and states
+            are the same.
         num_envs: number of robots n, at most 65,536, or 1,024 with the "dm_control" backend; all
             tensors have it as their first dimension.
-        seed: seed of every random number, also inside transforms.
-        drop: names of transforms to leave out. Without some reward terms the largest reward is
-            smaller, while an episode still ends below 0.3: consider `LowReward` along with them.
-        replace: name -> transform, or something that makes it, to take the place of another.
-        stack: another stack altogether, or the name of one in `STACKS`.
-        reward_on: what the rewards of a stack given by name read, "truth" or "estimate".
-        library: gaits of a stack given by name; its own by default.
-        keep: entries of a transition that an algorithm reads beside action, reward, ends and
-            requests such as `command`, such as `["observation"]`; all by default. See `KeepKeys`.
-        base: `RobotEnv` in place of a simulator's, or a function of `num_envs` that makes it; see
-            `robot_stack` for robots that are no simulation.
+        seed: seed of all random numbers, those of transforms included.
+        drop: names of transforms to leave out. Without a reward term rewards are smaller, but
+            `LowReward` still ends episodes below 0.3: consider to drop or replace it, too.
+        replace: name of a transform in the stack -> transform, or function that makes it.
+        stack: stack, or the name of one in `STACKS`.
+        reward_on: state that rewards read, "truth" or "estimate"; for stacks given by name.
+        library: gait library, by default the stack's own; for stacks given by name.
+        keep: entries of the transitions, all by default. With `["observation"]` transitions are
+            small; action, reward, flags of ends and `command` always stay. See `KeepKeys`.
+        base: `RobotEnv` in place of a simulator, or function of `num_envs` that makes it; see
+            `robot_stack` for real robots and replayed logs.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.
-        timestep: of the batch backend's physics [s]: 0.0005, or 0.001 to train in half the time.
+        timestep: physics timestep of the batch backend [s]: 0.0005, or 0.001 to train in half
+            the time.
 
     Raises:
-        ConfigurationError: an invalid setting, settings that exclude each other, a transform of
-            another environment, or transforms in an order in which one has no effect.
-        UnknownNameError: there is no stack of that name, `drop` or `replace` names no transform of
-            the stack, or a transform reads what no other writes.
+        ConfigurationError: a setting is invalid, two settings exclude each other, or a transform
+            belongs to another environment or has no effect at its place.
+        UnknownNameError: a stack or transform of that name does not exist, or a transform reads an
+            entry that no other writes.
     """
     seed = check_seed(seed)
     chosen = edit_stack(_find_stack(stack, library, reward_on), drop, replace or {})
@@ -86,23 +87,23 @@ def make_env(
 
 
 def _hide_others(env: StackEnv, keep: list[NestedKey]) -> None:
-    """Hide all entries but those to keep and those that are asked for anyway.
+    """Hide all entries but `keep` and those that TorchRL requires.
 
     Raises:
-        UnknownNameError: there is no such entry.
+        UnknownNameError: an entry of `keep` does not exist.
     """
     spec = env.observation_spec
     known = set(spec.keys(True))
     for key in keep:
         if unravel_key(key) not in known:
             raise UnknownNameError.among("entry", key, sorted(map(str, known)))
-    # recurrent policies and collectors ask for the first step
+    # recurrent policies and collectors read is_init
     requested = [*env.state_spec.keys(True, True), *(key for key in ("is_init",) if key in spec)]
     env.append_transform(KeepKeys([*keep, *requested]))
 
 
 def _find_stack(stack: Stack | str, library: GaitLibrary | None, reward_on: RewardSource) -> Stack:
-    """A stack by its name; one that is no name as it is."""
+    """Stack of a name; a stack is returned as it is."""
     if reward_on not in get_args(RewardSource):
         raise ConfigurationError(
             f"reward_on must be one of {get_args(RewardSource)}, got {reward_on!r}"
@@ -113,8 +114,8 @@ def _find_stack(stack: Stack | str, library: GaitLibrary | None, reward_on: Rewa
         return STACKS[stack](library, reward_on)
     if library is not None or reward_on != "truth":
         raise ConfigurationError(
-            "library and reward_on are for a stack that is given by name; give them to what makes"
-            " the stack, such as default_stack(library, reward_on)"
+            "library and reward_on need a stack given by name; for another stack, pass them to the"
+            " function that makes it, such as default_stack(library, reward_on)"
         )
     return stack
 
@@ -130,7 +131,7 @@ def _make_simulator(
         )
     if timestep != CASSIE.physics_timestep:
         raise ConfigurationError(
-            f"the dm_control backend has a timestep of {CASSIE.physics_timestep} s,"
+            f"timestep of the dm_control backend must be {CASSIE.physics_timestep} s,"
             f" got {timestep!r}"
         )
     from aslip.envs import DmControlEnv  # dm_control takes half a second to import
@@ -141,18 +142,18 @@ def _make_simulator(
 def _make_robot(
     base: RobotEnv | Callable[..., RobotEnv], num_envs: int, simulator: Mapping[str, Any]
 ) -> RobotEnv:
-    """The robot environment that a caller gives or knows how to make.
+    """Robot environment of the caller.
 
     Raises:
-        ConfigurationError: it is none, has another number of robots, or settings of a simulator
-            are given beside it.
+        ConfigurationError: `base` is not a `RobotEnv` and makes none, has another number of robots,
+            or comes with settings of a simulator.
     """
     defaults = signature(make_env).parameters
     for name, value in simulator.items():
         if value != defaults[name].default:
             raise ConfigurationError(
-                f"{name} is for the simulators of this package; with base, give it to what makes"
-                " the base"
+                f"{name} is a setting of this package's simulators; with base, set it where base is"
+                " made"
             )
     robot = base if isinstance(base, EnvBase) else base(num_envs=num_envs)
     if not isinstance(robot, RobotEnv):
@@ -163,16 +164,16 @@ def _make_robot(
 
 
 def _make_transforms(stack: Mapping[str, MakeTransform]) -> dict[str, Transform]:
-    """The transforms of a stack.
+    """Make the transforms of a stack.
 
     Raises:
-        ConfigurationError: one belongs to another environment.
+        ConfigurationError: a transform belongs to another environment.
     """
     transforms = {name: t if isinstance(t, Transform) else t() for name, t in stack.items()}
     for name, transform in transforms.items():
         if transform.container is not None:
             raise ConfigurationError(
-                f"the transform {name!r} belongs to another environment; for several, give what"
-                f" makes one: a class, or lambda: {type(transform).__name__}(...)"
+                f"the transform {name!r} belongs to another environment; to use it in several, give"
+                f" a function that makes it, such as lambda: {type(transform).__name__}(...)"
             )
     return transforms

@@ -1,4 +1,4 @@
-"""Cassie with questions a walking task asks."""
+"""dm_control's physics of the robot, with the queries of a walking task."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ _INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
 
 
 class BipedPhysics(mujoco.Physics):
-    """The robot under motor position targets; every answer is a copy.
+    """Physics of the robot under motor targets; every query returns a copy.
 
-    The control signal is what the drive tracks: ten joint angles [rad]. Each substep of `step`
-    runs the PD loop and the motor limits of `aslip.sim`, as on the robot.
+    The control signal is the command of the drive, by default ten joint angles [rad]. Each substep
+    of `step` runs the PD loop and the motor limits of `aslip.sim`.
     """
 
     @classmethod
@@ -50,15 +50,15 @@ class BipedPhysics(mujoco.Physics):
         """Low level between the control signal and the motors."""
         self.sensors = Sensors(1, data.model.ptr)
         self.watched: np.ndarray | None = None
-        """(60, 83) every substep of the last policy period, as `aslip.sim.Simulations.watched`,
-        once `watch` was called."""
-        # ends with after_reset(), which reads the above
+        """(60, 83) substeps of the last policy period, as in `aslip.sim.Simulations.watched`; None
+        before `watch`."""
+        # calls after_reset(), which reads the attributes above
         super()._reload_from_data(data)
 
     def copy(self, share_model: bool = False) -> BipedPhysics:
-        """A physics in the same state, with the same motor target; see dm_control."""
+        """Copy of the physics in the same state and with the same motor target."""
         other = super().copy(share_model)
-        # MuJoCo's data are copied; a new physics has set the rest as after a reset
+        # dm_control copies MuJoCo's data only
         other._motor_target = self._motor_target.copy()
         other._ground_force = self._ground_force.copy()
         other.sensors, other._substep = deepcopy(self.sensors), self._substep
@@ -68,7 +68,7 @@ class BipedPhysics(mujoco.Physics):
     # ------------------------------------------------------------------ time
 
     def set_control(self, control: np.ndarray) -> None:
-        """Set the joint angles [rad] the drive tracks, (10,)."""
+        """Set the command of the drive, by default joint angles (10,) [rad]."""
         control = np.asarray(control, dtype=np.float64)
         if control.shape != self._motor_target.shape:
             expected = self._motor_target.shape
@@ -76,16 +76,16 @@ class BipedPhysics(mujoco.Physics):
         self._motor_target = control
 
     def use_drive(self, drive: MakeDrive) -> None:
-        """Put another low level between the control signal and the motors."""
+        """Replace the low level between control signal and motors."""
         self.drive = drive(1, CASSIE)
         self._motor_target = self.drive.initial_command(self.motor_position()[None])[0]
 
     def push(self, force: np.ndarray) -> None:
-        """Push the pelvis' origin with a force (3,) [N, world], until told otherwise."""
+        """Push the pelvis' origin with a force (3,) [N, world] until the next call."""
         self.data.xfrc_applied[self.indices.pelvis_body, :3] = force
 
     def watch(self, watched: bool = True) -> None:
-        """Keep every substep in `watched` from now on, or no more."""
+        """Start or stop to record every substep in `watched`."""
         shape = (CASSIE.substeps, watched_size(self.model.ptr))
         self.watched = np.zeros(shape) if watched else None
 
@@ -119,11 +119,11 @@ class BipedPhysics(mujoco.Physics):
         self._ground_force /= nstep
 
     def stand(self) -> None:
-        """Write the standing keyframe; call inside `reset_context`."""
+        """Set the standing keyframe; call inside `reset_context`."""
         mj.mj_resetDataKeyframe(self.model.ptr, self.data.ptr, self.model.ptr.key("standing").id)
 
     def after_reset(self) -> None:
-        """Recompute what follows from the state."""
+        """Recompute all quantities that follow from the state."""
         super().after_reset()
         self._motor_target = self.drive.initial_command(self.motor_position()[None])[0]
         self._ground_force = self.data.sensordata[self.indices.ground_force]
@@ -131,7 +131,7 @@ class BipedPhysics(mujoco.Physics):
         self.sensors.reset(np.zeros(1, dtype=int), *(array[None] for array in state))
         self._substep = 0
 
-    # ------------------------------------------------------------- questions
+    # --------------------------------------------------------------- queries
 
     def snapshot(self) -> Snapshot:
         """Copies of the arrays that `aslip.sim.true_state` reads."""
@@ -147,21 +147,21 @@ class BipedPhysics(mujoco.Physics):
         )
 
     def full_state(self) -> np.ndarray:
-        """(k,) all that the future depends on between policy periods; see `Simulations.states`."""
+        """(k,) complete state between policy periods; see `Simulations.states`."""
         physics = np.empty(mj.mj_stateSize(self.model.ptr, _INTEGRATION))
         mj.mj_getState(self.model.ptr, self.data.ptr, physics, _INTEGRATION)
         return np.concatenate([physics, self.sensors.memory()[0]])
 
     def set_full_state(self, state: np.ndarray) -> None:
-        """Write what `full_state` returned, of this or another physics of the same model.
+        """Restore what `full_state` returned, for this or another physics of the same model.
 
         Raises:
-            ShapeError: the state is of another model; nothing has been written then.
+            ShapeError: the state is of another model; the physics keeps its own.
         """
         size = mj.mj_stateSize(self.model.ptr, _INTEGRATION)
         state = check_states(state, (size + self.sensors.memory_size,))
         mj.mj_setState(self.model.ptr, self.data.ptr, state[:size], _INTEGRATION)
-        # dm_control's step begins with what the one before has computed of positions, velocities
+        # dm_control's step expects the position and velocity stages to be computed
         mj.mj_step1(self.model.ptr, self.data.ptr)
         self.sensors.set_memory(state[None, size:])
         self._substep = 0
@@ -171,7 +171,7 @@ class BipedPhysics(mujoco.Physics):
         return {name: window[0].copy() for name, window in self.sensors.packets().items()}
 
     def true_state(self) -> dict[str, np.ndarray]:
-        """All named quantities of `aslip.sim.true_state`."""
+        """Quantities of `aslip.sim.true_state` by name."""
         return true_state(self.snapshot(), self.indices)
 
     def pelvis_height(self) -> float:
@@ -206,10 +206,10 @@ class BipedPhysics(mujoco.Physics):
         return np.array(self.data.site_xpos[self.indices.foot_site[SIDES.index(side)]])
 
     def foot_orientation(self, side: Side) -> np.ndarray:
-        """Sole-to-world rotation, (4,) wxyz; identity when level with the toes along x."""
+        """Sole-to-world rotation (4,) wxyz; identity if the sole is level with the toes along x."""
         site = self.indices.foot_site[SIDES.index(side)]
         return matrix_to_quaternion(np.array(self.data.site_xmat[site]).reshape(3, 3))
 
     def ground_force(self, side: Side) -> np.ndarray:
-        """Force of the floor on one foot in the world, mean over the last step call, (3,) [N]."""
+        """Force of the floor on one foot, mean over the last call of `step`, (3,) [N, world]."""
         return self._ground_force[SIDES.index(side)].copy()

@@ -1,17 +1,17 @@
-"""The robot's seam: motor targets in, sensor packets out, and nothing else.
+"""Interface of robots: motor targets in, sensor packets out.
 
-A real robot, a replayed log and a simulator are all a `RobotEnv`. Keys, for n robots (shapes omit
-the leading n):
+A real robot, a replayed log and a simulator are each a `RobotEnv`. Keys for n robots, with shapes
+that omit the leading n:
 
 | key | shape | meaning |
 |---|---|---|
 | `motor_target` | 10 | action: joint angles that PD loops track for 30 ms [rad] |
 | `("sensors", name)` | W, k | packets of the last policy period, oldest first |
-| `reward` | 1 | zero: rewards are transforms |
-| `terminated`, `done` | 1 | the robot has stopped; all other ends are transforms |
+| `reward` | 1 | zero; transforms write rewards |
+| `terminated`, `done` | 1 | the robot has stopped; transforms set all other ends |
 
-Names and sizes of the packets are those of `robot.packet_sizes`. `SimulatedEnv` adds the
-simulator's truth, and what only a simulator can do.
+`Robot.packet_sizes` has the names and sizes k of a packet's entries, `Robot.sensor_window` the
+number W of packets. `SimulatedEnv` adds the true state, pushes and dynamics.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from aslip.robot import CASSIE, Robot
 
 
 class RobotEnv(EnvBase):
-    """N robots under motor targets; see the module for the keys.
+    """N robots that track motor targets; the module lists the keys.
 
-    A subclass gives three methods: `track`, `restart` and `packets`. `make_env(base=...)` puts a
-    stack of transforms around it.
+    A subclass implements `track`, `restart` and `packets`. `make_env(base=...)` puts a stack of
+    transforms around it.
 
     Args:
         num_envs: number of robots.
-        robot: which robot they are.
-        command_size: numbers in `motor_target`; one a motor by default.
+        robot: robot model, `CASSIE` by default.
+        command_size: size of a robot's `motor_target`; the number of motors by default.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class RobotEnv(EnvBase):
         super().__init__(device="cpu", batch_size=torch.Size([num_envs]))
         self.robot = robot
         self.command_size = len(robot.motor_names) if command_size is None else command_size
-        """Numbers in a robot's `motor_target`."""
+        """Size of a robot's `motor_target`."""
         self._set_specs()
 
     @property
@@ -57,7 +57,7 @@ class RobotEnv(EnvBase):
         """Number of robots."""
         return self.batch_size[0]
 
-    # ---------------------------------------------------- what a robot gives
+    # ------------------------------------------------- methods of a subclass
 
     @abstractmethod
     def track(self, motor_target: np.ndarray) -> np.ndarray:
@@ -67,12 +67,12 @@ class RobotEnv(EnvBase):
             motor_target: (n, 10) [rad].
 
         Returns:
-            (n,) bool: the robot has stopped, and its episode ends.
+            (n,) bool, True for a robot that has stopped, which ends its episode.
         """
 
     @abstractmethod
     def restart(self, robots: np.ndarray) -> None:
-        """Begin new episodes of some robots.
+        """Start new episodes of some robots.
 
         Args:
             robots: (k,) sorted indices.
@@ -80,7 +80,7 @@ class RobotEnv(EnvBase):
 
     @abstractmethod
     def packets(self) -> Mapping[str, np.ndarray]:
-        """Packets of the last policy period, (n, W, k) each, by the names of `packet_sizes`."""
+        """Packets of the last policy period: name of an entry -> (n, W, k)."""
 
     # ---------------------------------------------------------------- EnvBase
 
@@ -112,10 +112,10 @@ class RobotEnv(EnvBase):
         return self._start()
 
     def _set_seed(self, seed: int | None) -> None:
-        """Do nothing: robots draw no numbers, and transforms have their own generators."""
+        """Do nothing: only transforms draw random numbers."""
 
     def _robots_to_reset(self, tensordict: TensorDictBase | None) -> np.ndarray:
-        """(k,) indices of the robots that the mask of a reset names; all without one."""
+        """(k,) indices of the robots that the mask `_reset` names; all without a mask."""
         mask = None if tensordict is None else tensordict.get("_reset", None)
         return np.arange(self.num_envs) if mask is None else np.flatnonzero(mask.numpy())
 
@@ -123,7 +123,7 @@ class RobotEnv(EnvBase):
         """(n, 10) motor targets in double precision.
 
         Raises:
-            ShapeError: wrong shape.
+            ShapeError: `motor_target` has the wrong shape.
         """
         target = cast("Tensor", tensordict["motor_target"])
         expected = (*self.batch_size, self.command_size)
@@ -150,10 +150,10 @@ class RobotEnv(EnvBase):
         return TensorDict(self._observation(nobody), batch_size=self.batch_size)
 
     def _observation(self, stopped: np.ndarray) -> dict[str, dict[str, Tensor]]:
-        """Groups of entries that the environment observes.
+        """Groups of the observed entries.
 
         Raises:
-            ShapeError: `packets` lacks a sensor, or gives one in the wrong shape.
+            ShapeError: `packets` lacks an entry or returns one of the wrong shape.
         """
         del stopped
         sensors, packets = {}, self.packets()
@@ -167,24 +167,24 @@ class RobotEnv(EnvBase):
         return {"sensors": sensors}
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse to be copied or pickled: TorchRL's processes take what makes an environment.
+        """Refuse to be copied or pickled: TorchRL's processes take a function that makes one.
 
         Raises:
             ConfigurationError: always.
         """
         raise ConfigurationError(
             "an environment is a running robot or simulation and cannot be copied or pickled; give"
-            " what makes it, such as functools.partial(aslip.make_env, num_envs="
-            f"{self.batch_size.numel()}), to ParallelEnv, EnvCreator and collectors"
+            " ParallelEnv, EnvCreator and collectors a function that makes it, such as"
+            f" functools.partial(aslip.make_env, num_envs={self.batch_size.numel()})"
         )
 
 
 def _refuse_requests(tensordict: TensorDictBase | None, keys: Sequence[str]) -> None:
-    """Check that nothing is asked for that only a simulation can do.
+    """Refuse entries that only a simulation can obey.
 
     Raises:
-        ConfigurationError: a tensordict has one of the keys.
+        ConfigurationError: the tensordict has one of the keys.
     """
     for key in keys:
         if tensordict is not None and key in tensordict:
-            raise ConfigurationError(f"{key!r} is for simulated robots; take it out")
+            raise ConfigurationError(f"{key!r} is for simulated robots; remove it")

@@ -1,26 +1,26 @@
-"""Simulated robots: what both simulators share.
+"""Simulated robots: base class of both simulators.
 
-Keys beside those of `RobotEnv`, for n robots (shapes omit the leading n):
+Keys in addition to those of `RobotEnv`, for n robots, with shapes that omit the leading n:
 
 | key | shape | meaning |
 |---|---|---|
-| `push` | 3 | optional input: force on the pelvis for these 30 ms [N, world] |
+| `push` | 3 | optional input: force on the pelvis during this policy step [N, world] |
 | `("truth", ...)` | | see `aslip.sim.true_state`; `qpos` and `qvel` are doubles |
-| `("truth", "diverged")` | 1 | the simulation diverged in this policy step and stands now |
-| `("truth", "slope")` | 1 | rise of the floor along the world's x [rad], of `aslip.sim.DYNAMICS` |
+| `("truth", "diverged")` | 1 | the simulation diverged in this policy step; the robot stands now |
+| `("truth", "slope")` | 1 | rise of the floor along the world's x [rad], see `aslip.sim.DYNAMICS` |
 | `terminated`, `done` | 1 | the simulation diverged |
 
-A reset may carry `("initial", "qpos")` (35) and `("initial", "qvel")` (32); without them the robot
-stands, or starts where a stack's `ReferenceStart` puts it. It may also carry `("dynamics", name)`
-(1) with parameters of `aslip.sim.DYNAMICS`; a robot keeps those that neither the caller gives nor a
-stack's `RandomDynamics` draws. They are no part of `state_spec`, whose entries TorchRL expects in
-every step, too, so that TorchRL's own wrappers, such as `SerialEnv`, do not hand them on.
+A reset request may have the initial state, `("initial", "qpos")` (35) and `("initial", "qvel")`
+(32); by default the robot stands, or starts where the stack's `ReferenceStart` puts it. It may also
+have parameters of `aslip.sim.DYNAMICS`, `("dynamics", name)` (1); all others keep their values, or
+are drawn by the stack's `RandomDynamics`. These entries are not in `state_spec`, because TorchRL
+would require them in every step; wrappers of TorchRL, such as `SerialEnv`, drop them.
 
-A NaN target makes that one simulation diverge; it does not touch the others. TorchRL carries keys
-that no one writes from step to step, so whoever sets `push` takes it out again.
+A NaN target makes its simulation diverge and no other. TorchRL carries `push` from step to step:
+remove it when the push ends.
 
-Beside the keys there are `dynamics`, `weight` and `set_dynamics`, and for logs and replay `states`,
-`set_states` and `watch`.
+Beyond the keys, `dynamics`, `weight` and `set_dynamics` concern the dynamics, and `states`,
+`set_states` and `watch` serve logs and replay.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
 
-# the exact state, for logs and replay; all else is for networks
+# kept in double precision, for logs and replay
 _DOUBLE = ("qpos", "qvel")
 
 
 class SimulatedEnv(RobotEnv):
-    """N simulated robots under motor targets; see the module for the keys.
+    """N simulated robots that track motor targets; the module lists the keys.
 
     Args:
         num_envs: number of robots.
-        robot: the robot.
-        command_size: numbers in `motor_target`; one a motor by default.
-        drive: low level that `motor_target` commands.
+        robot: robot model, `CASSIE` by default.
+        command_size: size of a robot's `motor_target`; the number of motors by default.
+        drive: low level that takes `motor_target`.
     """
 
     def __init__(
@@ -66,33 +66,33 @@ class SimulatedEnv(RobotEnv):
         drive: MakeDrive = PD,
     ) -> None:
         self.make_drive = drive
-        """Low level that `motor_target` commands."""
+        """Low level that takes `motor_target`."""
         self.indices = robot.indices
         self.divergences = 0
-        """Simulations that diverged, and were put back on their feet, since construction."""
+        """Number of simulations that diverged and were reset since construction."""
         self._dynamics = Dynamics(num_envs, self.model, robot)
         self.altered = False
-        """A robot has had other dynamics than `model`."""
+        """True once a robot has had other dynamics than `model`."""
         super().__init__(num_envs, robot, command_size)
 
-    # ----------------------------------------------- what a simulator gives
+    # --------------------------------------------- methods of a simulator
 
     @abstractmethod
     def _advance(self, motor_target: np.ndarray, push: np.ndarray | None) -> np.ndarray:
-        """Run one policy period; return (n,) bool, who diverged.
+        """Run one policy period; return (n,) bool, True where a simulation diverged.
 
         Args:
             motor_target: (n, 10) [rad].
-            push: (n, 3) forces on the pelvis [N, world], or none.
+            push: (n, 3) forces on the pelvis [N, world], or None.
         """
 
     @abstractmethod
     def _restart(self, ids: np.ndarray, qpos: np.ndarray | None, qvel: np.ndarray | None) -> None:
-        """Restart (k,) simulations at (k, 35) and (k, 32), or standing."""
+        """Restart (k,) simulations at `qpos` (k, 35) and `qvel` (k, 32), by default standing."""
 
     @abstractmethod
     def _snapshot(self) -> Snapshot:
-        """The arrays of all simulations, leading shape (n,)."""
+        """MuJoCo's arrays of all simulations, leading shape (n,)."""
 
     @abstractmethod
     def _write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
@@ -100,35 +100,36 @@ class SimulatedEnv(RobotEnv):
 
     @abstractmethod
     def _lengthen_memory(self, delay: float) -> None:
-        """Replace `model` and all simulations by ones that can delay commands for so long [s]."""
+        """Replace `model` and all simulations by ones that can delay commands by `delay` [s]."""
 
     @property
     @abstractmethod
     def model(self) -> mujoco.MjModel:
-        """The robots' model, as it is without `set_dynamics`."""
+        """Model of the robots, without changes by `set_dynamics`."""
 
     @abstractmethod
     def states(self) -> np.ndarray:
-        """(n, k) copy of all that the simulations' future depends on, between policy steps.
+        """(n, k) copy of the complete states of the simulations, between policy steps.
 
-        `mjSTATE_INTEGRATION` first, then the sensors' memory; the same for both backends. What
-        transforms remember travels in the tensordict.
+        A row is `mjSTATE_INTEGRATION` followed by the memory of the sensors, in both simulators.
+        States of transforms are in the tensordict.
         """
 
     @abstractmethod
     def set_states(self, states: np.ndarray) -> None:
-        """Write what `states` returned, of this or another environment of the same model.
+        """Restore what `states` returned, for this or another environment of the same model.
 
         Raises:
-            ShapeError: the states are of another number or model; nothing has been written then.
+            ShapeError: the states have another number of robots or another model; all simulations
+                keep theirs.
         """
 
     @abstractmethod
     def watch(self, index: int | None) -> None:
-        """Keep every substep of one robot in `watched` from now on; None for none.
+        """Record every substep of one robot in `watched` from now on; None stops it.
 
         Raises:
-            ConfigurationError: there is no such robot.
+            ConfigurationError: the robot does not exist.
         """
 
     @property
@@ -145,25 +146,25 @@ class SimulatedEnv(RobotEnv):
 
     @property
     def weight(self) -> np.ndarray:
-        """(n,) force that carries each robot as it is, its mass, payload and slope counted [N]."""
+        """(n,) weight of each robot normal to the floor [N], with mass, payload and slope."""
         fields = self._dynamics.fields(np.arange(self.num_envs), ("mass", "payload", "slope"))
         return -fields["body_mass"].sum(axis=1) * fields["opt.gravity"][:, 2]
 
     def set_dynamics(self, values: Mapping[str, ArrayLike], ids: np.ndarray | None = None) -> None:
-        """Give robots other dynamics, from the next physics step on and through resets.
+        """Change the dynamics of robots from the next physics step on, also after resets.
 
-        `states` does not hold them. A torque delay beyond the model's memory of commands, 4 ms, has
-        all simulations moved to a model with a longer one; `states` are longer from then on.
+        `states` does not contain them. For a torque delay above 4 ms the model needs a longer
+        memory of commands: all simulations move to such a model, and `states` grow.
 
         Args:
-            values: parameter of `aslip.sim.DYNAMICS` -> one value, or one a robot.
-            ids: (k,) the robots, sorted and unique; all by default.
+            values: parameter of `aslip.sim.DYNAMICS` -> one value, or one per robot.
+            ids: (k,) robots, sorted and unique; all by default.
 
         Raises:
-            UnknownNameError: there is no such parameter.
-            ShapeError: not one value a robot.
-            ConfigurationError: there is no such robot; or a value is outside the limits, and
-                nothing has been changed then.
+            UnknownNameError: a parameter does not exist.
+            ShapeError: the number of values is neither one nor k.
+            ConfigurationError: a robot does not exist or a value is outside its limits; all
+                dynamics stay as they are.
         """
         everyone = np.arange(self.num_envs)
         robots = everyone if ids is None else check_ids(ids, self.num_envs)
@@ -187,7 +188,7 @@ class SimulatedEnv(RobotEnv):
         return self._advance(motor_target, None)
 
     def restart(self, robots: np.ndarray) -> None:
-        """Put robots on their feet; see `RobotEnv.restart`."""
+        """Reset robots to standing; see `RobotEnv.restart`."""
         self._restart(robots, None, None)
 
     def _observation_specs(self) -> dict[str, TensorSpec]:
@@ -222,11 +223,11 @@ class SimulatedEnv(RobotEnv):
         return self._start()
 
     def _checked_push(self, push: Tensor) -> np.ndarray:
-        """Forces on all robots, if they are such.
+        """(n, 3) forces on the pelvis in double precision.
 
         Raises:
-            ShapeError: wrong shape.
-            ConfigurationError: not finite.
+            ShapeError: `push` has the wrong shape.
+            ConfigurationError: a force is not finite.
         """
         expected = (*self.batch_size, 3)
         if tuple(push.shape) != expected:
@@ -236,11 +237,11 @@ class SimulatedEnv(RobotEnv):
         return push.detach().double().numpy()
 
     def _checked_initial(self, name: str, value: Tensor) -> np.ndarray:
-        """Initial positions or velocities of all robots, if they are such.
+        """Initial `qpos` or `qvel` of all robots in double precision.
 
         Raises:
-            ShapeError: wrong shape.
-            ConfigurationError: not finite.
+            ShapeError: the value has the wrong shape.
+            ConfigurationError: a number is not finite.
         """
         expected = tuple(self.observation_spec["truth", name].shape)
         if tuple(value.shape) != expected:
@@ -251,10 +252,10 @@ class SimulatedEnv(RobotEnv):
         return value.double().numpy()
 
     def _requested_dynamics(self, tensordict: TensorDictBase, rows: np.ndarray) -> dict[str, Any]:
-        """Values (k,) that a reset asks for.
+        """Parameter -> values (k,) of a reset request.
 
         Raises:
-            ShapeError: wrong shape.
+            ShapeError: values have the wrong shape.
         """
         expected = (*self.batch_size, 1)
         values = {}
@@ -278,10 +279,10 @@ class SimulatedEnv(RobotEnv):
 
 
 def reset_request(tensordict: TensorDictBase, group: str) -> dict[str, Tensor]:
-    """Entries of a reset's request under one key, "initial" or "dynamics", by their names.
+    """Entries of a group of a reset request, "initial" or "dynamics", by name.
 
     Raises:
-        ShapeError: what stands there is not a tensordict.
+        ShapeError: the group is not a tensordict.
     """
     entries = tensordict.get(group, None)
     if entries is None:

@@ -1,4 +1,4 @@
-"""An environment whose transforms have names, and whose seed reaches them."""
+"""Environment with named and seeded transforms."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ from aslip.transforms.base import require_keys
 
 
 class StackEnv(TransformedEnv):
-    """A transformed environment whose transforms have names, and whose seed reaches them.
+    """Transformed environment with named transforms, which `set_seed` seeds, too.
 
     Args:
-        env: the environment.
+        env: environment of the robots.
         transforms: name -> transform, first to last.
     """
 
-    # in most stacks; else another RobotEnv
+    # most often; a RobotEnv in general
     base_env: SimulatedEnv
 
-    # of this environment's own specs; TransformedEnv's, in an environment around this one, is
-    # mistaken for one that an environment of its own kind has overwritten, and refused
+    # EnvBase's reads the specs of this environment; TransformedEnv's fails if another environment
+    # wraps this one
     rand_action = EnvBase.rand_action
 
     __reduce_ex__ = RobotEnv.__reduce_ex__
@@ -63,7 +63,7 @@ class StackEnv(TransformedEnv):
         for transform in transforms.values():
             _check_foreign(transform, env)
         self.seed: int | None = None
-        """The last seed that was set."""
+        """Seed of the last call of `set_seed`."""
 
     @property
     def transforms(self) -> list[Transform]:
@@ -72,20 +72,20 @@ class StackEnv(TransformedEnv):
 
     @EnvBase.action_spec.setter
     def action_spec(self, value: TensorSpec) -> None:
-        """Refused: specs follow from the transforms, and the next one added would undo it."""
+        """Refuse to set the spec: it follows from the transforms."""
         raise ConfigurationError(
-            f"the action spec follows from the transforms, so {type(value).__name__} cannot be set;"
-            ' make_env(replace={"action": ActionDelta(limit=...)}) bounds it, with the baseline_key'
-            " of the stack's own"
+            f"the action spec follows from the transforms and cannot be {type(value).__name__};"
+            ' bound it with make_env(replace={"action": ActionDelta(limit=...)}) and the stack\'s'
+            " own baseline_key"
         )
 
     def append_transform(
         self, transform: Transform | Callable[[TensorDictBase], TensorDictBase]
     ) -> TransformedEnv:
-        """Add a transform at the end; it is named after its class.
+        """Add a transform at the end, named after its class.
 
         Raises:
-            ConfigurationError: the transform is one of TorchRL's that does not work in a stack.
+            ConfigurationError: the transform does not work in a stack.
         """
         _check_foreign(transform, self)
         before = self.transforms
@@ -93,10 +93,10 @@ class StackEnv(TransformedEnv):
         return self._renamed(before)
 
     def insert_transform(self, index: int, transform: Transform) -> TransformedEnv:
-        """Add a transform in front of another; it is named after its class.
+        """Add a transform before another, named after its class.
 
         Raises:
-            ConfigurationError: the transform is one of TorchRL's that does not work in a stack.
+            ConfigurationError: the transform does not work in a stack.
         """
         _check_foreign(transform, self)
         before = self.transforms
@@ -104,7 +104,7 @@ class StackEnv(TransformedEnv):
         return self._renamed(before)
 
     def _renamed(self, before: list[Transform]) -> TransformedEnv:
-        """This environment, with names for transforms that were not there `before`."""
+        """Name the transforms that are not in `before`; return this environment."""
         known = {id(t): name for name, t in zip(self.transform_names, before, strict=True)}
         names: list[str] = []
         for transform in self.transforms:
@@ -119,13 +119,13 @@ class StackEnv(TransformedEnv):
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         if kwargs:
             raise ConfigurationError(
-                f"reset takes no keyword {', '.join(kwargs)}; to choose commands or phases, give it"
-                " TensorDict(command=..., batch_size=...) with one number a robot, (n, 1)"
+                f"reset takes no keyword {', '.join(kwargs)}; to choose commands or phases, call it"
+                " with TensorDict(command=..., batch_size=...) with one number per robot, (n, 1)"
             )
-        # transforms that draw need the number of robots, and asking TorchRL for it is slow
+        # random transforms need the number of robots, which is slow to ask TorchRL for
         if tensordict is None:
             tensordict = TensorDict(batch_size=self.batch_size)
-        # as TorchRL's, which would hand on nothing but the mask and what state_spec declares
+        # TransformedEnv._reset, but with initial states and dynamics, which are not in state_spec
         state_keys = self.state_spec.keys(True, True)
         request = tensordict.select(
             *self.reset_keys, *state_keys, *_chosen(tensordict), strict=False
@@ -138,10 +138,10 @@ class StackEnv(TransformedEnv):
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the environment, and every transform by its name.
 
-        A transform thus draws the same numbers whichever others are dropped or replaced.
+        A transform thus draws the same numbers whatever other transforms the stack has.
 
         Raises:
-            ConfigurationError: the seed is not a whole number of at least 0.
+            ConfigurationError: the seed is not a whole number of 0 or more.
         """
         if seed is not None:
             self.seed = seed = check_seed(seed)
@@ -153,10 +153,9 @@ class StackEnv(TransformedEnv):
 
 
 def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
-    """Keys with which the caller of a reset chooses starts and dynamics.
+    """Keys of the initial states and dynamics that the caller of a reset chooses.
 
-    A request that names robots to reset is a tensordict of the episode that ends, and what it holds
-    is old, not chosen.
+    A request with a mask `_reset` chooses none: it is the tensordict of the episode that ends.
     """
     if "_reset" in tensordict:
         return []
@@ -165,19 +164,19 @@ def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
 
 
 def _check_foreign(transform: object, env: EnvBase) -> None:
-    """Check that a transform of TorchRL's works with what the stack carries in the tensordict.
+    """Refuse transforms of TorchRL that do not work in a stack.
 
     Args:
-        transform: the transform, ours or another.
-        env: what it is added to.
+        transform: any transform.
+        env: environment that it is added to.
 
     Raises:
-        ConfigurationError: it does not; the message names what does.
+        ConfigurationError: the transform does not work; the message names an alternative.
     """
     if isinstance(transform, FrameSkipTransform):
         raise ConfigurationError(
-            "FrameSkipTransform repeats a step from the same tensordict: the robot would move"
-            f" {transform.frame_skip} policy steps, clock and estimator one; call env.step again"
+            "FrameSkipTransform repeats a step from the same tensordict: the robot would advance by"
+            f" {transform.frame_skip} policy steps, clock and estimator by one; call env.step again"
             " with the same action instead"
         )
     if isinstance(transform, ExcludeTransform):
@@ -185,34 +184,34 @@ def _check_foreign(transform: object, env: EnvBase) -> None:
         for key in transform.excluded_keys:
             if isinstance(spec.get(key, None), Composite):
                 raise ConfigurationError(
-                    f"ExcludeTransform takes single entries, and {key!r} is a group; for all of"
-                    f" them: ExcludeTransform(*{_entries(key, spec)})"
+                    f"ExcludeTransform cannot exclude the group {key!r}; exclude its entries:"
+                    f" ExcludeTransform(*{_entries(key, spec)})"
                 )
 
 
 def _entries(group: NestedKey, spec: Composite) -> list[NestedKey]:
-    """Full keys of what is in a group."""
+    """Full keys of the entries of a group."""
     parents = (group,) if isinstance(group, str) else group
     inside = spec[group].keys(True, True)
     return [(*parents, *((key,) if isinstance(key, str) else key)) for key in inside]
 
 
 def check_seed(seed: object) -> int:
-    """A seed as a Python number, NumPy's included.
+    """Seed as a Python number; whole numbers of NumPy are seeds, too.
 
     Raises:
-        ConfigurationError: the seed is not a whole number of at least 0.
+        ConfigurationError: the seed is not a whole number of 0 or more.
     """
     return check_count("seed", seed, least=0)
 
 
 def check_wiring(env: StackEnv) -> None:
-    """Check that what reward terms and the action read is there, before the first step needs it.
+    """Check the order of the transforms and the entries that they read.
 
     Raises:
-        ConfigurationError: a transform needs a simulation and the robot is none, or it is in a
-            place where it has no effect.
-        UnknownNameError: a transform reads what no other writes.
+        ConfigurationError: a transform needs a simulated robot and this one is not, or has no
+            effect at its place.
+        UnknownNameError: a transform reads an entry that no other writes.
     """
     _check_simulation(env)
     available = env.full_observation_spec.clone()
@@ -224,27 +223,26 @@ def check_wiring(env: StackEnv) -> None:
     for name, transform in zip(env.transform_names, env.transforms, strict=True):
         if isinstance(transform, RewardTerm) and summed:
             raise ConfigurationError(
-                f"the reward term {transform.out_keys[0][-1]!r} comes after the sum and would not"
-                ' count; insert_before(stack, "reward", ...) puts it in its place'
+                f"the reward term {transform.out_keys[0][-1]!r} comes after the sum, which would"
+                ' miss it; insert it with insert_before(stack, "reward", ...)'
             )
         if getattr(transform, "must_be_last", False) and transform is not env.transforms[-1]:
             raise ConfigurationError(
-                f"{name!r} must be the last transform, or what later ones write is not in its log;"
-                f" the last one is {env.transform_names[-1]!r}"
+                f"{name!r} must be the last transform, or its log misses the entries of later ones;"
+                f" the last transform is {env.transform_names[-1]!r}"
             )
-        # a sum of nothing is right where there is no reward; an end of all episodes is not
+        # without any reward the sums are zero, which is right, but LowReward would end all episodes
         reads = isinstance(transform, LowReward) or (
             isinstance(transform, EpisodeSum | RewardSum) and ever_rewarded
         )
         if reads and not rewarded:
             raise ConfigurationError(
-                f"no transform before {name!r} writes the reward that it reads; without one, drop"
-                " it, too"
+                f"{name!r} reads a reward that no transform before it writes; drop it, too"
             )
         if isinstance(transform, ObservationNoise) and sensed:
             raise ConfigurationError(
-                f"{name!r} comes after what reads the sensors and would have no effect;"
-                ' insert_before(stack, "estimator", ...) puts it in its place'
+                f"{name!r} comes after the estimator and would have no effect; insert it with"
+                ' insert_before(stack, "estimator", ...)'
             )
         summed |= isinstance(transform, WeightedReward)
         rewarded |= "reward" in transform.out_keys
@@ -254,10 +252,10 @@ def check_wiring(env: StackEnv) -> None:
 
 
 def _check_simulation(env: StackEnv) -> None:
-    """Check that a robot which is no simulation has no transforms that need one.
+    """Refuse transforms that need a simulated robot around one that is not.
 
     Raises:
-        ConfigurationError: it has; the message names an entry that is missing.
+        ConfigurationError: a transform reads the truth, or chooses initial states or dynamics.
     """
     if isinstance(env.base_env, SimulatedEnv):
         return
@@ -272,6 +270,6 @@ def _check_simulation(env: StackEnv) -> None:
             continue
         raise ConfigurationError(
             f"{name!r} ({type(transform).__name__}) {lacks}, which"
-            f" {type(env.base_env).__name__} does not have; stack=robot_stack() leaves out all"
-            " transforms that need a simulation"
+            f" {type(env.base_env).__name__} does not have; stack=robot_stack() has no transforms"
+            " that need a simulation"
         )

@@ -44,32 +44,31 @@ from aslip.transforms import (
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.transforms.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 
-# entries of one name in one frame, the robot's heading frame
+# groups with the same entries in the same frame, the robot's heading frame
 _REWARD_SOURCES: Final[Mapping[RewardSource, str]] = MappingProxyType(
     {"truth": "true_odometry", "estimate": "odometry"}
 )
 
 Stack = dict[str, Callable[[], Transform]]
-"""Name -> what makes a transform, first to last."""
+"""Name -> function that makes a transform, first to last."""
 
 MAX_EPISODE_STEPS = 400
 """Policy steps of an episode, 12 s (Sec. IV-B)."""
 
 EPISODE_ENDS: Final = ("low_reward", "step_limit")
-"""Transforms that end training episodes though nobody fell; to watch a robot, leave them out."""
+"""Transforms that end episodes without a fall; drop them to evaluate a policy."""
 
 ON_TRUTH: Final[Mapping[str, Any]] = MappingProxyType(
     {"drop": ("noise",), "replace": {"estimator": TrueState}}
 )
-"""What to tell `make_env` for a policy that sees the simulator's truth instead of an estimate."""
+"""Arguments of `make_env` for policies on the true state instead of an estimate."""
 
 
 def reward_terms(reward_on: RewardSource = "truth") -> Stack:
-    """The paper's five reward terms, by their names there (Sec. IV-B).
+    """Five reward terms of the paper, by its names (Sec. IV-B).
 
     Args:
-        reward_on: where pelvis and feet are taken from, the simulator's truth or the odometry of
-            the state estimator.
+        reward_on: source of pelvis and feet: the simulator's truth or the estimator's odometry.
     """
     source = _REWARD_SOURCES[reward_on]
 
@@ -97,20 +96,18 @@ def reward_terms(reward_on: RewardSource = "truth") -> Stack:
 
 
 def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
-    """The default stack in order: name -> what makes the transform.
+    """Default stack in order: name -> function that makes the transform.
 
-    The paper's, but for motor targets that make up for load and damping (`Feedforward`), with which
-    learning to walk takes a fraction of the samples; see `paper_stack`.
+    It is the paper's stack with a feedforward torque that compensates load and damping
+    (`Feedforward`), which makes learning several times more sample-efficient; see `paper_stack`.
 
-    The policy never sees the truth: its input is what a state estimator makes of noisy sensors.
-    A collector's `max_frames_per_traj` counts on its own; with it, drop `step_limit`.
-
-    Rewards read the truth, as usual when training in simulation, where the simulator knows what a
-    robot could only guess; with `reward_on="estimate"` they read the estimator's odometry instead.
+    The policy never observes the true state, but an estimate from noisy sensors. Rewards read the
+    true state, a privileged input, or with `reward_on="estimate"` the estimator's odometry. Drop
+    `step_limit` if a collector limits episodes by `max_frames_per_traj`.
 
     Args:
-        library: the gaits; the shipped ones by default.
-        reward_on: what pelvis and feet are taken from.
+        library: gait library, the shipped one by default.
+        reward_on: source of pelvis and feet in the rewards.
     """
     library = _shipped() if library is None else library
     return {
@@ -136,10 +133,10 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
 
 
 def paper_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
-    """The paper's own stack: actions are added to the reference's angles as they are."""
+    """Stack of the paper: actions are added to the motor angles of the reference."""
     stack = default_stack(library, reward_on)
     del stack["feedforward"]
-    # the delta also makes up for how far PD loops lag behind: 1.8 rad with the shipped baseline
+    # the action must also make up for the lag of the PD loops: 1.8 rad with the shipped baseline
     stack["action"] = lambda: ActionDelta(limit=2.0)
     return stack
 
@@ -147,15 +144,15 @@ def paper_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "t
 def single_reference_stack(
     library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
 ) -> Stack:
-    """The paper's baseline in order: the method of Xie et al. 2018 on our robot and sensors.
+    """Stack of the paper's baseline: the method of Xie et al. 2018 on our robot and sensors.
 
-    One motion in joint space is the reference at every speed, only its forward way is stretched by
-    the command; the policy sees clock and speed instead of a reduced-order model.
+    One motion in joint space is the reference at every speed; the command scales only its forward
+    distance. The policy observes clock and speed instead of a reduced-order model.
 
     Args:
-        library: of one motion, see `aslip.library.single_reference_library`; the shipped one of a
-            pendulum by default.
-        reward_on: as for the default stack; joints and springs are always the truth's.
+        library: library with one motion, see `aslip.library.single_reference_library`; the shipped
+            one of a pendulum by default.
+        reward_on: source of pelvis and feet in the rewards; joints and springs are always true.
     """
     library = _pendulum() if library is None else library
     source = _REWARD_SOURCES[reward_on]
@@ -165,7 +162,7 @@ def single_reference_stack(
             "joints",
             single_reference.joints,
             [("truth", "qpos")],
-            # motor angles are read a policy step ahead: those of the past step are due now
+            # motor angles of the reference are one policy step ahead
             root_keys=[("reference", "motor_position")],
         ),
         "pelvis": lambda: RewardTerm(
@@ -195,7 +192,7 @@ def single_reference_stack(
     stack["observation"] = lambda: AssembleObservation(SINGLE_REFERENCE_TABLE)
     stack["reward"] = lambda: WeightedReward(SINGLE_REFERENCE_WEIGHTS)
     stack["fall"] = lambda: Fall(KNEELING_HEIGHT)
-    # the library has a row for each end of the range only
+    # the library has rows for both ends of the speed range only
     stack["command"] = lambda: SpeedCommand(library, PAPER_SPEEDS)
     return stack
 
@@ -215,7 +212,7 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "paper": paper_stack,
     "single_reference": single_reference_stack,
 }
-"""Stacks by name: a function of gait library and `reward_on`."""
+"""Name of a stack -> function of gait library and `reward_on` that makes it."""
 
 
 _EVALUATION = (*PAPER_WEIGHTS, "reward", "fall", "low_reward", "step_limit", "episode_sum")
@@ -223,30 +220,30 @@ _EVALUATION = (*PAPER_WEIGHTS, "reward", "fall", "low_reward", "step_limit", "ep
 
 
 def randomise_stack(stack: Stack) -> Stack:
-    """A copy of a stack with domain randomisation: robots differ from episode to episode.
+    """Copy of a stack with domain randomisation.
 
-    Dynamics and, if there is sensor noise, its levels are drawn from
-    `aslip.transforms.DYNAMICS_RANGES` at each reset.
+    Each reset draws the dynamics and, if the stack has sensor noise, its level from
+    `aslip.transforms.DYNAMICS_RANGES`.
 
     Raises:
-        ConfigurationError: `stack` is a name instead of a stack, or randomised already.
-        UnknownNameError: it has no transform `start`.
+        ConfigurationError: `stack` is a name, or randomised already.
+        UnknownNameError: the stack has no transform `start`.
     """
     stack = insert_before(stack, "start", dynamics=RandomDynamics)
     return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
 
 
 def robot_stack(stack: Stack | None = None) -> Stack:
-    """A copy of a stack for robots that are no simulation: a real one, a replayed log.
+    """Copy of a stack for a real robot or a replayed log.
 
-    It is without transforms that need a simulation, see `needs_simulation`, and without
-    `ObservationNoise`: the sensors of a robot have noise of their own.
+    Transforms that need a simulation (`needs_simulation`) are left out, and `ObservationNoise`, as
+    real sensors have their own noise.
 
     Args:
         stack: `default_stack(reward_on="estimate")` by default.
 
     Raises:
-        ConfigurationError: `stack` is a name instead of a stack.
+        ConfigurationError: `stack` is a name.
     """
     stack = default_stack(reward_on="estimate") if stack is None else stack
     _require_names(stack, [])
@@ -271,22 +268,22 @@ def _make_for_robot(make: Callable[[], Transform]) -> Transform:
 
 
 def needs_simulation(transform: Transform) -> bool:
-    """True for a transform that reads the truth, or chooses how a simulation starts."""
+    """True for a transform that reads the truth, or sets initial state or dynamics."""
     groups = {key if isinstance(key, str) else key[0] for key in transform.in_keys}
     chooses = isinstance(transform, ReferenceStart | RandomDynamics)
     return chooses or bool(groups & {"truth", "true_odometry"})
 
 
 def evaluation_stack(stack: Stack) -> Stack:
-    """A copy of a stack for evaluation: policies of all experiments get the same task and reward.
+    """Copy of a stack for evaluation, with the same task and rewards for every experiment.
 
-    What a policy observes and what its action is added to stay the stack's own. The robot, where it
-    starts, rewards and ends of episodes are those of `default_stack()`; its gaits are the goal of
-    the rewards, also where the policy sees another model's motion.
+    Observation and baseline of the action are those of the stack. Robot, start, rewards and ends of
+    episodes are those of `default_stack()`, and so are the gaits that the rewards compare with,
+    even if the policy observes another motion.
 
     Raises:
-        ConfigurationError: `stack` is a name instead of a stack.
-        UnknownNameError: it has no transform `start`.
+        ConfigurationError: `stack` is a name.
+        UnknownNameError: the stack has no transform `start`.
     """
     _require_names(stack, ["start"])
     common = default_stack()
@@ -297,15 +294,15 @@ def evaluation_stack(stack: Stack) -> Stack:
 
 
 def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:
-    """A copy of a stack with more transforms, in front of the named one.
+    """Copy of a stack with more transforms, inserted before the named one.
 
     Raises:
-        ConfigurationError: `stack` is a name instead of a stack, or has a new transform's name.
+        ConfigurationError: `stack` is a name, or has a new transform's name already.
         UnknownNameError: the stack has no transform of that name.
     """
     _require_names(stack, [name])
     if taken := sorted(new.keys() & stack.keys()):
-        raise ConfigurationError(f"the stack has {taken} already; assign, or take other names")
+        raise ConfigurationError(f"the stack has {taken} already; choose other names")
     longer: Stack = {}
     for key, make in stack.items():
         if key == name:
@@ -319,10 +316,10 @@ def edit_stack(
     drop: Iterable[str],
     replace: Mapping[str, Transform | Callable[[], Transform]],
 ) -> dict[str, Transform | Callable[[], Transform]]:
-    """A copy of a stack without some transforms, and with something else for others.
+    """Copy of a stack with some transforms dropped and some replaced.
 
     Raises:
-        UnknownNameError: the stack has no transform of such a name.
+        UnknownNameError: the stack has no transform of that name.
     """
     drop = [drop] if isinstance(drop, str) else list(drop)
     _require_names(stack, [*drop, *replace])
@@ -333,12 +330,12 @@ def _require_names(stack: Stack, names: Iterable[str]) -> None:
     """Check that a stack has transforms of these names.
 
     Raises:
-        ConfigurationError: it is the name of a stack.
-        UnknownNameError: it lacks one; the message has the nearest name and all others.
+        ConfigurationError: `stack` is a name.
+        UnknownNameError: a transform is missing; the message suggests the nearest name.
     """
     if isinstance(stack, str):
         raise ConfigurationError(
-            f"{stack!r} is the name of a stack, give the stack itself, such as default_stack()"
+            f"stack must be a stack, such as default_stack(), not the name {stack!r}"
         )
     for name in names:
         if name not in stack:

@@ -1,7 +1,7 @@
-"""The robot's state from its sensors: packets in, estimate out; no simulator, no network.
+"""State estimation: sensor packets in, estimated state out.
 
-`StateEstimator` is what a robot or a simulation runs. Inside, packets are checked (`packets`), legs
-turned into foot positions and forces (`legs`), and both joined with the IMU (`filter`).
+Robots and simulations run `StateEstimator`. It screens the packets (`packets`), computes foot
+positions and forces (`legs`), and fuses them with the IMU (`filter`).
 """
 
 from aslip.estimation.estimator import StateEstimator

@@ -1,4 +1,4 @@
-"""From sensor packets to the state of the robot, for many robots or a stream from one."""
+"""State estimator of a batch of robots, or of one robot that streams its packets."""
 
 from __future__ import annotations
 
@@ -17,36 +17,34 @@ from aslip.estimation.state import Estimate, Tracking
 from aslip.robot import CASSIE, STANDARD_GRAVITY, Robot
 from aslip.robot.rotation import normalize, orientation_to_heading, vector_to_heading, yaw
 
-# standard deviation [m/s^2] of the mean over 3 ms of an acceleration that had to be made up
+# standard deviation [m/s^2] of the mean over 3 ms of an acceleration without a good reading
 _DOUBT = 5.0
-# [s] step to differentiate the legs' kinematics by
+# step [s] of finite differences of the legs' kinematics
 _DIFFERENCE = 1e-5
 
 
 class StateEstimator:
-    """State of the pelvis, legs and feet of n robots from packets of their sensors.
+    """Estimator of the pelvis, legs and feet of n robots from sensor packets.
 
-    The estimator holds no state: its memory of the robots is a `Tracking`. As on a robot:
+    The estimator itself has no state: `Tracking` is its memory of the robots. On a robot:
 
         estimator = StateEstimator()
         tracking, estimate = estimator.start(packet)
         while True:
             estimate = estimator.update(tracking, packet)
 
-    A packet is a mapping of the entries of `Robot.packet_sizes`, or those joined to an array of p
-    numbers. Windows of packets of several robots, oldest first, have the leading shape (n, w).
-    The accelerometer's value is the mean since the packet before.
+    A packet is a mapping with the entries of `Robot.packet_sizes`, or an array of their p numbers.
+    Windows of w packets of n robots, oldest first, have the leading shape (n, w). The accelerometer
+    gives the mean since the previous packet.
 
-    A packet with NaN, with values out of range, with a spike of the IMU, or of an IMU that is
-    frozen, is recognised (`Estimate.faults`), and the channels it lacks are bridged: by their last
-    good readings, more doubt about the acceleration, and no measurement with that leg. An IMU
-    slower than the packets, down to 200 Hz, is no fault. `None` is a packet that got lost. Robots
-    do not touch each other.
+    NaN, values out of range, spikes of the IMU and a frozen IMU are faults (`Estimate.faults`). The
+    last good readings replace bad ones, the variance of the acceleration increases, and a leg with
+    a bad reading gives no measurement. An IMU slower than the packets, down to 200 Hz, is no fault.
+    `None` stands for a lost packet. Robots do not affect each other.
 
     Args:
-        robot: robot that sends the packets, with legs such as `LegKinematics` takes.
-        period: time between packets [s], the robot's by default; the filter assumes the same robot
-            at any.
+        robot: robot that sends the packets; `LegKinematics` must support its legs.
+        period: time between packets [s], the robot's by default; it does not change the noise.
         noise: noise that the filter assumes.
 
     Raises:
@@ -74,7 +72,7 @@ class StateEstimator:
             self.period, self._legs.sole_radius, self._legs.half_length, noise or FilterNoise()
         )
         self._imu = np.array(robot.skeleton.sites[robot.imu_site].position)
-        # alpha x r = alpha @ arm
+        # alpha x imu = alpha @ arm
         self._arm = np.cross(np.eye(3), self._imu)
         self._standing = _standing(robot)
 
@@ -83,26 +81,26 @@ class StateEstimator:
         packets: Mapping[str, np.ndarray] | np.ndarray,
         heading: ArrayLike | None = None,
     ) -> tuple[Tracking, Estimate]:
-        """Begin with robots whose lower foot rests on the ground.
+        """Start to track robots, assuming that the lower foot rests on the ground.
 
-        The velocity is that which keeps the foot at rest, the height that which puts it there.
-        Readings that are missing are those of a standing robot until better ones come.
+        This determines height and velocity of the pelvis. Until their first good readings, missing
+        channels have the values of a standing robot.
 
         Args:
-            packets: the last packet of each window is taken.
-            heading: yaw that is straight ahead, in the frame of the IMU's attitude [rad]: one, or
-                (n,) or (n, 1). By default that of the first packet, zero if its orientation is
-                missing.
+            packets: packets; of a window only the last one counts.
+            heading: yaw of the straight-ahead direction in the frame of the IMU's attitude [rad]:
+                one number, (n,) or (n, 1). By default the yaw of the first packet, or zero without
+                an orientation.
 
         Raises:
-            ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape, or
-                there are not as many headings as robots.
+            ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape, or the
+                number of headings is wrong.
             ConfigurationError: a heading is not finite.
         """
         rows = read_windows(packets, self.robot)[:, -1:]
         num = len(rows)
         blind = PacketMemory.of(np.tile(self._standing, (num, 1)))
-        # what was before is not known: nothing is a jump, and nothing repeats itself
+        # without earlier packets, no reading is a jump or a repetition
         blind.jumps += np.inf
         blind.repeats -= np.inf
         screened = self._screen(rows, blind)
@@ -121,15 +119,15 @@ class StateEstimator:
     def update(
         self, tracking: Tracking, packets: Mapping[str, np.ndarray] | np.ndarray | None
     ) -> Estimate:
-        """Take packets into account; `tracking` changes in place.
+        """Update `tracking` in place with packets, and estimate the state.
 
         Args:
-            tracking: from `start`.
-            packets: one packet of one robot, or (n, w) of them.
+            tracking: memory from `start`.
+            packets: one packet of one robot, or (n, w) packets.
 
         Raises:
-            ShapeError, UnknownNameError: the packets lack an entry, have the wrong shape, or are
-                of another number of robots.
+            ShapeError, UnknownNameError: the packets lack an entry, have the wrong shape or another
+                number of robots.
         """
         num = len(tracking.packets.reading)
         rows = (
@@ -138,7 +136,7 @@ class StateEstimator:
             else read_windows(packets, self.robot)
         )
         if len(rows) != num:
-            raise ShapeError(f"packets must be those of {num} robots, got {len(rows)}")
+            raise ShapeError(f"packets must come from {num} robots, got {len(rows)}")
         before = tracking.packets.reading
         screened = self._screen(rows, tracking.packets)
         motions, geometry = self._interpret(before, tracking.angular_acceleration, screened)
@@ -154,7 +152,7 @@ class StateEstimator:
     def _interpret(
         self, before: np.ndarray, angular_before: np.ndarray, screened: Screened
     ) -> tuple[list[Motion], _Geometry]:
-        """What readings say about motion: packet by packet, and in detail for the last."""
+        """Motion at each packet for the filter, and more geometry at the last one."""
         readings, age = screened.readings, screened.age
         num, window, _ = readings.shape
         both = np.concatenate([before[:, None], readings], axis=1)
@@ -163,10 +161,10 @@ class StateEstimator:
         turn = turn.reshape(num, window + 1, 3, 3)
         gyro = both[..., self._at["gyro"]]
         angular = self._angular_acceleration(gyro, angular_before, age[..., :3])
-        # the accelerometer gives means over the time since the packet before, also after a gap
+        # an accelerometer's mean covers the time since the previous packet, also after a gap
         middle = (gyro[:, 1:] + gyro[:, :-1]) / 2
         middle = np.where(age[..., :3] > 1, gyro[:, 1:] - angular * (self.period / 2), middle)
-        # of the pelvis' origin: a - alpha x r - omega x (omega x r)
+        # at the pelvis' origin: a - alpha x r - omega x (omega x r)
         proper = readings[..., self._at["accelerometer"]] - angular @ self._arm
         proper -= (middle @ self._imu)[..., None] * middle
         proper += (middle**2).sum(-1, keepdims=True) * self._imu
@@ -182,7 +180,7 @@ class StateEstimator:
         sole = (vectors[..., HEEL, :] + vectors[..., TOE, :]) / 2
         half = vectors[..., TOE, :] - sole
         doubt = np.where(screened.imu, 0.0, self._doubt)
-        # packet by packet: contiguous arrays are what the filter is compiled for
+        # the filter is compiled for contiguous arrays of one packet
         columns = (acceleration, doubt, sole, half, vectors[..., FORCE, 2], screened.legs)
         packets = zip(*(np.ascontiguousarray(x.swapaxes(0, 1)) for x in columns), strict=True)
         motions = [Motion(*packet) for packet in packets]
@@ -194,12 +192,13 @@ class StateEstimator:
     def _angular_acceleration(
         self, gyro: np.ndarray, before: np.ndarray, age: np.ndarray
     ) -> np.ndarray:
-        """(n, w, 3) between the last two readings of the gyro at each packet [rad/s^2].
+        """Angular acceleration (n, w, 3) between the last two readings at each packet [rad/s^2].
 
         Args:
             gyro: (n, w + 1, 3) readings, from the packet before the window on.
-            before: (n, 3) result at the packet before the window.
-            age: (n, w, 3) packets between a new reading and the one before; zero where none is new.
+            before: (n, 3) angular acceleration at the packet before the window.
+            age: (n, w, 3) packets between a new reading and the previous one; zero without a new
+                reading.
         """
         angular = (gyro[:, 1:] - gyro[:, :-1]) / (self.period * np.maximum(age, 1))
         for k in np.flatnonzero((age == 0).any((0, 2))):

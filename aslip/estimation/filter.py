@@ -1,28 +1,28 @@
-r"""A Kalman filter for the pelvis that feels its way with the feet.
+r"""Kalman filter of the pelvis' position and velocity, with the feet as measurements.
 
-The attitude comes from the IMU, which is good at it. What is left is linear, and its three world
-axes do not mix. Each axis has five states: position :math:`p` and velocity :math:`v` of the pelvis,
-an error :math:`b` of the measured acceleration, and the positions :math:`l, r` of the two soles.
+The attitude comes from the IMU, whose own filter is accurate. The rest is linear, and the three
+world axes are independent. Each axis has five states: position :math:`p` and velocity :math:`v` of
+the pelvis, an error :math:`b` of the measured acceleration, and the positions :math:`l, r` of the
+two soles.
 
 .. math::
 
     \dot p = v, \quad \dot v = a + b, \quad \dot b = w_b, \quad
-    \dot l, \dot r = w_\text{slip} \text{ at rest on the ground, unknown else}
+    \dot l, \dot r = w_\text{slip} \text{ at rest on the ground, unknown otherwise}
 
-with :math:`a` the accelerometer turned into the world, less gravity. The measurements are the soles
-relative to the pelvis from the legs' encoders, :math:`y_l = l - p`, and, on the vertical axis, that
-the lowest point of a sole at rest is on the ground, at height zero.
+where :math:`a` is the accelerometer's reading in world axes without gravity. The measurements are
+the positions of the soles relative to the pelvis from the legs' encoders, :math:`y_l = l - p`, and
+on the vertical axis the height zero of the lowest point of a sole at rest.
 
-Process and measurement are those of Bloesch et al., "State estimation for legged robots: consistent
-fusion of leg kinematics and IMU" (RSS 2012), with the attitude taken from elsewhere as in Bledt et
-al., "MIT Cheetah 3" (IROS 2018), which makes it linear. Prediction and update are Kalman's
-(1960), one scalar measurement at a time. Ours are:
+Process and measurement follow Bloesch et al., "State estimation for legged robots: consistent
+fusion of leg kinematics and IMU" (RSS 2012). An external attitude, as in Bledt et al., "MIT Cheetah
+3" (IROS 2018), makes them linear. Updates take one scalar measurement at a time. In addition:
 
-- contact from the leaf springs (`aslip.estimation.legs`), as Cassie has no foot force sensor;
-- a foot counts only while it rests on the ground: the innovation of a foot that skids after
-  touchdown, or leaves the ground a moment before its springs have relaxed, is improbable, and so is
-  the height of one that swings and shakes its springs; such a foot is planted anew;
-- a sole that rocks over its heel or toes moves its centre by the arm of that lever.
+- the leaf springs tell contact (`aslip.estimation.legs`), as Cassie has no foot force sensor;
+- only a foot at rest is a measurement: a gate on the innovation rejects a foot that skids after
+  touchdown or lifts before its springs have relaxed, a gate on the height rejects a foot whose
+  springs shake in the air; the position of a rejected foot is set anew from the leg;
+- the centre of a sole that rocks over heel or toes moves with the lever arm.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ TUNED_PERIOD: Final = 0.003
 """Time between packets for which `FilterNoise` gives the errors of single readings [s]."""
 
 P, V, B, LEFT, RIGHT = range(5)
-"""Position, velocity, acceleration error, and soles, in the state of an axis."""
+"""Position, velocity, acceleration error and soles in the state of an axis."""
 
 _Z = 2
 
@@ -51,21 +51,20 @@ _POSITIVE = ("leg", "ground", "gate", "rock")
 
 @dataclass(frozen=True)
 class FilterNoise:
-    """Standard deviations and thresholds of the filter; tuned on walks of the shipped policy.
+    """Standard deviations and thresholds of the filter, tuned on walks of the shipped policy.
 
-    None depends on the time between packets. Errors of single readings are given for packets 3 ms
-    apart (`TUNED_PERIOD`), and stand for white noise of that density: at another period their
-    variance is multiplied by 3 ms over the period.
+    The values hold for packets every 3 ms (`TUNED_PERIOD`) and describe white noise of a fixed
+    density: at another period the filter multiplies the variances of readings by 3 ms / period.
 
     Raises:
-        ConfigurationError: a value is not a finite number, is negative, or is zero where the
-            filter divides by it; or `unload` is more than `load`.
+        ConfigurationError: a value is negative or not a finite number, is zero although the filter
+            divides by it, or `unload` exceeds `load`.
     """
 
     acceleration: float = 0.2
     """Mean acceleration over 3 ms [m/s^2], white."""
     shock: float = 0.05
-    """Further error of that acceleration, as a share of it: impacts fall between samples."""
+    """Further error in proportion to that acceleration, for impacts between samples."""
     acceleration_error: float = 0.02
     """Random walk of the acceleration error [m/s^2 / sqrt(s)]: tilt and bias."""
     slip: float = 0.012
@@ -73,30 +72,31 @@ class FilterNoise:
     sink: float = 0.004
     """Random walk of a sole at rest, across the ground [m / sqrt(s)]."""
     leg: float = 1.2e-4
-    """Position of a sole from encoders every 3 ms [m], white."""
+    """Position of a sole from encoders [m], white, every 3 ms."""
     ground: float = 2e-3
-    """Height of the lowest point of a sole at rest, every 3 ms [m], white: its compliance, and the
-    ground's height."""
+    """Height of the lowest point of a sole at rest [m], white, every 3 ms: compliance and uneven
+    ground."""
     gate: float = 16.0
-    """Largest squared ratio, on any axis, of a resting foot's innovation to its deviation."""
+    """Largest normalised innovation squared of a foot at rest, on any axis."""
     load: float = 60.0
     """Force on a foot from which it is in contact [N]."""
     unload: float = 45.0
-    """Force below which it no longer is [N]."""
+    """Force on a foot below which contact ends [N]."""
     rock: float = 0.05
-    """Pitch of a sole from which it stands on one end alone [rad]."""
+    """Pitch of a sole from which it stands on heel or toes only [rad]."""
     initial_height: float = 0.02
-    """Height at the start, the lower foot standing on the ground [m]."""
+    """Height at the start [m]."""
     initial_velocity: float = 0.2
-    """Velocity at the start, the lower foot at rest [m/s]."""
+    """Velocity at the start [m/s]."""
     initial_acceleration_error: float = 0.1
     """Acceleration error at the start [m/s^2]."""
     patience: float = 0.09
-    """Time with load but no foot at rest, after which velocity and height are doubted [s]."""
+    """Time with a loaded foot but no foot at rest [s] after which the filter adds `surprise` and
+    `surprise_height`."""
     surprise: float = 0.5
-    """Standard deviation added to the velocity then [m/s]."""
+    """Standard deviation added to the velocity after that time [m/s]."""
     surprise_height: float = 0.1
-    """Standard deviation added to the height then [m]."""
+    """Standard deviation added to the height after that time [m]."""
 
     def __post_init__(self) -> None:
         """Check the values."""
@@ -121,47 +121,47 @@ class FilterNoise:
 
 @dataclass
 class Belief:
-    """What n filters know; everything that a packet changes."""
+    """State of n filters."""
 
     mean: np.ndarray
     """(n, 3, 5) states of the axes x, y, z of the world."""
     covariance: np.ndarray
-    """(n, 3, 5, 5)."""
+    """(n, 3, 5, 5) covariances of these states."""
     half_sole: np.ndarray
-    """(n, 2, 3) from the centre of each sole to its toe [m, world]."""
+    """(n, 2, 3) vectors from the centre of each sole to its toe [m, world]."""
     loaded: np.ndarray
-    """(n, 2) bool, the springs of a leg say contact."""
+    """(n, 2) bool, contact by the springs of the leg."""
     resting: np.ndarray
-    """(n, 2) bool, and its foot did not move: it took part in the last update."""
+    """(n, 2) bool, foot at rest: a measurement of the last update."""
     adrift: np.ndarray
     """(n,) packets since a loaded foot last rested."""
     innovation: np.ndarray
-    """(n, 2, 3) squared ratio of a loaded foot's innovation to its deviation by axis; else NaN."""
+    """(n, 2, 3) normalised innovation squared of a loaded foot by axis, otherwise NaN."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What one packet says, in the axes of the world."""
+    """Inputs and measurements of the filter at one packet, in world axes."""
 
     acceleration: np.ndarray
-    """(n, 3) of the pelvis' origin, without gravity [m/s^2]."""
+    """(n, 3) acceleration of the pelvis' origin, without gravity [m/s^2]."""
     doubt: np.ndarray
-    """(n,) further deviation of that, for readings that had to be made up [m/s^2]."""
+    """(n,) further standard deviation of the acceleration without a good reading [m/s^2]."""
     sole: np.ndarray
-    """(n, 2, 3) centres of the soles' axes from the pelvis [m]."""
+    """(n, 2, 3) centres of the soles' axes relative to the pelvis [m]."""
     half_sole: np.ndarray
-    """(n, 2, 3) from there to the toes [m]."""
+    """(n, 2, 3) vectors from the centres to the toes [m]."""
     load: np.ndarray
-    """(n, 2) vertical force on the feet [N]."""
+    """(n, 2) vertical forces on the feet [N]."""
     fresh: np.ndarray
-    """(n, 2) bool, the leg's readings are this packet's and plausible."""
+    """(n, 2) bool, all readings of the leg are new and good."""
 
 
 class _Settings(NamedTuple):
-    """Numbers for the compiled filter; deviations are squared."""
+    """Numbers of the compiled filter, with variances in place of deviations."""
 
     walk: np.ndarray
-    """(3, 5) what a packet adds to the variances, but for the acceleration's share."""
+    """(3, 5) growth of the variances per packet, without `shock`."""
     timestep: float
     radius: float
     rock_height: float
@@ -177,13 +177,13 @@ class _Settings(NamedTuple):
 
 
 class ContactFilter:
-    """Predict with the IMU, correct with the feet.
+    """Kalman filter that predicts with the IMU and corrects with the feet.
 
     Args:
-        timestep: between packets [s].
-        sole_radius: of the soles' contact capsules [m].
-        sole_half_length: of their axes [m].
-        noise: what to assume.
+        timestep: time between packets [s].
+        sole_radius: radius of the soles' contact capsules [m].
+        sole_half_length: half the length of their axes [m].
+        noise: assumed noise.
     """
 
     def __init__(
@@ -191,7 +191,7 @@ class ContactFilter:
     ) -> None:
         self.noise = noise
         steps = np.array([noise.slip, noise.slip, noise.sink])
-        # one at the default period: white noise is given for readings so far apart
+        # 1 at the tuned period
         density = TUNED_PERIOD / timestep
         walk = np.zeros((3, 5))
         walk[:, V] = (timestep * noise.acceleration) ** 2 * density
@@ -214,10 +214,10 @@ class ContactFilter:
         )
 
     def start(self, motion: Motion, sole_velocity: np.ndarray) -> Belief:
-        """Beliefs about robots whose lower foot rests on the ground.
+        """Initial state of the filters, with the lower foot at rest on the ground.
 
         Args:
-            motion: a first packet.
+            motion: first packet.
             sole_velocity: (n, 2, 3) velocities of the soles relative to the pelvis [m/s, world].
         """
         num, noise = len(motion.sole), self.noise
@@ -243,7 +243,7 @@ class ContactFilter:
         )
 
     def step(self, belief: Belief, motion: Motion) -> None:
-        """Take one packet into account, in place."""
+        """Update `belief` in place with one packet."""
         _step(
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
             belief.adrift, belief.innovation, motion.acceleration, motion.doubt, motion.sole,
@@ -251,7 +251,7 @@ class ContactFilter:
         )  # fmt: skip
 
 
-# robot by robot; as NumPy calls on all robots it takes several times as long
+# compiled loop over robots: NumPy calls on all robots take several times as long
 @compiled
 def _step(
     means: np.ndarray,
@@ -317,7 +317,7 @@ def _predict(
         push = acceleration[axis] + x[B]
         x[P] += dt * x[V] + (dt * dt / 2) * push
         x[V] += dt * push
-        # a sole that rocks over its end moves its centre
+        # lever arm of a sole that rocks over its end
         for foot in range(2):
             arm = min(max(half[foot, _Z] / settings.rock_height, -1.0), 1.0)
             x[LEFT + foot] += arm * (half[foot, axis] - half_sole[foot, axis])
@@ -337,7 +337,7 @@ def _predict(
 def _near_ground(
     mean: np.ndarray, cov: np.ndarray, column: int, lowest: float, settings: _Settings
 ) -> bool:
-    """Whether it is not improbable that a foot's lowest point is on the ground."""
+    """True if a foot's lowest point can be on the ground."""
     variance = cov[_Z, column, column] + settings.ground
     return (lowest - mean[_Z, column]) ** 2 < settings.gate * variance
 
@@ -351,7 +351,7 @@ def _correct(
     squared: np.ndarray,
     settings: _Settings,
 ) -> bool:
-    """Measure sole - pelvis where the foot rests, and say whether it does."""
+    """Measure sole - pelvis if the foot is at rest; return whether it is."""
     gain = cov[:, column] - cov[:, P]  # P H^T
     variance = gain[:, column] - gain[:, P] + settings.leg
     innovation = sole - (mean[:, column] - mean[:, P])
@@ -365,7 +365,7 @@ def _correct(
 
 @compiled
 def _ground(x: np.ndarray, p: np.ndarray, column: int, lowest: float, settings: _Settings) -> None:
-    """Put the lowest point of a sole at rest on the ground: its centre is so high."""
+    """Measure the centre height of a sole whose lowest point is on the ground."""
     gain = p[column].copy()
     _update(x, p, gain, gain[column] + settings.ground, lowest - x[column])
 
@@ -374,7 +374,7 @@ def _ground(x: np.ndarray, p: np.ndarray, column: int, lowest: float, settings: 
 def _update(
     x: np.ndarray, p: np.ndarray, gain: np.ndarray, variance: float, innovation: float
 ) -> None:
-    """One scalar measurement of one axis."""
+    """Update one axis with one scalar measurement."""
     for j in range(5):
         scaled = gain[j] / variance
         x[j] += scaled * innovation
@@ -384,7 +384,7 @@ def _update(
 
 @compiled
 def _plant(mean: np.ndarray, cov: np.ndarray, column: int, sole: np.ndarray, leg: float) -> None:
-    """Put a foot where its leg says, as uncertain as the pelvis."""
+    """Set a foot's position from the leg, with the pelvis' uncertainty and the encoders'."""
     mean[:, column] = mean[:, P] + sole
     cov[:, column] = cov[:, P]
     cov[:, :, column] = cov[:, :, P]

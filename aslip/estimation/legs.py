@@ -5,8 +5,8 @@ plane is a complex number, a rotation is a factor :math:`e^{i\varphi}`, and the 
 
 .. math:: z = \sum_j e^{i \varphi_j} c_j, \qquad \varphi_j = \sum_{k \le j} (\beta_k + q_k)
 
-of links :math:`c_j`; hip yaw and hip roll turn the plane in the pelvis. That makes a batch of legs
-cheap enough for a filter that runs at every packet of sensors.
+of links :math:`c_j`; hip yaw and hip roll turn the plane in the pelvis. This form is
+cheap enough to evaluate at every sensor packet.
 
 Forces follow from the leaf springs by virtual work. With the motors held, a leg gives way in two
 coordinates only: the shin spring :math:`s`, and the tarsus :math:`t`, which bends the heel spring
@@ -32,54 +32,53 @@ from aslip.robot.compiled import compiled
 from aslip.robot.skeleton import Body, Skeleton
 
 HEEL, TOE, LATERAL, FORCE = range(4)
-"""Rows of what `LegKinematics` returns: the ends of the axis of the sole's contact capsule [m], the
-unit vector to the left across the plane of the leg, and the force of the ground on the foot within
-that plane [N]."""
+"""Rows of the result of `LegKinematics`: heel and toe ends of the sole's axis [m], unit vector to
+the left, normal to the leg's plane, and ground force on the foot within that plane [N]."""
 
-# hinges whose angles add up in the plane of a leg, and those above it
+# parallel hinges of a leg's plane, and hinges at the hip
 _PLANAR = ("hip_pitch", "knee", "shin", "tarsus", "foot")
 _HIPS = ("hip_roll", "hip_yaw", "hip_pitch")
-# readings that the legs are computed from
+# required motors and encoders of a leg
 _MOTORS = (*_HIPS, "knee", "foot")
 _JOINTS = ("shin", "tarsus", "foot")
 _PARALLEL = 1e-4
 
 
 class LegKinematics:
-    """Kinematics and forces of both legs, for readings of any leading shape.
+    """Forward kinematics and forces of both legs, for readings of any leading shape.
 
     Args:
         robot: robot with the motors hip roll, yaw and pitch, knee and foot, encoders at shin,
             tarsus and foot, and an Achilles rod.
 
     Raises:
-        ConfigurationError: motors or encoders are others, the hinges of a leg are not parallel, or
-            its rod closes no loop.
+        ConfigurationError: the robot has other motors or encoders, hinges that are not parallel, or
+            a rod that closes no loop.
     """
 
     def __init__(self, robot: Robot = CASSIE) -> None:
         for names, parts in ((robot.motor_names, _MOTORS), (robot.joint_names, _JOINTS)):
             if names != tuple(f"{side}_{part}" for side in SIDES for part in parts):
                 raise ConfigurationError(
-                    f"the legs need {parts} of both sides in this order, {robot} has {names}"
+                    f"legs need {parts} on both sides in this order, but {robot} has {names}"
                 )
         self._left, self._right = (_chain(robot, side) for side in SIDES)
         self.sole_radius, self.half_length, *_ = robot.skeleton.geoms["left_foot"].size
         """Radius of the soles' contact capsules, and half the length of their axes [m]."""
 
     def __call__(self, motor_position: np.ndarray, joint_position: np.ndarray) -> np.ndarray:
-        """Feet and forces from readings.
+        """Compute feet and forces.
 
         Args:
-            motor_position: (*b, 10) [rad], in motor order.
-            joint_position: (*b, 6) [rad], in joint order.
+            motor_position: (*b, 10) readings in motor order [rad].
+            joint_position: (*b, 6) readings in joint order [rad].
 
         Returns:
             (*b, 2, 4, 3) in the pelvis frame; left leg first, then `HEEL`, `TOE`, `LATERAL`,
             `FORCE`.
         """
         vectors = np.empty((*motor_position.shape[:-1], 2, 4, 3))
-        # contiguous arrays are what the legs are compiled for
+        # the legs are compiled for contiguous arrays
         motors = np.ascontiguousarray(motor_position).reshape(-1, 2, 5)
         joints = np.ascontiguousarray(joint_position).reshape(-1, 2, 3)
         _legs(motors, joints, self._left, self._right, vectors.reshape(-1, 2, 4, 3))
@@ -90,35 +89,35 @@ class _Chain(NamedTuple):
     """Constants of one leg."""
 
     offset: np.ndarray
-    """(5,) angles of the planar hinges at readings of zero, against the link before [rad]."""
+    """(5,) angles of the planar hinges to the previous link at readings of zero [rad]."""
     links: np.ndarray
-    """(4,) complex, from each planar hinge to the next [m]."""
+    """(4,) complex vectors from each planar hinge to the next [m]."""
     ends: np.ndarray
-    """(2,) complex, from the foot's hinge to the heel and the toe ends of the sole [m]."""
+    """(2,) complex vectors from the foot's hinge to heel and toe ends of the sole [m]."""
     depth: np.ndarray
-    """(2,) of these ends across the plane [m]."""
+    """(2,) distances of these ends from the plane [m]."""
     left: float
-    """1 if the plane's normal is to the left of the foot, else -1."""
+    """1 if the plane's normal points to the left of the foot, else -1."""
     hip_zero: np.ndarray
-    """(2,) readings at which hip roll and yaw are as in `hip_frame` [rad]."""
+    """(2,) readings of hip roll and yaw at `hip_frame` [rad]."""
     hip_frame: np.ndarray
-    """(3, 3, 3) frames of hip roll, yaw and pitch in the body before."""
+    """(3, 3, 3) frames of hip roll, yaw and pitch in the parent body."""
     hip_position: np.ndarray
-    """(3, 3) and where they are [m]."""
+    """(3, 3) origins of these frames [m]."""
     tip: complex
-    """Of the rod at the heel spring, in the tarsus [m]."""
+    """End of the rod at the heel spring, in the tarsus frame [m]."""
     tip_slope: complex
-    """Its change with the spring's angle [m]."""
+    """Derivative of `tip` by the heel spring's angle [m/rad]."""
     tip_height: float
-    """The tip across the plane, from the rod's other end [m]."""
+    """Distance of this end, normal to the plane, from the rod's other end [m]."""
     tip_height_slope: float
-    """Its change with the spring's angle [m]."""
+    """Derivative of `tip_height` by the heel spring's angle [m/rad]."""
     rod_squared: float
     """Squared length of the rod [m^2]."""
     shin_stiffness: float
-    """[N m/rad]."""
+    """Stiffness of the shin spring [N m/rad]."""
     heel_stiffness: float
-    """[N m/rad]."""
+    """Stiffness of the heel spring [N m/rad]."""
 
 
 @compiled
@@ -163,7 +162,7 @@ def _to_pelvis(
     point: bool,
     out: np.ndarray,
 ) -> None:
-    """A point or a direction from the plane of the leg through hip pitch, yaw and roll."""
+    """Write a point or direction of the leg's plane in the pelvis frame, through the hips."""
     for hinge in (2, 1, 0):
         if hinge == 1:
             plane *= yaw
@@ -184,7 +183,7 @@ def _force(
     """Force on the foot in the plane of the leg [N]."""
     # the end of the Achilles rod at the heel spring, relative to its end at the hip
     tip, height = tarsus + turn * at.tip, at.tip_height
-    # half the change of the rod's squared length with the heel spring, and with shin and tarsus
+    # derivatives of half the squared rod length by heel spring, shin and tarsus
     by_heel = _dot(tip, turn * at.tip_slope) + height * at.tip_height_slope
     by_shin, by_tarsus = _dot(tip, 1j * (tip - shin)), _dot(tip, 1j * (tip - tarsus))
     excess = (at.rod_squared - (_dot(tip, tip) + height**2)) / 2
@@ -198,13 +197,13 @@ def _force(
 
 @compiled
 def _unit(angle: float) -> complex:
-    """Unit vector of the plane."""
+    """Unit vector of an angle."""
     return complex(np.cos(angle), np.sin(angle))
 
 
 @compiled
 def _dot(a: complex, b: complex) -> float:
-    """Scalar product of vectors of the plane."""
+    """Scalar product of planar vectors."""
     return a.real * b.real + a.imag * b.imag
 
 
@@ -226,7 +225,7 @@ def _chain(robot: Robot, side: Side) -> _Chain:
             raise ConfigurationError(
                 f"the hinge {side}_{name} is not parallel to the hip pitch hinge"
             )
-    # the hip pitch body's own rotation is one of the hips'
+    # the rotation of the hip pitch body belongs to hip_frame
     turned = [0.0, *(np.angle(_plane(rotations[name][:, 0])) for name in _PLANAR[1:])]
     links = np.array([positions[name] for name in _PLANAR[1:]])
     ends, left = _sole(robot, side)
@@ -255,7 +254,7 @@ def _chain(robot: Robot, side: Side) -> _Chain:
 
 
 def _sole(robot: Robot, side: Side) -> tuple[np.ndarray, float]:
-    """(2, 3) heel and toe ends of the sole's axis in the foot [m], and the normal's side."""
+    """(2, 3) heel and toe ends of the sole's axis in the foot [m], and `_Chain.left`."""
     capsule = robot.skeleton.geoms[f"{side}_foot"]
     to_foot = _matrix(robot.skeleton.sites[robot.foot_sites[SIDES.index(side)]].quaternion)
     half = _matrix(capsule.quaternion)[:, 2] * capsule.size[1]
@@ -264,7 +263,7 @@ def _sole(robot: Robot, side: Side) -> tuple[np.ndarray, float]:
 
 
 def _rod(skeleton: Skeleton, side: Side) -> tuple[Body, np.ndarray, np.ndarray]:
-    """Body of the Achilles rod, and the points it ties together: of the rod, of the heel spring."""
+    """Body of the Achilles rod, and the tied points: on the rod, on the heel spring."""
     rod, spring = f"{side}_achilles_rod", f"{side}_heel_spring"
     for loop in skeleton.connections.values():
         if {loop.first, loop.second} == {rod, spring}:
@@ -275,7 +274,7 @@ def _rod(skeleton: Skeleton, side: Side) -> tuple[Body, np.ndarray, np.ndarray]:
 
 
 def _matrix(quaternion: Sequence[float]) -> np.ndarray:
-    """Rotation matrix of a wxyz quaternion, by the terms of MuJoCo's."""
+    """Rotation matrix of a wxyz quaternion, with the terms of MuJoCo's formula."""
     w, x, y, z = quaternion
     return np.array(
         [

@@ -1,12 +1,11 @@
-"""Sensor packets as rows of numbers, and what to do about bad ones.
+"""Sensor packets as rows of numbers, and screening of bad readings.
 
-A robot's readings arrive incomplete now and then: a packet is lost (all NaN), a device repeats
-itself, a bit flips. Each reading is checked against what the device can say at all, and those of
-the IMU against how fast they can change; what fails is replaced by the last good reading of the
-same channel, and reported.
+Readings of a robot can be bad: a packet is lost (all NaN), a device freezes, a bit flips. Each
+reading is compared with the range of its device, and readings of the IMU also with their largest
+change. A bad reading is reported, and replaced by the last good one of the same channel.
 
-An IMU may be slower than the packets: it then repeats itself in some of them, which is no fault as
-long as it says something new every 5 ms.
+An IMU may be slower than the packets and repeat readings; that is no fault as long as a new one
+comes every 5 ms.
 """
 
 from __future__ import annotations
@@ -22,14 +21,13 @@ from aslip.estimation.filter import TUNED_PERIOD
 from aslip.robot import CASSIE, Robot
 
 FAULTS: Final = ("missing", "implausible", "jump", "frozen")
-"""What can be wrong with a packet: a reading that is no number; one the device cannot have made;
-an IMU that changed faster than a robot can; an IMU that has repeated itself to the last bit for
-longer than 5 ms."""
+"""Faults of a packet: a reading is NaN or infinite; a reading is out of the device's range; the IMU
+changed faster than a robot can; the IMU has repeated all bits for longer than 5 ms."""
 
 MISSING, IMPLAUSIBLE, JUMP, FROZEN = range(len(FAULTS))
 
-# largest sizes: joints turn less than a turn and a half, gyro and accelerometer as the public
-# simulator declares their ranges
+# largest absolute values: joints turn less than one and a half turns; the ranges of gyro and
+# accelerometer are those of the public simulator
 _LARGEST = {
     "motor_position": 9.0,
     "motor_velocity": 40.0,
@@ -40,13 +38,13 @@ _LARGEST = {
     "accelerometer": 157.0,
 }
 _ENCODERS = ("motor_position", "motor_velocity", "joint_position", "joint_velocity")
-# unit quaternions are that long, give or take
+# tolerance on the squared norm of a unit quaternion
 _UNIT = 0.02
-# changes within 3 ms or less; walking stays below 0.7 rad/s and 20 m/s^2
+# largest change of gyro and accelerometer in 3 ms; walking stays below 0.7 rad/s and 20 m/s^2
 _LARGEST_JUMP = np.array([3.0] * 3 + [60.0] * 3)
-# a jump that lasts is no spike: believe it after so long [s]
+# time [s] after which a lasting jump is accepted
 _PERSISTENT = 0.009
-# inertial units give 200 values a second or more: one that repeats itself longer is frozen [s]
+# longest time [s] between readings of an IMU that is not frozen, 200 Hz
 _SLOWEST_IMU = 0.005
 
 
@@ -66,7 +64,7 @@ def join(packet: Mapping[str, np.ndarray], robot: Robot = CASSIE) -> np.ndarray:
         if name not in packet:
             raise UnknownNameError(
                 f"a packet needs {list(robot.packet_sizes)}; {name!r} is missing"
-                " (send NaN for what was lost)"
+                " (send NaN for lost readings)"
             )
         entry = np.asarray(packet[name], dtype=np.float64)
         if entry.shape[-1:] != (size,):
@@ -85,37 +83,37 @@ class PacketMemory:
     reading: np.ndarray
     """(n, p) last good readings."""
     jumps: np.ndarray
-    """(n,) packets in a row whose IMU was not believed."""
+    """(n,) successive packets with a jump of the IMU."""
     repeats: np.ndarray
-    """(n,) packets in a row in which the IMU repeated itself."""
+    """(n,) successive packets in which the IMU repeated itself."""
     age: np.ndarray
-    """(n, 4) packets since each axis of the gyro, and the attitude, said something new."""
+    """(n, 4) packets since the last new reading of each gyro axis and the attitude."""
 
     @classmethod
     def of(cls, reading: np.ndarray) -> PacketMemory:
-        """Memory of robots with (n, p) new and good readings."""
+        """Memory of robots whose readings (n, p) are new and good."""
         num = len(reading)
         return cls(reading, np.zeros(num), np.zeros(num), np.zeros((num, 4)))
 
 
 class Screened(NamedTuple):
-    """Windows of packets of n robots without their bad readings."""
+    """Windows of packets of n robots, with bad readings replaced."""
 
     readings: np.ndarray
-    """(n, w, p), the packets themselves if nothing is wrong."""
+    """(n, w, p) readings; the packets themselves if all are good."""
     faults: np.ndarray
-    """(n, w, 4) bool, the `FAULTS`."""
+    """(n, w, 4) bool, `FAULTS` of each packet."""
     legs: np.ndarray
     """(n, w, 2) bool, all readings of a leg are good."""
     imu: np.ndarray
     """(n, w) bool, all readings of the IMU are good."""
     age: np.ndarray
-    """(n, w, 4) packets between a new reading and the one before it, of each axis of the gyro and
-    of the attitude; zero where there is no new one."""
+    """(n, w, 4) packets between a new reading and the previous one, for each gyro axis and the
+    attitude; zero without a new reading."""
 
 
 class Screen:
-    """Finds bad readings in windows of packets, and puts the last good ones in their place.
+    """Screen that replaces bad readings in windows of packets by the last good ones.
 
     Args:
         period: time between packets [s].
@@ -127,7 +125,7 @@ class Screen:
         self._limit = np.concatenate([np.full(n, _LARGEST[name]) for name, n in sizes.items()])
         self._orientation, self._gyro = at["orientation"], at["gyro"]
         self._imu = slice(self._gyro.start, robot.packet_size)
-        # channels of either leg: half of each encoders' entry
+        # channels of each leg: half of each encoder entry
         numbers = np.arange(robot.packet_size)
         encoders = [np.split(numbers[at[name]], 2) for name in _ENCODERS]
         self._legs = [np.concatenate([entry[leg] for entry in encoders]) for leg in (0, 1)]
@@ -144,12 +142,12 @@ class Screen:
         imu = np.concatenate([memory.reading[:, None, self._imu], packets[..., self._imu]], axis=1)
         change = np.abs(imu[:, 1:] - imu[:, :-1])
         smooth = (change <= self._largest_jump).all(-1)
-        # not equal, rather than more: a change of NaN is no standstill
+        # != counts a change to NaN as movement
         moving = change.max(-1) != 0
         if not (good.all() and smooth.all() and moving.all()) or memory.age.any():
             return self._mend(packets, memory, good, moving)
         memory.jumps[:] = memory.repeats[:] = 0
-        # a copy: the packets may lie in a buffer that the caller fills again
+        # copy, as the caller may reuse the buffer of packets
         memory.reading = packets[:, -1].copy()
         faults = np.zeros((num, window, len(FAULTS)), dtype=bool)
         legs = np.ones((num, window, 2), dtype=bool)
@@ -168,7 +166,7 @@ class Screen:
             memory.repeats = np.where(moving[:, k], 0, memory.repeats + 1)
             frozen = memory.repeats > self._most_repeats
             valid[:, self._imu] &= ~frozen[:, None]
-            # the whole packet repeats: nothing new from the legs either
+            # if the whole packet repeats, the readings of the legs are old, too
             valid &= ~(frozen & (packet == memory.reading).all(-1))[:, None]
             jump = self._jumps(packet, memory, valid)
             valid[:, self._imu] &= ~jump[:, None]
@@ -183,7 +181,7 @@ class Screen:
         return Screened(readings, faults, legs, good[..., self._orientation.start :].min(-1), age)
 
     def _jumps(self, packet: np.ndarray, memory: PacketMemory, valid: np.ndarray) -> np.ndarray:
-        """(n,) bool, whose IMU jumped in (n, p) packets; those in a row are counted."""
+        """(n,) bool, True where the IMU jumps in packets (n, p); counts successive jumps."""
         change = np.abs(packet[:, self._imu] - memory.reading[:, self._imu])
         fast = (change > self._largest_jump).any(-1) & valid[:, self._imu].all(-1)
         jump = fast & (memory.jumps < self._persistent)
@@ -194,7 +192,7 @@ class Screen:
 def read_windows(
     packets: Mapping[str, np.ndarray] | np.ndarray, robot: Robot = CASSIE
 ) -> np.ndarray:
-    """Read one packet of one robot, or (n, w) packets, as (n, w, p) numbers.
+    """Convert one packet of one robot, or (n, w) packets, to an array (n, w, p).
 
     Raises:
         ShapeError, UnknownNameError: the packets lack an entry or have the wrong shape.

@@ -22,12 +22,12 @@ class Tracking:
     belief: Belief
     packets: PacketMemory
     angular_acceleration: np.ndarray
-    """(n, 3) between the last two readings of the gyro [rad/s^2, pelvis]."""
+    """(n, 3) change rate between the last two gyro readings [rad/s^2, pelvis]."""
     heading: np.ndarray
-    """(n,) yaw, in the frame of the IMU's attitude, that is straight ahead for the robot [rad]."""
+    """(n,) yaw of the straight-ahead direction in the frame of the IMU's attitude [rad]."""
 
     def to_rows(self) -> np.ndarray:
-        """Write the memory as numbers, (n, `tracking_size`)."""
+        """Convert the memory to an array (n, `tracking_size`)."""
         belief, packets = self.belief, self.packets
         fields = (
             belief.mean, belief.covariance, belief.half_sole, belief.loaded, belief.resting,
@@ -39,10 +39,10 @@ class Tracking:
 
     @classmethod
     def from_rows(cls, rows: np.ndarray, robot: Robot = CASSIE) -> Tracking:
-        """Read copies of rows that `to_rows` wrote.
+        """Restore the memory from an array that `to_rows` returned; copies.
 
         Raises:
-            ShapeError: the rows have another length.
+            ShapeError: the rows have the wrong length.
         """
         size = tracking_size(robot)
         if rows.ndim != 2 or rows.shape[1] != size:
@@ -66,12 +66,12 @@ class Tracking:
 
 
 def tracking_size(robot: Robot = CASSIE) -> int:
-    """Numbers in a robot's row of a `Tracking`."""
+    """Length of a robot's row in `Tracking.to_rows`."""
     return sum(_sizes(robot))
 
 
 def _sizes(robot: Robot) -> tuple[int, ...]:
-    """Numbers of each entry in a row."""
+    """Length of each field in a row."""
     return (3 * 5, 3 * 5 * 5, 2 * 3, 2, 2, 1, robot.packet_size, 1, 1, 4, 3, 1)
 
 
@@ -84,47 +84,46 @@ class Estimate:
     """
 
     height: np.ndarray
-    """(n, 1) of the pelvis above the ground [m]."""
+    """(n, 1) height of the pelvis above the ground [m]."""
     orientation: np.ndarray
     """(n, 4) pelvis to heading frame, unit, wxyz with w >= 0."""
     velocity: np.ndarray
-    """(n, 3) of the pelvis [m/s, heading frame]."""
+    """(n, 3) velocity of the pelvis [m/s, heading frame]."""
     angular_velocity: np.ndarray
-    """(n, 3) [rad/s, pelvis]."""
+    """(n, 3) angular velocity of the pelvis [rad/s, pelvis]."""
     acceleration: np.ndarray
-    """(n, 3) of the pelvis' origin, without gravity [m/s^2, pelvis]."""
+    """(n, 3) acceleration of the pelvis' origin, without gravity [m/s^2, pelvis]."""
     motor_position: np.ndarray
-    """(n, 10) [rad]."""
+    """(n, 10) angles of the driven joints [rad]."""
     motor_velocity: np.ndarray
-    """(n, 10) [rad/s]."""
+    """(n, 10) velocities of the driven joints [rad/s]."""
     joint_position: np.ndarray
-    """(n, 6) [rad]."""
+    """(n, 6) angles of the joints with encoders [rad]."""
     joint_velocity: np.ndarray
-    """(n, 6) [rad/s]."""
+    """(n, 6) velocities of the joints with encoders [rad/s]."""
     position: np.ndarray
-    """(n, 3) of the pelvis, its height above the ground below it [m, heading frame]."""
+    """(n, 3) position of the pelvis; z is `height` [m, heading frame]."""
     sole: np.ndarray
-    """(n, 2, 3) centres of the axes of the soles' contact capsules from the pelvis [m, heading
-    frame]."""
+    """(n, 2, 3) centres of the soles' axes relative to the pelvis [m, heading frame]."""
     forward: np.ndarray
-    """(n, 2, 3) unit vectors to the toes [heading frame]."""
+    """(n, 2, 3) unit vectors from heel to toes [heading frame]."""
     left: np.ndarray
-    """(n, 2, 3) unit vectors to the left, across the feet [heading frame]."""
+    """(n, 2, 3) unit vectors to the left of the feet [heading frame]."""
     sole_radius: float
-    """Of the capsules [m]."""
+    """Radius of the soles' contact capsules [m]."""
     contact: np.ndarray
-    """(n, 2) bool, the leg's springs say that its foot is loaded."""
+    """(n, 2) bool, contact by the springs of the leg."""
     innovation: np.ndarray
-    """(n, w, 2, 3) normalised innovation squared by packet, foot and axis; NaN in the air."""
+    """(n, w, 2, 3) normalised innovation squared by packet, foot and axis; NaN without contact."""
     resting: np.ndarray
-    """(n, w, 2) bool, the foot took part in the update."""
+    """(n, w, 2) bool, foot at rest: a measurement of the filter."""
     faults: np.ndarray
-    """(n, 4) bool, what was wrong with any of the packets; see `FAULTS`."""
+    """(n, 4) bool, `FAULTS` of any packet of the window."""
 
-    # not every packet's feet are looked at, and a robot has little time
+    # computed on demand, to save time on a robot
     @cached_property
     def up(self) -> np.ndarray:
-        """(n, 2, 3) unit vectors out of the feet, opposite to the soles [heading frame]."""
+        """(n, 2, 3) unit vectors up from the soles [heading frame]."""
         return cross(self.forward, self.left)
 
     @cached_property
@@ -134,7 +133,7 @@ class Estimate:
 
     @cached_property
     def foot_orientation(self) -> np.ndarray:
-        """(n, 2, 4) soles to heading frame, wxyz, w >= 0; identity when level with toes along x."""
+        """(n, 2, 4) soles to heading frame, wxyz, w >= 0; identity if level with toes along x."""
         frame = np.stack([self.forward, self.left, self.up], axis=-1)
         turn = Rotation.from_matrix(frame.reshape(-1, 3, 3))
         return turn.as_quat(canonical=True, scalar_first=True).reshape(-1, 2, 4)

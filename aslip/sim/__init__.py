@@ -1,4 +1,4 @@
-"""The robot's low level at 2 kHz: sensors, motor drive, delay, and N simulations side by side."""
+"""Low level at 2 kHz: sensors, motor drive and delay; batches of N simulations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checks of counts, robots and states that simulations and environments share."""
+"""Checks of arguments for simulations and environments: counts, robots and states."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from aslip.errors import ConfigurationError, ShapeError
 
 
 def check_count(name: str, value: Any, least: int = 1, most: int | None = None) -> int:
-    """Check a count, NumPy's whole numbers included, and return it as a Python number.
+    """Return a count as a Python number; whole numbers of NumPy are counts, too.
 
     Raises:
         ConfigurationError: `value` is not a whole number from `least` to `most`.
@@ -25,10 +25,10 @@ def check_count(name: str, value: Any, least: int = 1, most: int | None = None) 
 
 
 def check_ids(ids: Any, num: int) -> np.ndarray:
-    """Check which of `num` robots are meant, and return their indices (k,).
+    """Return robots of `num` as indices (k,).
 
     Raises:
-        ConfigurationError: `ids` are not whole numbers, ascending, unique and from 0 to `num` - 1.
+        ConfigurationError: `ids` are not ascending, unique whole numbers from 0 to `num` - 1.
     """
     robots = np.asarray(ids)
     if robots.size == 0:
@@ -42,15 +42,15 @@ def check_ids(ids: Any, num: int) -> np.ndarray:
 
 
 def check_states(states: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """Check that states to be written fit, and return them as doubles.
+    """Return states as an array of doubles.
 
     Raises:
-        ShapeError: `states` are not of `shape`.
+        ShapeError: the shape of `states` is not `shape`.
     """
     array = np.asarray(states, dtype=np.float64)
     if array.shape != shape:
         raise ShapeError(
-            f"states must have shape {shape}, got {array.shape}; write what states() of the same"
-            " number of robots and the same model returned"
+            f"states must have shape {shape}, got {array.shape}; they must come from states() of"
+            " the same number of robots and the same model"
         )
     return array

@@ -1,17 +1,17 @@
-r"""Low level at 2 kHz: from a command to torques of the motors, within their limits (Sec. III-B).
+r"""Low level at 2 kHz: commands to motor torques within the motors' limits (Sec. III-B).
 
-`PD` is what the paper has,
+`PD` is the paper's control law,
 
 .. math:: \tau = P\,(q^* - q) + D\,(0 - \dot q),
 
-and `Torque` takes torques at the joints as they come. Both are divided by the gear, and limited to
-what the motor gives at its speed: full torque up to half the no-load speed, then falling linearly
-to none. The limit holds for braking too, as in the public simulator.
+and the command of `Torque` is the joint torque itself. The gear divides the torque, and the motor
+limits it: full torque up to half the no-load speed, then a linear decrease to zero at the no-load
+speed. The limit holds for braking, too, as in the public simulator.
 
-The simulator's safety clamp on the joint torque (140.63, 140.63, 216.16, 216.16 and 45.14 N m) is
-left out: the motors give at most 112.5, 112.5, 195.2, 195.2 and 45 N m there, so that it never
-acts. The 3 ms torque delay is not here: it is part of the physics state (`<motor delay=...>` in the
-model), so that a saved state resumes exactly.
+The simulator also clamps joint torques at 140.63, 140.63, 216.16, 216.16 and 45.14 N m. This clamp
+is left out because it never acts: the motors give at most 112.5, 112.5, 195.2, 195.2 and 45 N m.
+The torque delay of 3 ms is part of the physics state (`<motor delay=...>` in the model), so that a
+saved state resumes exactly.
 """
 
 from __future__ import annotations
@@ -25,27 +25,27 @@ from aslip.robot import CASSIE, Robot
 from aslip.robot.compiled import compiled
 from aslip.sim.parameters import DRIVE
 
-# torque falls from its maximum at half the no-load speed to zero there
+# the limit falls from its maximum at half the no-load speed to zero at the no-load speed
 _TORQUE_SLOPE = 2.0
 
 
 class Drive(ABC):
-    """Low level of n robots; a subclass says what joint torque a command asks for.
+    """Low level of n robots; a subclass implements `joint_torque`.
 
     Args:
         num: number of robots n.
-        robot: robot with m motors, whose gear and limits apply.
+        robot: robot with m motors; gives gear and motor limits.
     """
 
     def __init__(self, num: int, robot: Robot = CASSIE) -> None:
         self._gear, self._limit = robot.gear, robot.torque_limit
-        # change of the limit's share with the joint's speed [s/rad]
+        # change of limit / largest torque with the joint's speed [s/rad]
         self._slope = -_TORQUE_SLOPE / (robot.no_load_speed / robot.gear)
         self._torque = np.empty((num, robot.gear.size))
 
     @property
     def command_size(self) -> int:
-        """Numbers in a robot's command; one a motor by default."""
+        """Size of a robot's command; by default the number of motors."""
         return self._gear.size
 
     def torque(
@@ -55,16 +55,16 @@ class Drive(ABC):
         velocity: np.ndarray,
         out: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Torque at the motor shafts.
+        """Torque at the motor shafts, within the motors' limits.
 
         Args:
-            command: (n, `command_size`).
+            command: (n, `command_size`) commands.
             position: (n, m) joint angles [rad].
             velocity: (n, m) joint velocities [rad/s].
-            out: (n, m) array to write into.
+            out: (n, m) array for the result.
 
         Returns:
-            (n, m) [N m], overwritten by the next call.
+            (n, m) torques [N m]; the next call overwrites them.
         """
         out = self._torque if out is None else out
         torque = self.joint_torque(command, position, velocity)
@@ -72,30 +72,30 @@ class Drive(ABC):
         return out
 
     def write_gains(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
-        """Write the gains among the fields of `aslip.sim.Dynamics` of (k,) robots; none here."""
+        """Set the gains of (k,) robots from fields of `aslip.sim.Dynamics`; here there are none."""
         del ids, fields
 
     @abstractmethod
     def joint_torque(
         self, command: np.ndarray, position: np.ndarray, velocity: np.ndarray
     ) -> np.ndarray:
-        """Torque (n, m) at the joints before the motors' limits [N m]; see `torque`."""
+        """Torque (n, m) at the joints before the motors' limits [N m]; arguments as in `torque`."""
 
     def initial_command(self, position: np.ndarray) -> np.ndarray:
-        """Command (n, `command_size`) of robots at rest at (n, m) joint angles; zero by default."""
+        """Command (n, `command_size`) after a reset to (n, m) joint angles; zero by default."""
         return np.zeros((len(position), self.command_size))
 
 
 MakeDrive = Callable[[int, Robot], Drive]
-"""Class of a drive, or a function of the number of robots and the robot that makes one."""
+"""Subclass of `Drive`, or function of number of robots and `Robot` that makes a drive."""
 
 
 class PD(Drive):
-    """Proportional-derivative control; a command is (n, m) joint angles to hold [rad].
+    """Proportional-derivative control; commands are (n, m) target angles of the joints [rad].
 
     Args:
         num: number of robots n.
-        robot: robot with m motors, whose gains, gear and limits apply.
+        robot: robot with m motors; gives gains, gear and motor limits.
     """
 
     def __init__(self, num: int, robot: Robot = CASSIE) -> None:
@@ -127,18 +127,18 @@ class PD(Drive):
         return (command - position) * self.stiffness - velocity * self.damping
 
     def write_gains(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
-        """Write the gains among the fields of `aslip.sim.Dynamics` of (k,) robots."""
+        """Set the gains of (k,) robots from fields of `aslip.sim.Dynamics`."""
         for name, gains in (("stiffness", self.stiffness), ("damping", self.damping)):
             if DRIVE + name in fields:
                 gains[ids] = fields[DRIVE + name]
 
     def initial_command(self, position: np.ndarray) -> np.ndarray:
-        """Angles at which the robots are."""
+        """Present joint angles, as a copy."""
         return position.copy()
 
 
 class Torque(Drive):
-    """Feedforward torque; a command is (n, m) torques at the joints [N m]."""
+    """Torque control; commands are (n, m) torques at the joints [N m]."""
 
     def joint_torque(
         self, command: np.ndarray, position: np.ndarray, velocity: np.ndarray
@@ -148,7 +148,7 @@ class Torque(Drive):
         return command
 
 
-# compiled: twenty NumPy calls a substep cost a fifth of it
+# compiled: NumPy calls would take a fifth of a substep
 @compiled
 def _pd_limited(
     target: np.ndarray,
@@ -161,7 +161,7 @@ def _pd_limited(
     most: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """PD control and limits of (n, m) motors."""
+    """Write PD torques of (n, m) motors within their limits to `out`."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             torque = (target[i, j] - position[i, j]) * stiffness[i, j]
@@ -178,7 +178,7 @@ def _limited(
     most: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Shaft torques within the limits, from (n, m) joint torques."""
+    """Write shaft torques within the limits, from (n, m) joint torques, to `out`."""
     for i in range(out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j] = _limit(torque[i, j] / gear[j], velocity[i, j], slope[j], most[j])
@@ -188,8 +188,8 @@ def _limited(
 def _limit(torque: float, velocity: float, slope: float, most: float) -> float:
     """Torque of a motor within its limit at a joint velocity.
 
-    The limit is most clip(2 (1 - |w| / w_max), 0, 1). A torque that is not a number stays so, and
-    is noticed.
+    The limit is most clip(2 (1 - |w| / w_max), 0, 1). NaN stays NaN, so that the simulation
+    diverges and is reset.
     """
     limit = min(max(abs(velocity) * slope + _TORQUE_SLOPE, 0.0), 1.0) * most
     if torque > limit:

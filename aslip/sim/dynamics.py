@@ -1,7 +1,6 @@
-"""Values of `DYNAMICS` for n robots, and the numbers of the MuJoCo model that follow from them.
+"""Values of `DYNAMICS` for n robots, and the fields of the MuJoCo model that depend on them.
 
-Who steps the robots writes those numbers, into per-simulation fields of `mujoco.batch` or into a
-model of each robot's own.
+The simulators write these fields, per simulation into `mujoco.batch` or into each robot's model.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ from aslip.robot.model import load_model
 from aslip.sim.parameters import DRIVE, DYNAMICS, parameter_named
 
 DERIVING_FIELDS: Final = frozenset({"body_mass", "body_inertia", "dof_armature"})
-"""Fields from which others follow: call `mj_setConst` after writing them."""
+"""Fields from which MuJoCo derives others: call `mj_setConst` after writing them."""
 
 
 class Dynamics:
-    """Values of the parameters for n robots, at first those of a model.
+    """Values of the parameters for n robots, initially those of a model.
 
     Args:
         num: number of robots n.
-        model: compiled model of the robot as it is by default.
-        robot: the robot, which has the gains.
+        model: compiled model with the nominal values.
+        robot: robot of the model; gives the gains.
     """
 
     def __init__(self, num: int, model: mujoco.MjModel, robot: Robot = CASSIE) -> None:
@@ -48,27 +47,27 @@ class Dynamics:
             "slope": 0.0,
         }
         self.nominal: Mapping[str, float] = MappingProxyType(nominal)
-        """Values that leave the model as it is."""
+        """Parameter -> value of the model."""
         self.values = {name: np.full(num, value) for name, value in nominal.items()}
-        """(n,) each."""
+        """Parameter -> values (n,)."""
 
     def update(self, ids: np.ndarray, values: Mapping[str, ArrayLike]) -> dict[str, np.ndarray]:
         """Change some parameters of some robots.
 
-        A value that is the nominal one in single precision is taken for the nominal one.
+        A value that equals the nominal one in single precision becomes the nominal one.
 
         Args:
             ids: (k,) robots.
-            values: parameter -> one value, or (k,).
+            values: parameter -> one value, or (k,) values.
 
         Returns:
-            (k, ...) of each field of the model that is not what it was.
+            Field of the model -> (k, ...), for fields of changed parameters.
 
         Raises:
-            UnknownNameError: there is no such parameter.
-            ShapeError: the values are not one or k.
-            ConfigurationError: a value is outside the parameter's limits; nothing has been changed
-                then.
+            UnknownNameError: a parameter does not exist.
+            ShapeError: the number of values is neither one nor k.
+            ConfigurationError: a value is outside the parameter's limits; all values stay as they
+                are.
         """
         checked = {name: self._checked(name, ids, value) for name, value in values.items()}
         changed = {name for name in checked if (checked[name] != self.values[name][ids]).any()}
@@ -79,7 +78,7 @@ class Dynamics:
     def fields(
         self, ids: np.ndarray, parameters: Iterable[str] = DYNAMICS
     ) -> dict[str, np.ndarray]:
-        """(k, ...) of each field of the model that some parameters bear on, for some robots."""
+        """Field of the model -> (k, ...), for fields that depend on some parameters."""
         names = {field for parameter in parameters for field in DYNAMICS[parameter].fields}
         of = {name: values[ids] for name, values in self.values.items()}
         return {name: self._field(name, of, len(ids)) for name in sorted(names)}
@@ -94,7 +93,7 @@ class Dynamics:
         elif name == "geom_friction":
             rows[:, self._floor, 0] = of["floor_friction"]
         elif name == "actuator_gainprm":
-            # a motor's gain is the first of the numbers
+            # the first parameter is the motor's gain
             rows[..., 0] *= of["motor_strength"][:, None]
         elif name == "actuator_delay":
             rows[:] = of["torque_delay"][:, None]
@@ -108,10 +107,10 @@ class Dynamics:
         value = np.asarray(given)
         if value.shape not in ((), ids.shape):
             raise ShapeError(
-                f"{name} must be one number or {ids.shape} of them, got the shape {value.shape}"
+                f"{name} must be one number or have shape {ids.shape}, got shape {value.shape}"
             )
         value = np.broadcast_to(value.astype(np.float64), ids.shape).copy()
-        with np.errstate(over="ignore"):  # what overflows is beyond all limits
+        with np.errstate(over="ignore"):  # overflow is beyond all limits
             single, low, high = (np.float32(x) for x in (value, parameter.low, parameter.high))
         wrong = ~((single >= low) & (single <= high))
         if wrong.any():
@@ -139,36 +138,36 @@ _SCALED_BY = {
 
 
 def model_field(model: mujoco.MjModel, name: str) -> np.ndarray:
-    """The live array of a field, which `mujoco.batch` names "opt.gravity" if it is an option."""
+    """Live array of a field by the name in `mujoco.batch`, such as "opt.gravity" for an option."""
     owner, _, option = name.rpartition(".")
     return getattr(model.opt if owner else model, option)
 
 
 def write_fields(model: mujoco.MjModel, fields: Mapping[str, np.ndarray]) -> None:
-    """Write fields into one robot's model, and what follows from them; gains are skipped."""
+    """Write fields into one robot's model and update the derived ones; skip gains."""
     for name, value in fields.items():
         if not name.startswith(DRIVE):
             model_field(model, name)[:] = value
     if DERIVING_FIELDS & fields.keys():
-        # the data is overwritten in the course of it
+        # mj_setConst overwrites the data
         mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
 def longest_delay(model: mujoco.MjModel) -> float:
-    """The longest torque delay that a model's memory of commands is long enough for [s]."""
+    """Longest torque delay that a model's memory of commands allows [s]."""
     return float(model.actuator_history[0, 0]) * model.opt.timestep
 
 
 def with_longer_memory(
     model: mujoco.MjModel, delay: float, *, visual: bool, robot: Robot = CASSIE
 ) -> mujoco.MjModel:
-    """The same robot with a memory of commands that is doubled until it is long enough.
+    """Load a model again, with its memory of commands doubled until it allows a delay.
 
     Args:
-        model: as `aslip.robot.model.load_model` made it, or this.
-        delay: torque delay that it must be long enough for [s].
-        visual: what it was made with.
-        robot: robot that the model is of.
+        model: model from `aslip.robot.model.load_model` or this function.
+        delay: torque delay that the memory must allow [s].
+        visual: `visual` of the model.
+        robot: robot of the model.
     """
     samples = int(model.actuator_history[0, 0])
     while samples * model.opt.timestep < delay:
@@ -183,20 +182,20 @@ def with_longer_memory(
 
 
 def with_memory_of(states: np.ndarray, model: mujoco.MjModel, longer: mujoco.MjModel) -> np.ndarray:
-    """States of one model as states of another, whose memory of commands is longer.
+    """Convert states of a model to a model with a longer memory of commands.
 
     Args:
-        states: (n, k) as `aslip.sim.Simulations.states` returns them.
-        model: theirs.
-        longer: the other.
+        states: (n, k) states from `aslip.sim.Simulations.states`.
+        model: model of the states.
+        longer: model with the longer memory.
 
     Returns:
-        (n, l). What the longer memory has no commands for is the oldest there is.
+        (n, l) states; the oldest command fills the longer memory.
     """
     start = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_HISTORY) - 1)
     before, history, after = np.split(states, [start, start + model.nhistory], axis=1)
     old, new = (int(m.actuator_history[0, 0]) for m in (model, longer))
-    # of each motor: a number for users, the newest sample's place, times, commands
+    # a motor's row: user number, index of the newest sample, times, commands
     rows = history.reshape(len(states), model.nu, 2 + 2 * old)
     newest = rows[..., 1:2].astype(int)
     oldest_first = (newest + 1 + np.arange(old)) % old

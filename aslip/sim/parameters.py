@@ -1,4 +1,4 @@
-"""Parameters of the dynamics: names, meanings and limits; no simulator is imported."""
+"""Parameters of the dynamics: names, meanings and limits, readable without a simulator."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from aslip.robot import CASSIE
 
 @dataclass(frozen=True)
 class Parameter:
-    """Something that differs from robot to robot."""
+    """Parameter of the dynamics that may differ between robots."""
 
     meaning: str
     low: float
-    """The least value that makes sense."""
+    """Smallest value."""
     high: float
-    """The greatest."""
+    """Largest value."""
     fields: tuple[str, ...]
-    """Fields of `mujoco.MjModel` that follow from it, and gains of the drive."""
+    """Fields of `mujoco.MjModel`, and gains of the drive, that depend on the parameter."""
 
 
 DRIVE: Final = "drive."
@@ -39,7 +39,7 @@ DYNAMICS: Final = MappingProxyType(
         ),
         "floor_friction": Parameter("sliding friction of the floor", 0.01, 5.0, ("geom_friction",)),
         "spring_stiffness": Parameter(
-            "factor on the stiffness of joints, which are the leaf springs'",
+            "factor on the stiffness of the leaf springs",
             0.1,
             10.0,
             ("jnt_stiffness",),
@@ -49,13 +49,13 @@ DYNAMICS: Final = MappingProxyType(
             "factor on the inertia of the motors' rotors at the joints", 0.0, 5.0, ("dof_armature",)
         ),
         "motor_strength": Parameter(
-            "delivered over commanded torque, below the motors' limits and at them",
+            "ratio of delivered to commanded torque, at the motors' limits, too",
             0.0,
             5.0,
             ("actuator_gainprm",),
         ),
         "torque_delay": Parameter(
-            "from a torque command to its action [s], in whole physics steps",
+            "time from a torque command to its action [s], in whole physics steps",
             0.0,
             CASSIE.substeps * CASSIE.physics_timestep,
             ("actuator_delay",),
@@ -70,26 +70,25 @@ DYNAMICS: Final = MappingProxyType(
             "factor on the velocity gains of the PD loop", 0.0, 10.0, ("drive.damping",)
         ),
         "sensor_noise": Parameter(
-            "factor on the sensors' noise, which transforms add: remembered here only",
+            "factor on the sensors' noise, applied by transforms",
             0.0,
             100.0,
             (),
         ),
     }
 )
-"""What `SimulatedEnv.set_dynamics` takes.
+"""Parameters of `SimulatedEnv.set_dynamics`.
 
-Motor strength scales all that is delivered, not only its limit, as a wrong torque constant does. On
-a slope the floor stays the plane z = 0 and gravity leans back, so that heights above the floor,
-falls, the reference and poses at resets remain what they are; the IMU's attitude is against
-gravity, as a robot's."""
+Motor strength scales the delivered torque and its limit, as a wrong torque constant does. A slope
+keeps the floor in the plane z = 0 and turns gravity instead, so that heights, falls, references and
+initial poses stay valid; the IMU's attitude is relative to gravity, as on a robot."""
 
 
 def parameter_named(name: str) -> Parameter:
-    """The entry of `DYNAMICS`.
+    """Entry of `DYNAMICS` by name.
 
     Raises:
-        UnknownNameError: it has none of that name.
+        UnknownNameError: the parameter does not exist.
     """
     if name not in DYNAMICS:
         raise UnknownNameError.among("parameter", name, DYNAMICS)

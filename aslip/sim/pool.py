@@ -1,9 +1,9 @@
-"""Simulations in parts, each stepped through a policy period by one thread.
+"""Pool of simulations in parts; one thread steps a part through a whole policy period.
 
-One `mujoco.batch` stepped on several threads must wait for all of them 60 times a policy step, and
-meanwhile runs the drive on one. Parts never wait for each other, and one part's drive runs while
-MuJoCo steps another. Parts are small enough for their states to stay in a core's cache. Results
-equal those of a single `Simulations`, bit for bit.
+A single `mujoco.batch` on several threads synchronises them 60 times per policy step and runs the
+drive on one thread. Parts need no synchronisation: the drive of one runs while MuJoCo steps
+another. The states of a part fit into a core's cache. Results equal those of a single
+`Simulations`, bit for bit.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot
 
-# larger parts fall out of the cache, smaller ones cost more Python
+# larger parts exceed the cache, smaller parts cost more Python
 _LARGEST_PART = 64
 
 
 class SimulationPool:
-    """Num simulations; the same questions and answers as `Simulations`.
+    """Pool of `num` simulations with the interface of `Simulations`.
 
     Args:
         num: number of simulations.
-        model: compiled model; by default the robot without what is only looked at.
-        num_threads: threads to step on, 0 for all processors this process may use.
-        robot: robot that the model is of.
+        model: compiled model; by default the robot's, without visual geoms.
+        num_threads: physics threads, 0 for all processors of this process.
+        robot: robot of the model.
         drive: low level between commands and motors.
 
     Raises:
@@ -57,7 +57,7 @@ class SimulationPool:
         self.model = load_model(visual=False, robot=robot) if model is None else model
         self.indices = robot.indices
         threads = num_threads or processors()
-        # equal parts, as many for each thread
+        # parts of equal size, the same number for each thread
         rounds = math.ceil(num / (threads * _LARGEST_PART))
         size = math.ceil(num / (threads * rounds))
         self._starts = np.arange(0, num, size)
@@ -73,18 +73,18 @@ class SimulationPool:
         ]
         self._threads = min(threads, len(self.parts))
         self._executor = ThreadPoolExecutor(self._threads)
-        # threads come with the first period, and do not follow into a forked process
+        # process of the threads, which start with the first period; a forked process has none
         self._process: int | None = None
         self._watched_part = 0
 
     @property
     def command_size(self) -> int:
-        """Numbers in the command of a simulation's drive."""
+        """Size of a robot's command; see `Drive.command_size`."""
         return self.parts[0].command_size
 
     @property
     def divergences(self) -> int:
-        """Simulations put back on their feet since construction."""
+        """Number of simulations that diverged and were reset since construction."""
         return sum(part.divergences for part in self.parts)
 
     def reset(
@@ -98,9 +98,9 @@ class SimulationPool:
             qvel: (k, 32) initial velocities, rest by default.
 
         Raises:
-            ConfigurationError: there is no such simulation, or this is a forked process; nothing
-                has been reset then.
-            ShapeError: an array does not fit; nothing has been reset then.
+            ConfigurationError: a simulation does not exist, or this process was forked; nothing is
+                reset.
+            ShapeError: an array has the wrong shape; nothing is reset.
         """
         self._check_process()
         ids = check_ids(ids, self.num)
@@ -118,20 +118,20 @@ class SimulationPool:
             part.write_fields(own_ids, {name: values[rows] for name, values in fields.items()})
 
     def _owners(self, ids: np.ndarray) -> Iterator[tuple[Simulations, np.ndarray, np.ndarray]]:
-        """Parts that have some of these simulations: which of them, and their ids there."""
+        """Parts of some simulations, with the rows in `ids` and the ids within the part."""
         owner = np.searchsorted(self._starts, ids, side="right") - 1
         for i in np.unique(owner):
             rows = owner == i
             yield self.parts[i], rows, ids[rows] - self._starts[i]
 
     def watch(self, index: int | None) -> None:
-        """Keep every substep of one simulation in `watched` from now on; None for none.
+        """Record every substep of one simulation in `watched` from now on; None stops it.
 
         Raises:
-            ConfigurationError: there is no such simulation, or the physics does not step as often.
+            ConfigurationError: the simulation does not exist, or the timestep is not a substep.
         """
         if index is not None and not 0 <= index < self.num:
-            raise ConfigurationError(f"no simulation {index!r}; there are {self.num}, from 0")
+            raise ConfigurationError(f"simulation must be from 0 to {self.num - 1}, got {index!r}")
         owner = 0 if index is None else int(np.searchsorted(self._starts, index, side="right")) - 1
         for i, part in enumerate(self.parts):
             part.watch(None if index is None or i != owner else index - int(self._starts[i]))
@@ -139,26 +139,25 @@ class SimulationPool:
 
     @property
     def watched(self) -> np.ndarray:
-        """(60, 83) every substep of the watched simulation; see `Simulations.watched`."""
+        """(60, 83) substeps of the watched simulation; see `Simulations.watched`."""
         return self.parts[self._watched_part].watched
 
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
         """Run one policy period; see `Simulations.advance`.
 
-        Also when a part fails, or at Ctrl-C, nothing is raised before all threads have come to
-        rest, so that whoever catches it reads states that no longer change.
+        Errors of a part and Ctrl-C are raised after all threads have finished, so that states no
+        longer change.
 
         Args:
-            motor_target: (n, m) commands of the drive: joint angles that PD loops track [rad].
-            push: (n, 3) forces on the pelvis' origin throughout the period [N, world]; none by
-                default.
+            motor_target: (n, `command_size`) commands of the drive, joint angles for `PD` [rad].
+            push: (n, 3) forces on the pelvis' origin during the period [N, world]; zero by default.
 
         Returns:
-            (n,) bool, the simulations that diverged and stand at the keyframe now.
+            (n,) bool, True for simulations that diverged and were reset to standing.
 
         Raises:
-            ConfigurationError: this process was forked after the simulations had been stepped.
-            ShapeError: the targets do not fit.
+            ConfigurationError: this process was forked after the first step.
+            ShapeError: `motor_target` or `push` has the wrong shape.
         """
         self._check_process()
         if motor_target.shape != (self.num, self.command_size):
@@ -181,22 +180,22 @@ class SimulationPool:
         return np.concatenate([job.result() for job in jobs])
 
     def _check_process(self) -> None:
-        """Refuse a forked process, in which jobs would wait for threads that are not there.
+        """Refuse a forked process, in which jobs would wait forever for missing threads.
 
         Raises:
-            ConfigurationError: the simulations have been stepped in another process.
+            ConfigurationError: another process has stepped the simulations.
         """
         if self._process not in (None, os.getpid()):
             raise ConfigurationError(
-                f"these simulations were stepped in process {self._process}, from which this one"
-                f" ({os.getpid()}) was forked without their threads; make the environment in the"
-                ' process that steps it, or start processes with the method "spawn"'
+                f"process {self._process} has stepped these simulations, and its fork {os.getpid()}"
+                " lacks their threads; make the environment in the process that steps it, or start"
+                ' processes with the method "spawn"'
             )
 
     def _come_to_rest(self) -> None:
-        """Let the threads finish what they were given, and replace them by new ones.
+        """Let the threads finish all jobs, then replace them by new ones.
 
-        To wait for the jobs would not do: an interrupt may come before the last is in the list.
+        The list of jobs may lack the last one after an interrupt; the executor knows all.
         """
         resting = False
         while not resting:
@@ -206,7 +205,7 @@ class SimulationPool:
         self._executor = ThreadPoolExecutor(self._threads)
 
     def snapshot(self) -> Snapshot:
-        """Copies of everything the true state is made of."""
+        """Copies of the arrays of the true state."""
         return Snapshot.concatenate([part.snapshot() for part in self.parts])
 
     def packets(self) -> dict[str, np.ndarray]:
@@ -215,14 +214,14 @@ class SimulationPool:
         return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
     def states(self) -> np.ndarray:
-        """(n, k) copy of all that the future depends on; see `Simulations.states`."""
+        """(n, k) copy of the complete states; see `Simulations.states`."""
         return np.concatenate([part.states() for part in self.parts])
 
     def set_states(self, states: np.ndarray) -> None:
-        """Write what `states` returned, into these or other simulations of the same model.
+        """Restore what `states` returned, for these or other simulations of the same model.
 
         Raises:
-            ShapeError: the states are of another number or model; nothing has been written then.
+            ShapeError: the states have another number or model; all simulations keep theirs.
         """
         states = check_states(states, (self.num, self.parts[0].state_size))
         for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):
@@ -230,7 +229,7 @@ class SimulationPool:
 
 
 def processors() -> int:
-    """Processors this process may run on."""
+    """Number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1

@@ -1,22 +1,21 @@
-r"""Encoders and IMU at 2 kHz, as the robot's own electronics read, filter and send them.
+r"""Encoders and IMU at 2 kHz, with the filters and packets of the robot's electronics.
 
-Encoders count, toward zero, in steps of a turn over a power of two; those of the drives sit on the
-motor side of the gear. Velocities are filtered from positions: a motor's by nine integer taps on
-its counts (gain 0.9997, delay 0.52 ms), a joint's by an IIR filter (gain 1.0019, delay 4.5 ms,
-0.75 at 50 Hz). All three are those of the public simulator.
+Encoders truncate toward zero to counts of a turn over a power of two; motor encoders are on the
+motor side of the gear. Velocities are filtered positions: for a motor by an FIR filter with nine
+integer taps (gain 0.9997, delay 0.52 ms), for a joint by an IIR filter (gain 1.0019, delay 4.5 ms,
+gain 0.75 at 50 Hz). Encoders and filters are those of the public simulator.
 
-The IMU gives its attitude, angular velocity and specific force at its place in the pelvis,
+The IMU measures attitude, angular velocity and specific force at its site in the pelvis,
 
 .. math:: f = R^T (\ddot p - g) + \alpha \times r + \omega \times (\omega \times r),
 
-which MuJoCo could compute as well, at a sixth of the cost of a physics step. Its attitude is that
-of the pelvis in a frame whose z is up against gravity, which is the world unless the floor slopes.
+computed here because MuJoCo's own sensor takes a sixth of a physics step. The attitude is that of
+the pelvis in a frame with z against gravity, the world frame unless the floor has a slope.
 
-A reading is of the state before a physics step, and the PD loop works on the reading before that
-one, as in the public simulator. Every three milliseconds a packet leaves the robot: encoders,
-attitude and angular velocity of that instant, and the *mean* specific force since the last packet.
-Inertial units integrate inside and give out increments of velocity; a lone sample of an impact
-would say little about what the velocity did.
+A reading is taken before each physics step, and the PD loop uses the previous reading, as in the
+public simulator. A packet every 3 ms has encoders, attitude and angular velocity of that instant,
+and the *mean* specific force since the previous packet: inertial units integrate internally, and a
+single sample of an impact would not tell the change of velocity.
 """
 
 from __future__ import annotations
@@ -30,13 +29,14 @@ from aslip.robot import CASSIE, Robot
 from aslip.robot.compiled import compiled
 
 MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
-"""Taps on a motor's counts, newest first; the sum is in counts a step times pi (simulator)."""
+"""Taps on a motor's counts, newest first; the unit of the sum is counts per step times pi (public
+simulator)."""
 
 JOINT_VELOCITY_FILTER: Final = (
     12.348 * np.array([1.0, 1.0, -1.0, -1.0]),
     np.array([1.0, -1.7658, 0.79045]),
 )
-"""Numerator and denominator of the filter from a joint's angle to its velocity (simulator)."""
+"""Numerator and denominator of the filter from joint angle to velocity (public simulator)."""
 
 _TAPS = len(MOTOR_VELOCITY_TAPS)
 _MEMORY_ROWS = _TAPS - 1
@@ -50,23 +50,23 @@ _ATTITUDE, _GYRO, _LINEAR, _ANGULAR = slice(0, 4), slice(4, 7), slice(7, 10), sl
 class Sensors:
     """Sensors of n robots.
 
-    In every physics step the simulation calls `read`, steps, and calls `feel`; after a policy
-    period, `packets`. In between only what the PD loop needs is computed.
+    The simulation calls `read` before and `feel` after every physics step, and `finish` after a
+    policy period, before `packets`. A physics step computes only what the PD loop needs.
 
     Args:
         num: number of robots n.
-        model: compiled model of the robot, which gives gravity and the place of the IMU.
-        robot: robot whose encoders and timing the sensors have.
+        model: compiled model of the robot; gives gravity and the position of the IMU.
+        robot: robot of the model; gives encoders and timing.
     """
 
     def __init__(self, num: int, model: mujoco.MjModel, robot: Robot = CASSIE) -> None:
         self._indices, self._timestep = robot.indices, robot.physics_timestep
         indices = self._indices
         self._encoder_qpos = np.concatenate([indices.motor_qpos, indices.joint_qpos])
-        # radians at the joint of one count
+        # joint angle of one count [rad]
         self._motor_step = 2 * np.pi / 2.0**robot.motor_encoder_bits / robot.gear
         self._joint_step = 2 * np.pi / 2.0**robot.joint_encoder_bits
-        # radians a second at the joint of one in the sum of taps times counts
+        # joint velocity of one unit of the sum of taps times counts [rad/s]
         self._velocity_step = self._motor_step / np.pi
         self._substeps, self._window = robot.substeps, robot.sensor_window
         self._sent = slice(robot.packet_substeps - 1, None, robot.packet_substeps)
@@ -75,7 +75,7 @@ class Sensors:
         motors, joints = len(robot.motor_names), len(robot.joint_names)
         self._motors = motors
         self._angle = np.zeros((robot.substeps, num, motors + joints))
-        # counts of the motors: some from before the period, then those of its steps
+        # motor counts: the last ones of the previous period, then those of this period
         self._count = np.zeros((_MEMORY_ROWS + robot.substeps, num, motors))
         self._velocity = np.zeros((robot.substeps, num, motors))
         self._joint_memory = np.zeros((_ORDER, num, joints))
@@ -86,29 +86,28 @@ class Sensors:
             name: np.zeros((num, self._window, size)) for name, size in robot.packet_sizes.items()
         }
         self.motor_position = np.zeros((num, motors))
-        """(n, 10) latest readings [rad]."""
+        """(n, 10) latest motor positions [rad]."""
         self.motor_velocity = np.zeros((num, motors))
-        """(n, 10) [rad/s]."""
+        """(n, 10) latest motor velocities [rad/s]."""
         self.set_gravity(np.arange(num), self._gravity.T)
 
     def set_gravity(self, ids: np.ndarray, gravity: np.ndarray) -> None:
-        """Say where some robots' (k,) gravity pulls: (k, 3) [m/s^2, world], without y."""
+        """Set the gravity (k, 3) of (k,) robots [m/s^2, world]; y must be zero."""
         self._gravity[:, ids] = gravity.T
         half = np.arctan2(self._gravity[0], -self._gravity[2]) / 2
         # turns the world about y until gravity is down
         self._tilt = (np.cos(half), np.sin(half)) if half.any() else None
 
     def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> None:
-        """Begin anew for some robots, as if they had always moved at their present velocities.
+        """Restart the sensors of some robots, as if they had always moved at these velocities.
 
-        The filters start settled, without a trace of what was before. All packets of the window are
-        one: the reading just before.
+        The filters start settled. All packets of the window equal the reading one substep before.
 
         Args:
             ids: (k,) robots.
-            qpos: (k, 35) their positions.
-            qvel: (k, 32) velocities.
-            qacc: (k, 32) accelerations.
+            qpos: (k, 35) generalised positions.
+            qvel: (k, 32) generalised velocities.
+            qacc: (k, 32) generalised accelerations.
         """
         at = self._indices
         velocity = qvel[:, at.motor_qvel]
@@ -121,7 +120,7 @@ class Sensors:
 
         joint_velocity = qvel[:, at.joint_qvel]
         joint = qpos[:, at.joint_qpos] - self._timestep * joint_velocity
-        # counted angles, or the filter would take the lost part of a count for a step
+        # truncated angles, as the filter would take the truncation for a step
         counted = np.trunc(joint / self._joint_step) * self._joint_step
         self._joint_memory[:, ids] = (
             self._constant[:, None, None] * counted + self._ramp[:, None, None] * joint_velocity
@@ -148,7 +147,7 @@ class Sensors:
             self._packets[name][ids] = values[:, None]
 
     def read(self, substep: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
-        """Read the state before a physics step, (n, 35) and (n, 32)."""
+        """Read encoders and IMU before a physics step, from `qpos` (n, 35) and `qvel` (n, 32)."""
         self.motor_velocity = self._velocity[substep]
         _read(
             qpos, qvel, self._encoder_qpos, self._angle[substep],
@@ -158,13 +157,13 @@ class Sensors:
         )  # fmt: skip
 
     def feel(self, substep: int, qacc: np.ndarray) -> None:
-        """Record the accelerations (n, 32) of the state that `read` read, known after its step."""
+        """Record the accelerations (n, 32) of the state of `read`, after its physics step."""
         at = self._indices
         self._inertial[_LINEAR, substep] = qacc[:, at.pelvis_velocity].T
         self._inertial[_ANGULAR, substep] = qacc[:, at.pelvis_angular_velocity].T
 
     def finish(self) -> None:
-        """Compute the packets of the policy period whose steps have all been read."""
+        """Compute the packets of a policy period after its last physics step."""
         motor_count = self._count[_MEMORY_ROWS:][self._sent]
         joint_count = np.trunc(self._angle[..., self._motors :] / self._joint_step)
         joint_velocity = np.empty_like(joint_count)
@@ -187,7 +186,7 @@ class Sensors:
         for name, values in window.items():
             self._packets[name][:] = values.swapaxes(0, 1)
         self._count[:_MEMORY_ROWS] = self._count[self._substeps :]
-        # the buffer it lies in is written again in the next period
+        # copy, as the next period overwrites the buffer
         self.motor_velocity = self.motor_velocity.copy()
 
     def packets(self) -> dict[str, np.ndarray]:
@@ -200,7 +199,7 @@ class Sensors:
         return self._packets
 
     def memory(self) -> np.ndarray:
-        """(n, k) all that the next policy period depends on."""
+        """(n, k) state of the sensors between policy periods."""
         num = len(self.motor_position)
         parts = (
             self._count[:_MEMORY_ROWS].swapaxes(0, 1),
@@ -212,11 +211,11 @@ class Sensors:
 
     @property
     def memory_size(self) -> int:
-        """Numbers of one robot in `memory`."""
+        """Length of one robot's row in `memory`."""
         return (_MEMORY_ROWS + 2) * self._motors + self._joint_memory[:, 0].size
 
     def set_memory(self, rows: np.ndarray) -> None:
-        """Write what `memory` returned."""
+        """Restore what `memory` returned."""
         num, motors = self.motor_position.shape
         ends = np.cumsum([_MEMORY_ROWS * motors, self._joint_memory[:, 0].size, motors])
         count, joint, position, velocity = np.split(rows, ends, axis=1)
@@ -225,7 +224,7 @@ class Sensors:
         self.motor_position[:], self.motor_velocity[:] = position, velocity
 
     def _attitude(self, quaternion: np.ndarray, ids: np.ndarray | slice) -> np.ndarray:
-        """The same (4, ..., k) orientations seen from the frame whose z is against gravity."""
+        """Orientations (4, ..., k) in the frame with z against gravity."""
         if self._tilt is None:
             return _upper(quaternion)
         w, x, y, z = quaternion
@@ -233,7 +232,7 @@ class Sensors:
         return _upper(np.stack([c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x]))
 
     def _specific_force(self, inertial: np.ndarray, ids: np.ndarray | slice) -> np.ndarray:
-        """(3, ..., k) at the IMU in the pelvis frame, from the (13, ..., k) rows of the record."""
+        """Specific force (3, ..., k) at the IMU in the pelvis frame, from records (13, ..., k)."""
         w, *u = inertial[_ATTITUDE]
         proper = [a - g for a, g in zip(inertial[_LINEAR], self._gravity[:, ids], strict=True)]
         # R^T a = a - 2 w (u x a) + 2 u x (u x a)
@@ -265,21 +264,21 @@ def _read(
     orientation: int,
     spin: int,
 ) -> None:
-    """Fill one substep's rows of the records; compiled for the 2 kHz loop.
+    """Read encoders and IMU of all robots in one substep.
 
     Args:
-        qpos: (n, 35).
-        qvel: (n, 32).
-        encoders: (16,) where in `qpos` the encoders are, motors first.
-        angle: (n, 16) to be written.
-        count: (9, n, 10) the last counts, oldest first; the newest is written.
-        position: (n, 10) to be written.
-        velocity: (n, 10) to be written.
-        inertial: (13, n) attitude and angular velocity are written.
+        qpos: (n, 35) generalised positions.
+        qvel: (n, 32) generalised velocities.
+        encoders: (16,) indices of the encoders in `qpos`, motors first.
+        angle: (n, 16) output.
+        count: (9, n, 10) last counts, oldest first; the newest is output.
+        position: (n, 10) output.
+        velocity: (n, 10) output.
+        inertial: (13, n) attitude and angular velocity are output.
         motor_step: (10,) angle of one count [rad].
-        velocity_step: (10,) velocity of one in the sum of taps times counts [rad/s].
-        orientation: where the pelvis' quaternion starts in `qpos`.
-        spin: where its angular velocity starts in `qvel`.
+        velocity_step: (10,) velocity of one unit of the sum of taps times counts [rad/s].
+        orientation: start of the pelvis' quaternion in `qpos`.
+        spin: start of its angular velocity in `qvel`.
     """
     for i in range(qpos.shape[0]):
         for j in range(encoders.size):
@@ -288,7 +287,7 @@ def _read(
             counted = np.trunc(angle[i, j] / motor_step[j])
             count[-1, i, j] = counted
             position[i, j] = counted * motor_step[j]
-            # whole numbers: the sum is exact in whatever order it is taken
+            # a sum of whole numbers is exact in any order
             total = 0.0
             for k in range(_TAPS):
                 total += _OLDEST_FIRST[k] * count[k, i, j]
@@ -300,9 +299,9 @@ def _read(
 
 
 def _motor_velocity(counts: np.ndarray) -> np.ndarray:
-    """(n, 10) sums of taps times the last nine counts (9, n, 10), oldest first.
+    """Sums (n, 10) of taps times the last nine counts (9, n, 10), oldest first.
 
-    Counts and taps are whole numbers, and so the sum is exact in whatever order it is taken.
+    A sum of whole numbers is exact in any order.
     """
     flat = _OLDEST_FIRST @ counts.reshape(_TAPS, -1)
     return flat.reshape(counts.shape[1:])
@@ -316,7 +315,7 @@ def _filter(
     memory: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Filter (t, n, k) values along time, as `scipy.signal.lfilter` does.
+    """Filter values (t, n, k) along time like `scipy.signal.lfilter`.
 
     Direct form II transposed; the memory (order, n, k) changes in place.
     """
@@ -333,14 +332,14 @@ def _filter(
 
 
 def _padded(numerator: np.ndarray, denominator: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients with zeros to equal lengths."""
+    """Coefficients, padded with zeros to equal lengths."""
     size = max(len(numerator), len(denominator))
     b, a = (np.pad(taps, (0, size - len(taps))) for taps in (numerator, denominator))
     return b, a
 
 
 def _settled(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
-    """Memory of a filter that has always seen ones, as `scipy.signal.lfilter_zi` has it."""
+    """Memory of a filter with constant input one, like `scipy.signal.lfilter_zi`."""
     b, a = _padded(numerator, denominator)
     # memory' = shift(memory) - a memory[0] + (b - a b[0]) x, and settled for x = 1
     step = np.eye(len(b) - 1, k=1)
@@ -349,7 +348,7 @@ def _settled(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
 
 
 def _ramp_response(timestep: float) -> tuple[np.ndarray, float]:
-    """Memory of the joint filter, and its output, when the angle grows by 1 rad/s and is zero."""
+    """Memory and output of the joint filter at angle zero of a ramp of 1 rad/s."""
     ramp = (timestep * np.arange(-1000.0, 1.0))[:, None, None]
     memory = _settled(*JOINT_VELOCITY_FILTER)[:, None, None] * ramp[0]
     output = np.empty_like(ramp)
@@ -358,7 +357,7 @@ def _ramp_response(timestep: float) -> tuple[np.ndarray, float]:
 
 
 def _upper(quaternion: np.ndarray) -> np.ndarray:
-    """The same rotations (4, ...) with w >= 0."""
+    """Representation with w >= 0 of rotations (4, ...)."""
     return np.where(quaternion[:1] < 0, -quaternion, quaternion)
 
 

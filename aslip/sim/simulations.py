@@ -1,16 +1,16 @@
-"""N simulations of Cassie under motor position targets, on `mujoco.batch`.
+"""N simulations of a robot and its low level, on `mujoco.batch`.
 
 Guarantees:
 
-- one `advance` is one policy period: 60 substeps of PD control, motor limits, delay and physics.
-  Where the model's timestep is that of two substeps, the motors' torques are the means of two, and
-  encoders are read halfway through a step where its constant velocity has the joints then;
-- results do not depend on the number of threads, and equal a loop over single simulations, each
-  with a model of its own where `write_fields` has changed it;
-- a simulation that diverges (MuJoCo warning or error, non-finite state) is put back on its feet
-  alone, counted, and reported by the call that saw it; the others do not notice.
+- One `advance` is one policy period: 60 substeps of drive, motor limits, delay and physics. With a
+  physics timestep of two substeps, a step applies the mean torque of both, and the encoders of the
+  second one read the joints interpolated to the middle of the step.
+- Results do not depend on the number of threads. They equal a loop over single simulations, each
+  with its own model if `write_fields` has changed it.
+- A simulation that diverges (MuJoCo warning or error, state not finite) is reset to standing,
+  counted, and reported by `advance`; the others are not affected.
 
-Trap: arrays of `snapshot()` are live views; copy what must survive the next call.
+Warning: arrays of `snapshot()` are live views; copy them to keep them beyond the next call.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from aslip.sim.parameters import DRIVE
 from aslip.sim.sensors import Sensors
 from aslip.sim.truth import Snapshot
 
-# position and velocity stages: what mj_step1 computes, so that sensors match the returned state
+# recompute position and velocity stages, as mj_step1 does, so that sensors match the state
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
 _NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 # batch.warning holds (lastinfo, number) for each kind of warning
@@ -39,13 +39,13 @@ _WARNING_COUNT = 1
 
 
 class Simulations:
-    """Num simulations, each standing at the keyframe until it is reset to something else.
+    """Batch of `num` simulations, initially standing.
 
     Args:
         num: number of simulations.
-        model: compiled model; by default the robot without what is only looked at.
-        num_threads: threads to step on, 0 for all processors.
-        robot: robot that the model is of.
+        model: compiled model; by default the robot's, without visual geoms.
+        num_threads: physics threads, 0 for all processors.
+        robot: robot of the model.
         drive: low level between commands and motors.
 
     Raises:
@@ -71,7 +71,7 @@ class Simulations:
         self.robot, self.indices = robot, robot.indices
         self.batch = Batch(self.model, num, num_threads)
         self.divergences = 0
-        """Simulations put back on their feet since construction."""
+        """Number of simulations that diverged and were reset since construction."""
         self._drive = drive(num, robot)
         self._stride = round(self.model.opt.timestep / self.robot.physics_timestep)
         self._torques = np.zeros((2, num, self.model.nu))
@@ -82,14 +82,14 @@ class Simulations:
             np.concatenate([at.motor_qvel, at.joint_qvel]),
         )
         self.sensors = Sensors(num, self.model, robot)
-        """What the robots measure."""
+        """Sensors of the robots."""
         self._ground_force = np.zeros((num, 2, 3))
         self._watched: int | None = None
         self.watched = np.zeros((self.robot.substeps, watched_size(self.model)))
         """(60, 83) `qpos` 35, `qvel` 32, motor torques 10 [N m, at the joint] and ground forces
-        2 x 3 [N, world] after each substep of the last policy period, of the simulation that
-        `watch` chose. Torques and forces are those that acted in the substep."""
-        # live arrays, looked up once: binding anew costs more than a PD law in the 2 kHz loop
+        2 x 3 [N, world] after each substep of the last policy period, for the simulation of
+        `watch`. Torques and forces are those that acted during the substep."""
+        # live arrays, bound once: binding takes longer than PD control
         self.qpos, self.qvel = self.batch.bind("qpos"), self.batch.bind("qvel")
         self._ctrl = self.batch.bind("ctrl")
         self._site_xpos = self.batch.bind("site_xpos")
@@ -108,13 +108,13 @@ class Simulations:
 
     @property
     def command_size(self) -> int:
-        """Numbers in the command of a simulation's drive."""
+        """Size of a robot's command; see `Drive.command_size`."""
         return self._drive.command_size
 
     def reset(
         self, ids: np.ndarray, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None
     ) -> None:
-        """Restart some simulations: time, delay line, warm start and warnings included.
+        """Restart some simulations, with their time, delayed commands, warm start and warnings.
 
         Args:
             ids: (k,) simulations, sorted and unique.
@@ -122,8 +122,8 @@ class Simulations:
             qvel: (k, 32) initial velocities, rest by default.
 
         Raises:
-            ConfigurationError: there is no such simulation.
-            ShapeError: an array does not fit.
+            ConfigurationError: a simulation does not exist.
+            ShapeError: an array has the wrong shape.
         """
         ids = check_ids(ids, self.num)
         if len(ids) == 0:
@@ -142,17 +142,17 @@ class Simulations:
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
 
     def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
-        """Change fields of some simulations' models, from the next substep on.
+        """Change fields of some simulations' models from the next substep on.
 
-        A field that once differed between simulations is copied into the model before every step of
-        one; all those of `aslip.sim.DYNAMICS` together make a step 2 % slower.
+        MuJoCo copies changed fields into the model before every step; those of
+        `aslip.sim.DYNAMICS` make a step 2 % slower.
 
         Args:
             ids: (k,) simulations, sorted and unique.
-            fields: (k, ...) of each, by the names of `mujoco.batch`.
+            fields: field, by the name in `mujoco.batch` -> (k, ...).
 
         Raises:
-            ConfigurationError: there is no such simulation.
+            ConfigurationError: a simulation does not exist.
         """
         ids = check_ids(ids, self.num)
         for name, rows in fields.items():
@@ -165,15 +165,15 @@ class Simulations:
             self.sensors.set_gravity(ids, fields["opt.gravity"])
 
     def watch(self, index: int | None) -> None:
-        """Keep every substep of one simulation in `watched` from now on; None for none.
+        """Record every substep of one simulation in `watched` from now on; None stops it.
 
         Raises:
-            ConfigurationError: the physics does not step as often.
+            ConfigurationError: the timestep is not a substep.
         """
         if index is not None and self._stride > 1:
             raise ConfigurationError(
-                f"substeps can be watched with a timestep of {self.robot.physics_timestep} s,"
-                f" this is {self.model.opt.timestep} s"
+                f"watch needs a timestep of {self.robot.physics_timestep} s,"
+                f" got {self.model.opt.timestep} s"
             )
         self._watched = index
 
@@ -181,15 +181,14 @@ class Simulations:
         """Run one policy period.
 
         Args:
-            motor_target: (n, m) commands of the drive: joint angles that PD loops track [rad].
-            push: (n, 3) forces on the pelvis' origin throughout the period [N, world]; none by
-                default.
+            motor_target: (n, `command_size`) commands of the drive, joint angles for `PD` [rad].
+            push: (n, 3) forces on the pelvis' origin during the period [N, world]; zero by default.
 
         Returns:
-            (n,) bool, the simulations that diverged and stand at the keyframe now.
+            (n,) bool, True for simulations that diverged and were reset to standing.
 
         Raises:
-            ShapeError: the targets do not fit.
+            ShapeError: `motor_target` or `push` has the wrong shape.
         """
         if motor_target.shape != (self.num, self._drive.command_size):
             expected = (self.num, self._drive.command_size)
@@ -217,7 +216,7 @@ class Simulations:
         return diverged
 
     def snapshot(self) -> Snapshot:
-        """Live views of everything the true state is made of."""
+        """Live views of the arrays of the true state."""
         return Snapshot(
             self.qpos,
             self.qvel,
@@ -230,25 +229,25 @@ class Simulations:
         )
 
     def states(self) -> np.ndarray:
-        """(n, k) copy of all that the future depends on.
+        """(n, k) copy of the complete states.
 
-        The physics states, rows of `mujoco.mjtState.mjSTATE_INTEGRATION`, come first; what the
-        sensors remember follows.
+        A row is the physics state `mujoco.mjtState.mjSTATE_INTEGRATION` followed by the memory of
+        the sensors.
         """
         return np.concatenate([self.batch.state, self.sensors.memory()], axis=1)
 
     @property
     def state_size(self) -> int:
-        """Numbers of one simulation in `states`."""
+        """Length of one simulation's row in `states`."""
         return self.batch.state.shape[1] + self.sensors.memory_size
 
     def set_states(self, states: np.ndarray) -> None:
-        """Write what `states` returned, into these or other simulations of the same model.
+        """Restore what `states` returned, for these or other simulations of the same model.
 
-        What follows from the states, such as `snapshot`, is right again after the next `advance`.
+        `snapshot` is valid again after the next `advance`.
 
         Raises:
-            ShapeError: the states are of another number or model; nothing has been written then.
+            ShapeError: the states have another number or model; all simulations keep theirs.
         """
         states = check_states(states, (self.num, self.state_size))
         physics = self.batch.state.shape[1]
@@ -257,8 +256,8 @@ class Simulations:
         self._pushed = bool(self._push.any())
 
     def _substep(self, index: int, target: np.ndarray, failed: np.ndarray, stage: int) -> None:
-        """Control and one step of physics."""
-        # the PD loop has the readings of the step before
+        """Run the drive and one physics step."""
+        # the drive uses the readings of the previous substep
         position, velocity = self.sensors.motor_position, self.sensors.motor_velocity
         self._drive.torque(target, position, velocity, out=self._ctrl)
         self.sensors.read(index, self.qpos, self.qvel)
@@ -266,7 +265,7 @@ class Simulations:
         self.sensors.feel(index, self._qacc)
 
     def _two_substeps(self, first: int, target: np.ndarray, failed: np.ndarray, stage: int) -> None:
-        """Control twice and one step of physics of twice the length."""
+        """Run the drive twice and one physics step of two substeps."""
         sensors, torques = self.sensors, self._torques
         self._drive.torque(target, sensors.motor_position, sensors.motor_velocity, out=torques[0])
         sensors.read(first, self.qpos, self.qvel)
@@ -275,8 +274,8 @@ class Simulations:
         self._ctrl *= 0.5
         self._step(failed, stage)
         sensors.feel(first, self._qacc)
-        # Euler's steps end with the velocity that they moved at; the pelvis' attitude, which the
-        # IMU reads, stays half a millisecond ahead
+        # semi-implicit Euler moves at the velocity of the step's end, so that joints are
+        # interpolated; the pelvis' attitude stays half a millisecond ahead
         position, velocity = self._encoders
         self._halfway[:] = self.qpos
         self._halfway[:, position] -= self.robot.physics_timestep * self.qvel[:, velocity]
@@ -284,7 +283,7 @@ class Simulations:
         sensors.feel(first + 1, self._qacc)
 
     def _step(self, failed: np.ndarray, stage: int) -> None:
-        """One substep of the simulations that have not failed; marks those that now do."""
+        """Step the simulations that have not failed, and mark those that fail."""
         ids = np.flatnonzero(~failed) if failed.any() else None
         try:
             self.batch.step(ids, stage=stage)
@@ -292,7 +291,7 @@ class Simulations:
             failed[error.ids] = True
 
     def _record(self, substep: int, index: int) -> None:
-        """Put the state after a substep into `watched`."""
+        """Write the state after a substep to `watched`."""
         np.concatenate(
             [
                 self.qpos[index],
@@ -309,5 +308,5 @@ class Simulations:
 
 
 def watched_size(model: mujoco.MjModel) -> int:
-    """Numbers of a substep in `Simulations.watched`."""
+    """Length of a substep's row in `Simulations.watched`."""
     return model.nq + model.nv + model.nu + 2 * 3

@@ -1,7 +1,6 @@
-"""The robot's true state in the vocabulary of walking, from MuJoCo's arrays.
+"""True state of the robot as named quantities, from MuJoCo's arrays.
 
-One function serves one simulation and thousands: arrays have any leading shape b. It is what both
-environment backends publish under `("truth", ...)`.
+Arrays have any leading shape b. Both simulators publish the quantities under `("truth", ...)`.
 """
 
 from __future__ import annotations
@@ -16,42 +15,42 @@ from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse, upper_hem
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What must be read from the simulator to know the true state."""
+    """Arrays of the simulator that determine the true state."""
 
     qpos: np.ndarray
     """(*b, 35) generalised positions; free joint first, quaternion wxyz."""
     qvel: np.ndarray
     """(*b, 32) generalised velocities; linear in the world, angular in the pelvis frame."""
     qacc: np.ndarray
-    """(*b, 32) accelerations, as `qvel`."""
+    """(*b, 32) generalised accelerations, in the frames of `qvel`."""
     site_xpos: np.ndarray
     """(*b, 3, 3) positions of the sites in the world [m]."""
     site_xmat: np.ndarray
-    """(*b, 3, 9) orientations of the sites, row-major site-to-world rotations."""
+    """(*b, 3, 9) site-to-world rotations, row-major."""
     sensordata: np.ndarray
-    """(*b, k) all sensors."""
+    """(*b, k) readings of MuJoCo's sensors."""
     ground_force: np.ndarray
     """(*b, 2, 3) force of the floor on each foot, mean over the last policy period [N, world]."""
     qfrc_actuator: np.ndarray
-    """(*b, 32) torques of the motors at the joints, as `qvel`."""
+    """(*b, 32) torques of the motors at the joints, in the order of `qvel`."""
 
     @classmethod
     def stack(cls, snapshots: list[Snapshot]) -> Snapshot:
-        """Join snapshots along a new first axis."""
+        """Stack snapshots along a new first axis."""
         return cls(*(np.stack([getattr(s, f.name) for s in snapshots]) for f in fields(cls)))
 
     @classmethod
     def concatenate(cls, snapshots: list[Snapshot]) -> Snapshot:
-        """Join snapshots of (n_i, ...) arrays along their first axis; copies."""
+        """Concatenate snapshots of arrays (n_i, ...) along the first axis; copies."""
         return cls(*(np.concatenate([getattr(s, f.name) for s in snapshots]) for f in fields(cls)))
 
 
 def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
-    """Named quantities of the true state; frames are in the names.
+    """Compute the named quantities of the true state.
 
     Args:
         snapshot: arrays of leading shape b.
-        indices: where the robot's parts are in them.
+        indices: places of the robot's parts in the arrays.
 
     Returns:
         `qpos` 35, `qvel` 32; `pelvis_position` 3 [m, world], `pelvis_orientation` 4 (wxyz, w >= 0),
@@ -63,7 +62,7 @@ def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
         `_orientation` 4 (wxyz, w >= 0; identity when level with toes along x); `ground_force` 2 x 3
         [N, world], mean over the last policy period.
 
-        Accelerations, torques and forces are those of the last substep's start, 0.5 ms before the
+        Accelerations, torques and forces belong to the start of the last substep, 0.5 ms before the
         state.
     """
     qpos, qvel, sensors = snapshot.qpos, snapshot.qvel, snapshot.sensordata
@@ -75,7 +74,7 @@ def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
         "pelvis_orientation": orientation,
         "pelvis_velocity": qvel[..., indices.pelvis_velocity],
         "pelvis_angular_velocity": qvel[..., indices.pelvis_angular_velocity],
-        # what an accelerometer at the pelvis' origin reads, less gravity
+        # reading of an accelerometer at the pelvis' origin, without gravity
         "pelvis_acceleration": rotate_inverse(
             orientation, snapshot.qacc[..., indices.pelvis_velocity]
         ),

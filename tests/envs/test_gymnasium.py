@@ -1,9 +1,10 @@
-"""Environments are what Gymnasium and the libraries on it take them for."""
+"""Environments for Gymnasium pass its checker, and its users' agents train on them."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 from torch import nn
 from torch.distributions import Normal
 
@@ -36,19 +38,27 @@ def four() -> Iterator[GymVectorEnv]:
     envs.close()
 
 
-def test_the_checker_of_gymnasium_passes() -> None:
+@pytest.fixture(scope="module")
+def many() -> Iterator[GymVectorEnv]:
+    """Robots to train on: a batch with the coarse timestep makes thousands of steps cheap."""
+    envs = GymVectorEnv(32, seed=0, num_threads=1, timestep=0.001)
+    yield envs
+    envs.close()
+
+
+def test_checker_of_gymnasium_passes() -> None:
     env = gymnasium.make(ID, num_threads=1)
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(env.unwrapped, skip_render_check=True)
-    # advice on the sizes of spaces, which are the robot's
+    # warnings about the bounds of the spaces are advice
     assert not [
-        w for w in told if "infinity" not in str(w.message) and "symm" not in str(w.message)
+        w for w in caught if "infinity" not in str(w.message) and "symm" not in str(w.message)
     ]
     env.close()
 
 
-def test_a_step_is_that_of_the_stack(one: GymEnv) -> None:
+def test_step_equals_the_step_of_the_stack(one: GymEnv) -> None:
     ours = aslip.make_env(num_threads=1, seed=9)
     state = ours.reset(ours.fake_tensordict().select("command").apply(lambda x: x + 1))
     observation, info = one.reset(seed=9, options={"command": 1.0})
@@ -76,7 +86,7 @@ def test_time_limits_truncate_and_falls_terminate(one: GymEnv) -> None:
     assert one.step(np.full(10, np.nan))[2:4] == (True, False)
 
 
-def test_seeds_repeat_and_environments_differ_without(one: GymEnv) -> None:
+def test_seeds_repeat_episodes_and_unseeded_environments_differ(one: GymEnv) -> None:
     first, _ = one.reset(seed=3)
     second, _ = one.reset()
     again, _ = one.reset(seed=3)
@@ -84,7 +94,7 @@ def test_seeds_repeat_and_environments_differ_without(one: GymEnv) -> None:
     assert not np.array_equal(GymEnv().reset()[0], GymEnv().reset()[0])
 
 
-def test_pictures_follow_the_robot(one: GymEnv) -> None:
+def test_pictures_show_the_robot_move(one: GymEnv) -> None:
     assert one.render() is None
     env = GymEnv("rgb_array", num_threads=1)
     env.reset(seed=0)
@@ -97,7 +107,7 @@ def test_pictures_follow_the_robot(one: GymEnv) -> None:
     env.close()
 
 
-def test_robots_that_end_start_anew_in_the_same_step(four: GymVectorEnv) -> None:
+def test_robots_are_reset_in_the_step_that_ends_their_episode(four: GymVectorEnv) -> None:
     first, _ = four.reset(seed=1)
     assert four.observation_space.contains(first)
     actions = np.zeros((4, 10), dtype=np.float32)
@@ -111,7 +121,7 @@ def test_robots_that_end_start_anew_in_the_same_step(four: GymVectorEnv) -> None
     assert info["final_info"]["reward_terms"]["com_vel"].shape == (4,)
 
 
-def test_a_batch_of_gymnasium_is_the_batch_of_the_stack(four: GymVectorEnv) -> None:
+def test_vector_steps_equal_the_steps_of_the_stack(four: GymVectorEnv) -> None:
     ours = aslip.make_env(num_envs=4, num_threads=1, seed=2)
     observation, _ = four.reset(seed=2)
     state = ours.reset()
@@ -123,7 +133,7 @@ def test_a_batch_of_gymnasium_is_the_batch_of_the_stack(four: GymVectorEnv) -> N
         observation, *_ = four.step(actions)
 
 
-def test_wrong_settings_are_refused(one: GymEnv) -> None:
+def test_wrong_settings_and_options_are_refused(one: GymEnv) -> None:
     with pytest.raises(ConfigurationError, match="render_mode"):
         GymEnv("human")
     with pytest.raises(ConfigurationError, match="GymVectorEnv"):
@@ -132,25 +142,69 @@ def test_wrong_settings_are_refused(one: GymEnv) -> None:
         one.reset(options={"comand": 1.0})
 
 
-def test_stable_baselines_trains(one: GymEnv) -> None:
-    agent = PPO("MlpPolicy", one, n_steps=256, batch_size=256, n_epochs=2, seed=0, device="cpu")
+class Robots(VecEnv):
+    """Robots of a `GymVectorEnv` in the interface of Stable-Baselines3."""
+
+    def __init__(self, envs: GymVectorEnv) -> None:
+        self.envs = envs
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+
+    def reset(self) -> np.ndarray:
+        return self.envs.reset(seed=0)[0]
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self.actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        observation, reward, terminated, truncated, info = self.envs.step(self.actions)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for robot in np.flatnonzero(terminated | truncated):
+            infos[robot]["terminal_observation"] = info["final_obs"][robot]
+            infos[robot]["TimeLimit.truncated"] = bool(truncated[robot] & ~terminated[robot])
+        return observation, reward.astype(np.float32), terminated | truncated, infos
+
+    def close(self) -> None:
+        """Leave the robots to the fixture."""
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [getattr(self.envs, attr_name, None)] * self.num_envs
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        raise NotImplementedError
+
+    def env_method(self, method_name: str, *args: Any, **kwargs: Any) -> list[Any]:
+        raise NotImplementedError
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        return [False] * self.num_envs
+
+
+def test_ppo_of_stable_baselines_trains(many: GymVectorEnv) -> None:
+    envs = VecMonitor(Robots(many))
+    agent = PPO("MlpPolicy", envs, n_steps=32, batch_size=512, n_epochs=2, seed=0, device="cpu")
     start = [p.clone() for p in agent.policy.parameters()]
-    agent.learn(512)
+    agent.learn(2 * 32 * many.num_envs)
+    assert agent.num_timesteps == 2048
     moved = [not torch.equal(a, b) for a, b in zip(start, agent.policy.parameters(), strict=True)]
     assert all(moved)
     assert agent.ep_info_buffer and max(e["l"] for e in agent.ep_info_buffer) > 5
-    action, _ = agent.predict(one.reset(seed=0)[0], deterministic=True)
-    assert one.action_space.contains(action)
+    action, _ = agent.predict(envs.reset(), deterministic=True)
+    assert many.action_space.contains(action)
 
 
-def test_a_loop_like_cleanrl_learns(four: GymVectorEnv) -> None:
-    """Advantage actor-critic over 1000 policy steps; its critic comes to know the reward."""
-    envs = RecordEpisodeStatistics(four)
+def test_ppo_of_stable_baselines_takes_a_single_robot(one: GymEnv) -> None:
+    agent = PPO("MlpPolicy", one, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu")
+    assert agent.learn(16).num_timesteps == 16
+
+
+def test_a_loop_like_cleanrl_learns(many: GymVectorEnv) -> None:
+    """Advantage actor-critic over 2048 policy steps; its critic learns to predict the reward."""
+    envs = RecordEpisodeStatistics(many)
     actor, critic = (nn.Sequential(nn.Linear(64, 32), nn.Tanh(), nn.Linear(32, k)) for k in (10, 1))
-    optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], 3e-3)
+    optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], 1e-2)
     errors, lengths = [], []
     observation, _ = envs.reset(seed=0)
-    for _ in range(250):
+    for _ in range(64):
         state = torch.from_numpy(observation)
         policy = Normal(actor(state), 0.1)
         action = policy.sample()
@@ -168,5 +222,5 @@ def test_a_loop_like_cleanrl_learns(four: GymVectorEnv) -> None:
         loss.backward()
         optimizer.step()
         errors.append(advantage.square().mean().item())
-    assert np.mean(errors[-50:]) < 0.5 * np.mean(errors[:10])
+    assert np.mean(errors[-20:]) < 0.5 * np.mean(errors[:5])
     assert lengths and min(lengths) > 1

@@ -99,7 +99,9 @@ def test_every_substep_of_one_robot_can_be_watched() -> None:
         np.testing.assert_allclose(force, td["truth", "ground_force"][2], rtol=1e-5, atol=1e-5)
         base.watch(None)
         base.step(TensorDict(motor_target=standing_targets(base), batch_size=3))
-        with pytest.raises(ConfigurationError, match=r"no (robot|simulation) 3"):
+        with pytest.raises(
+            ConfigurationError, match=r"(robot|simulation) must be from 0 to 2, got 3"
+        ):
             base.watch(3)
     np.testing.assert_array_equal(seen[0], seen[1])
     np.testing.assert_array_equal(seen[0], seen[2])

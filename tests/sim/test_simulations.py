@@ -167,7 +167,7 @@ def test_physics_steps_are_one_or_two_periods_of_the_motors_loop() -> None:
     with pytest.raises(ConfigurationError, match=r"timestep.*0\.0005, 0\.001.*0\.002"):
         load_model(timestep=0.002)
     coarse = Simulations(1, model=load_model(timestep=physics_timesteps()[1]))
-    with pytest.raises(ConfigurationError, match=r"0\.0005 s, this is 0\.001 s"):
+    with pytest.raises(ConfigurationError, match=r"0\.0005 s, got 0\.001 s"):
         coarse.watch(0)
 
 
