@@ -33,18 +33,18 @@ def _message(kinematics, **pose) -> str:
     return str(caught.value)
 
 
-def test_too_far_is_a_stretched_leg(kinematics):
+def test_target_too_low_reports_a_stretched_leg(kinematics):
     message = _message(kinematics, left=(0.0, SIDEWAYS, -0.6))
     assert "pose 0: the left foot" in message
     assert "leg fully stretched, left_knee at its limit -0.6458 rad (-37 deg)" in message
 
 
-def test_too_high_is_a_bent_leg_whose_limit_is_named(kinematics):
+def test_target_too_high_reports_a_bent_leg_and_its_limit(kinematics):
     message = _message(kinematics, left=(0.0, SIDEWAYS, 0.5))
     assert "leg fully bent, left_tarsus at its limit 2.9671 rad (170 deg)" in message
 
 
-def test_missed_distance_grows_with_the_distance(kinematics):
+def test_missed_distance_grows_with_the_distance_of_the_target(kinematics):
     """Below the hip, lowering the target lengthens the miss by as much."""
     misses = []
     for depth in (0.3, 0.31, 0.6):
@@ -68,12 +68,12 @@ def test_missed_distance_grows_with_the_distance(kinematics):
         ("left_foot at its limit -2.4435 rad (-140 deg)", {"orientation": _about((0, 1, 0), 1.0)}),
     ],
 )
-def test_joint_limit_in_the_way_is_named(kinematics, joint, pose):
+def test_limiting_joint_is_named(kinematics, joint, pose):
     assert joint in _message(kinematics, **pose)
 
 
 @pytest.mark.parametrize(("turn", "least", "most"), [(0.8, 0.4, 0.42), (2.9, 1.2, 2.9 - 0.39)])
-def test_missed_direction_is_an_angle(kinematics, turn, least, most):
+def test_missed_direction_is_reported_as_an_angle(kinematics, turn, least, most):
     """Hip yaw stops at 0.39 rad; toes that should point backwards are not met by such as do not."""
     message = _message(kinematics, orientation=_about((0, 0, 1), turn))
     found = re.search(r"its direction by ([\d.]+) rad", message)

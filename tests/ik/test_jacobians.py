@@ -42,7 +42,7 @@ def test_jacobian_of_the_equations_is_their_derivative(kinematics, configuration
         np.testing.assert_allclose(jacobian[..., joint], numeric, atol=1e-8)
 
 
-def test_jacobian_of_the_feet_is_mujocos(kinematics, mujoco_model, configuration):
+def test_jacobian_of_the_feet_matches_mujoco(kinematics, mujoco_model, configuration):
     data = mujoco.MjData(mujoco_model)
     jacobian = kinematics.legs(configuration).jacobian
     expected = np.zeros((6, mujoco_model.nv))

@@ -22,7 +22,7 @@ def _mujoco_states(model: mujoco.MjModel, qpos: np.ndarray):
         yield data
 
 
-def test_bodies_are_where_mujoco_has_them(kinematics, mujoco_model, random_qpos):
+def test_body_poses_match_mujoco(kinematics, mujoco_model, random_qpos):
     import pinocchio as pin
 
     model = kinematics.model
@@ -39,7 +39,7 @@ def test_bodies_are_where_mujoco_has_them(kinematics, mujoco_model, random_qpos)
             np.testing.assert_allclose(placement.rotation.ravel(), data.xmat[body], atol=1e-12)
 
 
-def test_soles_and_loops_are_where_mujoco_has_them(kinematics, mujoco_model, random_qpos):
+def test_soles_and_loop_gaps_match_mujoco(kinematics, mujoco_model, random_qpos):
     legs = kinematics.legs(kinematics.to_pinocchio(random_qpos))
     sites = [mujoco_model.site(f"{side}_foot").id for side in SIDES]
     own_gaps = legs.closure[..., : kinematics.loop_rows].reshape(len(random_qpos), -1, 3)
@@ -52,13 +52,13 @@ def test_soles_and_loops_are_where_mujoco_has_them(kinematics, mujoco_model, ran
         np.testing.assert_allclose(np.sort(own), np.sort(gaps), atol=1e-12)
 
 
-def test_centre_of_mass_is_where_mujoco_has_it(kinematics, mujoco_model, random_qpos):
+def test_centre_of_mass_matches_mujoco(kinematics, mujoco_model, random_qpos):
     states = _mujoco_states(mujoco_model, random_qpos)
     for qpos, data in zip(random_qpos, states, strict=True):
         np.testing.assert_allclose(kinematics.centre_of_mass(qpos), data.subtree_com[1], atol=1e-12)
 
 
-def test_joint_limits_are_mujocos(kinematics, mujoco_model):
+def test_joint_limits_match_mujoco(kinematics, mujoco_model):
     limits = {}
     for joint in range(mujoco_model.njnt):
         limited = mujoco_model.jnt_limited[joint]
@@ -70,7 +70,7 @@ def test_joint_limits_are_mujocos(kinematics, mujoco_model):
         np.testing.assert_allclose(kinematics.upper[side], expected[1], atol=1e-12)
 
 
-def test_indices_are_mujocos(kinematics, mujoco_model):
+def test_indices_match_mujoco(kinematics, mujoco_model):
     motors = np.take_along_axis(kinematics.leg_v, kinematics.leg_motors, axis=1)
     np.testing.assert_array_equal(motors.ravel(), CASSIE.indices.motor_qvel)
     for side, names in enumerate(kinematics.leg_joints):
@@ -91,7 +91,7 @@ def test_search_starts_at_the_standing_keyframe(kinematics, mujoco_model):
     np.testing.assert_allclose(qpos[7:], mujoco_model.key("standing").qpos[7:], atol=1e-15)
 
 
-def test_conversion_returns_what_it_was_given(kinematics, random_qpos):
+def test_conversion_to_pinocchio_and_back_is_the_identity(kinematics, random_qpos):
     back = kinematics.to_mujoco(kinematics.to_pinocchio(random_qpos))
     np.testing.assert_array_equal(back, random_qpos)
 

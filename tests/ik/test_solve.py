@@ -79,7 +79,7 @@ def test_springs_are_at_rest(mujoco_model, kinematics, smooth_motion):
     assert not solution.qvel[:, velocity].any()
 
 
-def test_motor_columns_are_those_of_the_motors_joints(mujoco_model, walking):
+def test_motor_columns_are_columns_of_qpos_and_qvel(mujoco_model, walking):
     position, velocity = _slots(mujoco_model, CASSIE.motor_names)
     np.testing.assert_array_equal(walking.motor_position, walking.qpos[:, position])
     np.testing.assert_array_equal(walking.motor_velocity, walking.qvel[:, velocity])
@@ -92,7 +92,7 @@ def test_joint_limits_are_respected(mujoco_model, walking):
     assert ((low <= angle) & (angle <= high)).all()
 
 
-def test_only_roll_about_the_toe_axis_is_left_of_the_orientation_error(kinematics, smooth_motion):
+def test_orientation_error_is_a_roll_about_the_toes(kinematics, smooth_motion):
     targets = smooth_motion(np.linspace(0, 3, 20))
     solution = solve(kinematics, *targets)
     actual = kinematics.legs(kinematics.to_pinocchio(solution.qpos)).rotation
@@ -144,7 +144,7 @@ def test_feet_move_with_their_targets(kinematics, mujoco_model, smooth_motion):
             np.testing.assert_allclose(np.cross(turn, toes), 0, atol=1e-11)
 
 
-def test_pelvis_motion_is_copied_to_mujocos_frames(kinematics, mujoco_model, smooth_motion):
+def test_pelvis_motion_is_that_of_its_target_in_mujoco(kinematics, mujoco_model, smooth_motion):
     targets = smooth_motion(np.linspace(0, 3, 10))
     solution = solve(kinematics, *targets)
     data, velocity = mujoco.MjData(mujoco_model), np.zeros(6)
@@ -185,7 +185,7 @@ def test_mirrored_targets_give_mirrored_solutions(kinematics, mujoco_model, smoo
     np.testing.assert_allclose(mirrored.qpos[:, ball], rods, atol=1e-11)
 
 
-def test_a_pose_does_not_depend_on_its_batch(kinematics, smooth_motion):
+def test_pose_does_not_depend_on_its_batch(kinematics, smooth_motion):
     targets = smooth_motion(np.linspace(0, 3, 37))
     together = solve(kinematics, *targets)
     again = solve(kinematics, *targets)
@@ -215,7 +215,7 @@ def test_targets_are_not_changed(kinematics, smooth_motion):
 
 
 @pytest.mark.parametrize("joint", ["tarsus", "plantar_rod"])
-def test_residual_is_the_gap_that_forward_kinematics_finds(
+def test_loop_residual_is_the_largest_gap_of_the_solution(
     kinematics, smooth_motion, monkeypatch, joint
 ):
     """Either loop may be open: that of the Achilles rod or that of the plantar rod."""
@@ -236,7 +236,7 @@ def test_residual_is_the_gap_that_forward_kinematics_finds(
     assert solution.residual.loop == pytest.approx(largest, rel=1e-3)
 
 
-def test_shipped_library_is_solved_again(kinematics, library):
+def test_solver_reproduces_the_shipped_library(kinematics, library):
     """Today's solver and the one that made the file agree on every pose."""
     phase = np.arange(library.table.qpos.shape[1]) / library.table.qpos.shape[1]
     for row in (0, 10, 20):

@@ -38,7 +38,7 @@ def test_library_torques_carry_the_load_of_the_model(library: GaitLibrary) -> No
     )
 
 
-def test_standing_is_carried_by_both_legs_alike() -> None:
+def test_both_legs_carry_a_standing_robot_equally() -> None:
     kinematics = Kinematics()
     qpos = standing_pose(kinematics).qpos.reshape(1, -1)
     force = np.zeros((1, 2, 3))
@@ -49,7 +49,7 @@ def test_standing_is_carried_by_both_legs_alike() -> None:
     np.testing.assert_array_equal(static_torque(kinematics, qpos, 0 * force), np.zeros((1, 10)))
 
 
-def test_forces_of_another_count_are_refused() -> None:
+def test_forces_of_wrong_shape_are_refused() -> None:
     kinematics = Kinematics()
     with pytest.raises(ShapeError, match="force"):
         static_torque(kinematics, np.zeros((3, 35)), np.zeros((2, 2, 3)))

@@ -27,7 +27,7 @@ def _assert_same(loaded: GaitLibrary, library: GaitLibrary) -> None:
     assert len(loaded.motions) == len(library.motions)
 
 
-def test_a_saved_library_is_loaded_bit_for_bit(file: Path, small: GaitLibrary) -> None:
+def test_saved_library_is_loaded_bit_for_bit(file: Path, small: GaitLibrary) -> None:
     for path in (file, str(file)):
         loaded = GaitLibrary.load(path)
         _assert_same(loaded, small)
@@ -35,12 +35,14 @@ def test_a_saved_library_is_loaded_bit_for_bit(file: Path, small: GaitLibrary) -
             np.testing.assert_equal(found.to_arrays(), expected.to_arrays())
 
 
-def test_a_loaded_library_can_be_saved_again(file: Path, tmp_path: Path) -> None:
+def test_loaded_library_can_be_saved_again(file: Path, tmp_path: Path) -> None:
     GaitLibrary.load(file).save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == file.read_bytes()
 
 
-def test_other_motions_are_stored_as_samples(library: GaitLibrary, tmp_path: Path) -> None:
+def test_motions_other_than_gaits_are_stored_as_samples(
+    library: GaitLibrary, tmp_path: Path
+) -> None:
     """With the torques' jumps: a saved library of pendulums looks up the same bits."""
     pendulums = pendulum_library(library.gaits[5:7], samples=16)
     pendulums.save(tmp_path / "pendulums.npz")
@@ -60,14 +62,14 @@ def test_other_motions_are_stored_as_samples(library: GaitLibrary, tmp_path: Pat
         _ = loaded.gaits
 
 
-def test_the_shipped_file_names_its_origin(library: GaitLibrary) -> None:
+def test_shipped_file_names_its_origin(library: GaitLibrary) -> None:
     made_by = library.made_by
     assert "recipes/gait_library.py" in made_by["command"]
     for package in ("aslip", "python", "casadi", "pin", "numpy"):
         assert made_by[package][0].isdigit(), package
 
 
-def test_the_shipped_library_is_the_default(library: GaitLibrary) -> None:
+def test_shipped_library_is_the_default(library: GaitLibrary) -> None:
     table = GaitLibrary.load().table
     np.testing.assert_array_equal(table.qpos, library.table.qpos)
     assert table.qpos.shape == (21, 128, 35)
@@ -82,7 +84,7 @@ def test_numpy_reads_the_file(file: Path, small: GaitLibrary) -> None:
 # ------------------------------------------------------------------ damage
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match=r"nothing\.npz"):
         GaitLibrary.load(tmp_path / "nothing.npz")
 
@@ -94,7 +96,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         "motion01/time.npy", "motion00/certificate.npy",
     ],
 )  # fmt: skip
-def test_a_library_without_a_part_is_refused(file: Path, name: str) -> None:
+def test_library_with_a_missing_entry_is_refused(file: Path, name: str) -> None:
     """Even if all hashes are right."""
     parts = unzipped(file.read_bytes())
     del parts[name]
@@ -104,14 +106,14 @@ def test_a_library_without_a_part_is_refused(file: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("text", [b"{", b"3", b"[1, 2]"])
-def test_an_unreadable_origin_is_refused(file: Path, text: bytes) -> None:
+def test_unreadable_origin_is_refused(file: Path, text: bytes) -> None:
     file.write_bytes(forged({**unzipped(file.read_bytes()), "made_by.json": text}))
     with pytest.raises(FileDamagedError, match=r"gaits\.npz.*rebuild it"):
         GaitLibrary.load(file)
 
 
 @pytest.mark.parametrize("name", ["table/qpos", "motion00/control", "motion01/cost"])
-def test_numbers_that_are_not_finite_are_refused(file: Path, name: str) -> None:
+def test_non_finite_numbers_are_refused(file: Path, name: str) -> None:
     parts = unzipped(file.read_bytes())
     with np.load(file) as archive:
         changed = archive[name].copy()
@@ -121,7 +123,9 @@ def test_numbers_that_are_not_finite_are_refused(file: Path, name: str) -> None:
         GaitLibrary.load(file)
 
 
-def test_motions_must_be_those_of_the_table(library: GaitLibrary, small: GaitLibrary) -> None:
+def test_motions_must_match_the_commands_of_the_table(
+    library: GaitLibrary, small: GaitLibrary
+) -> None:
     wrong: tuple[Any, ...] = (small.gaits, library.gaits[:3], library.gaits[::-1], ())
     for gaits in wrong:
         with pytest.raises(

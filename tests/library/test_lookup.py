@@ -45,7 +45,7 @@ def _phase_grid(num: int = 400) -> Tensor:
 
 
 @pytest.mark.parametrize("gait", [0, 7, 20])
-def test_stored_nodes_are_returned(library: GaitLibrary, gait: int) -> None:
+def test_lookup_at_samples_returns_the_table(library: GaitLibrary, gait: int) -> None:
     samples = library.table.motor_position.shape[1]
     phase = _column(torch.arange(samples, dtype=torch.float64) / samples)
     reference = library.lookup(phase, _column(library.speeds[gait], phase))
@@ -56,7 +56,7 @@ def test_stored_nodes_are_returned(library: GaitLibrary, gait: int) -> None:
         torch.testing.assert_close(getattr(reference, name), expected, rtol=0, atol=1e-6)
 
 
-def test_the_phase_is_periodic(library: GaitLibrary) -> None:
+def test_lookup_is_periodic_in_phase(library: GaitLibrary) -> None:
     phase, speed = _random(100)
     for turns in (-2.0, 1.0, 3.0):
         a, b = library.lookup(phase, speed), library.lookup(phase + turns, speed)
@@ -68,7 +68,9 @@ def test_the_phase_is_periodic(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize("tiny", [1e-17, 1e-12, 1e-9])
-def test_nothing_jumps_at_the_wrap_or_at_a_node(library: GaitLibrary, tiny: float) -> None:
+def test_reference_is_continuous_at_the_wrap_and_at_samples(
+    library: GaitLibrary, tiny: float
+) -> None:
     """One-sided limits are equal, also for phases that round to a whole stride."""
     for node in (0.0, 1.0, 64 / 128):
         speed = _column(torch.tensor([0.0, 0.55, 2.0]))
@@ -80,7 +82,7 @@ def test_nothing_jumps_at_the_wrap_or_at_a_node(library: GaitLibrary, tiny: floa
             )
 
 
-def test_nothing_jumps_between_gaits(library: GaitLibrary) -> None:
+def test_reference_is_continuous_across_gaits(library: GaitLibrary) -> None:
     phase, _ = _random(50)
     for node in (0.1, 0.7, 1.9):
         below = library.lookup(phase, _column(node - 1e-9, phase))
@@ -95,7 +97,7 @@ LARGEST_CHANGES = {"velocity": (0.2, 0.02), "torque": (8.0, 1.0)}
 """Bounds for rates and torques over a thousandth of a stride, and over 1 mm/s of speed."""
 
 
-def test_small_steps_of_phase_and_speed_are_small_changes(library: GaitLibrary) -> None:
+def test_reference_changes_little_over_small_steps_of_phase_and_speed(library: GaitLibrary) -> None:
     """No value moves faster than a foot does: the library has no outlier anywhere."""
     phase, speed = _random(2000)
     here = library.lookup(phase, speed)
@@ -109,7 +111,7 @@ def test_small_steps_of_phase_and_speed_are_small_changes(library: GaitLibrary) 
         assert (getattr(faster, name) - value).abs().max() < by_speed, name
 
 
-def test_the_slope_in_phase_is_continuous(library: GaitLibrary) -> None:
+def test_derivative_in_phase_is_continuous(library: GaitLibrary) -> None:
     """Once continuously differentiable, across the nodes and the wrap, in double precision."""
     step = 1e-6
     samples = library.table.qpos.shape[1]
@@ -125,7 +127,7 @@ def test_the_slope_in_phase_is_continuous(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize("shape", [(), (4,), (2, 3), (0,)])
-def test_any_leading_shape(library: GaitLibrary, shape: tuple[int, ...]) -> None:
+def test_lookup_accepts_any_batch_shape(library: GaitLibrary, shape: tuple[int, ...]) -> None:
     phase, speed = torch.rand(*shape, 1), 2 * torch.rand(*shape, 1)
     reference = library.lookup(phase, speed)
     for name in NAMES:
@@ -140,7 +142,7 @@ def test_any_leading_shape(library: GaitLibrary, shape: tuple[int, ...]) -> None
     assert reference.to_tensordict().batch_size == torch.Size(shape)
 
 
-def test_batches_equal_single_lookups(library: GaitLibrary) -> None:
+def test_lookup_of_a_batch_equals_single_lookups(library: GaitLibrary) -> None:
     phase, speed = _random(20)
     many = library.lookup(phase, speed)
     for i in range(20):
@@ -169,11 +171,11 @@ def test_check_speed_names_value_and_range(library: GaitLibrary, speed: float) -
 
 
 @pytest.mark.parametrize("speed", [0, 0.0, 1.05, 2.0])
-def test_check_speed_returns_what_the_library_covers(library: GaitLibrary, speed: float) -> None:
+def test_check_speed_returns_covered_speeds(library: GaitLibrary, speed: float) -> None:
     assert library.check_speed(speed) == speed
 
 
-def test_strides_are_the_gaits_and_linear_between(library: GaitLibrary) -> None:
+def test_strides_are_linear_between_gaits(library: GaitLibrary) -> None:
     speeds = torch.tensor(library.speeds.copy())
     expected = torch.tensor([gait.stride for gait in library.gaits], dtype=torch.float64)
     torch.testing.assert_close(library.stride(speeds[:, None])[:, 0], expected, rtol=0, atol=1e-12)
@@ -206,14 +208,14 @@ def test_velocities_are_the_rates_of_positions(
             torch.testing.assert_close(rate, expected, rtol=0, atol=2 * tolerance)
 
 
-def test_the_mean_velocity_is_the_speed(library: GaitLibrary) -> None:
+def test_mean_velocity_is_the_speed(library: GaitLibrary) -> None:
     phase = _phase_grid()
     for speed in (0.0, 0.3, 1.0, 1.95):
         velocity = library.lookup(phase, _column(speed, phase)).body_velocity.mean(dim=0)
         torch.testing.assert_close(velocity, torch.tensor([speed, 0, 0]), rtol=0, atol=2e-3)
 
 
-def test_half_a_stride_later_left_and_right_are_swapped(library: GaitLibrary) -> None:
+def test_reference_half_a_stride_later_is_mirrored(library: GaitLibrary) -> None:
     """The reference is its own mirror image, half a stride apart."""
     phase, speed = _random(300)
     now, later = library.lookup(phase, speed), library.lookup(phase + 0.5, speed)
@@ -240,7 +242,7 @@ def test_phase_zero_is_left_lift_off(library: GaitLibrary) -> None:
     assert after.right_foot_velocity.abs().max() < 1e-3
 
 
-def test_a_foot_in_stance_does_not_move(library: GaitLibrary) -> None:
+def test_one_foot_is_at_rest_on_the_ground_at_every_phase(library: GaitLibrary) -> None:
     """At least one foot is on the ground, at rest, at every phase of every gait."""
     phase, speed = _random(1000, seed=1)
     reference = library.lookup(phase, speed)
@@ -269,7 +271,7 @@ def _loop_errors(qpos: Tensor) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("offset", "tolerance"), [(0.0, 1e-6), (0.05, 5e-4)])
-def test_the_loops_are_closed_on_the_reference(
+def test_initial_state_closes_the_loops(
     library: GaitLibrary, offset: float, tolerance: float
 ) -> None:
     """To a micrometre at any phase of a gait; to half a millimetre between two gaits."""
@@ -282,7 +284,7 @@ def test_the_loops_are_closed_on_the_reference(
 
 
 @pytest.mark.parametrize(("offset", "tolerance"), [(0.0, 1e-5), (0.05, 5e-4)])
-def test_the_robots_feet_and_pelvis_are_where_the_reference_says(
+def test_initial_state_has_feet_and_pelvis_on_the_reference(
     library: GaitLibrary, offset: float, tolerance: float
 ) -> None:
     """Pelvis upright, toes forward and level (a leg cannot roll its foot); velocities as well."""
@@ -311,7 +313,7 @@ def test_the_robots_feet_and_pelvis_are_where_the_reference_says(
                 np.testing.assert_allclose(velocity, expected, atol=100 * tolerance + 1e-3)
 
 
-def test_the_motors_of_the_initial_state_are_the_references(library: GaitLibrary) -> None:
+def test_initial_state_has_the_motor_angles_of_the_reference(library: GaitLibrary) -> None:
     phase, speed = _random(50, seed=3)
     qpos, _ = library.initial_state(phase, speed)
     motors = CASSIE.indices.motor_qpos.tolist()
@@ -319,7 +321,7 @@ def test_the_motors_of_the_initial_state_are_the_references(library: GaitLibrary
     torch.testing.assert_close(qpos[:, motors].float(), expected, rtol=0, atol=1e-6)
 
 
-def test_quaternions_of_the_initial_state_are_unit(library: GaitLibrary) -> None:
+def test_initial_state_has_unit_quaternions(library: GaitLibrary) -> None:
     qpos, _ = library.initial_state(*_random(200))
     for start in (3, 10, 24):
         norm = qpos[:, start : start + 4].norm(dim=-1)
@@ -335,7 +337,7 @@ def test_lookups_share_no_memory_with_the_library(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize("phase", [0.25, torch.tensor(0.25), torch.zeros(5), np.zeros((5, 1))])
-def test_a_phase_of_another_shape_is_refused(library: GaitLibrary, phase: Any) -> None:
+def test_phase_of_wrong_shape_is_refused(library: GaitLibrary, phase: Any) -> None:
     with pytest.raises(ShapeError, match=r"phase must be a tensor of shape \(..., 1\)"):
         library.lookup(phase, torch.ones(5, 1))
 
@@ -349,7 +351,7 @@ def _reference_bits(library: GaitLibrary) -> list[Tensor]:
     return [*(getattr(reference, name) for name in NAMES), *library.initial_state(phase, speed)]
 
 
-def test_calling_a_library_is_looking_up(library: GaitLibrary) -> None:
+def test_calling_a_library_equals_lookup(library: GaitLibrary) -> None:
     phase, speed = _random(5)
     called, looked_up = library(phase, speed), library.lookup(phase, speed)
     assert all(torch.equal(getattr(called, n), getattr(looked_up, n)) for n in NAMES)
@@ -365,7 +367,7 @@ def test_all_tables_move_to_another_device(small: GaitLibrary) -> None:
     assert {buffer.device.type for buffer in small.buffers()} == {"cpu"}
 
 
-def test_a_library_in_single_precision_is_close(library: GaitLibrary) -> None:
+def test_library_in_single_precision_is_close(library: GaitLibrary) -> None:
     single = copy.deepcopy(library).float()
     for found, expected in zip(_reference_bits(single), _reference_bits(library), strict=True):
         torch.testing.assert_close(found.double(), expected.double(), rtol=1e-3, atol=1e-3)
@@ -379,7 +381,7 @@ def test_copies_look_up_the_same_bits(library: GaitLibrary, copied: Any) -> None
         assert torch.equal(found, expected)
 
 
-def test_tables_are_no_part_of_a_checkpoint(library: GaitLibrary) -> None:
+def test_state_dict_excludes_the_tables(library: GaitLibrary) -> None:
     assert not library.state_dict()
     assert not list(library.parameters())
     assert sum(buffer.nbytes for buffer in library.buffers()) < 6e6

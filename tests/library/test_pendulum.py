@@ -20,7 +20,7 @@ def single() -> GaitLibrary:
     return single_reference_library(WALK, samples=64)
 
 
-def test_the_command_stretches_the_pelvis_way_and_nothing_else(single: GaitLibrary) -> None:
+def test_command_scales_only_the_forward_motion_of_the_pelvis(single: GaitLibrary) -> None:
     phase = torch.arange(23, dtype=torch.float64)[:, None] / 23
     slow, fast = (single.lookup(phase, torch.full_like(phase, v)) for v in (0.4, 1.6))
     assert torch.equal(slow.motor_position, fast.motor_position)
@@ -31,7 +31,7 @@ def test_the_command_stretches_the_pelvis_way_and_nothing_else(single: GaitLibra
     assert torch.equal(single.stride(torch.tensor([[0.0], [2.0]])), torch.full((2, 1), WALK.stride))
 
 
-def test_stance_feet_do_not_slide_at_the_speed_of_the_one_walk(single: GaitLibrary) -> None:
+def test_stance_feet_are_still_at_the_walks_own_speed(single: GaitLibrary) -> None:
     phase = torch.linspace(0.02, 0.44, 20, dtype=torch.float64)[:, None]
     reference = single.lookup(phase, torch.full_like(phase, WALK.speed))
     assert reference.right_foot_velocity.abs().max() < 1e-4
@@ -40,7 +40,7 @@ def test_stance_feet_do_not_slide_at_the_speed_of_the_one_walk(single: GaitLibra
     assert float((x + forward).std()) < 1e-4
 
 
-def test_pendulums_take_the_place_of_gaits(library: GaitLibrary) -> None:
+def test_pendulums_have_speeds_and_strides_of_gaits(library: GaitLibrary) -> None:
     gaits = library.gaits[5:7]
     pendulums = pendulum_library(gaits, samples=32)
     np.testing.assert_array_equal(pendulums.speeds, [gait.speed for gait in gaits])
@@ -48,7 +48,7 @@ def test_pendulums_take_the_place_of_gaits(library: GaitLibrary) -> None:
     assert np.ptp(pendulums.table.body_position[0, :, 2]) == 0
 
 
-def test_a_pendulum_of_every_gait_lifts_its_feet_as_high_below_the_body(
+def test_swing_feet_of_pendulums_are_as_far_below_the_body_as_in_gaits(
     library: GaitLibrary,
 ) -> None:
     table = pendulum_library(library.gaits, samples=32).table
@@ -59,12 +59,12 @@ def test_a_pendulum_of_every_gait_lifts_its_feet_as_high_below_the_body(
         assert lowest == pytest.approx(leg.min(), abs=5e-3)  # of 32 samples
 
 
-def test_a_walk_on_the_spot_cannot_be_stretched() -> None:
+def test_walk_in_place_cannot_be_stretched() -> None:
     with pytest.raises(ConfigurationError, match="forward"):
         single_reference_library(PendulumWalk(speed=0.0))
 
 
-def test_a_pendulum_in_a_gaits_place_is_as_heavy_and_lifts_its_feet_as_high(
+def test_pendulums_have_mass_and_clearance_of_gaits(
     library: GaitLibrary,
 ) -> None:
     """So that a comparison of the two is one of how the body moves over its feet."""
@@ -91,7 +91,7 @@ def test_a_pendulum_in_a_gaits_place_is_as_heavy_and_lifts_its_feet_as_high(
         assert carried == pytest.approx(p.weight, rel=0.03)
 
 
-def test_the_shipped_baseline_has_the_motion_of_its_training() -> None:
+def test_shipped_baseline_is_reproduced() -> None:
     """The file keeps the bits; solving it anew gives the same to rounding."""
     shipped, anew = GaitLibrary.load("single_reference"), single_reference_library()
     for name in ARRAYS:
@@ -119,7 +119,7 @@ def test_torques_never_overshoot_at_the_change_of_stance(library: GaitLibrary) -
     assert np.abs(left - right).max() > 50  # there is a jump
 
 
-def test_motions_of_a_stretched_walk_are_those_of_its_table(single: GaitLibrary) -> None:
+def test_stretched_walks_match_their_table(single: GaitLibrary) -> None:
     phase = np.arange(64) / 64
     for row, motion in enumerate(single.motions):
         sample, ahead = (

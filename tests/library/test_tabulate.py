@@ -41,7 +41,7 @@ def grid(shuffles: list[Shuffle]) -> GaitLibrary:
     return GaitLibrary.from_motions(shuffles, samples=16, torque_jumps=True)
 
 
-def test_a_built_library_is_the_shipped_one(library: GaitLibrary) -> None:
+def test_tabulating_new_gaits_gives_the_shipped_table(library: GaitLibrary) -> None:
     """Two of its gaits, optimised anew."""
     table = tabulate(optimize_gaits(library.speeds[:2].tolist()), samples=16)
     for name in ARRAYS:
@@ -50,7 +50,7 @@ def test_a_built_library_is_the_shipped_one(library: GaitLibrary) -> None:
         np.testing.assert_allclose(getattr(table, name), shipped, atol=1e-6, err_msg=name)
 
 
-def test_a_heavier_model_needs_more_torque() -> None:
+def test_heavier_model_needs_more_torque() -> None:
     """Parameters and objective of the optimisation reach a library."""
     heavy = SlipParameters(mass=33.3)
     settings: list[tuple[SlipParameters | None, Objective]]
@@ -67,7 +67,7 @@ def test_a_heavier_model_needs_more_torque() -> None:
     assert libraries[1].gaits[0].parameters == heavy
 
 
-def test_a_motion_of_ones_own_is_tabulated_and_looked_up(
+def test_user_defined_motion_is_tabulated_and_looked_up(
     grid: GaitLibrary, shuffles: list[Shuffle]
 ) -> None:
     assert grid.table.qpos.shape == (2, 3, 16, 35)
@@ -82,14 +82,14 @@ def test_a_motion_of_ones_own_is_tabulated_and_looked_up(
         assert abs(float(found.body_position[:, :2].mean())) < 0.02
 
 
-def test_soles_point_where_the_motion_has_the_toes(grid: GaitLibrary) -> None:
+def test_soles_point_along_the_toes_of_the_motion(grid: GaitLibrary) -> None:
     kinematics = Kinematics()
     sole = kinematics.legs(kinematics.to_pinocchio(grid.table.qpos[1, 2])).rotation
     toes = np.arctan2(sole[..., 1, 0], sole[..., 0, 0])
     np.testing.assert_allclose(toes, np.tile([0.1, -0.1], (16, 1)), atol=1e-9)
 
 
-def test_a_motion_of_ones_own_guides_a_robot_and_shows_a_ghost(tmp_path: Path) -> None:
+def test_user_defined_motion_guides_a_robot_and_plans_footholds(tmp_path: Path) -> None:
     """Saved and loaded again, in the default stack; footholds are planned from it."""
     motions = [Shuffle(speed, 0.0) for speed in (0.2, 0.6)]
     for motion in motions:
@@ -111,7 +111,7 @@ def test_a_motion_of_ones_own_guides_a_robot_and_shows_a_ghost(tmp_path: Path) -
     np.testing.assert_allclose(step, [0.6 * 0.8 / 2, 0.2], atol=1e-3)
 
 
-def test_between_commands_of_a_grid_the_lookup_is_multilinear(grid: GaitLibrary) -> None:
+def test_lookup_between_commands_is_multilinear(grid: GaitLibrary) -> None:
     """Exact at the corners, linear along each axis, clamped outside, in any batch."""
     generator = torch.Generator().manual_seed(0)
     x, y, phase = torch.rand(3, 40, 1, generator=generator, dtype=torch.float64)
@@ -136,14 +136,14 @@ def test_between_commands_of_a_grid_the_lookup_is_multilinear(grid: GaitLibrary)
     assert torch.equal(grid.lookup(phase[7], command[7]).motor_position, found[7])
 
 
-def test_commands_of_another_width_are_refused(grid: GaitLibrary) -> None:
+def test_commands_of_wrong_shape_are_refused(grid: GaitLibrary) -> None:
     with pytest.raises(ShapeError, match=r"command must be a tensor of shape \(\.\.\., 2\)"):
         grid.lookup(torch.zeros(3, 1), torch.zeros(3, 1))
     with pytest.raises(ShapeError, match="command must be"):
         grid.stride(torch.zeros(3))
 
 
-def test_one_motion_is_a_library_of_its_own_command() -> None:
+def test_library_of_one_motion_clamps_to_its_command() -> None:
     library = GaitLibrary.from_motions([PendulumWalk(speed=0.5)], samples=16)
     phase = torch.rand(5, 1)
     slow, fast = (library.lookup(phase, torch.full((5, 1), v)) for v in (0.0, 1.0))
@@ -169,7 +169,7 @@ def test_commands_must_form_a_grid(commands: Sequence[Sequence[float]]) -> None:
         tabulate(motions)
 
 
-def test_a_motion_that_turns_is_refused() -> None:
+def test_turning_motion_is_refused() -> None:
     class Turning(Shuffle):
         def sample(self, phase: np.ndarray) -> MotionSample:
             turned = Angle(0.3 * phase, np.full(len(phase), 0.3 / self.stride))
@@ -187,7 +187,7 @@ def test_strides_must_be_finite(stride: float) -> None:
         tabulate([motion])
 
 
-def test_a_stride_needs_samples_to_interpolate() -> None:
+def test_tabulating_needs_four_samples() -> None:
     with pytest.raises(ConfigurationError, match="samples must be 4 or more, got 3"):
         tabulate([PendulumWalk()], samples=3)
 
@@ -207,7 +207,7 @@ def test_values_along_an_axis_must_ascend(small: GaitLibrary, axis: list[float])
         replace(small.table, axes=(np.array(axis),))
 
 
-def test_a_table_with_holes_is_refused(small: GaitLibrary) -> None:
+def test_table_with_nan_is_refused(small: GaitLibrary) -> None:
     qpos = small.table.qpos.copy()
     qpos[0, 0, 2] = np.nan
     with pytest.raises(ConfigurationError, match="qpos"):
@@ -218,7 +218,7 @@ def test_a_table_with_holes_is_refused(small: GaitLibrary) -> None:
 
 @pytest.mark.parametrize("name", ARRAYS)
 @pytest.mark.parametrize("change", ["column", "sample", "axis"])
-def test_a_table_of_another_shape_is_refused(small: GaitLibrary, name: str, change: str) -> None:
+def test_table_of_wrong_shape_is_refused(small: GaitLibrary, name: str, change: str) -> None:
     """With fewer columns, with one sample more than the others, as one number a gait or two."""
     array = getattr(small.table, name)
     flat = array.ndim == 1
@@ -237,14 +237,14 @@ def test_strides_must_be_positive(small: GaitLibrary, stride: float) -> None:
         replace(small.table, strides=np.array([0.7, stride]))
 
 
-def test_a_table_of_too_few_samples_is_refused(small: GaitLibrary) -> None:
+def test_table_of_too_few_samples_is_refused(small: GaitLibrary) -> None:
     arrays = {name: getattr(small.table, name) for name in ARRAYS}
     thin = {name: a[:, :3] if a.ndim > 1 else a for name, a in arrays.items()}
     with pytest.raises(ShapeError, match="4 or more samples"):
         GaitTable(axes=small.table.axes, **thin)
 
 
-def test_samples_of_a_motion_have_their_shapes() -> None:
+def test_motion_samples_of_wrong_shape_are_refused() -> None:
     sample = Shuffle(0.5, 0.0).sample(np.zeros(3))
     flat = Track(sample.feet.position[:, 0], sample.feet.velocity[:, 0])
     with pytest.raises(ShapeError, match=r"feet\.position of a motion must have shape \(3, 2, 3\)"):

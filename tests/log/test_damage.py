@@ -102,7 +102,7 @@ def test_complete_log_has_no_problems(log: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_a_flipped_byte_is_found(altered: Alter, whole: Recording, seed: int) -> None:
+def test_flipped_byte_is_found(altered: Alter, whole: Recording, seed: int) -> None:
     """Anywhere, in data and summary."""
     rng = np.random.default_rng(seed)
 
@@ -119,7 +119,7 @@ def test_a_flipped_byte_is_found(altered: Alter, whole: Recording, seed: int) ->
         assert_same(found, whole)
 
 
-def test_numbers_of_a_log_are_verified_by_reading(log: Path, altered: Alter) -> None:
+def test_reading_verifies_summary_and_metadata(log: Path, altered: Alter) -> None:
     """Names in the summary and words of the metadata, too."""
     data = log.read_bytes()
     places = {"summary is damaged": data.rindex(b"phase"), "metadata": data.index(b"Linux")}
@@ -129,7 +129,7 @@ def test_numbers_of_a_log_are_verified_by_reading(log: Path, altered: Alter) -> 
             read(path)
 
 
-def test_numbers_are_read_beside_a_damaged_attachment(
+def test_topics_are_read_beside_a_damaged_attachment(
     log: Path, altered: Alter, whole: Recording
 ) -> None:
     place = log.read_bytes().index(b"WeightedReward")
@@ -146,7 +146,7 @@ def test_numbers_are_read_beside_a_damaged_attachment(
 
 
 @pytest.mark.parametrize("of_topics", [False, True])
-def test_counts_of_the_summary_are_compared(log: Path, tmp_path: Path, of_topics: bool) -> None:
+def test_wrong_counts_of_the_summary_are_found(log: Path, tmp_path: Path, of_topics: bool) -> None:
     """A chunk that is not there, or messages of another topic, with checksums that are right."""
     path = tmp_path / "fewer.mcap"
     data = bytearray(log.read_bytes())
@@ -175,7 +175,7 @@ def test_counts_of_the_summary_are_compared(log: Path, tmp_path: Path, of_topics
         read(path)
 
 
-def test_a_flipped_bit_in_any_chunk_costs_that_chunk(
+def test_flipped_bit_costs_one_chunk(
     log: Path, altered: Alter, tmp_path: Path, whole: Recording
 ) -> None:
     """The first, where topics are described, as any other."""
@@ -197,7 +197,7 @@ def test_a_flipped_bit_in_any_chunk_costs_that_chunk(
         assert_subset(read(saved.path), whole)
 
 
-def test_damaged_metadata_cost_no_message(log: Path, altered: Alter, whole: Recording) -> None:
+def test_damaged_metadata_costs_no_message(log: Path, altered: Alter, whole: Recording) -> None:
     """One byte that is no text."""
     place = log.read_bytes().index(b"Linux")
     saved = recover(altered(lambda data: data.__setitem__(place, 0xFF)))
@@ -211,7 +211,7 @@ def test_damaged_metadata_cost_no_message(log: Path, altered: Alter, whole: Reco
 @pytest.mark.parametrize(
     ("name", "inside"), [("model.xml", b"<worldbody"), ("config.json", b"WeightedReward")]
 )
-def test_a_damaged_attachment_is_left_out(
+def test_recovery_leaves_out_a_damaged_attachment(
     log: Path, altered: Alter, name: str, inside: bytes, whole: Recording
 ) -> None:
     """So that the new log is read by all that read the old one."""
@@ -263,7 +263,7 @@ def test_attachments_that_are_missing_or_altered_are_named(log: Path, tmp_path: 
 
 
 @pytest.mark.parametrize("content", [bytes(2**23), np.random.default_rng(0).bytes(2**24)])
-def test_a_chunk_that_takes_much_memory_is_skipped(
+def test_chunk_of_excessive_size_is_skipped(
     log: Path, whole: Recording, tmp_path: Path, content: bytes
 ) -> None:
     """Because it unfolds to thousands of times its size, or is too large in itself."""
@@ -283,7 +283,7 @@ def test_a_chunk_that_takes_much_memory_is_skipped(
 
 
 @pytest.mark.parametrize("count", ["7", "100000", "99999999999", "9" * 5000])
-def test_definition_of_other_sizes_is_refused(log: Path, tmp_path: Path, count: str) -> None:
+def test_schema_with_forged_array_sizes_is_refused(log: Path, tmp_path: Path, count: str) -> None:
     """However much memory it asks for."""
     records = taken_apart(log.read_bytes())
     at = next(i for i, r in enumerate(records) if isinstance(r, Schema) and "Sensors" in r.name)
@@ -299,7 +299,7 @@ def test_definition_of_other_sizes_is_refused(log: Path, tmp_path: Path, count: 
         read(path)
 
 
-def test_a_wrong_or_absent_hash_is_named(log: Path, whole: Recording, tmp_path: Path) -> None:
+def test_wrong_or_missing_hash_is_named(log: Path, whole: Recording, tmp_path: Path) -> None:
     metadata = whole.metadata
     wrong = {**metadata, "sha256/config.json": "0" * 64}
     assert check(_rewritten(log, tmp_path / "wrong.mcap", wrong)) == [
@@ -331,7 +331,7 @@ def test_other_formats_and_files_are_refused(log: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("part", np.linspace(0.0, 0.999, 25).round(3))
-def test_a_log_cut_anywhere_is_saved_up_to_the_cut(
+def test_truncated_log_is_recovered_up_to_the_cut(
     log: Path, whole: Recording, tmp_path: Path, part: float
 ) -> None:
     """Or there is nothing to save, and that is said."""
@@ -377,7 +377,7 @@ def test_recovery_loses_at_most_a_second_before_the_cut(log: Path, tmp_path: Pat
     assert saved.until in states.time
 
 
-def test_recovering_never_overwrites(log: Path, tmp_path: Path) -> None:
+def test_recovery_never_overwrites(log: Path, tmp_path: Path) -> None:
     out = tmp_path / "there.mcap"
     out.write_bytes(b"precious")
     with pytest.raises(ConfigurationError, match=r"there\.mcap"):
@@ -391,7 +391,7 @@ def test_complete_log_is_recovered_completely(log: Path, tmp_path: Path) -> None
     assert read(saved.path)["/step"].time.tolist() == read(log)["/step"].time.tolist()
 
 
-def test_time_that_goes_back_is_found(log: Path, tmp_path: Path) -> None:
+def test_decreasing_time_is_found(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "back.mcap"
     with log.open("rb") as source, path.open("wb") as file:
         writer = open_writer(file)

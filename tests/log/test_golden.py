@@ -31,7 +31,7 @@ TOPICS = {
 }
 
 
-def test_the_golden_log_is_read() -> None:
+def test_golden_log_is_read() -> None:
     """Topics, columns and numbers are those of the day it was written."""
     assert check(GOLDEN) == []
     log = read(GOLDEN)
@@ -56,7 +56,7 @@ def digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def test_the_golden_log_is_replayed() -> None:
+def test_golden_log_is_replayed() -> None:
     """To the bit where versions are the same; elsewhere it stays close for a second."""
     result = replay(GOLDEN, strict=False)
     assert result.steps == 17
@@ -65,7 +65,7 @@ def test_the_golden_log_is_replayed() -> None:
     assert result.qpos_drift.max() < 1e-6
 
 
-def test_a_new_log_has_the_golden_ones_messages(tmp_path: Path) -> None:
+def test_new_log_has_the_messages_of_the_golden_log(tmp_path: Path) -> None:
     """Otherwise the format has changed, and so must `FORMAT` and the golden log."""
     main(tmp_path / "new.mcap")
     new, golden = read(tmp_path / "new.mcap"), read(GOLDEN)

@@ -50,7 +50,7 @@ def _at(recording: Recording, topic: str, seen: list[TensorDict]) -> np.ndarray:
     return np.searchsorted(ticks, _ends(seen))
 
 
-def test_steps_have_inputs_and_outcome(walk: Walk, recording: Recording) -> None:
+def test_step_topic_has_inputs_and_outcome(walk: Walk, recording: Recording) -> None:
     seen, step = walk[1], recording["/step"]
     np.testing.assert_allclose(step.time, _ends(seen) * CASSIE.policy_period, atol=1e-12)
     for i, td in enumerate(seen):
@@ -72,7 +72,7 @@ def test_steps_have_inputs_and_outcome(walk: Walk, recording: Recording) -> None
 
 
 @pytest.mark.parametrize("group", ["truth", "estimate", "reference"])
-def test_instants_have_the_tensordicts_entries(
+def test_topics_have_the_entries_of_the_tensordict(
     walk: Walk, recording: Recording, group: str
 ) -> None:
     seen, series = walk[1], recording[f"/{group}"]
@@ -90,7 +90,7 @@ def test_instants_have_the_tensordicts_entries(
     assert compared >= {"truth": 46, "estimate": 34, "reference": 28}[group]
 
 
-def test_joints_have_positions_velocities_and_efforts(walk: Walk, recording: Recording) -> None:
+def test_joint_states_have_position_velocity_and_effort(walk: Walk, recording: Recording) -> None:
     model, series = load_model(), recording["/joint_states"]
     rows, seen = _at(recording, "/joint_states", walk[1]), walk[1]
     assert series["name"][0].tolist() == list(LOGGED_JOINTS)
@@ -109,7 +109,9 @@ def test_joints_have_positions_velocities_and_efforts(walk: Walk, recording: Rec
                 np.testing.assert_allclose(effort, joint.qfrc_passive[0], rtol=1e-9, atol=1e-9)
 
 
-def test_transforms_place_robot_and_reduced_order_model(walk: Walk, recording: Recording) -> None:
+def test_transforms_are_poses_of_robot_and_reduced_order_model(
+    walk: Walk, recording: Recording
+) -> None:
     model, series = load_model(), recording["/tf"]
     rows, seen = _at(recording, "/tf", walk[1]), walk[1]
     frames = series["transforms.child_frame_id"][0].tolist()
@@ -160,7 +162,7 @@ def test_episodes_and_their_ends_are_noted(walk: Walk, recording: Recording) -> 
     assert recording.end["episodes"] == str(len(done) + 1)
 
 
-def test_touchdowns_have_actual_and_planned_places(
+def test_touchdowns_have_actual_and_planned_positions(
     make_recorded: MakeRecorded, tmp_path: Path, library: GaitLibrary
 ) -> None:
     env = make_recorded(tmp_path / "walk.mcap")
@@ -222,7 +224,9 @@ def test_odometry_is_logged(walk: Walk, recording: Recording) -> None:
     np.testing.assert_array_equal(truth["heading"][rows], heading)
 
 
-def test_ends_of_episodes_are_logged(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+def test_truncation_and_termination_are_logged_apart(
+    make_recorded: MakeRecorded, tmp_path: Path
+) -> None:
     """The end of time is not a fall."""
     env = make_recorded(tmp_path / "a.mcap", drop=["low_reward", "fall"], max_steps=3)
     run(env, 8, size=0.0)
@@ -232,7 +236,7 @@ def test_ends_of_episodes_are_logged(make_recorded: MakeRecorded, tmp_path: Path
     assert not step["terminated"].any()
 
 
-def test_feet_touch_down_once_and_not_at_a_reset(
+def test_reset_of_an_airborne_robot_is_no_touchdown(
     make_recorded: MakeRecorded, tmp_path: Path
 ) -> None:
     """A robot that is lifted off the ground before a reset has not landed after it."""
@@ -270,9 +274,7 @@ def test_every_substep_can_be_logged(
     np.testing.assert_allclose(speed, joints["velocity"][1:, 3], atol=0.1)
 
 
-def test_backends_and_robots_of_a_batch_write_the_same(
-    make_recorded: MakeRecorded, tmp_path: Path
-) -> None:
+def test_both_backends_write_the_same_messages(make_recorded: MakeRecorded, tmp_path: Path) -> None:
     """Robot 2 of three, on both backends; the other robots are reset meanwhile."""
     logs = []
     for backend in ("batch", "dm_control"):
@@ -291,7 +293,7 @@ def test_backends_and_robots_of_a_batch_write_the_same(
             np.testing.assert_array_equal(column, second[topic][name], err_msg=name)
 
 
-def test_recording_changes_nothing(
+def test_recording_does_not_change_the_simulation(
     make_recorded: MakeRecorded, tmp_path: Path, walk: Walk, library: GaitLibrary
 ) -> None:
     bare = aslip.make_env(stack=default_stack(library), seed=4, num_threads=1)
@@ -300,7 +302,9 @@ def test_recording_changes_nothing(
         assert float(td["next", "reward"]) == float(other["next", "reward"])
 
 
-def test_same_seed_same_messages(make_recorded: MakeRecorded, tmp_path: Path, walk: Walk) -> None:
+def test_same_seed_gives_the_same_messages(
+    make_recorded: MakeRecorded, tmp_path: Path, walk: Walk
+) -> None:
     again = tmp_path / "again.mcap"
     env = make_recorded(again, policy="aslip", config={"why": "a test"})
     run(env, 80)
@@ -347,16 +351,14 @@ def test_file_is_renamed_when_complete(make_recorded: MakeRecorded, tmp_path: Pa
     assert [p.name for p in tmp_path.iterdir()] == ["walk.mcap"]
 
 
-def test_an_unfinished_log_is_not_overwritten(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+def test_unfinished_log_is_not_overwritten(make_recorded: MakeRecorded, tmp_path: Path) -> None:
     (tmp_path / "walk.mcap.part").write_bytes(b"precious")
     with pytest.raises(ConfigurationError, match="recover"):
         make_recorded(tmp_path / "walk.mcap").reset()
     assert (tmp_path / "walk.mcap.part").read_bytes() == b"precious"
 
 
-def test_a_recorder_that_cannot_begin_leaves_no_file(
-    make_recorded: MakeRecorded, tmp_path: Path
-) -> None:
+def test_failed_start_leaves_no_file(make_recorded: MakeRecorded, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="cannot record robot 7"):
         make_recorded(tmp_path / "walk.mcap", robot=7).reset()
     env = make_recorded(tmp_path / "walk.mcap")
@@ -367,7 +369,7 @@ def test_a_recorder_that_cannot_begin_leaves_no_file(
 
 
 @pytest.mark.parametrize("backend", [BatchEnv, DmControlEnv])
-def test_a_low_level_that_replays_do_not_know_is_refused(
+def test_low_level_that_replays_do_not_know_is_refused(
     backend: type[SimulatedEnv], tmp_path: Path
 ) -> None:
     stack = {**default_stack(), "recorder": lambda: Recorder(tmp_path / "walk.mcap")}
@@ -391,7 +393,7 @@ def test_unknown_topics_and_columns_are_named(recording: Recording) -> None:
         _ = recording["/step"]["rewards"]
 
 
-def test_the_robot_description_begins_where_the_log_begins(recording: Recording) -> None:
+def test_robot_description_has_the_poses_of_the_first_transforms(recording: Recording) -> None:
     """Viewers show it before they have the first transform."""
     robot = ET.fromstring(recording["/robot_description"]["data"][0].encode())
     tf = recording["/tf"]
@@ -414,13 +416,13 @@ def test_the_robot_description_begins_where_the_log_begins(recording: Recording)
     assert len(list(robot.iter("visual"))) >= shown + len(ROM_FRAMES)
 
 
-def test_a_log_names_the_code_that_made_it(recording: Recording) -> None:
+def test_log_names_commit_and_versions(recording: Recording) -> None:
     assert recording.metadata["commit"] == (commit() or "")
     assert recording.metadata["version/mujoco"] == mujoco.__version__
     assert recording.metadata["version/python"] == platform.python_version()
 
 
-def test_numbers_are_named_in_order() -> None:
+def test_component_names_are_in_order() -> None:
     assert component_names("joint_position", 6) == [
         f"joint_position_{joint}" for joint in CASSIE.joint_names
     ]
@@ -443,7 +445,7 @@ def test_chosen_robot_is_recorded(make_recorded: Any, tmp_path: Path) -> None:
         assert log[f"/{group}"].vector(name)[1:].tolist() == expected
 
 
-def test_footholds_are_planned_in_the_robots_heading(
+def test_planned_footholds_turn_with_the_robot(
     make_recorded: Any, tmp_path: Path, library: GaitLibrary
 ) -> None:
     env = make_recorded(tmp_path / "a.mcap")

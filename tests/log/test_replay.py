@@ -20,7 +20,7 @@ from aslip.sim import PD
 from tests.log.helpers import MakeRecorded, run
 
 
-def test_every_state_is_equal_from_everywhere(recording: Recording) -> None:
+def test_replay_from_any_state_is_bit_equal(recording: Recording) -> None:
     """From each of the log's states, through pushes, falls and resets."""
     states = recording["/state"]
     assert len(states) > 4
@@ -62,7 +62,7 @@ def _changed(
     return replace(recording, series={**recording.series, topic: replace(series, columns=columns)})
 
 
-def test_changed_target_makes_later_states_differ(recording: Recording) -> None:
+def test_replay_detects_a_changed_motor_target(recording: Recording) -> None:
     row = int(np.searchsorted(recording["/step"].time, 1.0))
     other = _changed(recording, "/step", "motor_target_left_knee", row, 1e-9)
     result = replay(other)
@@ -72,11 +72,11 @@ def test_changed_target_makes_later_states_differ(recording: Recording) -> None:
     assert result.largest_difference > 0
 
 
-def test_changed_push_makes_states_differ(recording: Recording) -> None:
+def test_replay_detects_a_changed_push(recording: Recording) -> None:
     assert not replay(_changed(recording, "/step", "push_y", 3, 1e-6)).equal
 
 
-def test_last_bit_of_a_state_makes_a_difference(recording: Recording) -> None:
+def test_replay_detects_one_changed_bit_of_a_state(recording: Recording) -> None:
     states = recording["/state"]
     integration = states["integration"].copy()
     # what comes after the last step is where an episode would begin
@@ -140,14 +140,14 @@ def test_log_without_states_is_reported(recording: Recording) -> None:
         replay(recording, -1.0)
 
 
-def test_changed_code_is_recognised(recording: Recording) -> None:
+def test_changed_low_level_code_is_detected(recording: Recording) -> None:
     assert not low_level_differs(recording)
     digest = hashlib.sha256(b"other").hexdigest()
     other = {**recording.metadata, "low_level_digest": digest}
     assert low_level_differs(replace(recording, metadata=other))
 
 
-def test_a_gap_of_a_recovered_log_is_passed_over(recording: Recording) -> None:
+def test_replay_resumes_after_a_gap(recording: Recording) -> None:
     """Replay goes on from the first state after it."""
     step = recording["/step"]
     kept = (step.time < 0.6) | (step.time > 0.7)
@@ -162,7 +162,7 @@ def test_a_gap_of_a_recovered_log_is_passed_over(recording: Recording) -> None:
 # ----------------------------------------------------------------- from a shell
 
 
-def test_commands_print_their_findings(
+def test_commands_report_a_complete_log(
     walk: tuple[Path, list], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = str(walk[0])
@@ -201,7 +201,7 @@ def test_commands_fail_on_a_damaged_log(
     assert main(["replay", "--verify", str(tmp_path / "walk.recovered.mcap")]) == 0
 
 
-def test_a_recovered_log_may_have_its_name_back(
+def test_recovered_log_can_take_the_original_name(
     walk: tuple[Path, list], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cut = tmp_path / "walk.mcap.part"
@@ -213,14 +213,14 @@ def test_a_recovered_log_may_have_its_name_back(
     assert sorted(file.name for file in tmp_path.iterdir()) == ["walk.mcap", "walk.mcap.part"]
 
 
-def test_verifying_needs_a_policy_step(
+def test_verification_needs_a_policy_step(
     walk: tuple[Path, list], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", "--verify", "--start", "100", str(walk[0])]) == 2
     assert "nothing follows the state at" in capsys.readouterr().err
 
 
-def test_verifying_fails_when_the_simulation_differs(
+def test_verification_fails_when_the_simulation_differs(
     walk: tuple[Path, list], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As it would after a change of the drive, which is then named."""
@@ -241,7 +241,7 @@ def test_verifying_fails_when_the_simulation_differs(
     assert "with other code of the drive" in output
 
 
-def test_the_module_runs_from_a_shell(walk: tuple[Path, list]) -> None:
+def test_package_runs_from_a_shell(walk: tuple[Path, list]) -> None:
     command = [sys.executable, "-m", "aslip.log", "check", str(walk[0])]
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -113,9 +113,7 @@ def test_rerun_draws_every_shape_of_the_robot(rerun_log: RerunLog, recording: Re
     assert rerun_log.column("/cassie", "CoordinateFrame:frame", static=True) == [["world"]]
 
 
-def test_rerun_moves_every_link_by_our_transforms(
-    rerun_log: RerunLog, recording: Recording
-) -> None:
+def test_rerun_reads_the_transform_of_every_link(rerun_log: RerunLog, recording: Recording) -> None:
     ours = recording["/tf"]
     frames = ours["transforms.child_frame_id"]
     shape = (len(ours), frames.shape[1])
@@ -144,9 +142,7 @@ def test_rerun_moves_every_link_by_our_transforms(
     assert links <= set(frames[0])
 
 
-def test_rerun_names_the_joints_and_has_our_numbers(
-    rerun_log: RerunLog, recording: Recording
-) -> None:
+def test_rerun_reads_names_and_states_of_joints(rerun_log: RerunLog, recording: Recording) -> None:
     ours = recording["/joint_states"]
     for field in ("position", "velocity", "effort"):
         entity = f"/joint_states/{field}"
@@ -157,7 +153,7 @@ def test_rerun_names_the_joints_and_has_our_numbers(
 
 
 @pytest.mark.parametrize("topic", ["/truth", "/estimate", "/reference", "/step", "/touchdown"])
-def test_rerun_has_every_field_of_named_numbers(
+def test_rerun_reads_every_field_of_flat_topics(
     rerun_log: RerunLog, recording: Recording, topic: str
 ) -> None:
     rows = [row for (row,) in rerun_log.column(topic, _message(topic))]
@@ -233,7 +229,7 @@ def test_rosbags_decodes_every_topic_to_the_same_numbers(
             np.testing.assert_array_equal(theirs, column, err_msg=f"{topic} {name}")
 
 
-def test_standard_types_are_those_of_ros(walk: Walk, rosbags: ModuleType) -> None:
+def test_standard_message_types_match_ros(walk: Walk, rosbags: ModuleType) -> None:
     ros = rosbags.get_typestore(rosbags.Stores.LATEST).fielddefs
     schemas = _schemas(walk[0])
     standard = {name for name in schemas if not name.startswith("aslip_msgs/")}
@@ -257,7 +253,7 @@ def _numbers(recording: Recording, topic: str, field: str, joint: int | None = N
     return column if joint is None else column[:, joint]
 
 
-def test_foxglove_plots_what_a_log_has(recording: Recording) -> None:
+def test_foxglove_layout_plots_logged_fields(recording: Recording) -> None:
     layout = json.loads(asset_path("viewers/foxglove.json").read_text(encoding="utf-8"))
     panels = layout["configById"]
     curves, joints = set(), []
@@ -290,7 +286,7 @@ def _leaves(node: Any) -> Iterator[str]:
         yield from _leaves(node["second"])
 
 
-def test_foxglove_shows_and_follows_the_robot(recording: Recording) -> None:
+def test_foxglove_layout_follows_the_robot(recording: Recording) -> None:
     layout = json.loads(asset_path("viewers/foxglove.json").read_text(encoding="utf-8"))
     scene = layout["configById"]["3D!robot"]
     frames = set(recording["/tf"]["transforms.child_frame_id"][0])
@@ -306,7 +302,7 @@ def test_foxglove_shows_and_follows_the_robot(recording: Recording) -> None:
     assert len(recording["/robot_description"]) == 1
 
 
-def test_plotjuggler_plots_what_a_log_has(recording: Recording) -> None:
+def test_plotjuggler_layout_plots_logged_fields(recording: Recording) -> None:
     series = {
         f"{topic}/{field}": (topic, field)
         for topic, content in recording.series.items()
@@ -372,7 +368,7 @@ class Blueprint:
         )
 
 
-def test_rerun_plots_what_a_log_has(
+def test_rerun_blueprint_plots_logged_fields(
     chunk: ModuleType, rerun_log: RerunLog, recording: Recording
 ) -> None:
     """Rerun's own selectors find our numbers."""
@@ -391,7 +387,7 @@ def test_rerun_plots_what_a_log_has(
     assert blueprint.contents == {"$origin/**", *(topic for topic, _ in CURVES)}
 
 
-def test_rerun_shows_and_follows_the_robot(chunk: ModuleType, rerun_log: RerunLog) -> None:
+def test_rerun_blueprint_follows_the_robot(chunk: ModuleType, rerun_log: RerunLog) -> None:
     blueprint = Blueprint(asset_path("viewers/rerun.rbl"), chunk)
     assert blueprint.application == "aslip"
     assert blueprint.origins == {
@@ -406,7 +402,7 @@ def test_rerun_shows_and_follows_the_robot(chunk: ModuleType, rerun_log: RerunLo
     assert frame == [["pelvis"]]
 
 
-def test_rerun_brings_log_and_blueprint_together(
+def test_rerun_opens_log_and_blueprint_as_one_application(
     walk: Walk, chunk: ModuleType, tmp_path: Path
 ) -> None:
     """As the README opens them; Rerun ignores blueprints of other applications."""
@@ -429,7 +425,7 @@ def test_rerun_brings_log_and_blueprint_together(
     )
 
 
-def test_layouts_are_those_that_the_script_writes(
+def test_shipped_layouts_are_those_of_the_recipe(
     tmp_path: Path, chunk: ModuleType, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from recipes import viewer_layouts

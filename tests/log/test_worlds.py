@@ -22,7 +22,7 @@ from tests.log.helpers import MakeRecorded, run
 
 
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
-def test_robots_that_differ_are_recorded(
+def test_randomised_robots_are_recorded(
     make_recorded: MakeRecorded, tmp_path: Path, backend: str
 ) -> None:
     """From episode to episode; each replays from any of its states."""
@@ -41,7 +41,7 @@ def test_robots_that_differ_are_recorded(
     assert replay(log, float(log["/state"].time[-3])).equal
 
 
-def test_dynamics_that_change_in_an_episode_are_recorded(
+def test_changes_of_dynamics_in_an_episode_are_recorded(
     make_recorded: MakeRecorded, tmp_path: Path
 ) -> None:
     """Also a delay that makes states longer, and one of another robot that does."""
@@ -71,7 +71,7 @@ def test_dynamics_that_change_in_an_episode_are_recorded(
     assert not replay(other).equal
 
 
-def test_springs_of_a_robot_that_differs_have_their_own_effort(
+def test_efforts_of_springs_follow_the_dynamics(
     make_recorded: MakeRecorded, tmp_path: Path
 ) -> None:
     path = tmp_path / "walk.mcap"
@@ -142,7 +142,7 @@ def test_changed_model_is_reported(recording: Recording) -> None:
         {"floor_friction": [1.0]},
     ],
 )  # fmt: skip
-def test_a_model_with_forged_settings_is_refused(
+def test_model_with_forged_settings_is_refused(
     recording: Recording, settings: dict[str, Any]
 ) -> None:
     with pytest.raises(FileDamagedError, match="model of the log"):
@@ -168,7 +168,7 @@ def test_model_that_does_not_compile_is_reported(recording: Recording, damage: b
         ("</worldbody>", ""),
     ],
 )
-def test_a_model_of_other_parts_is_refused(recording: Recording, old: str, new: str) -> None:
+def test_model_with_forged_structure_is_refused(recording: Recording, old: str, new: str) -> None:
     xml = recording.attachments["model.xml"].decode()
     if old not in xml:
         old, new = "<option ", '<option nonsense="1" '
@@ -177,7 +177,7 @@ def test_a_model_of_other_parts_is_refused(recording: Recording, old: str, new: 
         replay(forged, strict=False)
 
 
-def test_a_model_of_other_numbers_is_simulated(recording: Recording) -> None:
+def test_model_with_other_numbers_is_simulated(recording: Recording) -> None:
     """An older robot's file is what its log is replayed from, not the one that ships."""
     xml = asset_path("cassie.xml").read_bytes()
     heavier = re.sub(
@@ -197,7 +197,7 @@ def _with_column(recording: Recording, topic: str, name: str, column: np.ndarray
 
 @pytest.mark.parametrize("value", [1e9, -1.0, 0.5, np.nan, np.inf])
 @pytest.mark.parametrize("place", [1, 2, 68, 69, 70, 100, -1])
-def test_states_with_forged_numbers_do_no_harm(
+def test_forged_states_are_refused_or_simulated_safely(
     recording: Recording, place: int, value: float
 ) -> None:
     """The newest command's place in a motor's memory is among them."""
@@ -209,7 +209,7 @@ def test_states_with_forged_numbers_do_no_harm(
         assert "state of the log" in str(error)
 
 
-def test_the_place_of_the_newest_command_is_checked(recording: Recording) -> None:
+def test_forged_index_of_a_command_is_refused(recording: Recording) -> None:
     """A place outside the memory of commands is refused."""
     integration = recording["/state"]["integration"].copy()
     # time, positions, velocities; then of each motor a number for users and the place
@@ -219,7 +219,7 @@ def test_the_place_of_the_newest_command_is_checked(recording: Recording) -> Non
 
 
 @pytest.mark.parametrize("size", [0, 1, 10, 301, 322])
-def test_states_of_another_size_are_refused(recording: Recording, size: int) -> None:
+def test_states_of_wrong_size_are_refused(recording: Recording, size: int) -> None:
     integration = np.resize(recording["/state"]["integration"], (len(recording["/state"]), size))
     with pytest.raises(FileDamagedError, match=r"state of the log|remembers .* commands"):
         replay(_with_column(recording, "/state", "integration", integration))

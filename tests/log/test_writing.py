@@ -32,14 +32,14 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "walk.mcap"
 
 
-def test_a_finished_log_is_not_overwritten(make_recorded: MakeRecorded, path: Path) -> None:
+def test_finished_log_is_not_overwritten(make_recorded: MakeRecorded, path: Path) -> None:
     path.write_bytes(b"precious")
     with pytest.raises(ConfigurationError, match=r"walk\.mcap' exists.*overwrite=True"):
         make_recorded(path)
     assert path.read_bytes() == b"precious"
 
 
-def test_a_log_that_appears_before_the_first_reset_is_not_overwritten(
+def test_log_that_appears_before_the_first_reset_is_not_overwritten(
     make_recorded: MakeRecorded, path: Path
 ) -> None:
     env = make_recorded(path)
@@ -50,7 +50,7 @@ def test_a_log_that_appears_before_the_first_reset_is_not_overwritten(
     assert path.read_bytes() == b"precious"
 
 
-def test_a_log_is_overwritten_when_asked(make_recorded: MakeRecorded, path: Path) -> None:
+def test_log_is_overwritten_when_asked(make_recorded: MakeRecorded, path: Path) -> None:
     path.write_bytes(b"old")
     env = make_recorded(path, overwrite=True)
     run(env, 2)
@@ -59,9 +59,7 @@ def test_a_log_is_overwritten_when_asked(make_recorded: MakeRecorded, path: Path
     assert len(read(path)["/step"]) == 2
 
 
-def test_a_reset_after_closing_leaves_the_log_alone(
-    make_recorded: MakeRecorded, path: Path
-) -> None:
+def test_reset_after_closing_leaves_the_log_alone(make_recorded: MakeRecorded, path: Path) -> None:
     env = make_recorded(path)
     run(env, 5)
     env.transforms[-1].close()
@@ -72,7 +70,7 @@ def test_a_reset_after_closing_leaves_the_log_alone(
     assert [p.name for p in path.parent.iterdir()] == ["walk.mcap"]
 
 
-def test_a_recorder_that_is_not_last_is_refused(library: GaitLibrary, path: Path) -> None:
+def test_recorder_that_is_not_last_is_refused(library: GaitLibrary, path: Path) -> None:
     """It would log the reward 0."""
     stack = insert_before(
         default_stack(library), "reward", recorder=lambda: Recorder(path, library=library)
@@ -81,7 +79,7 @@ def test_a_recorder_that_is_not_last_is_refused(library: GaitLibrary, path: Path
         aslip.make_env(stack=stack, num_threads=1)
 
 
-def test_a_transform_after_the_recorder_is_refused(make_recorded: MakeRecorded, path: Path) -> None:
+def test_transform_after_the_recorder_is_refused(make_recorded: MakeRecorded, path: Path) -> None:
     env = make_recorded(path)
     env.append_transform(StepCounter(step_count_key="steps"))
     with pytest.raises(ConfigurationError, match="last one is a StepCounter"):
@@ -110,7 +108,7 @@ if len(sys.argv) > 2:
 
 
 @pytest.mark.parametrize("error", [[], ["a mistake in the script"]])
-def test_the_end_of_a_program_finishes_its_log(path: Path, error: list[str]) -> None:
+def test_end_of_a_program_finishes_its_log(path: Path, error: list[str]) -> None:
     """Whether it ends well or not."""
     command = [sys.executable, "-c", _SCRIPT, str(path), *error]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -121,7 +119,7 @@ def test_the_end_of_a_program_finishes_its_log(path: Path, error: list[str]) -> 
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_a_forked_process_leaves_the_log_to_its_parent(
+def test_forked_process_leaves_the_log_to_its_parent(
     make_recorded: MakeRecorded, path: Path
 ) -> None:
     env = make_recorded(path)
@@ -149,7 +147,7 @@ def _full_disk(path: Path, size: int) -> Iterator[None]:
         signal.signal(signal.SIGXFSZ, handler)
 
 
-def test_a_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, path: Path) -> None:
+def test_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, path: Path) -> None:
     """There is one warning, and what was written is recovered."""
     env = make_recorded(path)
     seen = run(env, 40)
@@ -170,22 +168,20 @@ def test_a_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, 
     assert read(path)["/step"]["reward"].tolist() == rewards[: len(read(path)["/step"])]
 
 
-def test_a_disk_that_is_full_at_the_start_is_an_error(
-    make_recorded: MakeRecorded, path: Path
-) -> None:
+def test_full_disk_at_the_start_is_an_error(make_recorded: MakeRecorded, path: Path) -> None:
     env = make_recorded(path)
     with _full_disk(path, 1000), pytest.raises(ConfigurationError, match=r"cannot write.*walk"):
         env.reset()
     assert not list(path.parent.iterdir())
 
 
-def test_impossible_folder_is_an_error(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+def test_unwritable_folder_is_an_error(make_recorded: MakeRecorded, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigurationError, match=r"cannot write the log.*walk\.mcap"):
         make_recorded(tmp_path / "file" / "walk.mcap").reset()
 
 
-def test_a_log_is_on_the_disk_before_it_has_its_name(
+def test_log_is_synced_before_it_is_renamed(
     make_recorded: MakeRecorded, path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Otherwise a crash of the machine could leave an empty file under the name."""
@@ -211,7 +207,7 @@ def test_a_log_is_on_the_disk_before_it_has_its_name(
     assert done == [("fsync", size), ("rename", size)]
 
 
-def test_messages_are_counted_by_topic(walk: tuple[Path, list]) -> None:
+def test_sequence_numbers_count_per_topic(walk: tuple[Path, list]) -> None:
     """A reader that looks for gaps within a topic finds none."""
     numbers = defaultdict(list)
     with walk[0].open("rb") as file:
@@ -221,7 +217,7 @@ def test_messages_are_counted_by_topic(walk: tuple[Path, list]) -> None:
         assert found == list(range(1, len(found) + 1)), topic
 
 
-def test_recording_warns_of_nothing(make_recorded: MakeRecorded, path: Path) -> None:
+def test_recording_raises_no_warning(make_recorded: MakeRecorded, path: Path) -> None:
     env = make_recorded(path)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

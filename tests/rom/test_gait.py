@@ -152,7 +152,7 @@ def test_modes_are_right_double_left_double(gait):
     ]
 
 
-def test_sample_at_collocation_points_returns_them(gait):
+def test_sampling_at_collocation_points_returns_their_values(gait):
     sample = gait.sample(gait.time[:-1] / gait.stride)
     for name in (*PATHS, *LEGS):
         get = attrgetter(name)
@@ -230,7 +230,7 @@ def test_wrong_shape_is_named(gait):
         dataclasses.replace(gait, feet=Track(gait.feet.position, gait.feet.velocity[:, 0]))
 
 
-def test_certificate_names_what_failed(gait):
+def test_certificate_names_each_failed_check(gait):
     bad = dataclasses.replace(gait.certificate, kkt_residual=np.nan, margins={"body height": -0.1})
     assert not bad.ok
     assert [message.split()[0] for message in bad.failures()] == ["kkt_residual", "body"]
@@ -245,7 +245,7 @@ def test_certificate_names_what_failed(gait):
         ("margins", {"body height": -9e-9}, {"body height": -2e-8}),
     ],
 )
-def test_certificate_is_as_strict_as_its_tolerances_say(gait, name, good, bad):
+def test_certificate_fails_beyond_each_tolerance(gait, name, good, bad):
     """A margin of -1e-2 m would be a body a centimetre too low."""
     assert dataclasses.replace(gait.certificate, **{name: good}).ok
     assert not dataclasses.replace(gait.certificate, **{name: bad}).ok

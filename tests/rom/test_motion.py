@@ -34,13 +34,13 @@ def sampled():
     return SampledMotion.from_motion(Swaying(), 64)
 
 
-def test_samples_are_returned(sampled):
+def test_resampling_returns_the_samples(sampled):
     again = SampledMotion.from_motion(sampled, 64)
     for name, value in sampled.to_arrays().items():
         np.testing.assert_allclose(again.to_arrays()[name], value, atol=1e-14, err_msg=name)
 
 
-def test_between_samples_and_strides_the_motion_goes_on(sampled):
+def test_interpolation_follows_the_motion_between_samples_and_strides(sampled):
     """Positions and angles to the error of a cubic, forces to that of a line."""
     phase = np.linspace(-1.3, 2.7, 301)
     found = SampledMotion(sampled.command, sampled.stride, sampled.sample(phase)).to_arrays()
@@ -50,7 +50,7 @@ def test_between_samples_and_strides_the_motion_goes_on(sampled):
         np.testing.assert_allclose(found[name], value, atol=tolerance, err_msg=name)
 
 
-def test_arrays_give_the_same_motion(sampled):
+def test_motion_is_restored_from_its_arrays(sampled):
     again = SampledMotion.from_arrays(sampled.to_arrays())
     np.testing.assert_equal(again.to_arrays(), sampled.to_arrays())
     arrays = sampled.to_arrays()
@@ -60,12 +60,12 @@ def test_arrays_give_the_same_motion(sampled):
 
 
 @pytest.mark.parametrize("stride", [0.0, -1.0, np.inf, np.nan])
-def test_a_stride_must_be_positive_and_finite(sampled, stride):
+def test_stride_must_be_positive_and_finite(sampled, stride):
     with pytest.raises(ConfigurationError, match="stride"):
         SampledMotion(sampled.command, stride, sampled.samples)
 
 
-def test_one_sample_is_no_motion():
+def test_motion_of_one_sample_is_refused():
     with pytest.raises(ConfigurationError, match="got 1 samples"):
         SampledMotion.from_motion(Swaying(), 1)
 

@@ -22,14 +22,14 @@ def test_bad_speed_in_a_range_is_refused_before_any_work():
     assert not seen
 
 
-def test_failure_names_speed_status_and_worst_constraint():
+def test_failed_optimisation_names_speed_status_and_worst_constraint():
     # legs at most as long as the body is high, over feet 0.1 m to the side
     impossible = SlipParameters(max_leg_length=0.8)
     with pytest.raises(GaitOptimizationError, match=r"at 1 m/s: IPOPT .* worst constraint: \w+"):
         optimize_gait(1.0, parameters=impossible)
 
 
-def test_guess_with_other_points_is_refused(gait):
+def test_guess_with_another_number_of_points_is_refused(gait):
     arrays = {n: a[:9] if np.ndim(a) else a for n, a in gait.to_arrays().items()}
     with pytest.raises(ShapeError, match="points"):
         optimize_gait(1.0, guess=type(gait).from_arrays(arrays))
@@ -43,7 +43,7 @@ def test_same_arguments_give_the_same_bits(speed):
 
 
 @pytest.mark.parametrize("index", [0, 5, 10, 15, 20])
-def test_gait_does_not_depend_on_where_the_search_starts(gaits, index):
+def test_gait_does_not_depend_on_the_initial_guess(gaits, index):
     """Continuation from the slower gait and a rough guess reach the same optimum."""
     alone = optimize_gait(gaits[index].speed)
     np.testing.assert_allclose(alone.body.position, gaits[index].body.position, atol=1e-5)

@@ -6,14 +6,14 @@ from aslip.errors import ConfigurationError
 from aslip.rom import SlipParameters
 
 
-def test_table_1():
+def test_default_parameters_are_those_of_table_1():
     """Table I: m = 30 kg, k = 3000 N/m, b = 2 Ns/m, I_m = 10 kg, g = 9.81 m/s^2."""
     p = SlipParameters()
     assert (p.mass, p.stiffness, p.damping) == (30.0, 3000.0, 2.0)
     assert (p.actuator_inertia, p.gravity) == (10.0, 9.81)
 
 
-def test_swing_clearance_of_the_paper():
+def test_default_swing_clearance_is_the_papers():
     """Sec. III-A: "the 0.2 m specified vertical clearance height"."""
     assert SlipParameters().swing_clearance == 0.2
 
@@ -24,6 +24,6 @@ def test_parameters_must_be_positive_and_finite(value):
         SlipParameters(stiffness=value)
 
 
-def test_bounds_must_leave_room():
+def test_lower_bounds_must_be_below_upper_bounds():
     with pytest.raises(ConfigurationError, match="max_leg_length"):
         SlipParameters(max_leg_length=0.5)

@@ -11,7 +11,7 @@ GRAVITY = SlipParameters().gravity
 PHASE = np.arange(4000) / 4000
 
 
-def test_the_body_is_driven_by_its_stance_foot_alone():
+def test_body_accelerates_away_from_its_stance_foot():
     motion = WALK.sample(PHASE)
     dt = WALK.stride / len(PHASE)
     acceleration = np.gradient(motion.body.velocity, dt, axis=0)
@@ -33,7 +33,7 @@ def test_velocities_are_derivatives():
         np.testing.assert_allclose(np.diff(track.position, axis=0) / dt, middle, atol=2e-3)
 
 
-def test_the_walk_repeats_itself_mirrored_after_half_a_stride():
+def test_second_half_mirrors_the_first():
     motion = WALK.sample(PHASE)
     half, mirror = len(PHASE) // 2, np.array([1.0, -1.0, 1.0])
     step = np.array([WALK.speed * WALK.stride / 2, 0, 0])
@@ -68,14 +68,14 @@ def test_impossible_walks_are_refused(setting, value):
         PendulumWalk(**{setting: value})
 
 
-def test_the_ground_pushes_on_the_foot_that_stands():
+def test_ground_force_acts_on_the_stance_foot_alone():
     motion = WALK.sample(PHASE)
     swinging = np.linalg.norm(motion.feet.velocity, axis=-1) > 1e-6
     assert not motion.ground_force[swinging].any()
     np.testing.assert_allclose(motion.ground_force[..., 2].sum(1), WALK.mass * GRAVITY)
 
 
-def test_the_next_stride_begins_where_this_one_ends():
+def test_next_stride_begins_where_this_one_ends():
     now, later = WALK.sample(PHASE[::100]), WALK.sample(PHASE[::100] + 1)
     ahead = [WALK.speed * WALK.stride, 0.0, 0.0]
     for name in ("body", "feet"):

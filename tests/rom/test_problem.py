@@ -67,12 +67,12 @@ def test_kkt_residual_is_zero_at_a_known_optimum():
     [(0.5, 1.0, -2.0, 0.5), (0.0, 0.7, 0.0, 0.3), (0.0, 1.5, -2.0, 1.0), (0.0, 1.0, 2.0, 2.0)],
     ids=["not stationary", "infeasible", "not complementary", "wrong sign"],
 )
-def test_kkt_residual_sees_each_violation(gradient, g, lam, expected):
+def test_kkt_residual_detects_each_violation(gradient, g, lam, expected):
     arrays = (np.array([v]) for v in (gradient, g, 1.0, np.inf, lam))
     assert kkt_residual(*arrays) == pytest.approx(expected)
 
 
-def test_a_certificate_counts_multipliers_of_bounds_that_are_not_active(monkeypatch):
+def test_multipliers_of_inactive_bounds_fail_the_certificate(monkeypatch):
     """Complementarity: bounds moved away by 0.1 leave multipliers without a constraint."""
     problem, speed = walking_problem(SlipParameters(), "mean"), 1.0
     problem.opti.set_value(problem.speed, speed)

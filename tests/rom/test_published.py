@@ -97,7 +97,7 @@ def test_double_stance_shortens_with_speed(gaits):
     np.testing.assert_allclose(double_stance[[0, -1]], [0.1025, 0.0825], atol=5e-4)
 
 
-def test_papers_integral_alone_gives_shorter_strides():
+def test_integral_objective_gives_shorter_strides():
     """At rest the formula as printed misses the published double stance by 8 ms."""
     gait = optimize_gait(0.0, objective="integral")
     assert gait.double_stance == pytest.approx(0.095, abs=1e-3)

@@ -17,7 +17,7 @@ def test_foot_rests_at_both_ends(profile, order):
     np.testing.assert_allclose(profile(ENDS, order), 0.0, atol=1e-12)
 
 
-def test_lift_meets_ground_clearance_ground():
+def test_lift_goes_from_ground_to_clearance_to_ground():
     np.testing.assert_allclose(lift(np.array([0.0, 0.5, 1.0])), [0.0, 1.0, 0.0], atol=1e-15)
 
 

@@ -39,7 +39,7 @@ def frames() -> Callable[[int], list[np.ndarray]]:
 
 
 @leaves_pipes
-def test_a_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.ndarray]]) -> None:
+def test_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.ndarray]]) -> None:
     write_video(tmp_path / "film.mp4", frames(10), 100 / 3, (64, 48))
     about, decoded = decoded_film(tmp_path / "film.mp4")
     assert about["size"] == (64, 48)
@@ -48,7 +48,7 @@ def test_a_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.n
     assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
 
 
-def test_a_film_that_fails_leaves_no_file(
+def test_failed_film_leaves_no_file(
     tmp_path: Path, frames: Callable[[int], list[np.ndarray]]
 ) -> None:
     def broken():
@@ -60,7 +60,7 @@ def test_a_film_that_fails_leaves_no_file(
     assert not list(tmp_path.iterdir())
 
 
-def test_films_of_other_kinds_are_refused(tmp_path: Path) -> None:
+def test_films_of_wrong_type_or_size_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"\.mp4"):
         write_video(tmp_path / "film.gif", [], 30, (64, 48))
     with pytest.raises(ConfigurationError, match="even"):

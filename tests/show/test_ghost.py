@@ -26,7 +26,7 @@ def _instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> Te
     return TensorDict(reference=reference, truth=truth, batch_size=1)
 
 
-def test_the_body_goes_with_the_robot_at_the_references_height(library: GaitLibrary) -> None:
+def test_body_follows_the_robot_at_the_height_of_the_reference(library: GaitLibrary) -> None:
     td = _instant(library, 0.2, 1.0, 0.0)
     ghost = Ghost.of(td)
     np.testing.assert_allclose(ghost.body[:2], [3.0, 2.0])
@@ -53,13 +53,13 @@ def test_stance_follows_from_the_foot_velocity(
     assert (ghost.left_stance, ghost.right_stance) == stance
 
 
-def test_one_robot_of_many_is_chosen(make: MakeEnv) -> None:
+def test_ghost_is_of_the_chosen_robot(make: MakeEnv) -> None:
     td = make(num_envs=3).reset()
     ghost = Ghost.of(td, 2)
     np.testing.assert_allclose(ghost.body[0], td["truth", "pelvis_position"][2, 0])
 
 
-def test_a_ghost_leaves_its_inputs_unchanged(library: GaitLibrary) -> None:
+def test_ghost_leaves_its_inputs_unchanged(library: GaitLibrary) -> None:
     """Also rows of double precision, as logs have them."""
     groups = _instant(library, 0.2, 1.0, 0.5)
     rows = [
@@ -73,7 +73,7 @@ def test_a_ghost_leaves_its_inputs_unchanged(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.65, 1.0, 2.0])
-def test_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) -> None:
+def test_planned_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) -> None:
     """Two steps are a stride; sideways they cancel."""
     footholds = Footholds(library)
     left, right = (footholds.step(side, speed) for side in SIDES)
@@ -82,7 +82,7 @@ def test_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) -> None:
     np.testing.assert_allclose(left[1], 0.2, atol=1e-3)
 
 
-def test_steps_are_those_of_the_gaits(library: GaitLibrary) -> None:
+def test_planned_steps_match_the_gaits(library: GaitLibrary) -> None:
     """Where the swing foot of a gait is when it has come down, from the other foot."""
     footholds, gait = Footholds(library), library.gaits[12]
     for i, side in enumerate(SIDES):
@@ -103,14 +103,14 @@ def test_touchdowns_of_a_pendulum_precede_its_change_of_stance() -> None:
         np.testing.assert_allclose(touchdown_phases(walk), [0.4, 0.9], atol=5e-4)
 
 
-def test_a_motion_whose_feet_stay_has_no_touchdown(library: GaitLibrary) -> None:
+def test_motion_without_swing_has_no_touchdown(library: GaitLibrary) -> None:
     sample = library.motions[0].sample(np.zeros(8))
     rest = replace(sample, feet=Track(sample.feet.position, 0 * sample.feet.velocity))
     with pytest.raises(ConfigurationError, match=r"each foot swings once .*: \[0, 0\]"):
         touchdown_phases(SampledMotion(np.array([0.0]), 0.8, rest))
 
 
-def test_a_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None:
+def test_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None:
     footholds = Footholds(library)
     foot, level = np.array([5.0, -1.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
     step = footholds.step("left", 0.8)
@@ -121,7 +121,7 @@ def test_a_foothold_is_a_step_from_the_stance_foot(library: GaitLibrary) -> None
     np.testing.assert_allclose(turned, np.array([[cosine, -sine], [sine, cosine]]) @ step)
 
 
-def test_yaw_rotation_of_a_pitched_and_turned_body() -> None:
+def test_yaw_rotation_ignores_pitch() -> None:
     yaw, pitch = 0.7, 0.4
     half = np.array([yaw, pitch]) / 2
     (cy, cp), (sy, sp) = np.cos(half), np.sin(half)

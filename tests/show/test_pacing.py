@@ -36,7 +36,7 @@ def test_late_sleeps_do_not_add_up():
     assert pacer.factor == pytest.approx(1.0, abs=1e-3)
 
 
-def test_a_short_stall_is_caught_up():
+def test_short_stall_is_caught_up():
     clock = Clock()
     pacer, start = clock.pacer(), clock.time
     clock.work(0.1)
@@ -76,7 +76,7 @@ def test_factor_covers_recent_turns_only():
     assert pacer.factor == pytest.approx(1.0, abs=1e-3)
 
 
-def test_nothing_is_caught_up_after_a_restart():
+def test_restart_drops_the_delay():
     clock = Clock()
     pacer = clock.pacer()
     clock.work(10.0)

@@ -12,7 +12,7 @@ from aslip.rom import Mode
 from aslip.show.plots import MODE_COLORS, gait_figure, gait_sheet
 
 
-def test_paths_have_no_gaps_and_the_colours_of_their_modes(library: GaitLibrary) -> None:
+def test_paths_are_continuous_and_coloured_by_mode(library: GaitLibrary) -> None:
     """Right, double, left, double, twice; each piece begins where the one before ends."""
     (axes,) = gait_figure(library.gaits[10], strides=2).axes
     styles = [line.get_linestyle() for line in axes.lines]

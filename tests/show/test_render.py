@@ -68,7 +68,7 @@ def test_collision_geoms_and_sites_are_hidden(standing):
     np.testing.assert_array_equal(render_robot(standing, model=garish, **SIZE), visible)
 
 
-def test_ghosts_change_the_picture_and_stance_changes_the_ghost(model, standing):
+def test_ghosts_are_drawn_and_show_stance(model, standing):
     alone = render_robot(standing, model=model, robot=False, **SIZE)
     stance, swing = (
         render_robot(standing, model=model, robot=False, ghosts=[g], **SIZE)
@@ -96,7 +96,7 @@ def test_strip_joins_from_left_to_right():
 
 
 @pytest.mark.parametrize("end", [[0.2, 0.1, 0.0], [0.0, 0.0, 0.1], [0.0, 1.0, 0.9]])
-def test_spring_ends_where_it_should_and_stays_near_the_leg(end):
+def test_spring_connects_body_and_foot_along_the_leg(end):
     start, end = np.array([0.0, 0.0, 0.9]), np.array(end)
     path = spring_path(start, end)
     np.testing.assert_allclose(path[[0, -1]], [start, end], atol=1e-12)
@@ -116,7 +116,7 @@ def test_full_scene_is_refused(model):
         add_ghost(scene, Ghost(np.array([0, 0, 0.9]), np.zeros(3), np.ones(3)))
 
 
-def test_the_buffer_is_as_large_as_the_picture_only(model, monkeypatch):
+def test_off_screen_buffer_has_the_size_of_the_picture(model, monkeypatch):
     whole = model.vis.global_.offwidth, model.vis.global_.offheight
     buffers = []
 

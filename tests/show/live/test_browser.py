@@ -107,7 +107,7 @@ def test_moving_the_slider_changes_the_robots_speed(desk):
     assert sum(standing) / 10 < 0.4
 
 
-def test_pause_stops_time_and_a_click_goes_on(desk):
+def test_pause_stops_time_and_resume_continues(desk):
     count = desk.pause()
     assert desk.live.paused
     desk.view.wait_for_timeout(500)
@@ -116,7 +116,7 @@ def test_pause_stops_time_and_a_click_goes_on(desk):
     wait_for(lambda: len(desk.steps) > count + 5)
 
 
-def test_a_single_step_is_exactly_one(desk):
+def test_step_button_runs_exactly_one_step(desk):
     count = desk.pause()
     desk.click("Step")
     wait_for(lambda: len(desk.steps) > count)
@@ -125,7 +125,7 @@ def test_a_single_step_is_exactly_one(desk):
     assert desk.live.walker.time == pytest.approx(0.03 * desk.live.walker.steps)
 
 
-def test_a_push_throws_the_robot_to_its_left(desk):
+def test_push_accelerates_the_robot_to_its_left(desk):
     count = desk.pause()
     desk.view.get_by_role("slider").nth(2).press("End")
     desk.click("Push")
@@ -137,7 +137,7 @@ def test_a_push_throws_the_robot_to_its_left(desk):
     assert desk.speeds(1)[-1] - desk.speeds(1)[count - 1] > 0.5
 
 
-def test_another_policy_is_chosen_falls_and_starts_again(desk):
+def test_chosen_policy_acts_falls_and_is_reset(desk):
     falls, before = desk.live.falls, desk.live.walker.policy
     desk.view.locator("input[role=combobox]:visible").first.click()
     desk.view.get_by_role("option", name="limp", exact=True).click()
@@ -160,7 +160,7 @@ def test_two_visitors_see_the_same_and_one_may_return(desk):
     assert desk.view.get_by_role("slider").first.get_attribute("aria-valuenow") == "0.65"
 
 
-def test_the_page_shows_numbers_bars_and_the_robot(desk):
+def test_page_shows_numbers_bars_and_the_robot(desk):
     wait_for(lambda: desk.live.walker.steps > 20)
     desk.pause()
     text = desk.view.locator("body").inner_text()

@@ -61,7 +61,7 @@ def test_invalid_numbers_and_choices_change_nothing(open_page, value):
     assert serves_others(page)
 
 
-def test_visitors_set_values_only(open_page):
+def test_visitors_can_set_values_only(open_page):
     page = open_page()
     slider = page.controls.command
     with visit(page) as visitor:

@@ -26,7 +26,7 @@ def click(button) -> None:
     button.value = True
 
 
-def test_the_slider_begins_with_the_robots_command_and_sets_it(open_page):
+def test_slider_starts_at_the_robots_command_and_sets_it(open_page):
     page = open_page(speed=0.5)
     assert page.controls.command.value == 0.5
     page.controls.command.value = 1.25
@@ -35,7 +35,7 @@ def test_the_slider_begins_with_the_robots_command_and_sets_it(open_page):
     assert float(page.walker.td["command"]) == 1.25
 
 
-def test_a_command_acts_on_the_very_next_step(open_page):
+def test_command_acts_on_the_very_next_step(open_page):
     steps = []
     page = open_page(on_step=steps.append)
     page.turn()
@@ -78,7 +78,7 @@ def test_single_step_needs_a_paused_page(open_page):
     assert page.walker.steps == 2
 
 
-def test_the_push_says_how_long_it_acts(open_page):
+def test_push_button_shows_its_duration(open_page):
     steps = []
     page = open_page(on_step=steps.append)
     click(page.controls.push)
@@ -87,7 +87,7 @@ def test_the_push_says_how_long_it_acts(open_page):
     assert page.controls.push.label == f"Push for {acted:g} s" == "Push for 0.12 s"
 
 
-def test_a_reset_drops_single_steps_that_wait(open_page):
+def test_reset_drops_pending_single_steps(open_page):
     page = open_page()
     click(page.controls.pause)
     page.turn()
@@ -100,7 +100,7 @@ def test_a_reset_drops_single_steps_that_wait(open_page):
     assert page.walker.steps == 0
 
 
-def test_error_message_goes_with_the_next_click(open_page):
+def test_error_message_disappears_with_the_next_click(open_page):
     page = open_page(speed=0.5)
     page.controls.command.value = 7.0
     page.turn()
@@ -110,14 +110,14 @@ def test_error_message_goes_with_the_next_click(open_page):
     assert page.message == ""
 
 
-def test_the_page_is_for_this_machine_alone_unless_opened(open_page):
+def test_page_listens_on_this_machine_alone_by_default(open_page):
     page = open_page()
     assert page._server.get_host() == "127.0.0.1"
     assert page.url.startswith("http://127.0.0.1:")
     assert Config().host == "127.0.0.1"
 
 
-def test_visitors_are_sent_where_robot_and_model_are_now(open_page):
+def test_new_visitors_see_the_present_poses(open_page):
     page = open_page(speed=1.0)
     for _ in range(2):
         walk(page, 7)
@@ -134,7 +134,7 @@ def test_visitors_are_sent_where_robot_and_model_are_now(open_page):
         assert places["/rom/body"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
 
 
-def test_the_plot_is_built_anew_when_a_visitor_comes(open_page, monkeypatch):
+def test_plot_is_redrawn_when_a_visitor_connects(open_page, monkeypatch):
     page, redrawn = open_page(), []
     monkeypatch.setattr(page._readouts, "redraw", lambda: redrawn.append(1))
     with visit(page):
@@ -143,7 +143,7 @@ def test_the_plot_is_built_anew_when_a_visitor_comes(open_page, monkeypatch):
 
 
 @pytest.mark.parametrize(("degrees", "ahead", "left"), [(0, 1, 0), (90, 0, 1), (-135, -1, -1)])
-def test_a_push_has_its_direction_size_and_duration(open_page, degrees, ahead, left):
+def test_push_has_its_direction_size_and_duration(open_page, degrees, ahead, left):
     steps = []
     page = open_page(on_step=steps.append)
     walk(page, 1)
@@ -159,7 +159,7 @@ def test_a_push_has_its_direction_size_and_duration(open_page, degrees, ahead, l
     assert np.linalg.norm(pushed[0]) == pytest.approx(150, rel=1e-5)
 
 
-def test_a_push_turns_with_the_robot(open_page):
+def test_push_turns_with_the_robot(open_page):
     page = open_page()
     orientation = page.walker.td["truth", "pelvis_orientation"]
     orientation[:] = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5])
@@ -242,7 +242,7 @@ def test_invalid_setting_is_reported_and_the_robot_walks_on(open_page):
     assert page.walker.command == pytest.approx(0.7)
 
 
-def test_watching_changes_nothing(open_page, library):
+def test_live_page_does_not_change_the_walk(open_page, library):
     page = open_page(speed=1.0)
     alone = Walker(library=library, speed=1.0)
     walk(page, 10)
@@ -251,7 +251,7 @@ def test_watching_changes_nothing(open_page, library):
     np.testing.assert_array_equal(page.walker.td["truth", "qpos"], alone.td["truth", "qpos"])
 
 
-def test_without_policies_the_walkers_own_walks(library):
+def test_walkers_own_policy_is_the_default(library):
     still = limp()
     page = LivePage(Walker(still, library=library), port=0)
     try:
@@ -268,7 +268,7 @@ def test_missing_policies_are_named_before_the_server_starts(open_page, monkeypa
         open_page({})
 
 
-def test_serving_ends_with_stop_and_the_page_is_gone(open_page):
+def test_stop_ends_serving_and_closes_the_page(open_page):
     page = open_page()
     with served(page):
         wait_for(lambda: page.walker.steps > 3)
@@ -293,7 +293,7 @@ def test_ctrl_c_ends_serving_without_an_error(open_page):
     assert page.walker.steps == 1
 
 
-def test_an_error_on_a_step_ends_serving_with_that_error(open_page):
+def test_error_on_a_step_ends_serving_with_that_error(open_page):
     def fail(td):
         raise RuntimeError("the disk is full")
 

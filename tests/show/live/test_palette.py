@@ -11,7 +11,7 @@ from recipes import viewer_layouts
 LEGS = {"left": palette.LEFT, "right": palette.RIGHT}
 
 
-def test_colors_are_read():
+def test_colours_are_parsed():
     assert palette.rgb("#1f78b5") == (31, 120, 181)
     assert palette.rgba("#ff0000") == (1.0, 0.0, 0.0, 1.0)
 
@@ -23,7 +23,7 @@ def test_blue_and_red_are_left_and_right():
     assert forces == LEGS
 
 
-def test_blue_and_red_have_no_other_meaning():
+def test_blue_and_red_are_used_for_legs_only():
     motors = [viewer_layouts.motors(side, "position", "rad") for side in SIDES]
     plots = (viewer_layouts.VELOCITY, viewer_layouts.REWARD, *motors)
     used = {curve.color for plot in plots for curve in plot.curves}
@@ -31,7 +31,7 @@ def test_blue_and_red_have_no_other_meaning():
     assert not used & {"#1f77b4", "#d62728", palette.LEFT, palette.RIGHT}
 
 
-def test_page_and_layouts_show_robot_model_and_command_alike():
+def test_page_and_layouts_use_the_same_colours():
     page = {curve.get("label"): curve.get("stroke") for curve in _CURVES}
     layout = {curve.label: curve.color for curve in viewer_layouts.VELOCITY.curves}
     assert page["Cassie"] == layout["robot"] == palette.ROBOT

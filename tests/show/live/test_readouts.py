@@ -52,7 +52,7 @@ def test_lines_show_the_status_and_escape_markup(shown, readouts):
     assert "mean 0.00 m/s" in text
 
 
-def test_the_mean_speed_shows_drift(shown, readouts, library):
+def test_mean_speed_shows_drift(shown, readouts, library):
     walker = Walker(library=library)
     for _ in range(40):
         readouts.add(walker.step())
@@ -91,7 +91,7 @@ def test_curves_fill_the_time_axis_from_the_start(shown, readouts, library):
             assert np.isfinite(curve[len(curve) - walker.steps :]).all()
 
 
-def test_the_range_of_speeds_holds_the_curves_closely(shown, readouts, library):
+def test_speed_axis_encloses_the_curves_closely(shown, readouts, library):
     for speed in (0.0, 1.0, 2.0):
         readouts._history.clear()
         walker = Walker(library=library, speed=speed)
@@ -121,7 +121,7 @@ def test_plot_is_redrawn_for_a_new_visitor_only(shown, readouts):
     np.testing.assert_allclose(seen, [rest] * 20, atol=1e-5)
 
 
-def test_the_legend_names_every_curve_with_its_line(shown, readouts):
+def test_legend_names_every_curve_with_its_line(shown, readouts):
     legend = shown["html"][1].content
     for curve in _CURVES:
         color, label = curve.get("stroke"), curve.get("label")

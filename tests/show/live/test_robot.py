@@ -49,7 +49,7 @@ def is_closed(mesh: Mesh) -> bool:
 
 
 @pytest.mark.parametrize("geom", range(5))
-def test_a_shape_has_the_bounds_and_volume_of_its_geom(geom):
+def test_mesh_has_the_bounds_and_volume_of_its_geom(geom):
     mesh = geom_mesh(compiled(""), geom)
     np.testing.assert_allclose(mesh.vertices.max(0), BOUNDS[geom], atol=1e-12)
     np.testing.assert_allclose(mesh.vertices.min(0), -np.array(BOUNDS[geom]), atol=1e-12)
@@ -59,7 +59,7 @@ def test_a_shape_has_the_bounds_and_volume_of_its_geom(geom):
 
 
 @pytest.mark.parametrize("geom", range(5))
-def test_a_shape_is_where_its_geom_is_in_the_body(geom):
+def test_mesh_has_the_pose_of_its_geom(geom):
     place = 'pos="1 2 3" quat=".5 .5 .5 .5"'
     straight, moved = geom_mesh(compiled(""), geom), geom_mesh(compiled(place), geom)
     # this turn takes x to y, y to z and z to x
@@ -67,12 +67,12 @@ def test_a_shape_is_where_its_geom_is_in_the_body(geom):
     np.testing.assert_allclose(moved.vertices, expected, atol=1e-12)
 
 
-def test_a_plane_is_refused():
+def test_plane_is_refused():
     with pytest.raises(ValueError, match="geom 0"):
         geom_mesh(load_model(), 0)
 
 
-def test_faces_that_share_a_corner_are_nearly_level():
+def test_faces_that_share_a_vertex_are_nearly_parallel():
     # or shading would round off what is sharp
     for geom in range(5):
         mesh = geom_mesh(compiled(""), geom)
@@ -94,7 +94,7 @@ def test_meshes_are_joined_with_their_faces():
     np.testing.assert_array_equal(both.vertices[both.faces], triangles)
 
 
-def test_a_tube_goes_along_its_path():
+def test_tube_follows_its_path():
     turn = np.linspace(0, 4, 60)
     path = np.stack([np.cos(turn), np.sin(turn), 0.3 * turn], axis=-1)
     rings = tube(path, 0.02).vertices.reshape(60, -1, 3)
@@ -117,7 +117,7 @@ def test_visible_shapes_of_a_body_are_grouped_by_colour():
     np.testing.assert_array_equal(np.unique(drawn, axis=0), np.unique(corners, axis=0))
 
 
-def test_a_geom_without_material_has_its_own_colour():
+def test_geom_without_material_has_its_own_colour():
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><body><geom group="1" size=".1" rgba="1 .5 0 1"/></body></worldbody>'
         "</mujoco>"

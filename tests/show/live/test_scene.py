@@ -49,7 +49,7 @@ def names(model: mujoco.MjModel) -> list[str]:
     return names[1:]
 
 
-def test_every_body_is_where_the_simulator_has_it(server, model, walker):
+def test_body_poses_match_the_simulator(server, model, walker):
     qpos = walker.td["truth", "qpos"][0].numpy()
     RobotView(server.scene, model).update(qpos)
     data = mujoco.MjData(model)
@@ -80,7 +80,7 @@ def test_every_visible_shape_is_drawn(server, model):
         )
 
 
-def test_the_robot_fades_and_comes_back(server, model):
+def test_robot_fades_and_comes_back(server, model):
     view = RobotView(server.scene, model)
     shape = server.scene.get_handle_by_name("/robot/pelvis/shape0")
     view.fade(0.3)
@@ -89,7 +89,7 @@ def test_the_robot_fades_and_comes_back(server, model):
     assert shape.opacity is None
 
 
-def test_springs_go_from_the_body_to_the_feet_of_the_model(server, library, walker):
+def test_springs_connect_body_and_feet_of_the_model(server, library, walker):
     RomView(server.scene, library).update(walker.td)
     ghost = Ghost.of(walker.td)
     origin = np.array([*ghost.body[:2], 0.0])
@@ -108,7 +108,7 @@ def test_springs_go_from_the_body_to_the_feet_of_the_model(server, library, walk
         assert weights[0][list(weights[1]).index(1)] == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, library, walker):
+def test_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, library, walker):
     view = RomView(server.scene, library)
     while not (ghost := Ghost.of(walker.td)).right_stance or ghost.left_stance:
         walker.step()
@@ -128,7 +128,7 @@ def test_a_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, libra
     assert 0 < drawn[2] < 0.01
 
 
-def test_the_model_stands_beside_the_robot_or_in_it_or_is_hidden(server, library):
+def test_model_is_beside_the_robot_in_its_place_or_hidden(server, library):
     view = RomView(server.scene, library)
     root = server.scene.get_handle_by_name("/rom")
     view.place("beside")
@@ -160,7 +160,7 @@ def test_beside_is_to_the_right_of_a_robot_that_has_turned(server, library, walk
     np.testing.assert_allclose(place, 0.7 * np.array(right), atol=1e-6)
 
 
-def test_the_floor_moves_under_the_robot(server, model, library, walker):
+def test_floor_moves_under_the_robot(server, model, library, walker):
     view = SceneView(server, model, library)
     floor = server.scene.get_handle_by_name("/floor")
     places = []
@@ -176,7 +176,7 @@ def test_the_floor_moves_under_the_robot(server, model, library, walker):
     np.testing.assert_allclose(places[2], places[0], atol=1e-12)
 
 
-def test_the_robot_is_seen_through_where_the_model_is_in_its_place(server, model, library):
+def test_robot_is_transparent_with_the_model_in_its_place(server, model, library):
     view = SceneView(server, model, library)
     shape = server.scene.get_handle_by_name("/robot/pelvis/shape0")
     view.place_rom("through")

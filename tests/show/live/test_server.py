@@ -15,7 +15,7 @@ from aslip.errors import ConfigurationError
 from aslip.show.live.server import page_url, start_server
 
 
-def test_a_port_that_is_taken_is_an_error_that_names_it():
+def test_taken_port_is_named():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         other.listen()
@@ -31,13 +31,13 @@ def test_port_out_of_range_is_an_error(port):
 
 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no such host", ""])
-def test_a_host_must_be_this_machine(host, monkeypatch):
+def test_host_must_be_this_machine(host, monkeypatch):
     monkeypatch.setattr("viser.ViserServer", lambda **_: pytest.fail("viser would hang"))
     with pytest.raises(ConfigurationError, match=r"host|listen"):
         start_server(host, 0)
 
 
-def test_a_port_that_viser_was_told_to_change_is_an_error(monkeypatch):
+def test_port_changed_by_the_environment_is_an_error(monkeypatch):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -46,7 +46,7 @@ def test_a_port_that_viser_was_told_to_change_is_an_error(monkeypatch):
         start_server("127.0.0.1", port)
 
 
-def test_the_page_is_at_its_url_and_its_port_is_free_afterwards():
+def test_page_answers_at_its_url_and_frees_its_port():
     server = start_server("127.0.0.1", 0)
     port = server.get_port()
     try:
@@ -61,7 +61,7 @@ def test_the_page_is_at_its_url_and_its_port_is_free_afterwards():
 
 
 @pytest.mark.parametrize("request_line", ["HEAD / HTTP/1.1", "POST / HTTP/1.1", "hello"])
-def test_requests_of_other_kinds_print_nothing_and_the_page_stays(request_line):
+def test_unsupported_requests_print_nothing_and_the_page_stays_up(request_line):
     # in a process of its own: what viser does about its log, it does for a whole process
     code = (
         "import socket, urllib.request\n"
@@ -80,7 +80,7 @@ def test_requests_of_other_kinds_print_nothing_and_the_page_stays(request_line):
     assert result.stderr == ""
 
 
-def test_a_handler_that_fails_is_reported_in_a_line(caplog):
+def test_failed_handler_is_logged_in_one_line(caplog):
     server = start_server("127.0.0.1", 0)
     log = logging.getLogger("websockets.server")
     try:
@@ -120,7 +120,7 @@ def test_without_viser_the_error_says_what_to_install():
     assert "pip install 'aslip[live]'" in result.stdout, result
 
 
-def test_nothing_but_the_live_page_needs_viser():
+def test_only_the_live_page_imports_viser():
     package = Path(aslip.__file__).parent
     users = {
         path.relative_to(package).parts[:2]
