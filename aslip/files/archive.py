@@ -38,7 +38,7 @@ _LARGEST_RATIO = 10
 
 @dataclass(frozen=True)
 class ArchiveFormat:
-    """Kind and version of an archive, and how it is written."""
+    """Kind, version and compression of an archive."""
 
     kind: str
     """Name of this kind of file, in messages and in the file."""
@@ -117,7 +117,9 @@ def _check(entries: dict[str, bytes]) -> None:
     """
     lines = entries.pop(SUMS, None)
     if lines is None:
-        raise ValueError(f"there is no {SUMS}, as in files of earlier versions, which are not read")
+        raise ValueError(
+            f"{SUMS} is missing, as in files of earlier versions, which are not supported"
+        )
     if odd := set(lines.splitlines()) ^ set(sums(entries).splitlines()):
         names = sorted({line.split(b"  ", 1)[-1].decode(errors="replace") for line in odd})
         raise ValueError(f"wrong SHA-256 of {', '.join(names[:3])}")

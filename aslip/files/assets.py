@@ -19,7 +19,7 @@ def asset_path(name: str) -> Path:
         name: path below `assets/`, such as `"cassie.xml"`.
 
     Raises:
-        AssetError: there is no such file; the message lists those that ship.
+        AssetError: the file does not exist; the message lists the shipped files.
     """
     if (_ROOT / name).is_file():
         return _ROOT / name

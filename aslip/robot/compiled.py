@@ -1,4 +1,4 @@
-"""Compilation by Numba of loops that run at every substep or packet."""
+"""Numba compilation of loops that run at every substep or packet."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from numba import njit
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function of arrays and numbers at its first call, and keep that on disk.
+    """Compile a function of arrays and numbers at its first call, and cache it on disk.
 
-    Division by zero gives what it gives in NumPy. What is kept is renewed when the function's file
-    changes, and only then: constants and functions that it reads must stand there, too.
+    Division by zero follows NumPy. A change of the function's file renews the cache: constants and
+    functions that it uses must be in the same file.
     """
     options = {"nogil": True, "error_model": "numpy"}
     try:
         return njit(cache=True, **options)(function)
     except RuntimeError:
-        # neither the package nor the user has a folder to write to; compiling takes some seconds
+        # no writable folder for the cache: compiling takes some seconds per process
         return njit(**options)(function)

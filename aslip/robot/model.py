@@ -19,7 +19,7 @@ _CONNECT = int(mujoco.mjtEq.mjEQ_CONNECT)
 _KINDS = ("free", "ball", "slide", "hinge")
 
 APPEARANCE_GROUP: Final = 1
-"""Group of the geoms that are drawn of the robot."""
+"""Group of the robot's visual geoms."""
 
 
 def load_model(
@@ -34,12 +34,10 @@ def load_model(
 
     Args:
         floor_friction: sliding friction coefficient between the floor and any part of the robot.
-        visual: keep what is only looked at. Without it the physics is the same, bit for bit, and a
-            physics step costs less.
-        timestep: physics timestep [s]: that of the robot's loop by default, or twice that, to train
-            on.
-        memory: torque commands that a motor remembers, one a physics step; enough for the delay of
-            the robot by default.
+        visual: keep visual geoms; without them the physics is the same, bit for bit, and faster.
+        timestep: physics timestep [s]: the robot's by default, or twice that for faster training.
+        memory: number of delayed torque commands per motor, one per physics step; by default
+            enough for the robot's delay.
         robot: robot to compile.
 
     Raises:
@@ -60,37 +58,41 @@ def load_model(
 
 
 def physics_timesteps(robot: Robot = CASSIE) -> tuple[float, float]:
-    """Timesteps that physics may have [s]; the motors' loop keeps its period with both."""
+    """Allowed physics timesteps [s]; the period of the PD loop is the same with both."""
     return robot.physics_timestep, 2 * robot.physics_timestep
 
 
 def check_timestep(timestep: float, robot: Robot = CASSIE) -> None:
-    """Raise ConfigurationError unless physics may have this timestep."""
+    """Check a physics timestep.
+
+    Raises:
+        ConfigurationError: the timestep is not allowed.
+    """
     allowed = physics_timesteps(robot)
     if timestep not in allowed:
         raise ConfigurationError(f"timestep must be one of {allowed} s, got {timestep!r}")
 
 
 def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
-    """Give the floor a sliding friction; it has priority over the friction of the robot's geoms."""
+    """Set the floor's sliding friction, which has priority over that of the robot's geoms."""
     if not (np.isfinite(friction) and friction > 0):
         raise ConfigurationError(f"floor_friction must be a positive number, got {friction!r}")
     model.geom("floor").friction[0] = friction
 
 
 def geom_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """(4,) red, green, blue and opacity of a geom: its material's, if it has one."""
+    """Colour (4,) of a geom, red, green, blue and opacity, or of its material."""
     material = model.geom_matid[geom]
     return model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
 
 
 def compile_skeleton(robot: Robot) -> Skeleton:
-    """Compile a robot's MJCF, and collect the numbers that are read without MuJoCo."""
+    """Compile a robot's MJCF, and collect its skeleton."""
     return skeleton_of(load_model(visual=False, robot=robot))
 
 
 def skeleton_of(model: mujoco.MjModel) -> Skeleton:
-    """Collect the numbers of a compiled model."""
+    """Collect the skeleton of a compiled model."""
     bodies = [model.body(i) for i in range(model.nbody)]
     joints = [model.joint(i) for i in range(model.njnt)]
     sites = [model.site(i) for i in range(model.nsite)]

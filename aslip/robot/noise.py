@@ -11,7 +11,7 @@ from aslip.errors import ConfigurationError, ShapeError
 
 
 def _frozen(name: str, value: ArrayLike) -> float | tuple[float, ...]:
-    """A standard deviation, or several, if they are such."""
+    """Standard deviations as a float or a tuple of floats."""
     try:
         array = np.asarray(value)
         numeric = array.dtype.kind in "fiu"
@@ -20,29 +20,28 @@ def _frozen(name: str, value: ArrayLike) -> float | tuple[float, ...]:
     if not numeric or not np.all(np.isfinite(array) & (array >= 0)):
         raise ConfigurationError(f"{name} must be finite and 0 or more, got {value!r}")
     if array.ndim > 1:
-        raise ShapeError(
-            f"{name} must be one number or one for each channel, got the shape {array.shape}"
-        )
+        raise ShapeError(f"{name} must be one number or one per channel, got shape {array.shape}")
     return float(array) if array.ndim == 0 else tuple(array.astype(float).tolist())
 
 
 @dataclass(frozen=True)
 class NoiseLevel:
-    """Standard deviations of a sensor's errors, one for all channels or one for each.
+    """Standard deviations of a sensor's errors, one for all channels or one per channel.
 
-    Units are the sensor's; an orientation errs by a rotation vector in the pelvis frame [rad].
+    Units are those of the sensor. The error of an orientation is a rotation vector in the pelvis
+    frame [rad].
 
     Raises:
-        ConfigurationError: a value is negative or not finite, or is no number.
-        ShapeError: the values are not in a single row.
+        ConfigurationError: a value is negative or not a finite number.
+        ShapeError: the values have more than one axis.
     """
 
     white: ArrayLike = 0.0
-    """Drawn anew for every packet; kept as a float or a tuple of floats."""
+    """White noise, drawn for every packet."""
     bias: ArrayLike = 0.0
-    """Drifts through an episode; kept alike."""
+    """Slowly varying bias of an episode."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            # arrays could be altered, and do not compare
+            # unlike arrays, tuples are immutable and comparable
             object.__setattr__(self, field.name, _frozen(field.name, getattr(self, field.name)))

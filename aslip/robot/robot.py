@@ -1,4 +1,4 @@
-"""Robot that is simulated, estimated and controlled: its MJCF, names, low level and timing."""
+"""`Robot`: MJCF, names, low level, sensors and timing of a biped."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Robot:
     foot_sites: tuple[str, str]
     """Sites at the centres of the soles: x to the toes and z up when level."""
     pelvis: str
-    """Body with the free joint, of the same name."""
+    """Body with a free joint of the same name."""
     imu_site: str
     """Site of the inertial unit, whose axes are the pelvis'."""
 
@@ -51,11 +51,11 @@ class Robot:
     torque_limit: np.ndarray
     """Largest torque at the motor shaft [N m]."""
     no_load_speed: np.ndarray
-    """Motor speed at which no torque is left [rad/s]."""
+    """Motor speed at which the torque limit is zero [rad/s]."""
     motor_encoder_bits: np.ndarray
-    """Bits of the counts in a turn of the motor, not of the joint."""
+    """Bits of the motor encoders, per turn of the motor."""
     joint_encoder_bits: np.ndarray
-    """Bits of the counts in a turn of the joint."""
+    """Bits of the joint encoders, per turn of the joint."""
 
     physics_timestep: float
     """Period of physics and PD loop [s]."""
@@ -81,7 +81,7 @@ class Robot:
                 object.__setattr__(self, field.name, _read_only(value))
 
     def __repr__(self) -> str:
-        """Name of the class and the robot."""
+        """Class and name of the robot."""
         return f"{type(self).__name__}({self.name!r})"
 
     @property
@@ -94,7 +94,7 @@ class Robot:
         """Path of the MJCF.
 
         Raises:
-            AssetError: no such file is shipped.
+            AssetError: the package ships no file of that name.
         """
         file = self.model_file
         return file if isinstance(file, Path) else asset_path(file)
@@ -111,12 +111,12 @@ class Robot:
 
     @property
     def sensor_window(self) -> int:
-        """Packets of a policy period, oldest first; the newest is of the last substep's start."""
+        """Packets per policy period; the newest is read at the start of the last substep."""
         return self.substeps // self.packet_substeps
 
     @cached_property
     def packet_sizes(self) -> dict[str, int]:
-        """Entries of a packet in the order of its numbers.
+        """Entry of a packet -> size, in the order of the packet's numbers.
 
         Motors and joints [rad, rad/s], orientation (pelvis to world, wxyz), angular velocity
         [rad/s] and specific force [m/s^2] of the IMU, whose axes are the pelvis'.
@@ -132,23 +132,23 @@ class Robot:
 
     @cached_property
     def packet_slices(self) -> dict[str, slice]:
-        """Entry of a packet -> its place in the packet's numbers."""
+        """Entry of a packet -> slice of the packet's numbers."""
         ends = np.cumsum([0, *self.packet_sizes.values()]).tolist()
         return {name: slice(*ends[i : i + 2]) for i, name in enumerate(self.packet_sizes)}
 
     @property
     def packet_size(self) -> int:
-        """Numbers in a packet."""
+        """Length of a packet as an array."""
         return sum(self.packet_sizes.values())
 
     @cached_property
     def noise_channels(self) -> dict[str, int]:
-        """Sensor -> number of independent errors; that of the orientation is a rotation vector."""
+        """Sensor -> number of error channels; the orientation's error is a rotation vector."""
         return {**self.packet_sizes, "orientation": 3}
 
     @cached_property
     def skeleton(self) -> Skeleton:
-        """Numbers of the MJCF; from the JSON file beside it, or else compiled by MuJoCo."""
+        """Skeleton of the MJCF, from the JSON file beside it or compiled by MuJoCo."""
         found = read_skeleton(self.mjcf, self.mjcf.with_suffix(".json"))
         if found is not None:
             return found
@@ -194,17 +194,17 @@ class Indices:
     quaternions: tuple[slice, ...]
     """All unit quaternions in `qpos`, the pelvis' first."""
     foot_site: np.ndarray
-    """(2,) ids of the sole-centre sites."""
+    """(2,) ids of the sites at the sole centres."""
     ground_force: np.ndarray
     """(2, 3) ground reaction of each foot in `sensordata`, world frame."""
     foot_velocity: np.ndarray
     """(2, 3) velocity of each sole centre in `sensordata`, world frame."""
     pelvis_body: int
-    """Id of the pelvis, whose origin is pushed."""
+    """Id of the pelvis body."""
 
     @classmethod
     def of(cls, robot: Robot) -> Indices:
-        """Look every name up."""
+        """Indices of a robot's names."""
         skeleton = robot.skeleton
         joints, root = skeleton.joints, skeleton.joints[robot.pelvis]
         balls = [joint.qpos for joint in joints.values() if joint.kind == "ball"]

@@ -34,7 +34,7 @@ class Joint(NamedTuple):
     qpos: int
     qvel: int
     zero: float
-    """Position at which the bodies are as the model draws them [rad]."""
+    """Position at the configuration in which the MJCF defines the bodies [rad]."""
     stiffness: float
     """Stiffness of its spring [N m/rad]."""
 
@@ -86,7 +86,7 @@ class Skeleton:
     connections: Mapping[str, Connection]
     sensors: Mapping[str, Sensor]
     standing: Vector
-    """`qpos` of the keyframe of that name."""
+    """`qpos` of the keyframe `standing`."""
 
 
 _PARTS = {
@@ -107,7 +107,7 @@ def write_skeleton(skeleton: Skeleton, mjcf: Path, path: Path) -> None:
 
 
 def read_skeleton(mjcf: Path, path: Path) -> Skeleton | None:
-    """Skeleton of an MJCF from its JSON file; None if that is missing or of another MJCF."""
+    """Skeleton of an MJCF from its JSON file; None if the file is missing or outdated."""
     if not path.is_file():
         return None
     entries = json.loads(path.read_text(encoding="utf-8"))
@@ -128,7 +128,7 @@ def _digest(path: Path) -> str:
 
 
 def _text(value: object) -> str:
-    """One line a part."""
+    """JSON with one line per part."""
     if not isinstance(value, Mapping):
         return json.dumps(value)
     rows = [f" {json.dumps(name)}: {json.dumps(row)}" for name, row in value.items()]

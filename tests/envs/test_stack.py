@@ -253,7 +253,7 @@ def test_transforms_in_an_order_without_effect_are_refused(library: GaitLibrary)
     with pytest.raises(ConfigurationError, match="'low_reward' reads a reward"):
         make_env(stack=late)
     del late["low_reward"]
-    with pytest.raises(ConfigurationError, match="'episode_sum' writes the reward"):
+    with pytest.raises(ConfigurationError, match="'episode_sum' reads a reward"):
         make_env(stack=late)
     late = {**{k: v for k, v in stack.items() if k != "noise"}, "noise": stack["noise"]}
     with pytest.raises(ConfigurationError, match="'noise' comes after"):

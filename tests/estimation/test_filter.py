@@ -1,13 +1,15 @@
-"""The filter on motions with a known answer, and against matrices written out."""
+"""The filter on motions in closed form, and against the textbook's matrices."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from aslip.errors import ConfigurationError
 from aslip.estimation.filter import LEFT, RIGHT, B, Belief, ContactFilter, FilterNoise, Motion, P, V
 
 PERIOD, RADIUS, HALF = 0.003, 0.02, 0.08
@@ -21,7 +23,7 @@ def _filter(**noise: float) -> ContactFilter:
 
 
 def _body(t: float) -> np.ndarray:
-    """A pelvis that goes on at 0.7 m/s and sways in all directions."""
+    """Pelvis that moves at 0.7 m/s and sways in all directions."""
     return np.array(
         [0.7 * t + 0.02 * np.sin(9 * t), 0.03 * np.sin(7 * t), 0.9 + 0.03 * np.sin(13 * t)]
     )
@@ -42,7 +44,7 @@ def _motion(
     bias: np.ndarray | float = 0.0,
     num: int = 1,
 ) -> Motion:
-    """A packet of `num` robots at time t, with feet (2, 3) in the world."""
+    """Packet of `num` robots at time t, with feet (2, 3) in the world."""
     # what an accelerometer that integrates gives: the mean over the packet
     acceleration = (_derivative(path, t) - _derivative(path, t - PERIOD)) / PERIOD + bias
     rows = np.ones(num)
@@ -62,7 +64,7 @@ STANDING = np.array([[0.0, 0.1, RADIUS], [0.0, -0.1, RADIUS]])
 
 
 def _started(filter_: ContactFilter, velocity: np.ndarray | None = None, num: int = 1) -> Belief:
-    """At time 0 on both feet, with the true velocity or another."""
+    """Start at time 0 on both feet, with the true velocity by default."""
     motion = _motion(0.0, STANDING, (LOADED, LOADED), num=num)
     velocity = _derivative(_body, 0.0) if velocity is None else velocity
     return filter_.start(motion, np.broadcast_to(-velocity, (num, 2, 3)))
@@ -76,7 +78,7 @@ def _run(filter_: ContactFilter, belief: Belief, packets: int, **settings: objec
 # --------------------------------------------------------------- known answers
 
 
-def test_it_starts_on_the_lower_foot() -> None:
+def test_start_puts_the_lower_foot_on_the_ground() -> None:
     motion = _motion(0.0, np.array([[0.3, 0.1, 0.25], [0.0, -0.1, RADIUS]]), (FREE, FREE))
     swinging = np.array([[[5.0, 0.0, 1.0], [-0.8, 0.1, 0.2]]])
     belief = _filter().start(motion, swinging)
@@ -85,7 +87,7 @@ def test_it_starts_on_the_lower_foot() -> None:
     np.testing.assert_allclose(belief.mean[0, :, RIGHT], [0.0, -0.1, RADIUS], atol=1e-12)
 
 
-def test_a_motion_without_noise_is_followed_exactly() -> None:
+def test_estimates_without_noise_are_exact() -> None:
     filter_ = _filter()
     belief = _started(filter_)
     _run(filter_, belief, 400)
@@ -104,8 +106,8 @@ def test_a_wrong_velocity_is_corrected_within_ten_policy_steps(error: list[float
     assert np.abs(error_left).max() < 0.02
 
 
-def test_a_biased_accelerometer_is_found_out() -> None:
-    """Tilt of the attitude shows as such a bias, too."""
+def test_bias_of_the_accelerometer_is_estimated() -> None:
+    """A tilt error of the attitude has the same effect."""
     bias = np.array([0.08, -0.05, 0.03])
     filter_ = _filter()
     belief = _started(filter_)
@@ -113,8 +115,8 @@ def test_a_biased_accelerometer_is_found_out() -> None:
     np.testing.assert_allclose(belief.mean[0, :, B], -bias, atol=0.01)
 
 
-def test_walking_from_foot_to_foot_loses_no_way() -> None:
-    """2 m in 100 alternating stances; only then is anything lost."""
+def test_odometry_of_alternating_stances_has_no_drift() -> None:
+    """2 m in 100 alternating stances."""
     filter_ = _filter()
     belief = _started(filter_)
     feet = STANDING.copy()
@@ -138,8 +140,8 @@ def test_walking_from_foot_to_foot_loses_no_way() -> None:
     np.testing.assert_allclose(belief.mean[0, :, P] + _body(0) * [1, 1, 0], _body(3.0), atol=5e-3)
 
 
-def test_a_skidding_foot_is_no_foot_at_rest() -> None:
-    """The right foot slides at 1 m/s, loaded as it is: the velocity stays that of the left."""
+def test_skidding_foot_is_no_measurement() -> None:
+    """The right foot slides at 1 m/s under load; the left foot gives the velocity."""
     filter_ = _filter()
     belief = _started(filter_)
     _run(filter_, belief, 100)
@@ -152,8 +154,8 @@ def test_a_skidding_foot_is_no_foot_at_rest() -> None:
         assert np.abs(error).max() < 0.01
 
 
-def test_a_shaken_spring_in_the_air_is_no_contact() -> None:
-    """A foot that hangs still, 15 cm above the ground, with its spring deflected."""
+def test_shaken_spring_in_the_air_is_no_contact() -> None:
+    """A foot is at rest 15 cm above the ground with a deflected spring."""
     filter_ = _filter()
     feet = STANDING + np.array([[0, 0, 0], [0, 0, 0.15]])
     belief = _filter().start(_motion(0.0, feet, (FREE, FREE)), np.zeros((1, 2, 3)))
@@ -162,8 +164,8 @@ def test_a_shaken_spring_in_the_air_is_no_contact() -> None:
         assert not belief.resting.any()
 
 
-def test_a_foot_in_the_air_is_as_uncertain_as_the_pelvis_and_the_legs_encoders() -> None:
-    """Only the encoders' errors make its place relative to the pelvis uncertain."""
+def test_variance_of_a_foot_in_the_air_is_that_of_pelvis_and_encoders() -> None:
+    """Relative to the pelvis only the encoders' errors count."""
     filter_ = _filter()
     belief = _started(filter_)
     _run(filter_, belief, 50)
@@ -175,8 +177,8 @@ def test_a_foot_in_the_air_is_as_uncertain_as_the_pelvis_and_the_legs_encoders()
 
 
 @pytest.mark.parametrize(("height", "rests"), [(0.006, True), (-0.006, True), (0.012, False)])
-def test_ground_may_be_as_uneven_as_the_filter_assumes(height: float, rests: bool) -> None:
-    """A foot set down 3 standard deviations higher or lower rests, one 6 higher does not yet."""
+def test_feet_rest_on_ground_as_uneven_as_the_filter_assumes(height: float, rests: bool) -> None:
+    """A foot rests 3 standard deviations above or below zero, but not 6 above."""
     filter_ = _filter()
     belief = _started(filter_)
     _run(filter_, belief, 200)
@@ -186,8 +188,8 @@ def test_ground_may_be_as_uneven_as_the_filter_assumes(height: float, rests: boo
     assert belief.resting[0].tolist() == [True, rests]
 
 
-def test_a_sole_that_rocks_over_its_heel_does_not_move_the_robot() -> None:
-    """The toes come up by 0.15 rad in 0.1 s; the heel stays, the centre rises and goes back."""
+def test_rocking_over_the_heel_does_not_move_the_robot() -> None:
+    """The toes rise by 0.15 rad in 0.1 s about the heel, which stays."""
     filter_ = _filter()
     still: Path = lambda t: np.array([0.0, 0.0, 0.9])  # noqa: E731
     belief = filter_.start(_motion(0.0, STANDING, (LOADED, LOADED), still), np.zeros((1, 2, 3)))
@@ -203,8 +205,8 @@ def test_a_sole_that_rocks_over_its_heel_does_not_move_the_robot() -> None:
     assert abs(belief.mean[0, 2, P] - 0.9) < 2e-3
 
 
-def test_a_sole_that_rocks_over_its_toes_does_not_move_the_robot() -> None:
-    """Toe-off: the heel comes up by 0.3 rad in 0.2 s; the toes stay, and the foot keeps resting."""
+def test_rocking_over_the_toes_does_not_move_the_robot() -> None:
+    """The heel rises by 0.3 rad in 0.2 s about the toes, which stay; the foot keeps resting."""
     filter_ = _filter()
     still: Path = lambda t: np.array([0.0, 0.0, 0.9])  # noqa: E731
     belief = filter_.start(_motion(0.0, STANDING, (LOADED, LOADED), still), np.zeros((1, 2, 3)))
@@ -220,8 +222,8 @@ def test_a_sole_that_rocks_over_its_toes_does_not_move_the_robot() -> None:
     assert np.abs(belief.mean[0, :, P] - [0, 0, 0.9]).max() < 2e-3
 
 
-def test_a_height_that_no_foot_can_have_is_doubted_after_a_while() -> None:
-    """The ground lies 15 cm lower than believed: no foot rests until the height is doubted."""
+def test_wrong_height_is_corrected_after_patience() -> None:
+    """With the ground 15 cm below the estimate no foot rests until the variance grows."""
     filter_ = _filter()
     still: Path = lambda t: np.array([0.0, 0.0, 0.9])  # noqa: E731
     belief = filter_.start(_motion(0.0, STANDING, (LOADED, LOADED), still), np.zeros((1, 2, 3)))
@@ -237,8 +239,8 @@ def test_a_height_that_no_foot_can_have_is_doubted_after_a_while() -> None:
     assert abs(belief.mean[0, 2, P] - 0.9) < 5e-3
 
 
-def test_a_confident_error_is_doubted_after_a_while() -> None:
-    """Feet at rest look as if they moved; after 0.1 s of that the filter blames itself."""
+def test_wrong_velocity_of_small_variance_is_corrected_after_patience() -> None:
+    """Feet at rest seem to move; after 0.1 s the filter increases its own variance."""
     filter_ = _filter()
     belief = _started(filter_)
     _run(filter_, belief, 200)
@@ -250,7 +252,7 @@ def test_a_confident_error_is_doubted_after_a_while() -> None:
     assert belief.resting.all()
 
 
-def test_covariances_stay_covariances() -> None:
+def test_covariances_stay_symmetric_and_positive_definite() -> None:
     filter_, rng = _filter(), np.random.default_rng(0)
     belief = _started(filter_, num=8)
     for k in range(1, 3000):
@@ -265,7 +267,7 @@ def test_covariances_stay_covariances() -> None:
 # --------------------------------------------------------------------- equations
 
 
-def test_it_is_the_kalman_filter_of_the_textbook() -> None:
+def test_filter_equals_the_textbook_kalman_filter() -> None:
     """Matrices written out, both feet at rest: equal to rounding, mean and covariance.
 
     The covariance is predicted with F = 1 + dt N, the mean with its second-order term.
@@ -349,3 +351,21 @@ def test_it_starts_on_the_lower_end_of_a_sole() -> None:
     motion = replace(_motion(0.0, feet, (FREE, FREE)), half_sole=half)
     belief = _filter().start(motion, np.zeros((1, 2, 3)))
     np.testing.assert_allclose(belief.mean[0, 2, P], 0.9 + 0.6 * HALF)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *((name, value) for name in ("acceleration", "gate", "leg", "patience")
+          for value in (-1.0, float("nan"), float("inf"), "0.1", None, True)),
+        *((name, 0.0) for name in ("leg", "ground", "gate", "rock")),
+    ],
+)  # fmt: skip
+def test_invalid_noise_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(ConfigurationError, match=rf"^{name} of FilterNoise .*{value!r}"):
+        FilterNoise(**{name: value})
+
+
+def test_unload_above_load_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="unload"):
+        FilterNoise(unload=70.0)

@@ -165,7 +165,7 @@ def test_a_forked_process_is_told_at_once(used: bool) -> None:
         for _ in range(2):
             assert ours.poll(60), "the child hangs"
             answer = ours.recv()
-            assert ("forked" in answer) if used else (answer == "stepped")
+            assert ("its fork" in answer) if used else (answer == "stepped")
     finally:
         child.kill()
         child.join()
