@@ -29,15 +29,15 @@ from aslip.robot import SIDES
 from aslip.transforms import SpeedCommand
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
-# entries of a policy step that make the arrays of `Walks`
+_PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
+_FORCE: Final[NestedKey] = ("next", "truth", "ground_force")
+# where the robot is: the truth, or the state estimator's odometry
+_PLACES: Final = ("true_odometry", "odometry")
+# other entries of a policy step that make the arrays of `Walks`
 _RECORDED: Final[dict[str, NestedKey]] = {
     "phase": ("next", "phase"),
     "reward": ("next", "reward"),
     "action": "action",
-    "pelvis_position": ("next", "true_odometry", "pelvis_position"),
-    "pelvis_orientation": ("next", "true_odometry", "pelvis_orientation"),
-    "pelvis_velocity": ("next", "true_odometry", "pelvis_velocity"),
-    "ground_force": ("next", "truth", "ground_force"),
     "body_position": ("next", "reference", "body_position"),
     "body_velocity": ("next", "reference", "body_velocity"),
 }
@@ -48,7 +48,8 @@ class Walks:
     """n walks of m policy steps; rows are the instants at which the steps end.
 
     Rows after a fall are NaN, except for `alive` and `command`. Positions, orientations and
-    velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`.
+    velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`. Without
+    a simulation, pelvis and feet are as the state estimator has them, and ground forces are NaN.
     """
 
     command: np.ndarray
@@ -225,7 +226,8 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
 
     Raises:
         ShapeError: `command` is not for n robots, or has no policy step.
-        ConfigurationError: a command is not finite.
+        ConfigurationError: a command is not finite, or the environment neither knows nor estimates
+            where its robots are.
     """
     command = np.asarray(command, dtype=np.float32)
     if command.ndim != 2 or command.shape[1] != env.num_envs:
@@ -234,18 +236,38 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
         raise ShapeError(f"command must have a row for each policy step, got {command.shape}")
     if not np.isfinite(command).all():
         raise ConfigurationError("every commanded speed must be finite")
-    groups = [("next", "true_odometry"), ("next", "reference")]
-    feet: list[NestedKey] = [(*group, name) for group in groups for name in _FEET]
-    rows = record(policy, env, command, [("next", "terminated"), *_RECORDED.values(), *feet])
-    return _as_walks(rows, command)
+    place = _place(env)
+    pelvis: list[NestedKey] = [("next", place, name) for name in _PELVIS]
+    feet: list[NestedKey] = [
+        ("next", group, foot) for group in (place, "reference") for foot in _FEET
+    ]
+    keys = [("next", "terminated"), *_RECORDED.values(), *pelvis, *feet, _FORCE]
+    return _as_walks(record(policy, env, command, keys), place, command)
 
 
-def _as_walks(rows: TensorDict, command: np.ndarray) -> Walks:
+def _place(env: StackEnv) -> str:
+    """Group of entries that tell where an environment's robots are.
+
+    Raises:
+        ConfigurationError: there is none.
+    """
+    for place in _PLACES:
+        if place in env.observation_spec:
+            return place
+    raise ConfigurationError(
+        "walks need to know where robots are: the stack must have a `HeadingFrame`, which writes"
+        " 'true_odometry', or an `EstimatedState`, which writes 'odometry'"
+    )
+
+
+def _as_walks(rows: TensorDict, place: str, command: np.ndarray) -> Walks:
     """Arrays of (m, n) policy steps, NaN from the step on in which a robot fell."""
     fell = cast("torch.Tensor", rows["next", "terminated"])[..., 0]
     alive = ~np.logical_or.accumulate(fell.numpy(), axis=0)
     values = {name: cast("torch.Tensor", rows[key]) for name, key in _RECORDED.items()}
-    for name, group in (("foot_position", "true_odometry"), ("body_to_foot", "reference")):
+    values |= {name: rows["next", place, name] for name in _PELVIS}
+    values["ground_force"] = rows.get(_FORCE, torch.full((*fell.shape, 2, 3), torch.nan))
+    for name, group in (("foot_position", place), ("body_to_foot", "reference")):
         values[name] = torch.stack([rows["next", group, foot] for foot in _FEET], dim=2)
     for name in ("phase", "reward"):
         values[name] = values[name][..., 0]

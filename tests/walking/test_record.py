@@ -94,6 +94,20 @@ def test_what_comes_after_a_fall_is_no_number(make: MakeEnv) -> None:
     assert np.isfinite(walks.ground_force[:, 0]).all()
 
 
+def test_without_the_truth_walks_are_as_the_estimator_has_them(make: MakeEnv) -> None:
+    policy = aslip.load_policy("aslip")
+    true, estimated = (
+        record_walks(policy, make(reward_on="estimate", drop=[*EPISODE_ENDS, *more]), _command(0.5))
+        for more in (["noise"], ["noise", "heading", "fall"])
+    )
+    np.testing.assert_array_equal(estimated.action, true.action)
+    for name in ("pelvis_position", "pelvis_velocity", "foot_position"):
+        error = np.abs(getattr(estimated, name) - getattr(true, name)).max()
+        assert 0 < error < 0.2, name
+    with pytest.raises(ConfigurationError, match="know where robots are"):
+        record_walks(policy, make(keep=["observation"]), _command(0.5))
+
+
 def test_a_part_of_one_walk_can_be_taken(logged: tuple[Walks, Path]) -> None:
     part = logged[0].one(0, 5, 15)
     assert part.command.shape == (10, 1)
