@@ -106,10 +106,13 @@ class Subject:
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
         """Environment of the policy, where episodes end as in training.
 
+        `drop` and `replace` add to those of a `make_env` that is a `functools.partial`.
+
         Raises:
             ConfigurationError: the environment has another observation than the policy's card, or
                 adds its action to something else.
         """
+        settings = _joined(self.make_env, settings)
         env = self.make_env(num_envs=num_envs, **settings)
         if self.stored:
             check_policy_fits(self.name, env)
@@ -123,6 +126,18 @@ class Subject:
             drop += ON_TRUTH["drop"]
             settings["replace"] = ON_TRUTH["replace"]
         return self.env(num_envs, seed=config.seed, drop=drop, **settings)
+
+
+def _joined(make_env: MakeEnv, settings: dict[str, Any]) -> dict[str, Any]:
+    """Settings that do not undo what a `functools.partial` drops and replaces."""
+    bound = make_env.keywords if isinstance(make_env, partial) else {}
+    joined = dict(settings)
+    if "drop" in settings and "drop" in bound:
+        first = [bound["drop"]] if isinstance(bound["drop"], str) else bound["drop"]
+        joined["drop"] = [*first, *settings["drop"]]
+    if "replace" in settings and "replace" in bound:
+        joined["replace"] = {**(bound["replace"] or {}), **settings["replace"]}
+    return joined
 
 
 def load_subjects(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,10 @@ from torchrl.data import Composite, Unbounded
 from torchrl.envs.transforms import CatFrames, Transform
 
 import aslip
-from aslip.envs import StackEnv
+from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_recurrent_actor
+from aslip.transforms import ActionDelta, EstimatedState, TrueState, WeightedReward
+from aslip.transforms.rewards import PAPER_WEIGHTS
 from benchmarks import (
     black_box,
     estimator,
@@ -25,7 +28,7 @@ from benchmarks import (
     step_frequency,
     velocity_tracking,
 )
-from benchmarks.common import Subject
+from benchmarks.common import Common, Subject
 
 
 class AirTime(Transform):
@@ -103,6 +106,23 @@ def test_benchmarks_measure_a_policy_of_an_own_environment(
     small = {"steps": 2, "repeats": 1, "falls": 2, "num_envs": 2, "rounds": 1, "out": tmp_path}
     estimator.main(estimator.Config(**small), *of)
     assert "estimator and noise" in capsys.readouterr().out
+
+
+def test_benchmarks_keep_what_a_partial_drops_and_replaces() -> None:
+    """Beside what they drop and replace themselves."""
+    reward = partial(WeightedReward, dict.fromkeys(PAPER_WEIGHTS, 0.1))
+    make_env = partial(
+        aslip.make_env, drop="feedforward", replace={"reward": reward, "action": ActionDelta}
+    )
+    for truth, kind in ((False, EstimatedState), (True, TrueState)):
+        with closing(
+            Subject.load(POLICIES["mlp"], make_env).walking_env(Common(truth=truth), 1)
+        ) as env:
+            assert not {"feedforward", *EPISODE_ENDS} & set(env.transform_names)
+            assert ("noise" in env.transform_names) is not truth
+            assert any(isinstance(t, kind) for t in env.transforms)
+            weights = [t.weights for t in env.transforms if isinstance(t, WeightedReward)]
+            assert weights == [dict.fromkeys(PAPER_WEIGHTS, 0.1)]
 
 
 @every_policy
