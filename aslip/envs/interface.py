@@ -75,8 +75,8 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
     Raises:
         AssetError: the policy does not exist.
         FileDamagedError: the file is truncated, altered or not a policy.
-        ConfigurationError: the entries of the observation, their order or the baseline of the
-            action differ.
+        ConfigurationError: the entries of the observation, their order, its size or the baseline
+            of the action differ.
     """
     card = read_card(policy)
     shown, key = entry_names(observation_keys(env)), baseline_key(env)
@@ -84,6 +84,12 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
         difference = observation_difference(card["observation"], shown)
         raise ConfigurationError(
             f"the policy {str(policy)!r} does not fit the environment: {difference}"
+        )
+    size = env.observation_spec["observation"].shape[-1]
+    if card["shape"].observation_size != size:
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} does not fit the environment: its observation has"
+            f" {card['shape'].observation_size} numbers, the environment's has {size}"
         )
     added_to = None if key is None else entry_names([key])[0]
     if card["baseline"] != added_to:

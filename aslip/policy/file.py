@@ -39,6 +39,8 @@ POLICY_FORMAT = ArchiveFormat("policy", 2)
 CARD = "card.json"
 """Entry of a policy's file that describes it; see `save_policy`."""
 _WEIGHTS = "weights/"
+# what the actions of the named stacks are added to
+_KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
 
@@ -234,7 +236,9 @@ def _own(card: Mapping[str, Any]) -> str:
         return observation_difference(card["observation"], _known_observations()[0])
     if card["baseline"] is None:
         return "its action is not, or not only, an `ActionDelta`"
-    return f"its action is added to {card['baseline']!r}, which no named stack does alike"
+    if card["baseline"] not in _KNOWN_BASELINES:
+        return f"its action is added to {card['baseline']!r}, which no named stack does alike"
+    return "its reference is another motion, or a transform changes its observation"
 
 
 def observation_difference(has: Sequence[str], expected: Sequence[str]) -> str:
