@@ -7,7 +7,7 @@ and follow `env.set_seed`.
 
 from aslip.robot import NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
-from aslip.transforms.base import SeededTransform
+from aslip.transforms.base import SeededTransform, extend_spec
 from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand
 from aslip.transforms.episode import Fall, FirstStep, LowReward, StaggeredEnds
 from aslip.transforms.estimate import ESTIMATE_SIZES, ODOMETRY_SIZES, EstimatedState, TrueState
@@ -58,4 +58,5 @@ __all__ = [
     "StaggeredEnds",
     "TrueState",
     "WeightedReward",
+    "extend_spec",
 ]
