@@ -64,6 +64,8 @@ class StackEnv(TransformedEnv):
             _check_foreign(transform, env)
         self.seed: int | None = None
         """Seed of the last call of `set_seed`."""
+        # entries of the last step or reset
+        self._latest: TensorDictBase | None = None
 
     @property
     def transforms(self) -> list[Transform]:
@@ -133,7 +135,26 @@ class StackEnv(TransformedEnv):
         request = cast("TensorDictBase", self.transform._reset_env_preprocess(request))
         started = self.base_env._reset(request)
         self.base_env._complete_done(self.base_env.full_done_spec, started)
-        return self.transform._reset(request, started)
+        started = self.transform._reset(request, started)
+        self._latest = self._completed(tensordict, started)
+        return started
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._latest = super()._step(tensordict)
+        return self._latest
+
+    def _completed(self, request: TensorDictBase, started: TensorDictBase) -> TensorDictBase:
+        """Entries after a reset; robots that go on keep their latest ones.
+
+        TorchRL merges the reset into the request and puts zeros where the request lacks entries.
+        It does so when transforms stand around a `ParallelEnv`, whose processes then receive only
+        the mask and what `state_spec` declares.
+        """
+        mask, latest = request.get("_reset", None), self._latest
+        if mask is None or latest is None or mask.all():
+            return started
+        lacking = [key for key in started.keys() if key not in request]  # noqa: SIM118
+        return request.update(latest.select(*lacking, strict=False))
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the environment, and every transform by its name.

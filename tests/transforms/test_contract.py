@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.envs import EnvBase, ParallelEnv, SerialEnv, TransformedEnv
+from torchrl.envs import ParallelEnv, SerialEnv, TransformedEnv
 from torchrl.envs.transforms import Compose, Transform
 from torchrl.envs.utils import check_env_specs
 
@@ -117,38 +117,40 @@ def test_single_environment(env: StackEnv) -> None:
     check_env_specs(env)
 
 
-@pytest.mark.parametrize("kind", [SerialEnv, ParallelEnv])
-def test_inside_several_environments(kind: Callable[..., EnvBase]) -> None:
-    several = kind(2, [partial(make_env, seed) for seed in (0, 1)])
-    check_env_specs(several)
-    several.close(raise_if_closed=False)
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_inside_and_around_several_environments(env: StackEnv) -> None:
+    """Entries written around are those written inside; processes change nothing, to the bit."""
+    rollouts = []
+    # forked, for imports in each process take most of the test's time
+    processes = partial(ParallelEnv, mp_start_method="fork")
+    for kind in (SerialEnv, processes):
+        batch = kind(2, [partial(make_env, seed) for seed in (0, 1)])
+        compose = Compose(*_around(env))  # pyright: ignore[reportArgumentType]
+        several = TransformedEnv(batch, compose, auto_unwrap=False)
+        torch.manual_seed(0)
+        rollouts.append(several.rollout(4, break_when_any_done=False))
+        if kind is processes:
+            check_env_specs(batch)
+        several.close(raise_if_closed=False)
+    serial, parallel = rollouts
+    assert serial.batch_size == (2, NUM, 4)
+    partly = serial["next", "done"].sum(1) == 1
+    assert partly.any(), "no robot goes on while another is reset"
+    assert leaves(parallel).keys() == leaves(serial).keys()
+    for key, value in leaves(serial).items():
+        assert torch.equal(leaves(parallel)[key], value), key
+    for kind in (transforms.ClockInput, transforms.AssembleObservation, transforms.TrueState):
+        transform = of_class(env, kind)
+        check_recomputed(transform(without_outputs(serial, transform)), serial, kind)
 
 
-def test_around_several_environments(env: StackEnv) -> None:
-    """Entries written around a batch of environments are those written inside them.
-
-    Not applicable to a `ParallelEnv`: when a transform stands around it, TorchRL hands its
-    processes declared states only, and memories that transforms inside carry (of the estimator,
-    of noise) are observations.
-    """
-    batch = SerialEnv(2, [partial(make_env, seed) for seed in (0, 1)])
-    around = [
+def _around(env: StackEnv) -> list[SeededTransform]:
+    """Transforms that can stand around a batch of environments."""
+    return [
         transform.clone()
         for transform in env.transforms
         if isinstance(transform, SeededTransform) and type(transform) not in ONLY_INSIDE
     ]
-    several = TransformedEnv(
-        batch,
-        Compose(*around),  # pyright: ignore[reportArgumentType]
-        auto_unwrap=False,
-    )
-    torch.manual_seed(0)
-    rollout = several.rollout(3, break_when_any_done=False)
-    assert rollout.batch_size == (2, NUM, 3)
-    for kind in (transforms.ClockInput, transforms.AssembleObservation, transforms.TrueState):
-        transform = of_class(env, kind)
-        check_recomputed(transform(without_outputs(rollout, transform)), rollout, kind)
-    several.close()
 
 
 @pytest.mark.parametrize("kind", OFFLINE, ids=lambda kind: kind.__name__)
