@@ -1,4 +1,4 @@
-"""A policy on a robot: packets in, motor targets out; no simulator, no environment."""
+"""Controller of robots: packets in, motor targets out, without simulator or environment."""
 
 from __future__ import annotations
 
@@ -21,7 +21,6 @@ from aslip.estimation import StateEstimator, Tracking
 from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, load_policy, read_card
-from aslip.robot import CASSIE
 from aslip.transforms.action import add_delta
 from aslip.transforms.command import advance_phase, clock_entries
 from aslip.transforms.estimate import estimate_entries
@@ -30,10 +29,10 @@ from aslip.transforms.reference import feedforward_target, reference_and_goal
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
 """Packets of n robots, oldest first: entries (n, w, k) of `Robot.packet_sizes`, or
-all of them joined to (n, w, 42); one packet of one robot without the leading axes."""
+all of them joined to (n, w, p); one packet of one robot without the leading axes."""
 
 
-# groups of entries that no step takes over from the one before
+# groups of entries that each step writes anew
 _FRESH = ("estimate", "odometry", "estimator", "reference", "goal", "clock")
 
 
@@ -42,14 +41,14 @@ class ControllerState:
     """Memory of a `Controller` between policy steps; a value, which no step changes."""
 
     tensordict: TensorDictBase
-    """(n,) all that the policy saw, wrote and will read, by the keys of an environment's
+    """Entries (n,) that the policy saw, wrote and will read, by the keys of an environment's
     tensordict: `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and
     faults), `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`,
     `motor_target`, and what a recurrent policy remembers."""
 
     @property
     def motor_target(self) -> Tensor:
-        """(n, m) angles for the PD loops until the next step [rad]."""
+        """Angles (n, m) for the PD loops until the next step [rad]."""
         return cast("Tensor", self.tensordict["motor_target"])
 
 
@@ -78,11 +77,11 @@ class Controller:
             file, or `OBSERVATION_TABLE`.
         baseline: key of the angles that the action is added to; by default that in the policy's
             file, or `("reference", "motor_target")`.
-        estimator: another state estimator, or one with other settings.
-        motor_lead: as that of `ReferenceInjection`.
+        estimator: state estimator; its robot gives packets, gains and the policy period.
+        motor_lead: lead of the motors' references, in policy steps; see `ReferenceInjection`.
 
     Raises:
-        AssetError, FileDamagedError: there is no such policy, or its file is damaged.
+        AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
         ConfigurationError: the policy's action is not a delta that is added to angles.
     """
 
@@ -112,8 +111,10 @@ class Controller:
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         self.estimator = StateEstimator() if estimator is None else estimator
         self.motor_lead = motor_lead
+        robot = self.estimator.robot
+        self._period = robot.policy_period
         self._gains = [
-            torch.from_numpy(gain.copy()).float() for gain in (CASSIE.stiffness, CASSIE.damping)
+            torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
 
     def start(
@@ -127,7 +128,7 @@ class Controller:
         """Begin with robots whose lower foot rests on the ground; choose the first targets.
 
         Args:
-            packets: the last packet of each robot is taken.
+            packets: packets, of which the last of each robot counts.
             command: forward speed [m/s], one or (n, 1).
             phase: stride fraction to begin at, one or (n, 1).
             heading: yaw that is straight ahead, in the frame of the IMU's attitude [rad], one or
@@ -138,7 +139,7 @@ class Controller:
                 or the packets lack an entry.
             ConfigurationError: command, phase or heading is not finite.
         """
-        rows = _rows(packets)
+        rows = self._rows(packets)
         num = len(rows)
         begun = self._begin(
             rows, self._command(command, num), _column("phase", phase, num), heading
@@ -158,18 +159,18 @@ class Controller:
         """Advance by a policy step.
 
         Args:
-            state: what `start`, or the step before, returned.
-            packets: those since then, oldest first.
+            state: state that `start`, or the step before, returned.
+            packets: packets since then, oldest first; None if all are lost.
             command: forward speed from the last policy step on [m/s], one or (n, 1): clock and
                 reference follow it as they do when a caller writes `command` between the steps of
-                an environment. The one before by default.
-            heading: another yaw that is straight ahead [rad], one or (n, 1).
+                an environment. By default the command stays.
+            heading: new yaw that is straight ahead [rad], one or (n, 1). By default it stays.
             restart: (n, 1) bool, robots that start anew with these packets, as an environment's
                 robots do after a reset.
-            phase: stride fraction at which those begin, one or (n, 1).
+            phase: stride fraction at which robots restart, one or (n, 1).
 
         Returns:
-            State, and its motor targets (n, m) [rad].
+            New state, and its motor targets (n, m) [rad].
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or the packets lack an
@@ -177,18 +178,20 @@ class Controller:
             ConfigurationError: command, phase or heading is not finite.
         """
         past, num = state.tensordict, len(state.tensordict)
-        rows = _rows(packets, num)
+        rows = self._rows(packets, num)
         now = past["command"] if command is None else self._command(command, num)
-        tracking = Tracking.from_rows(past["estimator", "memory"].numpy())
+        tracking = Tracking.from_rows(past["estimator", "memory"].numpy(), self.estimator.robot)
         if heading is not None:
             tracking.heading = _column("heading", heading, num)[:, 0].double().numpy()
         entries = estimate_entries(tracking, self.estimator.update(tracking, rows))
-        # what a recurrent policy wrote for its next call, as in TorchRL's `step_mdp`
+        # a recurrent policy reads its memory under "next", as in TorchRL's `step_mdp`
         present = past.exclude("next", *_FRESH).update(past.get("next", {}))
         present.update(
             {
                 "command": now,
-                "phase": advance_phase(self.library, cast("Tensor", past["phase"]), now),
+                "phase": advance_phase(
+                    self.library, cast("Tensor", past["phase"]), now, self._period
+                ),
                 "last_action": past["action"],
                 "is_init": torch.zeros(num, 1, dtype=torch.bool),
                 **entries,
@@ -207,7 +210,7 @@ class Controller:
     def _begin(
         self, rows: np.ndarray, command: Tensor, phase: Tensor, heading: ArrayLike | None
     ) -> TensorDict:
-        """Entries of robots that begin with packets (n, w, 42)."""
+        """Entries of robots that begin with packets (n, w, p)."""
         return TensorDict(
             {
                 "command": command,
@@ -220,10 +223,10 @@ class Controller:
 
     @torch.no_grad()
     def _act(self, present: TensorDictBase) -> ControllerState:
-        """State of robots whose estimate, command and phase are known, and their targets."""
+        """Act on estimate, command and phase."""
         command, phase = (cast("Tensor", present[key]) for key in ("command", "phase"))
         reference, goal = reference_and_goal(
-            self.library, command, phase, motor_lead=self.motor_lead
+            self.library, command, phase, motor_lead=self.motor_lead, period=self._period
         )
         reference["motor_target"] = feedforward_target(reference, *self._gains)
         present.update({"reference": reference, "goal": goal, "clock": clock_entries(phase)})
@@ -239,34 +242,35 @@ class Controller:
         baseline, action = (cast("Tensor", present[key]) for key in (self.baseline, "action"))
         return ControllerState(present.set("motor_target", add_delta(baseline, action)))
 
+    def _rows(self, packets: Packets | None, num: int = 1) -> np.ndarray:
+        """Packets (n, w, p), however they are written; NaN if `num` robots lost theirs."""
+        robot = self.estimator.robot
+        if packets is None:
+            return np.full((num, 1, robot.packet_size), np.nan)
+        if isinstance(packets, TensorDictBase | Mapping):
+            named = {str(name): np.asarray(value) for name, value in packets.items()}
+            packets = join(named, robot)
+        rows = np.asarray(packets, dtype=np.float64)
+        return rows[None, None] if rows.ndim == 1 else rows
+
     def _command(self, command: float | Tensor, num: int) -> Tensor:
-        """(num, 1) command within the speeds of the library."""
+        """Command (num, 1) within the speeds of the library."""
         low, high = float(self.library.speeds[0]), float(self.library.speeds[-1])
         return _column("command", command, num).clamp(low, high)
 
 
 def _completed(begun: TensorDict, like: TensorDictBase) -> TensorDictBase:
-    """Entries of robots that begin, and zeros for all else that others have."""
+    """Entries of robots that begin; zeros where only others have entries."""
     zeros = like[: len(begun)].clone().zero_()
     return zeros.update(begun)
 
 
-def _rows(packets: Packets | None, num: int = 1) -> np.ndarray:
-    """(n, w, 42) from any way to write packets; NaN for what `num` robots lost."""
-    if packets is None:
-        return np.full((num, 1, CASSIE.packet_size), np.nan)
-    if isinstance(packets, TensorDictBase | Mapping):
-        packets = join({str(name): np.asarray(value) for name, value in packets.items()})
-    rows = np.asarray(packets, dtype=np.float64)
-    return rows[None, None] if rows.ndim == 1 else rows
-
-
 def _column(name: str, value: float | Tensor, num: int) -> Tensor:
-    """(num, 1) numbers in single precision, from one for all or one a robot.
+    """Column (num, 1) in single precision, from one number for all robots or one for each.
 
     Raises:
-        ShapeError: there are neither one nor `num`.
-        ConfigurationError: one is not finite.
+        ShapeError: `value` is neither one number nor (num, 1).
+        ConfigurationError: a number is not finite.
     """
     column = torch.as_tensor(value, dtype=torch.float32)
     if column.shape not in ((), (num, 1)):
