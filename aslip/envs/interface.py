@@ -246,13 +246,13 @@ def _named_hash(
     if function in within:
         return function.__qualname__  # recursion
     bound = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items()]
-    told = [
+    values = [
         _named_hash(value, text, (*within, function))
         if isinstance(value, FunctionType)
         else text(value)
         for value in [*bound, *_closure(function)]
     ]
-    digest = hashlib.sha256("\n".join([*_code_parts(function.__code__), *told]).encode())
+    digest = hashlib.sha256("\n".join([*_code_parts(function.__code__), *values]).encode())
     return f"{function.__qualname__}#{digest.hexdigest()[:12]}"
 
 

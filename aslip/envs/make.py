@@ -62,8 +62,7 @@ def make_env(
             `robot_stack` for real robots and replayed logs.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.
-        timestep: physics timestep of the batch backend [s]: 0.0005, or 0.001 to train in half
-            the time.
+        timestep: physics timestep of the batch backend [s], 0.0005 or the faster 0.001.
 
     Raises:
         ConfigurationError: a setting is invalid, two settings exclude each other, or a transform

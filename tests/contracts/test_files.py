@@ -47,12 +47,12 @@ def _step(kind: Kind) -> int:
 
 
 @every_kind
-def test_an_intact_file_loads_twice_with_the_same_content(kind: Kind, path: Path) -> None:
+def test_intact_files_load_twice_with_the_same_content(kind: Kind, path: Path) -> None:
     assert kind.same(kind.load(path), kind.load(path))
 
 
 @every_kind
-def test_a_truncated_file_is_refused_wherever_it_ends(kind: Kind, path: Path) -> None:
+def test_truncated_files_are_refused(kind: Kind, path: Path) -> None:
     data = path.read_bytes()
     ends = [int(share * len(data)) for share in np.linspace(0, 1, 41)[: -1 : _step(kind)]]
     for end in [*ends, *(len(data) - missing for missing in (1, 2, 21, 22, 23))]:
@@ -73,7 +73,7 @@ def _survives(kind: Kind, path: Path, data: bytes, whole: Any) -> str:
 
 
 @every_kind
-def test_a_flipped_bit_is_refused_or_harmless(kind: Kind, path: Path) -> None:
+def test_flipped_bits_are_refused_or_harmless(kind: Kind, path: Path) -> None:
     """At random offsets, and at all of the last bytes, where formats keep their directories."""
     data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(0)
     offsets = set(rng.choice(len(data), 150).tolist()[:: _step(kind)])
@@ -90,7 +90,7 @@ def test_a_flipped_bit_is_refused_or_harmless(kind: Kind, path: Path) -> None:
 
 
 @every_kind
-def test_every_sort_of_damage_is_refused_or_harmless(kind: Kind, path: Path) -> None:
+def test_every_kind_of_damage_is_refused_or_harmless(kind: Kind, path: Path) -> None:
     """A sample of `benchmarks.faults.files`; forged files with correct checksums may load."""
     data, whole, rng = path.read_bytes(), kind.load(path), np.random.default_rng(1)
     for name, damage in damages(kind).items():
@@ -102,14 +102,14 @@ def test_every_sort_of_damage_is_refused_or_harmless(kind: Kind, path: Path) -> 
 
 @every_kind
 @pytest.mark.parametrize("content", [b"", b"hello", b"PK\x03\x04", b"\x93NUMPY\x01\x00v\x00{'"])
-def test_a_file_of_another_format_is_refused(kind: Kind, path: Path, content: bytes) -> None:
+def test_files_of_another_format_are_refused(kind: Kind, path: Path, content: bytes) -> None:
     path.write_bytes(content)
     with pytest.raises(FileDamagedError, match=path.name):
         kind.load(path)
 
 
 @every_kind
-def test_a_file_of_another_kind_is_refused(kind: Kind, path: Path, tmp_path: Path) -> None:
+def test_files_of_another_kind_are_refused(kind: Kind, path: Path, tmp_path: Path) -> None:
     foreign = io.BytesIO()
     np.save(foreign, np.zeros(3))
     contents = [foreign.getvalue(), zipped({"readme.txt": b"none"}), forged({"a.npy": b""})]
@@ -123,13 +123,13 @@ def test_a_file_of_another_kind_is_refused(kind: Kind, path: Path, tmp_path: Pat
 
 
 @every_kind
-def test_a_file_that_is_not_there_is_named(kind: Kind, path: Path) -> None:
+def test_missing_files_are_named(kind: Kind, path: Path) -> None:
     with pytest.raises(AslipError, match="gone"):
         kind.load(path.with_name(f"gone{path.suffix}"))
 
 
 @every_kind
-def test_a_pickle_is_refused_and_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
+def test_pickles_are_refused_and_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
     mark = tmp_path / "ran"
     torch.save(Program(mark), path)
     with pytest.raises(FileDamagedError):
@@ -138,8 +138,8 @@ def test_a_pickle_is_refused_and_not_run(kind: Kind, path: Path, tmp_path: Path)
 
 
 @every_archive
-def test_a_pickle_in_an_archive_is_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
-    """In place of an array, or where other libraries would look for one; hashes are right."""
+def test_pickles_in_an_archive_are_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
+    """Pickles replace arrays, or are where other libraries look for them; hashes are valid."""
     mark, data = tmp_path / "ran", path.read_bytes()
     for content in programs(data, Program(mark)):
         path.write_bytes(content)
@@ -159,8 +159,8 @@ def _saved(program: Program) -> bytes:
 
 
 @every_archive
-def test_no_entry_can_be_changed_removed_or_added(kind: Kind, path: Path) -> None:
-    """Even if the checksums of the ZIP file are right."""
+def test_archives_with_changed_removed_or_added_entries_are_refused(kind: Kind, path: Path) -> None:
+    """The checksums of the ZIP file are valid."""
     parts = unzipped(path.read_bytes())
     rng = np.random.default_rng(0)
     names = sorted(parts.keys() - {SUMS})
@@ -180,14 +180,14 @@ def test_no_entry_can_be_changed_removed_or_added(kind: Kind, path: Path) -> Non
 
 @every_archive
 @pytest.mark.parametrize("name", ["", "aslip policy 99", "aslip gait library 1"])
-def test_another_version_is_refused(kind: Kind, path: Path, name: str) -> None:
+def test_other_versions_are_refused(kind: Kind, path: Path, name: str) -> None:
     path.write_bytes(forged({**unzipped(path.read_bytes()), "format": name.encode()}))
     with pytest.raises(FileDamagedError, match=f"its format is {name!r}, not 'aslip "):
         kind.load(path)
 
 
 @every_archive
-def test_a_file_without_hashes_is_refused(kind: Kind, path: Path) -> None:
+def test_files_without_hashes_are_refused(kind: Kind, path: Path) -> None:
     """Archives of earlier versions had no hashes."""
     parts = unzipped(path.read_bytes())
     path.write_bytes(zipped({name: parts[name] for name in parts if name != SUMS}))
@@ -198,8 +198,8 @@ def test_a_file_without_hashes_is_refused(kind: Kind, path: Path) -> None:
 
 
 @every_archive
-def test_two_entries_of_a_name_are_refused(kind: Kind, path: Path) -> None:
-    """Readers of ZIP files differ in which of the two they take."""
+def test_entries_of_equal_names_are_refused(kind: Kind, path: Path) -> None:
+    """Readers of ZIP files differ in which of two equal names they take."""
     with zipfile.ZipFile(path, "a") as archive, pytest.warns(UserWarning, match="Duplicate"):
         archive.writestr("format", archive.read("format"))
     with pytest.raises(FileDamagedError, match="two entries have the same name"):
@@ -207,7 +207,7 @@ def test_two_entries_of_a_name_are_refused(kind: Kind, path: Path) -> None:
 
 
 @every_archive
-def test_a_decompression_bomb_is_refused(kind: Kind, path: Path) -> None:
+def test_decompression_bombs_are_refused(kind: Kind, path: Path) -> None:
     parts = unzipped(path.read_bytes())
     largest = max(parts, key=lambda name: len(parts[name]))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
@@ -218,8 +218,8 @@ def test_a_decompression_bomb_is_refused(kind: Kind, path: Path) -> None:
 
 
 @every_archive
-def test_a_huge_shape_is_refused_before_memory_is_allocated(kind: Kind, path: Path) -> None:
-    """The hashes are right."""
+def test_huge_shapes_are_refused_before_memory_is_allocated(kind: Kind, path: Path) -> None:
+    """The hashes are valid."""
     parts = unzipped(path.read_bytes())
     name = next(name for name in parts if name.endswith(".npy"))
     buffer = io.BytesIO()
@@ -235,7 +235,7 @@ def test_a_huge_shape_is_refused_before_memory_is_allocated(kind: Kind, path: Pa
 
 @contextmanager
 def _full_disk(room: int) -> Iterator[None]:
-    """Limit the size of files to `room` bytes; writing more is an error of the system."""
+    """Limit the size of files to `room` bytes; the system refuses to write more."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
     try:
@@ -245,8 +245,8 @@ def _full_disk(room: int) -> Iterator[None]:
 
 
 @every_kind
-def test_a_full_disk_leaves_the_old_file(kind: Kind, path: Path) -> None:
-    """Wherever the disk is full: an OSError, the old file, and nothing else in the folder."""
+def test_full_disk_keeps_the_old_file(kind: Kind, path: Path) -> None:
+    """An OSError is raised, and only the old file is in the folder."""
     size, old = path.stat().st_size, b"what was there"
     for share in (0, 0.01, 0.5, 0.99):
         path.write_bytes(old)
@@ -268,7 +268,7 @@ def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
 @pytest.mark.parametrize(
     "kind", [kind for kind in KINDS.values() if not kind.makes_folders], ids=lambda kind: kind.name
 )
-def test_writing_into_a_missing_folder_is_an_os_error(kind: Kind, path: Path) -> None:
+def test_writing_into_a_missing_folder_raises_os_error(kind: Kind, path: Path) -> None:
     with pytest.raises(OSError, match="nowhere"):
         kind.write(path.parent / "nowhere" / path.name)
 
@@ -295,7 +295,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 @every_kind
 def test_content_is_synced_before_the_rename(kind: Kind, path: Path, calls: list[str]) -> None:
-    """Otherwise a power cut may replace the old file by an empty one."""
+    """Otherwise a power cut may leave an empty file."""
     kind.write(path)
     assert calls == [f"sync {path.stat().st_size} bytes", "rename", "sync folder"]
 
@@ -316,7 +316,7 @@ def test_commit_flushes_the_buffer_before_it_syncs(tmp_path: Path, calls: list[s
 
 
 @pytest.mark.parametrize("error", [OSError("no space left"), KeyboardInterrupt()])
-def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, error: BaseException) -> None:
+def test_interrupted_writes_keep_the_old_file(tmp_path: Path, error: BaseException) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"old")
     with pytest.raises(type(error)), replacing(path) as file:
@@ -326,6 +326,6 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, error: BaseExc
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_missing_folder_is_an_os_error(tmp_path: Path) -> None:
+def test_replacing_in_a_missing_folder_raises_os_error(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="nowhere"), replacing(tmp_path / "nowhere" / "file"):
         pass

@@ -36,7 +36,7 @@ def standing_targets(env: SimulatedEnv) -> torch.Tensor:
 
 
 class RandomActions:
-    """A policy that draws deltas of its own, the same for every environment."""
+    """Policy with its own random actions, the same for every environment."""
 
     def __init__(self, seed: int, size: float = 0.3) -> None:
         self.generator = torch.Generator().manual_seed(seed)
@@ -74,7 +74,7 @@ def test_environments_keep_their_specs_in_a_serial_env(make: MakeEnv, backend: s
         serial.close()
 
 
-def test_a_serial_env_resets_only_who_is_done(make: MakeEnv) -> None:
+def test_serial_env_resets_finished_robots_only(make: MakeEnv) -> None:
     serial = SerialEnv(2, lambda: make(num_envs=2))
     try:
         td = serial.reset()
@@ -94,7 +94,7 @@ def test_a_serial_env_resets_only_who_is_done(make: MakeEnv) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_everything_is_single_precision_but_what_is_handed_on(make: MakeEnv, backend: str) -> None:
+def test_all_entries_but_the_exact_state_are_single_precision(make: MakeEnv, backend: str) -> None:
     data = _rollout(make(backend, num_envs=1), 2)
     for key, value in leaves(data).items():
         if value.dtype == torch.float64:
@@ -115,7 +115,7 @@ def test_backends_are_equal_bit_for_bit(make: MakeEnv) -> None:
 
 
 def test_base_backends_are_equal_bit_for_bit() -> None:
-    """Also from given states, and standing where none is given."""
+    """Robots start in given states, or stand without one."""
     batch, single = bare_env("batch"), bare_env("dm_control")
     rng = np.random.default_rng(0)
     qpos = STANDING.repeat(2, 1)
@@ -137,7 +137,7 @@ def test_base_backends_are_equal_bit_for_bit() -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_same_seed_same_rollout_other_seed_another(make: MakeEnv, backend: str) -> None:
+def test_rollouts_are_equal_for_equal_seeds_only(make: MakeEnv, backend: str) -> None:
     first, again, other = (
         _rollout(make(backend, num_envs=2, seed=seed), 25, seed=9) for seed in (3, 3, 4)
     )
@@ -146,14 +146,14 @@ def test_same_seed_same_rollout_other_seed_another(make: MakeEnv, backend: str) 
     assert first["next", "done"].any()
 
 
-def test_seeding_again_starts_over(make: MakeEnv) -> None:
+def test_seeding_again_repeats_a_rollout(make: MakeEnv) -> None:
     env = make(num_envs=4, seed=3)
     first = _rollout(env, 25)
     env.set_seed(3)
     assert differing(first, _rollout(env, 25)) == []
 
 
-def test_seeds_reach_the_transforms_and_the_global_generator_does_not(make: MakeEnv) -> None:
+def test_transforms_draw_from_the_seed_and_not_from_the_global_generator(make: MakeEnv) -> None:
     env = make(num_envs=64, seed=1)
     torch.manual_seed(0)
     first = env.reset()
@@ -170,7 +170,7 @@ def test_seeds_reach_the_transforms_and_the_global_generator_does_not(make: Make
     assert differing(first, env.reset()) != []
 
 
-def test_the_number_of_threads_changes_nothing(library: GaitLibrary) -> None:
+def test_results_do_not_depend_on_the_number_of_threads(library: GaitLibrary) -> None:
     one, two = (
         _rollout(aslip.make_env(num_envs=4, seed=0, num_threads=n, library=library), 10)
         for n in (1, 2)
@@ -182,7 +182,7 @@ def test_the_number_of_threads_changes_nothing(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_without_a_given_state_the_robot_stands(backend: str) -> None:
+def test_robot_stands_after_a_reset_without_a_state(backend: str) -> None:
     td = bare_env(backend).reset()
     torch.testing.assert_close(td["truth", "qpos"], STANDING.repeat(2, 1), rtol=0, atol=0)
     assert (td["truth", "qvel"] == 0).all()
@@ -190,7 +190,7 @@ def test_without_a_given_state_the_robot_stands(backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_fallen_robot_is_terminated(backend: str) -> None:
+def test_fallen_robots_are_terminated(backend: str) -> None:
     base = bare_env(backend)
     env = TransformedEnv(base, Fall())
     qpos = STANDING.repeat(2, 1)
@@ -206,7 +206,7 @@ def test_a_fallen_robot_is_terminated(backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_nan_target_ends_that_robots_episode_alone(backend: str) -> None:
+def test_nan_target_ends_the_episode_of_its_robot_only(backend: str) -> None:
     broken, whole = bare_env(backend, 3), bare_env(backend, 3)
     tds = [broken.reset(), whole.reset()]
     target = standing_targets(broken)
@@ -227,7 +227,7 @@ def test_a_nan_target_ends_that_robots_episode_alone(backend: str) -> None:
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_nan_action_ends_that_robots_episode_alone(make: MakeEnv, backend: str) -> None:
+def test_nan_action_ends_the_episode_of_its_robot_only(make: MakeEnv, backend: str) -> None:
     """Under the full stack; the robot is reset and goes on, the others are equal bit for bit."""
     settings: dict[str, Any] = {"num_envs": 3, "seed": 2}
     broken, whole = make(backend, **settings), make(backend, **settings)
@@ -254,7 +254,7 @@ def test_a_nan_action_ends_that_robots_episode_alone(make: MakeEnv, backend: str
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("shape", [(2, 9), (2, 11), (2, 10, 1)])
-def test_targets_of_another_shape_are_refused(backend: str, shape: tuple[int, ...]) -> None:
+def test_targets_of_wrong_shape_are_refused(backend: str, shape: tuple[int, ...]) -> None:
     env = bare_env(backend)
     env.reset()
     with pytest.raises(ShapeError, match="motor_target must have shape"):
@@ -263,20 +263,18 @@ def test_targets_of_another_shape_are_refused(backend: str, shape: tuple[int, ..
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("num_envs", [0, -1, 1.5, True, "4", None])
-def test_a_number_of_robots_that_is_none_is_refused(
-    make: MakeEnv, backend: str, num_envs: Any
-) -> None:
+def test_invalid_numbers_of_robots_are_refused(make: MakeEnv, backend: str, num_envs: Any) -> None:
     with pytest.raises(ConfigurationError, match="num_envs must be a whole number"):
         make(backend, num_envs=num_envs)
 
 
-def test_an_unknown_backend_is_refused(make: MakeEnv) -> None:
+def test_unknown_backend_is_refused(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"batch.*dm_control.*'mjx'"):
         make("mjx")
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_the_floor_has_the_friction_asked_for(make: MakeEnv, backend: str) -> None:
+def test_floor_has_the_requested_friction(make: MakeEnv, backend: str) -> None:
     ice, rock = (make(backend, floor_friction=friction, seed=1) for friction in (0.05, 1.0))
     start = TensorDict(command=torch.full((1, 1), 1.5), phase=torch.full((1, 1), 0.2), batch_size=1)
     tds = [env.reset(start.clone()) for env in (ice, rock)]
@@ -296,7 +294,7 @@ def test_the_floor_has_the_friction_asked_for(make: MakeEnv, backend: str) -> No
         make(backend, floor_friction=-1.0)
 
 
-def test_physics_may_have_half_as_many_steps(make: MakeEnv) -> None:
+def test_policy_walks_with_half_as_many_physics_steps(make: MakeEnv) -> None:
     """A policy of the 2 kHz physics walks as fast there; a longer delay keeps the timestep."""
     env = make(num_envs=2, timestep=physics_timesteps()[1])
     env.base_env.set_dynamics({"torque_delay": 0.012})

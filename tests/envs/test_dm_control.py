@@ -1,4 +1,4 @@
-"""The walking task keeps dm_control's contract, and its physics answers truthfully."""
+"""Walking task and physics keep dm_control's contract and agree with MuJoCo."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
@@ -21,14 +21,14 @@ from aslip.sim import Simulations, true_state
 
 
 def _actions(environment: control.Environment, count: int, seed: int) -> np.ndarray:
-    """Targets around the standing pose."""
+    """Random targets around the standing pose."""
     rng = np.random.default_rng(seed)
     standing = environment.physics.motor_position()
     return standing + rng.uniform(-0.3, 0.3, (count, 10))
 
 
 class TestEnvironmentContract(test_utils.EnvironmentTestMixin, absltest.TestCase):
-    """dm_env's own test of environments, over more than one episode."""
+    """Environment test of dm_env, over more than one episode."""
 
     def make_object_under_test(self) -> dm_env.Environment:
         return walk_environment(time_limit=0.3, random=0)
@@ -115,13 +115,13 @@ def test_reward_is_full_when_upright_high_and_at_speed() -> None:
 
 
 def _lay_down(environment: control.Environment) -> None:
-    """Just above the floor on the belly."""
+    """Put the robot prone just above the floor."""
     with environment.physics.reset_context():
         environment.physics.data.qpos[2] = CASSIE.fall_height - 0.05
         environment.physics.data.qpos[3:7] = np.array([1, 0, 1, 0]) / np.sqrt(2)
 
 
-def test_the_episode_ends_after_a_fall_without_discount() -> None:
+def test_falls_end_an_episode_with_discount_zero() -> None:
     environment = walk_environment(random=0)
     environment.reset()
     _lay_down(environment)
@@ -130,14 +130,14 @@ def test_the_episode_ends_after_a_fall_without_discount() -> None:
     assert step.discount == 0.0
 
 
-def test_falls_may_go_on() -> None:
+def test_episodes_go_on_after_a_fall_if_asked() -> None:
     environment = walk_environment(terminate_on_fall=False, random=0)
     environment.reset()
     _lay_down(environment)
     assert environment.step(environment.physics.motor_position()).mid()
 
 
-def test_the_time_limit_keeps_the_discount() -> None:
+def test_time_limits_end_an_episode_with_discount_one() -> None:
     environment = walk_environment(time_limit=0.06, random=0)
     environment.reset()
     steps = [environment.step(environment.physics.motor_position()) for _ in range(2)]
@@ -145,7 +145,7 @@ def test_the_time_limit_keeps_the_discount() -> None:
     assert steps[1].discount == 1.0
 
 
-def test_a_policy_step_is_thirty_milliseconds() -> None:
+def test_policy_step_takes_thirty_milliseconds() -> None:
     environment = walk_environment(random=0)
     environment.reset()
     before = environment.physics.time()
@@ -154,7 +154,7 @@ def test_a_policy_step_is_thirty_milliseconds() -> None:
     assert environment.control_timestep() == pytest.approx(0.030)
 
 
-def test_a_speed_that_is_no_number_is_refused() -> None:
+def test_speed_must_be_a_number() -> None:
     with pytest.raises(ConfigurationError, match="speed"):
         Walk(speed=float("nan"))
 
@@ -174,7 +174,7 @@ def physics() -> BipedPhysics:
     return physics
 
 
-def test_the_physics_equals_the_simulations_bit_for_bit() -> None:
+def test_physics_equals_the_simulations_bit_for_bit() -> None:
     physics, simulations = BipedPhysics.load(), Simulations(1, num_threads=1)
     for target in _actions(walk_environment(), 5, 1):
         physics.set_control(target)
@@ -185,7 +185,7 @@ def test_the_physics_equals_the_simulations_bit_for_bit() -> None:
             np.testing.assert_array_equal(value, truth[name][0], err_msg=name)
 
 
-def test_questions_agree_with_mujoco(physics: BipedPhysics) -> None:
+def test_queries_agree_with_mujoco(physics: BipedPhysics) -> None:
     data = physics.data.ptr
     pelvis = data.body("pelvis")
     assert physics.pelvis_height() == pelvis.xpos[2]
@@ -207,7 +207,7 @@ def test_questions_agree_with_mujoco(physics: BipedPhysics) -> None:
         np.testing.assert_allclose(matrix, site.xmat, atol=1e-14)
 
 
-def test_answers_are_copies(physics: BipedPhysics) -> None:
+def test_queries_return_copies(physics: BipedPhysics) -> None:
     side: Side = "left"
     before = physics.get_state().copy()
     for answer in (
@@ -225,7 +225,7 @@ def test_answers_are_copies(physics: BipedPhysics) -> None:
     assert (physics.motor_range() == BipedPhysics.load().motor_range()).all()
 
 
-def test_ground_force_is_the_mean_over_the_last_step_call(physics: BipedPhysics) -> None:
+def test_ground_force_is_the_mean_over_the_last_call_of_step(physics: BipedPhysics) -> None:
     forces = []
     twin = physics.copy(share_model=True)
     twin.set_control(physics.motor_position())
@@ -240,7 +240,7 @@ def test_ground_force_is_the_mean_over_the_last_step_call(physics: BipedPhysics)
 
 
 @pytest.mark.parametrize("share_model", [False, True])
-def test_a_copy_goes_its_own_way_from_the_same_state(
+def test_copies_start_in_the_same_state_and_are_independent(
     physics: BipedPhysics, share_model: bool
 ) -> None:
     twin = physics.copy(share_model=share_model)
@@ -253,8 +253,8 @@ def test_a_copy_goes_its_own_way_from_the_same_state(
     assert not np.array_equal(twin.get_state(), before)
 
 
-def test_a_copy_tracks_the_same_target(physics: BipedPhysics) -> None:
-    """What a copy does next, without a new command, is what the original does next."""
+def test_copies_track_the_same_target(physics: BipedPhysics) -> None:
+    """Without a new command, copy and original move alike."""
     twin = physics.copy()
     physics.step(20)
     twin.step(20)
@@ -262,10 +262,8 @@ def test_a_copy_tracks_the_same_target(physics: BipedPhysics) -> None:
 
 
 @pytest.mark.parametrize("share_model", [False, True])
-def test_a_copy_has_all_that_the_future_depends_on(
-    physics: BipedPhysics, share_model: bool
-) -> None:
-    """Bit for bit: the push, the solver's warm start, delayed torques, the sensors' memory."""
+def test_copies_have_the_complete_state(physics: BipedPhysics, share_model: bool) -> None:
+    """Push, warm start of the solver, delayed torques and sensors are equal bit for bit."""
     push = np.array([0.0, 60.0, 5.0])
     physics.push(push)
     physics.set_control(physics.motor_position() + 0.1)
@@ -279,7 +277,7 @@ def test_a_copy_has_all_that_the_future_depends_on(
     np.testing.assert_allclose(twin.data.qpos, physics.data.qpos, atol=1e-9)
 
 
-def test_a_reset_ends_pushes_and_starts_the_solver_cold(physics: BipedPhysics) -> None:
+def test_reset_ends_pushes_and_clears_the_warm_start(physics: BipedPhysics) -> None:
     physics.push(np.array([0.0, 60.0, 5.0]))
     physics.step(60)
     with physics.reset_context():
@@ -289,14 +287,12 @@ def test_a_reset_ends_pushes_and_starts_the_solver_cold(physics: BipedPhysics) -
 
 
 @pytest.mark.parametrize("shape", [(9,), (11,), (1, 10), ()])
-def test_targets_of_another_shape_are_refused(
-    physics: BipedPhysics, shape: tuple[int, ...]
-) -> None:
+def test_targets_of_wrong_shape_are_refused(physics: BipedPhysics, shape: tuple[int, ...]) -> None:
     with pytest.raises(ShapeError, match=r"\(10,\)"):
         physics.set_control(np.zeros(shape))
 
 
-def test_the_floor_has_the_friction_asked_for() -> None:
+def test_floor_has_the_requested_friction() -> None:
     environment = walk_environment(floor_friction=0.4)
     assert environment.physics.model.ptr.geom("floor").friction[0] == 0.4
     assert load_model().geom("floor").friction[0] == 1.0

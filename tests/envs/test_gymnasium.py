@@ -188,7 +188,7 @@ def test_ppo_of_stable_baselines_trains(many: GymVectorEnv) -> None:
     moved = [not torch.equal(a, b) for a, b in zip(start, agent.policy.parameters(), strict=True)]
     assert all(moved)
     assert agent.ep_info_buffer and max(e["l"] for e in agent.ep_info_buffer) > 5
-    action, _ = agent.predict(envs.reset(), deterministic=True)
+    action, _ = agent.predict(many.reset(seed=0)[0], deterministic=True)
     assert many.action_space.contains(action)
 
 

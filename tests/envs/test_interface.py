@@ -1,7 +1,12 @@
-"""Which policies and environments fit each other, and what is said if they do not."""
+"""Interface between policies and environments, and its checks."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,23 +22,33 @@ from aslip.envs import (
     baseline_key,
     check_policy_fits,
     default_stack,
+    describe_transforms,
     insert_before,
     policy_interface,
     stack_name,
 )
+from aslip.envs.interface import function_text
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
-from aslip.transforms import OBSERVATION_TABLE, ActionDelta, AssembleObservation, SeededTransform
+from aslip.transforms import (
+    OBSERVATION_TABLE,
+    ActionDelta,
+    AssembleObservation,
+    RewardTerm,
+    SeededTransform,
+)
 from aslip.transforms.base import extend_spec
 from aslip.walking import Walker
 from benchmarks import velocity_tracking
 from benchmarks.common import Common, Subject
 from tests.helpers import MakeEnv
 
+ROOT = Path(__file__).parents[2]
+
 
 class AirTime(SeededTransform):
-    """A reward with memory: how long feet have been in the air, as rsl_rl has it."""
+    """Entry with memory, such as the air time of feet in rsl_rl."""
 
     def __init__(self) -> None:
         super().__init__(in_keys=[("truth", "pelvis_position")], out_keys=["air_time"])
@@ -51,7 +66,7 @@ class AirTime(SeededTransform):
 
 
 class Smooth(SeededTransform):
-    """Changes actions before they are added to the reference."""
+    """Smooth actions before they are added to the reference."""
 
     def __init__(self) -> None:
         super().__init__(in_keys=[], out_keys=[])
@@ -64,13 +79,13 @@ class Smooth(SeededTransform):
 
 
 def _with(library: GaitLibrary, make: MakeEnv, *more: Any) -> StackEnv:
-    """The default stack and transforms that stand last."""
+    """Environment of the default stack with more transforms at the end."""
     stack = {**default_stack(library), **{f"more{i}": one for i, one in enumerate(more)}}
     return make(stack=stack)
 
 
 def _saved(path: Path, env: StackEnv, size: int = 64) -> Path:
-    """A policy as a recipe saves it after a training on an environment."""
+    """Save a policy as a recipe does after a training on an environment."""
     interface = policy_interface(env)
     actor = make_actor(RunningNormalizer(size), PolicyShape(size), interface["observation"])
     save_policy(path, actor, PolicyShape(size), **interface)
@@ -86,7 +101,7 @@ HARMLESS = {
 
 
 @pytest.mark.parametrize("more", HARMLESS.values(), ids=HARMLESS)
-def test_transforms_beside_observation_and_action_make_no_difference(
+def test_other_transforms_keep_the_interface_to_policies(
     make: MakeEnv, library: GaitLibrary, tmp_path: Path, more: tuple
 ) -> None:
     env = _with(library, make, *more)
@@ -100,7 +115,7 @@ def test_transforms_beside_observation_and_action_make_no_difference(
     assert Walker(path).env.num_envs == 1
 
 
-def test_a_benchmark_takes_a_policy_that_was_trained_with_more_transforms(
+def test_benchmarks_take_policies_trained_with_more_transforms(
     make: MakeEnv, library: GaitLibrary, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = _saved(tmp_path / "policy.zip", _with(library, make, *HARMLESS["all"]))
@@ -119,7 +134,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize(("change", "what"), CHANGES.values(), ids=CHANGES)
-def test_transforms_that_change_observation_or_action_make_one(
+def test_transforms_of_observation_or_action_change_the_interface(
     make: MakeEnv, library: GaitLibrary, tmp_path: Path, change: Any, what: str
 ) -> None:
     env = _with(library, make, change)
@@ -127,7 +142,7 @@ def test_transforms_that_change_observation_or_action_make_one(
     assert (baseline_key(env) is None) == (what == "action")
 
 
-def test_a_benchmark_says_how_a_policys_stack_is_another(
+def test_benchmarks_name_the_difference_to_a_policys_stack(
     make: MakeEnv, library: GaitLibrary, tmp_path: Path
 ) -> None:
     entries = list(OBSERVATION_TABLE)
@@ -159,19 +174,114 @@ def test_a_benchmark_says_how_a_policys_stack_is_another(
         assert aslip.load_policy(path)
 
 
-def test_what_the_action_is_added_to_must_be_the_same(make: MakeEnv) -> None:
+def test_baselines_of_the_action_must_be_equal(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"to 'reference/motor_target'.*it to 'ref"):
         check_policy_fits("aslip", make(stack="paper"))
     with pytest.raises(ConfigurationError, match="does not fit"):
         Walker("aslip", make(stack="paper"))
 
 
-def test_a_file_whose_stack_is_not_what_it_was_trained_on_is_not_measured(
-    make: MakeEnv, tmp_path: Path
-) -> None:
-    """A stack may have changed since the policy named it."""
+def test_benchmarks_refuse_policies_whose_stack_has_changed(make: MakeEnv, tmp_path: Path) -> None:
+    """The stack of that name differs from the one of the training."""
     path = tmp_path / "policy.zip"
     interface = {**policy_interface(make()), "stack": "paper"}
     save_policy(path, make_actor(RunningNormalizer(64)), PolicyShape(), **interface)
     with pytest.raises(ConfigurationError, match="does not fit the environment: its action"):
         Subject.load(path).walking_env(Common(), 1)
+
+
+# ------------------------------------------------------------- texts of functions
+
+
+def text_of(function: Callable[..., Any]) -> str:
+    return function_text(function, repr)
+
+
+def scaled(scale: Any) -> Callable[..., Any]:
+    return lambda x: scale * x
+
+
+def nested(power: int) -> Callable[..., Any]:
+    """Function whose inner function is bound to `power`."""
+    inner = scaled(power)
+    return lambda x: inner(x)
+
+
+PAIRS: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
+    "code": (lambda x: x + 1, lambda x: x - 1),
+    "constant": (lambda x: x + 1, lambda x: x + 2),
+    "name": (lambda x: x.sin(), lambda x: x.cos()),
+    "argument": (lambda x, y: x, lambda x: x),
+    "default": (lambda x, scale=1: scale * x, lambda x, scale=2: scale * x),
+    "keyword": (lambda x, *, scale=1: scale * x, lambda x, *, scale=2: scale * x),
+    "closure": (scaled(1), scaled(2)),
+    "closure of a closure": (nested(1), nested(2)),
+    "code within": (lambda x: [y + 1 for y in x], lambda x: [y + 2 for y in x]),
+    "set": (lambda x: x in {"a", "b"}, lambda x: x in {"a", "c"}),
+    "partial": (partial(max, 1), partial(max, 2)),
+    "keyword of a partial": (partial(dict, key=1), partial(dict, key=2)),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_different_functions_have_different_texts(name: str) -> None:
+    one, other = PAIRS[name]
+    assert text_of(one) != text_of(other)
+    assert text_of(one) == text_of(one)
+
+
+def test_text_does_not_depend_on_place_or_use() -> None:
+    def made() -> Callable[..., Any]:
+        return scaled(3)
+
+    first, second = made(), scaled(3)
+    before = text_of(first)
+    assert before == text_of(second)
+    for _ in range(1000):
+        first(1.0)  # the interpreter adapts the code of what is called often
+    assert text_of(first) == before
+
+
+def test_recursive_functions_have_texts() -> None:
+    def factorial(n: int) -> int:
+        return n and n * factorial(n - 1)
+
+    def even(n: int) -> bool:
+        return n == 0 or odd(n - 1)
+
+    def odd(n: int) -> bool:
+        return n != 0 and even(n - 1)
+
+    assert len({text_of(factorial), text_of(even), text_of(odd)}) == 3
+
+
+def test_text_is_the_same_in_every_process() -> None:
+    """Order of sets and addresses of objects differ between processes."""
+    code = """
+from functools import partial
+from aslip.envs.interface import function_text
+def bound(kept): return lambda x, scale=2.0: [y for y in x if y in {"a", "b", "c"} and kept]
+print(function_text(partial(bound({}), scale=3), lambda value: getattr(value, "__qualname__", "")))
+print(function_text(bound(object()), lambda value: type(value).__name__))
+"""
+    texts = set()
+    for seed in "123":
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-c", code]
+        texts.add(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)
+    assert len(texts) == 1
+    assert b"#" in texts.pop()
+
+
+def test_description_of_an_environment_tells_reward_functions_apart(make: MakeEnv) -> None:
+    def text(function: Callable[..., Any]) -> str:
+        term = partial(RewardTerm, "foot_orient", function, [("truth", "pelvis_orientation")])
+        return describe_transforms(make(replace={"foot_orient": term}))["foot_orient"]
+
+    def zero(q: torch.Tensor) -> torch.Tensor:
+        return 0 * q[..., :1]
+
+    assert text(lambda q: q[..., :1].abs()) != text(lambda q: 0 * q[..., :1])
+    assert text(lambda q: q[..., :1].abs()) == text(lambda q: q[..., :1].abs())
+    assert text(partial(zero)) == text(partial(zero))
+    assert "zero#" in text(zero)

@@ -1,4 +1,4 @@
-"""Transitions with only what an algorithm reads."""
+"""Transitions with only the entries that an algorithm reads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ KEEP = ["observation", ("reward_terms", "com_vel")]
 
 
 def _policy() -> TensorDictModule:
-    """Deltas that follow the observation and make robots fall at different times."""
+    """Policy whose actions make robots fall at different times."""
     waves = torch.arange(10)
     return TensorDictModule(
         lambda observation: 0.3 * torch.sin(waves * observation.sum(-1, keepdim=True)),
@@ -40,7 +40,7 @@ def _bytes(data: TensorDictBase) -> float:
     return sum(v.numel() * v.element_size() for v in leaves(data).values()) / data.numel()
 
 
-def test_collectors_give_small_batches_of_the_same_numbers(make: MakeEnv) -> None:
+def test_kept_entries_of_batches_have_the_same_numbers(make: MakeEnv) -> None:
     everything, kept = _collect(make, None), _collect(make, KEEP)
     # falls among them, after which some robots are reset
     assert kept["next", "done"].any() and not kept["next", "done"].all()
@@ -51,7 +51,7 @@ def test_collectors_give_small_batches_of_the_same_numbers(make: MakeEnv) -> Non
     assert _bytes(kept) < 650
 
 
-def test_what_is_hidden_reaches_the_next_step_of_a_rollout(make: MakeEnv) -> None:
+def test_hidden_entries_reach_the_next_step_of_a_rollout(make: MakeEnv) -> None:
     check_env_specs(make(num_envs=2, keep="observation"))
     everything = make(num_envs=2).rollout(40, _policy(), break_when_any_done=False)
     kept = make(num_envs=2, keep="observation").rollout(40, _policy(), break_when_any_done=False)
@@ -72,17 +72,17 @@ def test_commands_are_kept_and_hidden_entries_may_be_written(make: MakeEnv) -> N
     assert td["_hidden", "reward_terms", "action_diff"].item() == pytest.approx(1.0)
 
 
-def test_processes_of_torchrl_carry_hidden_entries() -> None:
+def test_environments_of_torchrl_carry_hidden_entries() -> None:
     make = partial(aslip.make_env, num_envs=2, keep=["observation"], num_threads=1)
     together = SerialEnv(2, make).rollout(5, _policy())
     alone = make().rollout(5, _policy())
     assert torch.equal(together["next", "observation"][1], alone["next", "observation"])
 
 
-def test_a_policy_sees_the_same_stack(make: MakeEnv) -> None:
+def test_hidden_entries_keep_the_interface_to_policies(make: MakeEnv) -> None:
     assert policy_interface(make(keep=["observation"])) == policy_interface(make())
 
 
-def test_an_unknown_entry_is_named(make: MakeEnv) -> None:
+def test_unknown_entries_are_named(make: MakeEnv) -> None:
     with pytest.raises(UnknownNameError, match="observation"):
         make(keep=["observations"])

@@ -20,7 +20,7 @@ MAKERS = [partial(BatchEnv, num_threads=1), DmControlEnv]
 
 
 class VariablePD(PD):
-    """Joint angles, stiffness and damping of each motor as the command."""
+    """Drive whose command is target angle, stiffness and damping of each motor."""
 
     @property
     def command_size(self) -> int:
@@ -52,8 +52,8 @@ def _standing(num: int) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("make", MAKERS, ids=["batch", "dm_control"])
-def test_a_torque_is_an_action(make: type[BatchEnv]) -> None:
-    """The motors deliver it at the joints, within their limits and after the delay."""
+def test_torques_can_be_actions(make: type[BatchEnv]) -> None:
+    """Motors deliver torques at the joints within their limits, after the delay."""
     env = make(num_envs=2, drive=Torque)
     assert env.action_spec["motor_target"].shape == (2, 10)
     command = torch.zeros(2, 10)
@@ -77,7 +77,7 @@ def test_both_simulators_agree_on_torques() -> None:
 
 
 @pytest.mark.parametrize("make", MAKERS, ids=["batch", "dm_control"])
-def test_gains_are_part_of_the_action_of_a_drive_of_ones_own(make: type[BatchEnv]) -> None:
+def test_a_users_drive_takes_gains_as_actions(make: type[BatchEnv]) -> None:
     gains = torch.tensor(np.concatenate([CASSIE.stiffness, CASSIE.damping])).float()
     usual = torch.cat([_standing(2), gains.expand(2, -1)], dim=1)
     env = make(num_envs=2, drive=VariablePD)
@@ -103,14 +103,14 @@ def test_gains_of_the_pd_loop_differ_from_robot_to_robot(make: type[BatchEnv]) -
     assert (_step(env, target)["truth", "motor_torque"][1] == 0).all()
 
 
-def test_gains_can_be_asked_for_at_a_reset_of_a_stack(make: MakeEnv) -> None:
+def test_reset_requests_may_set_gains(make: MakeEnv) -> None:
     env = make(num_envs=2)
     request = TensorDict({("dynamics", "pd_stiffness"): torch.tensor([[1.0], [0.5]])}, batch_size=2)
     env.reset(request)
     np.testing.assert_array_equal(env.base_env.dynamics["pd_stiffness"], [1.0, 0.5])
 
 
-def test_a_stack_runs_on_another_low_level() -> None:
+def test_stacks_run_on_another_low_level() -> None:
     base = partial(BatchEnv, drive=Torque)
     env = aslip.make_env(base=base, num_envs=2, drop=["low_reward", "fall"])
     assert torch.isfinite(env.rollout(3)["next", "observation"]).all()

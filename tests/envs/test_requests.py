@@ -1,4 +1,4 @@
-"""Choices of a reset's caller win over draws of transforms."""
+"""Reset requests override what transforms draw."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _request(**groups: TensorDict) -> TensorDict:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("drop", [[], ["start"]])
-def test_a_chosen_start_is_where_robots_start(make: MakeEnv, backend: str, drop: list[str]) -> None:
+def test_robots_start_in_the_requested_state(make: MakeEnv, backend: str, drop: list[str]) -> None:
     start = _start()
     request = _request(initial=start.clone())
     td = make(backend, num_envs=2, drop=drop).reset(request)
@@ -45,7 +45,7 @@ def test_a_chosen_start_is_where_robots_start(make: MakeEnv, backend: str, drop:
         torch.testing.assert_close(request["initial", name], start[name], rtol=0, atol=0)
 
 
-def test_half_a_chosen_start_leaves_the_other_half_to_the_reference(
+def test_positions_come_from_the_reference_if_only_velocities_are_requested(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
     start = _start().select("qvel")
@@ -59,7 +59,7 @@ def test_half_a_chosen_start_leaves_the_other_half_to_the_reference(
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_chosen_dynamics_are_the_robots(make: MakeEnv, backend: str) -> None:
+def test_robots_have_the_requested_dynamics(make: MakeEnv, backend: str) -> None:
     env = make(backend, num_envs=2)
     env.reset(_request(dynamics=_values("mass", 1.5, 0.8)))
     assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
@@ -67,7 +67,7 @@ def test_chosen_dynamics_are_the_robots(make: MakeEnv, backend: str) -> None:
     assert env.base_env.dynamics["mass"].tolist() == pytest.approx([1.5, 0.8])
 
 
-def test_chosen_dynamics_win_over_drawn_ones_and_the_others_are_drawn(
+def test_requested_dynamics_override_domain_randomisation(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
     ranges = {"mass": (0.9, 1.1), "floor_friction": (0.4, 0.6)}
@@ -82,8 +82,8 @@ def test_chosen_dynamics_win_over_drawn_ones_and_the_others_are_drawn(
 
 
 @pytest.mark.parametrize("drop", [[], ["start"]])
-def test_what_an_ending_episode_carries_is_not_chosen(make: MakeEnv, drop: list[str]) -> None:
-    """TorchRL's idiom hands the whole old tensordict back with a mask."""
+def test_entries_of_an_ending_episode_are_no_request(make: MakeEnv, drop: list[str]) -> None:
+    """A partial reset of TorchRL passes the whole old tensordict with a mask."""
     env = make(num_envs=2, drop=drop)
     td = env.reset(_request(initial=_start(), dynamics=_values("mass", 1.5, 0.8)))
     assert "initial" in td
@@ -110,7 +110,7 @@ def test_what_an_ending_episode_carries_is_not_chosen(make: MakeEnv, drop: list[
         ),
     ],
 )
-def test_requests_that_make_no_sense_are_refused(
+def test_invalid_requests_are_refused(
     make: MakeEnv, request_: dict[str, Any], error: type[AslipError], message: str
 ) -> None:
     env = make(num_envs=2)

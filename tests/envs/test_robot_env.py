@@ -1,4 +1,4 @@
-"""Robots that are no simulation: what they need, and which transforms run on them."""
+"""Robots that are not simulated, and stacks of transforms around them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STEPS = 30
 
 
 class ReplayedRobot(RobotEnv):
-    """Robots that send the packets of a log whatever they are told to do.
+    """Robots that send the packets of a log, whatever their motor targets are.
 
     Args:
         log: sensor -> packets (m, n, W, k) of m policy steps, the reset's first.
@@ -71,7 +71,7 @@ def log(walk: TensorDictBase) -> dict[str, np.ndarray]:
     return {name: np.asarray(packets[name].transpose(0, 1)) for name in CASSIE.packet_sizes}
 
 
-def test_a_replayed_log_gives_the_motor_targets_of_the_walk(
+def test_replayed_logs_give_the_motor_targets_of_the_walk(
     walk: TensorDictBase, log: dict[str, np.ndarray]
 ) -> None:
     robot = ReplayedRobot(log)
@@ -88,12 +88,12 @@ def test_a_replayed_log_gives_the_motor_targets_of_the_walk(
     assert (again["next", "odometry", "pelvis_position"][:, -1, 0] > 0.1).all()
 
 
-def test_a_robot_keeps_the_contract_of_torchrl(log: dict[str, np.ndarray]) -> None:
+def test_robots_keep_the_contract_of_torchrl(log: dict[str, np.ndarray]) -> None:
     check_env_specs(ReplayedRobot(log))
     check_env_specs(aslip.make_env(base=ReplayedRobot(log), stack=robot_stack()))
 
 
-def test_a_robot_stack_has_no_transform_that_needs_a_simulation() -> None:
+def test_robot_stack_has_no_transform_that_needs_a_simulation() -> None:
     left_out = default_stack().keys() - robot_stack().keys()
     assert left_out == {"start", "heading", "noise", "fall"}
     on_truth = default_stack().keys() - robot_stack(default_stack()).keys()
@@ -107,7 +107,7 @@ def test_a_robot_stack_has_no_transform_that_needs_a_simulation() -> None:
         (("start",), r"'heading' .HeadingFrame. reads \('truth', 'pelvis_position'\)"),
     ],
 )
-def test_a_transform_that_needs_a_simulation_is_named(
+def test_transforms_that_need_a_simulation_are_named(
     log: dict[str, np.ndarray], drop: Sequence[str], message: str
 ) -> None:
     with pytest.raises(ConfigurationError, match=f"{message}.*ReplayedRobot.*robot_stack"):
@@ -115,20 +115,20 @@ def test_a_transform_that_needs_a_simulation_is_named(
 
 
 @pytest.mark.parametrize("settings", [{"num_threads": 2}, {"timestep": 0.001}, {"num_envs": 3}])
-def test_settings_of_a_simulator_do_not_fit_a_base(
+def test_settings_of_a_simulator_are_refused_with_a_base(
     log: dict[str, np.ndarray], settings: dict[str, float]
 ) -> None:
     with pytest.raises(ConfigurationError, match=next(iter(settings))):
         aslip.make_env(base=ReplayedRobot(log), stack=robot_stack(), **settings)  # pyright: ignore
 
 
-def test_a_base_must_be_a_robot() -> None:
+def test_base_must_be_a_robot() -> None:
     with pytest.raises(ConfigurationError, match="base must be a RobotEnv"):
         aslip.make_env(base=lambda num_envs: {})  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("key", ["initial", "dynamics", "push"])
-def test_what_only_a_simulation_can_do_is_refused(log: dict[str, np.ndarray], key: str) -> None:
+def test_requests_for_simulations_are_refused(log: dict[str, np.ndarray], key: str) -> None:
     env = ReplayedRobot(log)
     ask = env.step if key == "push" else env.reset
     request = env.reset().set("motor_target", torch.zeros(2, 10))
@@ -137,7 +137,7 @@ def test_what_only_a_simulation_can_do_is_refused(log: dict[str, np.ndarray], ke
 
 
 @pytest.mark.parametrize("wrong", ["missing", "short"])
-def test_packets_of_a_wrong_shape_are_named(log: dict[str, np.ndarray], wrong: str) -> None:
+def test_packets_of_wrong_shape_are_refused(log: dict[str, np.ndarray], wrong: str) -> None:
     log["gyro"] = log["gyro"][:, :, : CASSIE.sensor_window // 2]
     env = ReplayedRobot(log)
     if wrong == "missing":
@@ -146,7 +146,7 @@ def test_packets_of_a_wrong_shape_are_named(log: dict[str, np.ndarray], wrong: s
         env.reset()
 
 
-def test_a_simulator_as_base_is_the_simulator() -> None:
+def test_simulator_as_base_equals_the_backend() -> None:
     by_name = aslip.make_env(num_envs=2, seed=4)
     as_base = aslip.make_env(base=partial(BatchEnv, num_threads=1), num_envs=2, seed=4)
     torch.manual_seed(0)

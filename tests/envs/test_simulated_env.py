@@ -1,4 +1,4 @@
-"""Abilities of simulators beyond the contract of TorchRL: pushes, states, watched substeps."""
+"""Features of simulated robots: pushes, states, recorded substeps, torques."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from tests.helpers import MakeEnv
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_push_gives_its_impulse_to_one_robot_and_ends(backend: str) -> None:
-    """In the air, so that nothing else acts along y."""
+def test_push_adds_its_impulse_to_one_robot_for_one_step(backend: str) -> None:
+    """The robot is in the air, where no other force acts along y."""
     env, steps = bare_env(backend), 3
     qpos = STANDING.repeat(2, 1)
     qpos[:, 2] += 3.0
@@ -49,7 +49,7 @@ def test_a_push_gives_its_impulse_to_one_robot_and_ends(backend: str) -> None:
     ],
 )
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_push_that_is_none_is_refused(
+def test_invalid_pushes_are_refused(
     backend: str, push: torch.Tensor, error: type[Exception], names: str
 ) -> None:
     env = bare_env(backend)
@@ -58,8 +58,8 @@ def test_a_push_that_is_none_is_refused(
         env.step(td)
 
 
-def test_states_go_from_one_backend_to_the_other(make: MakeEnv) -> None:
-    """Through a push that is still on, and everything the low level remembers."""
+def test_states_transfer_between_backends(make: MakeEnv) -> None:
+    """During a push, and with the memory of the low level."""
     envs = [make(backend, num_envs=2, seed=2) for backend in BACKENDS]
     tds = [env.reset() for env in envs]
     generator = torch.Generator().manual_seed(0)
@@ -80,7 +80,7 @@ def test_states_go_from_one_backend_to_the_other(make: MakeEnv) -> None:
         np.testing.assert_array_equal(base.states(), bases[0].states())
 
 
-def test_every_substep_of_one_robot_can_be_watched() -> None:
+def test_watch_records_every_substep_of_one_robot() -> None:
     seen = []
     for base in (bare_env("batch", 3), bare_env("dm_control", 3), BatchEnv(3, num_threads=2)):
         qpos = STANDING.repeat(3, 1)
@@ -110,8 +110,8 @@ def test_every_substep_of_one_robot_can_be_watched() -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_motor_torque_is_what_mujoco_applies(backend: str) -> None:
-    """At the joint: within the motor's limit times its gear, and pushing toward the target."""
+def test_motor_torque_equals_the_torque_that_mujoco_applies(backend: str) -> None:
+    """The torque at the joint is within limit times gear and acts toward the target."""
     env = bare_env(backend, 1)
     env.reset()
     target = standing_targets(env)

@@ -1,4 +1,4 @@
-"""Stacks are edited by name."""
+"""Stacks: edits by name, seeds, and checks of names and order."""
 
 from __future__ import annotations
 
@@ -43,31 +43,31 @@ from tests.helpers import MakeEnv
 
 
 @pytest.mark.parametrize("how", ["drop", "replace"])
-def test_an_unknown_name_is_refused_with_a_hint(make: MakeEnv, how: str) -> None:
+def test_unknown_names_are_refused_with_a_suggestion(make: MakeEnv, how: str) -> None:
     edit = ["foot_orientt"] if how == "drop" else {"foot_orientt": LowReward()}
     with pytest.raises(UnknownNameError, match="did you mean 'foot_orient'") as info:
         make(**{how: edit})
     assert "'low_reward'" in str(info.value)  # all names are listed
 
 
-def test_a_name_like_no_other_is_refused_in_a_whole_sentence(make: MakeEnv) -> None:
+def test_unknown_names_without_suggestion_list_the_known_ones(make: MakeEnv) -> None:
     with pytest.raises(UnknownNameError) as info:
         make(drop=["zzz"])
     assert re.match(r"no transform 'zzz'[;.:] ", str(info.value))
 
 
-def test_a_single_name_in_place_of_a_list_is_understood(make: MakeEnv) -> None:
-    """drop="foot_orient" must not be read letter by letter."""
+def test_drop_takes_a_single_name(make: MakeEnv) -> None:
+    """drop="foot_orient" is one name, not a list of letters."""
     terms = make(drop="foot_orient").observation_spec["reward_terms"]
     assert set(terms.keys()) == set(reward_terms()) - {"foot_orient"}
 
 
 @pytest.mark.parametrize("name", ["low_reward", "step_limit", "episode_sum", "start"])
-def test_transforms_that_nothing_reads_can_be_left_out(make: MakeEnv, name: str) -> None:
+def test_unused_transforms_can_be_dropped(make: MakeEnv, name: str) -> None:
     check_env_specs(make(num_envs=2, drop=[name]))
 
 
-def test_editing_one_environment_does_not_touch_another(
+def test_edits_of_one_environment_do_not_affect_another(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
     stack = default_stack(library)
@@ -82,7 +82,7 @@ def test_editing_one_environment_does_not_touch_another(
 def test_steps_and_resets_build_no_specs(
     make: MakeEnv, library: GaitLibrary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A transform that looks at its parent on every step makes TorchRL rebuild them all."""
+    """A transform that uses its parent in a step makes TorchRL rebuild all specs."""
     env, built = make(num_envs=2), []
     td = env.reset()
     td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
@@ -104,19 +104,19 @@ def test_steps_and_resets_build_no_specs(
 
 
 class Unregistered(SeededTransform):
-    """Writes a key that no spec has."""
+    """Transform that writes a key without a spec."""
 
     def __init__(self) -> None:
         super().__init__(in_keys=[], out_keys=["novel"])
 
 
-def test_a_key_that_a_transform_writes_without_a_spec_is_named(library: GaitLibrary) -> None:
+def test_keys_without_a_spec_are_named(library: GaitLibrary) -> None:
     with pytest.raises(UnknownNameError, match="Unregistered writes 'novel'"):
         make_env(stack={**default_stack(library), "novel": Unregistered})
 
 
-def test_specs_of_the_environment_below_stay_as_they_are(make: MakeEnv) -> None:
-    """Transforms write into a copy, also when another is added later."""
+def test_transforms_do_not_change_the_specs_of_the_base(make: MakeEnv) -> None:
+    """Transforms change a copy, also if another is added later."""
     env = make(num_envs=2)
     alone = BatchEnv(2, num_threads=1)
     for _ in range(2):
@@ -126,7 +126,7 @@ def test_specs_of_the_environment_below_stay_as_they_are(make: MakeEnv) -> None:
         env.append_transform(RewardScaling(0.0, 2.0))
 
 
-def test_a_transform_of_another_environment_is_refused(make: MakeEnv) -> None:
+def test_transforms_of_another_environment_are_refused(make: MakeEnv) -> None:
     fall = Fall()
     env = make(replace={"fall": fall})
     with pytest.raises(ConfigurationError, match=r"'fall' belongs to another.*lambda: Fall\("):
@@ -134,14 +134,14 @@ def test_a_transform_of_another_environment_is_refused(make: MakeEnv) -> None:
     assert fall in env.transforms
 
 
-def test_a_factory_may_replace_a_transform(make: MakeEnv) -> None:
+def test_functions_may_replace_transforms(make: MakeEnv) -> None:
     env = make(num_envs=2, replace={"low_reward": lambda: LowReward(0.9999)})
     data = env.rollout(5, break_when_any_done=True)
     assert data["next", "terminated"].any()
 
 
 def test_no_transform_but_the_command_has_buffers_or_parameters(make: MakeEnv) -> None:
-    """No transform holds state of an episode: all of it travels in the tensordict."""
+    """All state of an episode is in the tensordict."""
     env = make(num_envs=2)
     before = {name: value.clone() for name, value in env.transform.state_dict().items()}
     env.rollout(5, break_when_any_done=False)
@@ -155,13 +155,13 @@ def _constant_term() -> RewardTerm:
     return RewardTerm("late", torch.ones_like, [("truth", "diverged")])
 
 
-def test_a_term_after_the_sum_is_refused(library: GaitLibrary) -> None:
+def test_reward_terms_after_the_sum_are_refused(library: GaitLibrary) -> None:
     late = {**default_stack(library), "late": _constant_term}
     with pytest.raises(ConfigurationError, match="'late' comes after the sum"):
         make_env(stack=late)
 
 
-def test_a_term_can_be_inserted_before_the_sum(library: GaitLibrary) -> None:
+def test_reward_terms_can_be_inserted_before_the_sum(library: GaitLibrary) -> None:
     stack = insert_before(default_stack(library), "reward", late=_constant_term)
     stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 5.0})
     env = make_env(stack=stack)
@@ -173,7 +173,7 @@ def test_a_term_can_be_inserted_before_the_sum(library: GaitLibrary) -> None:
         insert_before(stack, "sum", late=_constant_term)
 
 
-def test_a_transform_draws_the_same_whatever_else_is_in_the_stack(library: GaitLibrary) -> None:
+def test_random_numbers_of_a_transform_do_not_depend_on_others(library: GaitLibrary) -> None:
     full = make_env(num_envs=8, seed=3, library=library).reset()
     other = make_env(num_envs=8, seed=3, library=library, drop=["start", "com_vel"]).reset()
     torch.testing.assert_close(full["command"], other["command"], rtol=0, atol=0)
@@ -181,7 +181,7 @@ def test_a_transform_draws_the_same_whatever_else_is_in_the_stack(library: GaitL
 
 
 def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:
-    """Nor does one with another seed: phases would go with commands, noise with both."""
+    """Otherwise phases, commands and noise would be correlated."""
     env = make_env(stack=randomise_stack(default_stack(library)))
     drawn = []
     for seed in (0, 1):
@@ -192,14 +192,14 @@ def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "3"])
-def test_a_seed_that_is_none_is_refused(make: MakeEnv, seed: Any) -> None:
+def test_invalid_seeds_are_refused(make: MakeEnv, seed: Any) -> None:
     with pytest.raises(ConfigurationError, match="seed must be a whole number"):
         make(seed=seed)
     with pytest.raises(ConfigurationError, match="seed must be a whole number"):
         make().set_seed(seed)
 
 
-def test_a_seed_may_be_of_numpy(make: MakeEnv) -> None:
+def test_seeds_may_be_numbers_of_numpy(make: MakeEnv) -> None:
     first, second = (make(seed=seed).reset() for seed in (np.int64(3), 3))
     assert (first["observation"] == second["observation"]).all()
 
@@ -212,7 +212,7 @@ def test_every_stack_keeps_its_specs(make: MakeEnv, backend: str, stack: str) ->
 
 
 @pytest.mark.parametrize("stack", list(STACKS))
-def test_another_default_of_precision_changes_nothing(make: MakeEnv, stack: str) -> None:
+def test_results_do_not_depend_on_the_default_dtype(make: MakeEnv, stack: str) -> None:
     library = {"library": None} if stack == "single_reference" else {}
     walks = []
     for dtype in (torch.float32, torch.float64):
@@ -230,8 +230,8 @@ def test_another_default_of_precision_changes_nothing(make: MakeEnv, stack: str)
         assert torch.equal(walks[0][key], walks[1][key])
 
 
-def test_transforms_that_come_later_have_names(make: MakeEnv) -> None:
-    """Seeds, checkpoints and logs go by names."""
+def test_appended_and_inserted_transforms_have_names(make: MakeEnv) -> None:
+    """Seeds, checkpoints and logs identify transforms by name."""
     env = make()
     names = env.transform_names
     env.append_transform(RewardScaling(0.0, 2.0))
@@ -245,7 +245,7 @@ def test_transforms_that_come_later_have_names(make: MakeEnv) -> None:
     env.rollout(2)
 
 
-def test_transforms_in_an_order_without_effect_are_refused(library: GaitLibrary) -> None:
+def test_transforms_without_effect_at_their_place_are_refused(library: GaitLibrary) -> None:
     stack = default_stack(library)
     with pytest.raises(ConfigurationError, match="'low_reward' reads a reward"):
         make_env(library=library, drop=["reward"])
@@ -260,7 +260,7 @@ def test_transforms_in_an_order_without_effect_are_refused(library: GaitLibrary)
         make_env(stack=late)
 
 
-def test_randomised_robots_have_noise_only_if_there_was_some(library: GaitLibrary) -> None:
+def test_randomise_stack_adds_no_noise(library: GaitLibrary) -> None:
     stack = default_stack(library)
     assert randomise_stack(stack)["noise"] is RandomNoise
     del stack["noise"]
@@ -278,7 +278,7 @@ def test_settings_of_named_stacks_are_refused_for_others(
         make_env(stack=default_stack(library), **settings)
 
 
-def test_the_stack_that_is_the_same_to_a_policy_is_found(
+def test_stack_name_finds_the_stack_with_the_same_interface(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
     for name in STACKS:
@@ -300,15 +300,15 @@ class WithFunctions(Fall):
         self.functions = functions
 
 
-def test_an_environment_tells_what_it_is_made_of(make: MakeEnv, library: GaitLibrary) -> None:
-    """Whatever its robots and seed, and before and after it is used."""
+def test_descriptions_have_classes_and_settings(make: MakeEnv, library: GaitLibrary) -> None:
+    """The description does not depend on robots, seed and use."""
     env = make(num_envs=2)
-    told = describe_transforms(env)
-    assert list(told) == list(env.transform_names)
-    assert "threshold=0.3" in told["low_reward"]
-    assert "21 motions from 0 to 2 m/s" in told["clock"]
+    texts = describe_transforms(env)
+    assert list(texts) == list(env.transform_names)
+    assert "threshold=0.3" in texts["low_reward"]
+    assert "21 motions from 0 to 2 m/s" in texts["clock"]
     env.rollout(3)
-    assert describe_transforms(env) == told == describe_transforms(make(num_envs=1, seed=7))
+    assert describe_transforms(env) == texts == describe_transforms(make(num_envs=1, seed=7))
     # what is in a list has no address in its text, or no run could be resumed
     both = [
         describe_transforms(make(replace={"fall": lambda: WithFunctions([lambda: 0])}))
@@ -316,13 +316,13 @@ def test_an_environment_tells_what_it_is_made_of(make: MakeEnv, library: GaitLib
     ]
     assert both[0] == both[1]
     slow = make(replace={"command": SpeedCommand(library, [0.0, 0.25])})
-    assert [name for name in told if describe_transforms(slow)[name] != told[name]] == ["command"]
+    assert [name for name in texts if describe_transforms(slow)[name] != texts[name]] == ["command"]
     louder = make(stack=randomise_stack(default_stack(library)))
-    assert describe_transforms(louder)["noise"] != told["noise"]
+    assert describe_transforms(louder)["noise"] != texts["noise"]
     assert "'mass': '(0." in describe_transforms(louder)["dynamics"]
 
 
-def test_names_that_a_stack_has_cannot_be_inserted(library: GaitLibrary) -> None:
+def test_existing_names_cannot_be_inserted(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match=r"\['noise'\] already"):
         insert_before(default_stack(library), "start", noise=RandomNoise)
     with pytest.raises(ConfigurationError, match=r"\['dynamics'\] already"):

@@ -1,4 +1,4 @@
-"""An environment is what TorchRL's own transforms, losses and collectors take it for."""
+"""Environments work with TorchRL's own transforms, losses and collectors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _NO_UPDATER = pytest.mark.filterwarnings("ignore:No target network updater")
 
 
 @pytest.mark.parametrize("stack", list(STACKS))
-def test_there_is_one_reward_and_terms_are_observations(make: MakeEnv, stack: str) -> None:
+def test_reward_is_one_entry_and_its_terms_are_observations(make: MakeEnv, stack: str) -> None:
     env = make(num_envs=2, stack=stack, library=None)
     assert env.reward_keys == ["reward"]
     assert env.reward_key == "reward"
@@ -67,7 +67,7 @@ def test_random_actions_may_precede_an_episode(make: MakeEnv) -> None:
     assert env.rollout(3)["next", "step_count"].flatten().tolist() == [4, 5, 6]
 
 
-def test_the_return_still_to_come_can_be_asked_for(make: MakeEnv) -> None:
+def test_reward_to_go_can_be_computed(make: MakeEnv) -> None:
     env = TransformedEnv(make(num_envs=2), TargetReturn(10.0))
     data = env.rollout(3, lambda td: td.set("action", torch.zeros(2, 10)))
     left = 10.0 - data["next", "reward"].cumsum(1)
@@ -95,7 +95,7 @@ def test_random_actions_stay_within_the_action_spec(make: MakeEnv) -> None:
 
 
 def test_actions_can_be_scaled(make: MakeEnv) -> None:
-    """An action of one is the largest delta of the spec."""
+    """Action one is the upper bound of the spec."""
     plain, scaled = make(num_envs=2), make(num_envs=2)
     high = plain.action_spec.high
     scaled.append_transform(ActionScaling())
@@ -125,14 +125,14 @@ def _rename() -> Transform:
 
 
 @pytest.mark.parametrize("transform", [ActionScaling, lambda: ActionDiscretizer(3), _rename])
-def test_an_environment_around_it_may_change_actions(make: MakeEnv, transform: Any) -> None:
+def test_outer_environments_may_transform_actions(make: MakeEnv, transform: Any) -> None:
     env = TransformedEnv(make(num_envs=2), transform())
     data = env.rollout(3, break_when_any_done=False)
     assert data.shape == (2, 3)
     check_env_specs(env)
 
 
-def test_an_action_spec_that_would_be_lost_is_refused(make: MakeEnv) -> None:
+def test_action_spec_cannot_be_set(make: MakeEnv) -> None:
     env = make(num_envs=2)
     with pytest.raises(ConfigurationError, match=r"ActionDelta\(limit="):
         env.action_spec = Bounded(-1.0, 1.0, torch.Size((2, 10)))
@@ -155,7 +155,7 @@ def _critic() -> ValueOperator:
 
 
 @_NO_UPDATER
-def test_soft_actor_critic_knows_the_range_of_one_robot(make: MakeEnv) -> None:
+def test_sac_takes_the_action_range_of_one_robot(make: MakeEnv) -> None:
     env = make(num_envs=3)
     spec = env.action_spec_unbatched
     net = nn.Sequential(MLP(in_features=64, out_features=20, num_cells=[8]), NormalParamExtractor())
@@ -176,7 +176,7 @@ def test_soft_actor_critic_knows_the_range_of_one_robot(make: MakeEnv) -> None:
 
 
 @_NO_UPDATER
-def test_twin_delayed_gradients_know_the_range(make: MakeEnv) -> None:
+def test_td3_takes_the_action_range_of_one_robot(make: MakeEnv) -> None:
     env = make(num_envs=3)
     net = nn.Sequential(MLP(in_features=64, out_features=10, num_cells=[8]), nn.Tanh())
     actor = TensorDictModule(net, ["observation"], ["action"])
@@ -185,7 +185,7 @@ def test_twin_delayed_gradients_know_the_range(make: MakeEnv) -> None:
     assert loss(data.reshape(-1))["loss_qvalue"].isfinite()
 
 
-def test_a_shipped_policy_collects_without_a_warning(
+def test_shipped_policies_collect_without_warnings(
     make: MakeEnv, recwarn: pytest.WarningsRecorder
 ) -> None:
     collector = Collector(make(num_envs=2), load_policy("aslip"), frames_per_batch=8)
@@ -196,7 +196,7 @@ def test_a_shipped_policy_collects_without_a_warning(
     assert not data["is_init"][:, 1:].any()
 
 
-def test_the_first_step_is_marked_as_torchrl_does(make: MakeEnv) -> None:
+def test_first_steps_are_marked_as_in_torchrl(make: MakeEnv) -> None:
     env = make(num_envs=3, replace={"low_reward": LowReward(0.7)})
     env.append_transform(InitTracker("torchrl_is_init"))
     torch.manual_seed(0)
@@ -207,7 +207,7 @@ def test_the_first_step_is_marked_as_torchrl_does(make: MakeEnv) -> None:
         assert torch.equal(level["is_init"], level["torchrl_is_init"])
 
 
-def test_a_collector_may_limit_episodes_in_place_of_the_stack(make: MakeEnv) -> None:
+def test_collectors_may_limit_episodes_in_place_of_the_stack(make: MakeEnv) -> None:
     env = make(num_envs=2, drop=["step_limit", "low_reward"])
     policy = load_policy("aslip")
     collector = Collector(env, policy, frames_per_batch=12, max_frames_per_traj=3)
@@ -218,7 +218,7 @@ def test_a_collector_may_limit_episodes_in_place_of_the_stack(make: MakeEnv) -> 
 
 @pytest.mark.parametrize("how", [pickle.dumps, copy.deepcopy, copy.copy])
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
-def test_a_copy_is_refused_and_the_way_is_named(make: MakeEnv, backend: str, how: Any) -> None:
+def test_copies_are_refused_with_an_alternative(make: MakeEnv, backend: str, how: Any) -> None:
     env = make(backend, num_envs=2)
     for thing in (env, env.base_env):
         with pytest.raises(ConfigurationError, match=r"partial\(aslip.make_env, num_envs=2\)"):
@@ -226,7 +226,7 @@ def test_a_copy_is_refused_and_the_way_is_named(make: MakeEnv, backend: str, how
 
 
 @pytest.mark.parametrize("several", [SerialEnv, pytest.param(ParallelEnv, marks=pytest.mark.slow)])
-def test_several_environments_are_made_from_what_makes_one(several: Any) -> None:
+def test_torchrl_makes_several_environments_from_a_function(several: Any) -> None:
     env = several(2, partial(make_env, num_envs=2, num_threads=1))
     try:
         assert env.rollout(3)["next", "reward"].shape == (2, 2, 3, 1)
@@ -234,7 +234,7 @@ def test_several_environments_are_made_from_what_makes_one(several: Any) -> None
         env.close()
 
 
-def test_a_group_that_cannot_be_left_out_names_its_entries(make: MakeEnv) -> None:
+def test_groups_that_cannot_be_excluded_list_their_entries(make: MakeEnv) -> None:
     env = make(num_envs=2)
     with pytest.raises(ConfigurationError, match=r"the group 'sensors'.*\('sensors', ") as info:
         env.append_transform(ExcludeTransform("sensors"))
@@ -248,7 +248,7 @@ def test_a_group_that_cannot_be_left_out_names_its_entries(make: MakeEnv) -> Non
     assert not env.rollout(2)["sensors"].keys()
 
 
-def test_steps_that_would_move_the_robot_but_not_the_clock_are_refused(make: MakeEnv) -> None:
+def test_frame_skip_is_refused(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match="clock and estimator by one"):
         make().append_transform(FrameSkipTransform(2))
     with pytest.raises(ConfigurationError, match="clock and estimator by one"):

@@ -81,7 +81,7 @@ def test_tracking_survives_conversion_to_rows(walk: Walk) -> None:
 
 
 def test_later_packets_do_not_change_earlier_estimates(walk: Walk) -> None:
-    """Nor does a caller that reuses the buffer of packets."""
+    """A caller that reuses the buffer of packets does not change them either."""
     estimator, buffer = StateEstimator(), walk.packets[:, 0].copy()
     tracking, first = estimator.start(buffer)
     kept = [(first, {name: np.array(value) for name, value in vars(first).items()})]

@@ -98,7 +98,7 @@ def test_estimates_without_noise_are_exact() -> None:
 
 
 @pytest.mark.parametrize("error", [[0.3, -0.3, 0.0], [-0.2, 0.2, 0.2]])
-def test_a_wrong_velocity_is_corrected_within_ten_policy_steps(error: list[float]) -> None:
+def test_wrong_velocity_is_corrected_within_ten_policy_steps(error: list[float]) -> None:
     filter_ = _filter()
     belief = _started(filter_, _derivative(_body, 0.0) + error)
     _run(filter_, belief, 100)
@@ -336,7 +336,7 @@ def test_its_errors_are_as_large_as_it_says() -> None:
     assert np.mean(nis) == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_loaded_foot_stays_so_down_to_a_lower_force() -> None:
+def test_contact_ends_at_a_lower_force_than_it_begins() -> None:
     filter_ = _filter()
     belief = _started(filter_)
     forces = [(52.0, False), (61.0, True), (52.0, True), (44.0, False), (52.0, False)]

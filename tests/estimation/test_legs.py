@@ -71,7 +71,7 @@ def test_any_leading_shape_will_do(model: mujoco.MjModel, legs: LegKinematics) -
     np.testing.assert_allclose(legs(motors[5], joints[5]), flat[5], atol=1e-12)
 
 
-def test_a_leg_at_rest_springs_feels_nothing(model: mujoco.MjModel, legs: LegKinematics) -> None:
+def test_undeflected_springs_give_no_force(model: mujoco.MjModel, legs: LegKinematics) -> None:
     """The library's poses have undeflected springs and closed loops."""
     library, indices = GaitLibrary.load(), CASSIE.indices
     phase = torch.linspace(0, 0.95, 20)[:, None]
@@ -81,7 +81,7 @@ def test_a_leg_at_rest_springs_feels_nothing(model: mujoco.MjModel, legs: LegKin
     assert np.abs(force).max() < 1.0
 
 
-def test_a_standing_robot_feels_its_weight() -> None:
+def test_forces_of_a_standing_robot_add_up_to_its_weight() -> None:
     """Within what is neglected: 16 N below the springs of each leg, and the ankles' torque."""
     simulations = Simulations(1, num_threads=1)
     indices = simulations.indices

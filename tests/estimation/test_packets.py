@@ -191,7 +191,7 @@ def test_frozen_packets_give_no_measurement_of_the_legs() -> None:
     assert resting == [True] + [False] * 9
 
 
-def test_an_imu_slower_than_the_packets_is_no_fault(walk: Walk) -> None:
+def test_imu_slower_than_the_packets_is_no_fault(walk: Walk) -> None:
     """With a new value in every second packet, 167 Hz, contacts and velocity stay accurate."""
     packets = _stream(walk)
     mean = (packets[1:-1:2, ACCELEROMETER] + packets[2::2, ACCELEROMETER]) / 2
@@ -223,7 +223,7 @@ def test_largest_change_grows_with_periods_above_3_ms(period: float, most: float
 
 
 def test_faults_are_timed_in_seconds() -> None:
-    """An IMU may repeat itself for 5 ms, and jumps are believed after 9 ms, at any period."""
+    """An IMU may repeat itself for 5 ms, and jumps are accepted after 9 ms, at any period."""
     for period in (5e-4, 1e-3, 3e-3):
         packet, estimator = _standing(CASSIE), StateEstimator(period=period)
         tracking, _ = estimator.start(packet)

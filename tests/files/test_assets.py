@@ -18,15 +18,15 @@ def test_shipped_files_are_found() -> None:
     assert asset_path("gaits.npz").is_file()
 
 
-def test_a_missing_asset_lists_what_there_is() -> None:
+def test_missing_asset_lists_the_shipped_files() -> None:
     with pytest.raises(AssetError, match=r"no asset 'casie\.xml'.*cassie\.xml") as info:
         asset_path("casie.xml")
     assert isinstance(info.value, FileNotFoundError)
     assert isinstance(info.value, AslipError)
 
 
-def test_an_installed_package_finds_its_own_files(tmp_path: Path) -> None:
-    """Also where another package has left a pyproject.toml and assets in site-packages."""
+def test_installed_package_finds_its_own_files(tmp_path: Path) -> None:
+    """Another package may have left a pyproject.toml and assets in site-packages."""
     package = tmp_path / "aslip"
     (package / "_assets").mkdir(parents=True)
     (package / "_assets" / "own.txt").write_text("ours")

@@ -1,4 +1,4 @@
-"""How the robot looks has no part in how it moves, and both legs look alike."""
+"""Visual geoms do not affect the physics, and both legs look alike."""
 
 import xml.etree.ElementTree as ElementTree
 
@@ -20,7 +20,7 @@ ADDRESSES = {"body_geomadr", "body_geomnum", "sensor_refid", "dof_length"}
 
 
 def bare_model() -> mujoco.MjModel:
-    """The model without anything that is only looked at."""
+    """Model without visual geoms."""
     root = ElementTree.parse(asset_path("cassie.xml")).getroot()
     for parent in list(root.iter()):
         for child in list(parent):
@@ -72,7 +72,7 @@ def test_motion_does_not_depend_on_appearance(model, bare):
         np.testing.assert_array_equal(getattr(data[0], name), getattr(data[1], name), name)
 
 
-def test_what_is_seen_neither_weighs_nor_touches(model):
+def test_visual_geoms_have_no_mass_and_no_contacts(model):
     seen = np.flatnonzero(model.geom_group == APPEARANCE_GROUP)
     assert len(seen) > 80
     assert not model.geom_contype[seen].any()
@@ -81,7 +81,7 @@ def test_what_is_seen_neither_weighs_nor_touches(model):
 
 
 def look(model: mujoco.MjModel, data: mujoco.MjData, body: str, mirror: np.ndarray) -> list[tuple]:
-    """Type, material, place and extent in space of each geom that is seen, mirrored."""
+    """Type, material, position and extent of each visible geom, mirrored."""
     found = []
     for i in np.flatnonzero(model.geom_bodyid == model.body(body).id):
         if model.geom_group[i] == APPEARANCE_GROUP:
@@ -114,7 +114,7 @@ def test_legs_look_like_mirror_images(model):
     ("rod", "end", "length"),
     [("achilles_rod", "heel_spring", 0.5012), ("plantar_rod", "foot", 0.35012)],
 )
-def test_rods_are_seen_to_reach_what_they_pull(model, library, side, rod, end, length):
+def test_visible_rods_reach_their_ends(model, library, side, rod, end, length):
     data = mujoco.MjData(model)
     for qpos in library.table.qpos[::5, ::16].reshape(-1, model.nq):
         data.qpos[:] = qpos
@@ -129,7 +129,7 @@ def test_rods_are_seen_to_reach_what_they_pull(model, library, side, rod, end, l
         assert (np.abs(local) <= extent).all(-1).any()
 
 
-def test_colours_are_those_that_mujoco_draws(model):
+def test_colours_equal_those_of_mujoco(model):
     data, scene = mujoco.MjData(model), mujoco.MjvScene(model, model.ngeom)
     mujoco.mj_forward(model, data)
     option, camera = mujoco.MjvOption(), mujoco.MjvCamera()

@@ -1,4 +1,4 @@
-"""The compiled model: what the robot weighs, how it is driven, what touches what."""
+"""Compiled model: masses, motors, loops, symmetry and contacts."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
@@ -24,7 +24,7 @@ def model() -> mujoco.MjModel:
     return load_model()
 
 
-def test_sizes(model: mujoco.MjModel) -> None:
+def test_model_has_the_sizes_of_the_full_mechanism(model: mujoco.MjModel) -> None:
     """35 positions, 32 velocities, 10 motors, 4 loop closures (full mechanism)."""
     assert (model.nq, model.nv, model.nu, model.neq) == (35, 32, 10, 4)
 
@@ -62,8 +62,8 @@ def test_timestep_and_torque_delay(model: mujoco.MjModel) -> None:
     np.testing.assert_array_equal(model.actuator_delay, CASSIE.torque_delay)
 
 
-def test_newton_finds_what_the_public_simulators_solver_finds(model: mujoco.MjModel) -> None:
-    """Standing with bent springs and feet in the floor; PGS is given time to converge."""
+def test_newton_solver_equals_the_public_simulators_solver(model: mujoco.MjModel) -> None:
+    """Standing with bent springs and feet in the floor; PGS has many iterations."""
     accelerations = []
     for solver in (mujoco.mjtSolver.mjSOL_NEWTON, mujoco.mjtSolver.mjSOL_PGS):
         same = copy.copy(model)
@@ -79,7 +79,7 @@ def test_newton_finds_what_the_public_simulators_solver_finds(model: mujoco.MjMo
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_loop_anchors(model: mujoco.MjModel, side: str) -> None:
+def test_loops_close_at_the_published_points(model: mujoco.MjModel, side: str) -> None:
     """Rod ends meet the foot and the heel spring (second anchors as compiled)."""
     sign = 1 if side == "left" else -1
     expected = {
@@ -283,7 +283,7 @@ def _touching_pairs(model: mujoco.MjModel) -> set[frozenset[str]]:
 
 
 def test_everything_touches_the_floor_and_legs_touch_each_other(model: mujoco.MjModel) -> None:
-    """The own leg does not collide; pelvis and thighs collide with the floor alone."""
+    """Parts of one leg do not collide; pelvis and thighs collide with the floor only."""
     lower = ("shin", "tarsus", "foot")
     floor = {frozenset(("floor", f"{side}_{part}")) for side in SIDES for part in lower}
     floor |= {frozenset(("floor", name)) for name in ("pelvis", "left_thigh", "right_thigh")}
@@ -306,8 +306,8 @@ def test_crossed_legs_collide(model: mujoco.MjModel) -> None:
         assert sides == {"left", "right"}
 
 
-def test_floor_friction_is_what_was_asked_for() -> None:
-    """The floor's coefficient decides, whatever the foot's is."""
+def test_floor_has_the_requested_friction() -> None:
+    """The floor's coefficient has priority over the foot's."""
     model = load_model(floor_friction=0.6)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -320,12 +320,12 @@ def test_floor_friction_is_what_was_asked_for() -> None:
 
 
 @pytest.mark.parametrize("friction", [0.0, -0.1, float("nan"), float("inf")])
-def test_a_friction_that_is_no_positive_number_is_refused(friction: float) -> None:
+def test_friction_must_be_a_positive_number(friction: float) -> None:
     with pytest.raises(ConfigurationError, match="floor_friction"):
         load_model(floor_friction=friction)
 
 
-def test_the_robot_stands_level_with_its_loops_closed(model: mujoco.MjModel) -> None:
+def test_standing_robot_is_level_with_closed_loops(model: mujoco.MjModel) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("standing").id)
     mujoco.mj_forward(model, data)

@@ -27,6 +27,6 @@ def test_mirroring_twice_changes_nothing(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["pelvis", "", "leftish", "foot_left"])
-def test_a_name_of_neither_leg_is_refused(name: str) -> None:
+def test_names_of_neither_leg_are_refused(name: str) -> None:
     with pytest.raises(UnknownNameError, match="belongs to no leg"):
         mirror_name(name)

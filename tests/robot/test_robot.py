@@ -1,4 +1,4 @@
-"""Cassie's numbers hang together, and those read without MuJoCo are MuJoCo's."""
+"""Cassie's numbers are consistent, and its skeleton equals the compiled model."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
@@ -59,8 +59,8 @@ def test_packet_entries_follow_each_other() -> None:
     assert [part.size for part in parts] == list(CASSIE.packet_sizes.values())
 
 
-def test_a_robot_survives_pickling() -> None:
-    """Environments are made in other processes from their arguments."""
+def test_robots_survive_pickling() -> None:
+    """Other processes make environments from pickled arguments."""
     copy = pickle.loads(pickle.dumps(CASSIE))
     assert repr(copy) == "Robot('cassie')"
     assert copy.skeleton == CASSIE.skeleton
@@ -70,7 +70,7 @@ def test_a_robot_survives_pickling() -> None:
 # ------------------------------------------------------------------- numbers of the MJCF
 
 
-def test_the_shipped_skeleton_is_the_compiled_models_to_the_bit(model: mujoco.MjModel) -> None:
+def test_shipped_skeleton_equals_the_compiled_model_bit_for_bit(model: mujoco.MjModel) -> None:
     """`python -m aslip.robot` writes it anew after a change of the MJCF."""
     shipped = read_skeleton(CASSIE.mjcf, CASSIE.mjcf.with_suffix(".json"))
     assert shipped == skeleton_of(load_model(visual=False))
@@ -78,7 +78,7 @@ def test_the_shipped_skeleton_is_the_compiled_models_to_the_bit(model: mujoco.Mj
     np.testing.assert_array_equal(CASSIE.standing, model.key("standing").qpos)
 
 
-def test_a_changed_mjcf_is_compiled_and_not_taken_from_an_old_skeleton(tmp_path: Path) -> None:
+def test_changed_mjcf_is_compiled_again(tmp_path: Path) -> None:
     file = tmp_path / "other.xml"
     shutil.copy(CASSIE.mjcf, file)
     write_skeleton(CASSIE.skeleton, file, file.with_suffix(".json"))
@@ -91,7 +91,7 @@ def test_a_changed_mjcf_is_compiled_and_not_taken_from_an_old_skeleton(tmp_path:
     assert dataclasses.replace(CASSIE, model_file=file).skeleton == robot.skeleton
 
 
-def test_a_missing_mjcf_is_named() -> None:
+def test_missing_mjcf_is_named() -> None:
     with pytest.raises(AssetError, match=r"biped\.xml"):
         _ = dataclasses.replace(CASSIE, model_file="biped.xml").skeleton
 

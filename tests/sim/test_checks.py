@@ -1,4 +1,4 @@
-"""Counts, robots and states are checked in one way, and before anything is written."""
+"""Counts, robots and states are checked before anything is written."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ def test_numpy_counts_are_counts(make: Maker) -> None:
 
 @pytest.mark.parametrize("make", [*POOLS, *ENVIRONMENTS])
 @pytest.mark.parametrize("num", [True, np.True_, 2.0, "2", 0])
-def test_what_is_no_count_is_refused(make: Maker, num: Any) -> None:
+def test_invalid_counts_are_refused(make: Maker, num: Any) -> None:
     with pytest.raises(ConfigurationError, match="must be a whole number of 1 or more, got"):
         make(num)
 
 
 @pytest.mark.parametrize("make", ENVIRONMENTS)
-def test_a_number_of_robots_beyond_all_memory_is_refused(make: Maker) -> None:
-    """At once: the old code would go on until it was killed, so the test limits its memory."""
+def test_numbers_of_robots_beyond_memory_are_refused(make: Maker) -> None:
+    """The test limits its memory, so that an allocation would fail."""
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + 2**28, hard))
@@ -52,7 +52,7 @@ def test_a_number_of_robots_beyond_all_memory_is_refused(make: Maker) -> None:
 
 @pytest.mark.parametrize("make", [SimulationPool, Simulations, BatchEnv])
 @pytest.mark.parametrize("threads", [True, -1, 0.5, "2"])
-def test_what_is_no_number_of_threads_is_refused(make: Any, threads: Any) -> None:
+def test_invalid_numbers_of_threads_are_refused(make: Any, threads: Any) -> None:
     with pytest.raises(ConfigurationError, match="num_threads must be a whole number of 0 or more"):
         make(1, num_threads=threads)
     assert len(make(1, num_threads=np.int32(1)).states()) == 1
@@ -60,8 +60,7 @@ def test_what_is_no_number_of_threads_is_refused(make: Any, threads: Any) -> Non
 
 @pytest.mark.parametrize("make", POOLS)
 @pytest.mark.parametrize("ids", [[-1], [NUM], [1, 0], [1, 1], [0.0], [True], [[0]]])
-def test_robots_that_are_not_there_are_named(make: Maker, ids: Any) -> None:
-    """By the numbers that the caller gave."""
+def test_unknown_robots_are_named(make: Maker, ids: Any) -> None:
     simulations = make(NUM)
     before = simulations.states()
     expected = r"robots 0 to 3, got \[" + str(ids[0]).replace("[", r"\[").replace("]", r"\]")
@@ -75,7 +74,7 @@ def test_robots_that_are_not_there_are_named(make: Maker, ids: Any) -> None:
 
 @pytest.mark.parametrize("make", ENVIRONMENTS)
 @pytest.mark.parametrize("ids", [[-1], [NUM], [True], [0.0]])
-def test_dynamics_of_robots_that_are_not_there_are_refused(make: Maker, ids: Any) -> None:
+def test_dynamics_of_unknown_robots_are_refused(make: Maker, ids: Any) -> None:
     env: SimulatedEnv = make(NUM)
     with pytest.raises(ConfigurationError, match="robots 0 to 3"):
         env.set_dynamics({"mass": 1.1}, np.array(ids))
@@ -84,7 +83,7 @@ def test_dynamics_of_robots_that_are_not_there_are_refused(make: Maker, ids: Any
 
 @pytest.mark.parametrize("make", [*POOLS, *ENVIRONMENTS])
 @pytest.mark.parametrize("change", ["narrow", "wide", "few", "many", "flat"])
-def test_states_that_do_not_fit_change_nothing(make: Maker, change: str) -> None:
+def test_states_of_wrong_shape_change_nothing(make: Maker, change: str) -> None:
     simulations = make(NUM)
     before = simulations.states()
     wrong = {

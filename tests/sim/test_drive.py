@@ -33,7 +33,7 @@ def test_position_and_velocity_add_up() -> None:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_large_errors_are_cut_off_at_the_motor_limit(sign: int) -> None:
+def test_large_errors_give_the_torque_limit(sign: int) -> None:
     torque = motor_torque(np.full(10, sign * 50.0), ZERO, ZERO)
     np.testing.assert_array_equal(torque, sign * CASSIE.torque_limit)
 
@@ -53,7 +53,7 @@ def test_large_errors_are_cut_off_at_the_motor_limit(sign: int) -> None:
 )
 @pytest.mark.parametrize("turning", [1, -1])
 @pytest.mark.parametrize("pushing", [1, -1])
-def test_torque_falls_from_half_the_no_load_speed(
+def test_torque_limit_falls_from_half_the_no_load_speed(
     speed: float, share: float, turning: int, pushing: int
 ) -> None:
     """Full torque up to half the no-load speed, none from it on, linear between; braking, too."""
@@ -61,7 +61,7 @@ def test_torque_falls_from_half_the_no_load_speed(
     np.testing.assert_allclose(torque, pushing * share * CASSIE.torque_limit, atol=1e-12)
 
 
-def test_the_drive_equals_the_formula() -> None:
+def test_drive_equals_the_formula() -> None:
     rng = np.random.default_rng(0)
     target, position = rng.uniform(-2, 2, (2, 50, 10))
     velocity = rng.uniform(-1.2, 1.2, (50, 10)) * NO_LOAD
@@ -76,7 +76,7 @@ def test_the_drive_equals_the_formula() -> None:
     assert (np.abs(torque) < 0.5 * limit).any()
 
 
-def test_inputs_are_left_alone() -> None:
+def test_inputs_are_not_changed() -> None:
     target, position, velocity = np.full((1, 10), 9.0), np.ones((1, 10)), np.full((1, 10), 4.0)
     PD(1).torque(target, position, velocity)
     assert (target == 9).all()
@@ -85,19 +85,19 @@ def test_inputs_are_left_alone() -> None:
 
 
 def test_nan_stays_nan() -> None:
-    """A broken target must reach the divergence check, not turn into some torque."""
+    """NaN must make the simulation diverge instead of giving a torque."""
     torque = motor_torque(np.full(10, np.nan), ZERO, ZERO)
     assert np.isnan(torque).all()
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_an_infinite_target_asks_for_the_largest_torque(sign: int) -> None:
+def test_infinite_targets_give_the_torque_limit(sign: int) -> None:
     torque = motor_torque(np.full(10, sign * np.inf), ZERO, ZERO)
     np.testing.assert_array_equal(torque, sign * CASSIE.torque_limit)
 
 
-def test_what_is_no_number_is_not_limited_to_one() -> None:
-    """A robot that has diverged must be noticed; the others are none the worse."""
+def test_nan_is_not_limited_and_affects_one_robot_only() -> None:
+    """Divergence must be detected, and other robots must not change."""
     position, velocity = np.zeros((2, 10)), np.zeros((2, 10))
     for broken in (position, velocity):
         broken[0, 3] = np.nan
@@ -107,7 +107,7 @@ def test_what_is_no_number_is_not_limited_to_one() -> None:
         broken[:] = 0
 
 
-def test_torques_go_where_they_are_told() -> None:
+def test_torques_are_written_to_out() -> None:
     drive, out = PD(3), np.zeros((3, 20))
     angles = [np.random.default_rng(i).normal(size=(3, 10)) for i in range(3)]
     assert drive.torque(*angles, out=out[:, ::2]).base is out
@@ -116,7 +116,7 @@ def test_torques_go_where_they_are_told() -> None:
 
 
 class _PlainPD(Drive):
-    """PD control as a user would write it."""
+    """PD control in NumPy, as a user may write it."""
 
     def joint_torque(
         self, command: np.ndarray, position: np.ndarray, velocity: np.ndarray
@@ -124,7 +124,7 @@ class _PlainPD(Drive):
         return (command - position) * CASSIE.stiffness - velocity * CASSIE.damping
 
 
-def test_a_drive_in_numpy_equals_the_compiled_one() -> None:
+def test_drive_in_numpy_equals_the_compiled_one() -> None:
     rng = np.random.default_rng(2)
     target, position = rng.uniform(-2, 2, (2, 50, 10))
     velocity = rng.uniform(-1.2, 1.2, (50, 10)) * NO_LOAD

@@ -1,4 +1,4 @@
-"""Robots that differ, in one batch or one by one, move as robots made so."""
+"""Robots with different dynamics move like robots of models changed by hand."""
 
 # pyright: reportAttributeAccessIssue=false
 
@@ -54,7 +54,7 @@ def _walk(env: SimulatedEnv, steps: int, seed: int = 0) -> np.ndarray:
 
 
 def _edit(change: Callable[[mujoco.MjModel], None]) -> DmControlEnv:
-    """One robot whose model was changed by hand."""
+    """Robot with a model changed by hand."""
     env = DmControlEnv(1)
     model = env.physics[0].model.ptr
     change(model)
@@ -78,8 +78,8 @@ def _by_hand(model: mujoco.MjModel) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_robot_moves_as_one_whose_model_was_changed_by_hand(backend: str) -> None:
-    """Bit for bit, and the robot beside it as by default."""
+def test_dynamics_equal_a_model_changed_by_hand(backend: str) -> None:
+    """Results are bit-equal, and the other robot has the default dynamics."""
     env = _base(backend)
     env.set_dynamics(ODD, np.array([1]))
     env.reset()
@@ -91,7 +91,7 @@ def test_a_robot_moves_as_one_whose_model_was_changed_by_hand(backend: str) -> N
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_every_parameter_matters(name: str) -> None:
+def test_every_parameter_changes_the_motion(name: str) -> None:
     env = _base("batch")
     env.set_dynamics({name: ODD[name]}, np.array([1]))
     env.reset()
@@ -100,7 +100,7 @@ def test_every_parameter_matters(name: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_values_that_are_nominal_again_leave_no_trace(backend: str) -> None:
+def test_nominal_values_restore_the_model(backend: str) -> None:
     env, default = _base(backend, 1), _base(backend, 1)
     nominal = {name: value[0] for name, value in default.dynamics.items()}
     env.set_dynamics(ODD | {"torque_delay": 0.004})
@@ -110,7 +110,7 @@ def test_values_that_are_nominal_again_leave_no_trace(backend: str) -> None:
     np.testing.assert_array_equal(_walk(env, 8), _walk(default, 8))
 
 
-def test_dynamics_do_not_depend_on_how_robots_share_threads() -> None:
+def test_dynamics_do_not_depend_on_the_number_of_threads() -> None:
     paths = []
     for threads in (1, 3):
         env = BatchEnv(7, num_threads=threads)
@@ -134,7 +134,7 @@ def test_masses_add_up() -> None:
 
 
 def _airborne(slope: float) -> Any:
-    """A policy step of a robot that holds its pose in the air."""
+    """State after a policy step of a robot in the air."""
     env = _base("batch", 1)
     qpos = torch.tensor(env.model.key("standing").qpos)[None]
     qpos[:, 2] = 5.0
@@ -145,8 +145,8 @@ def _airborne(slope: float) -> Any:
     return env.step(TensorDict(motor_target=target, batch_size=1))["next"]
 
 
-def test_gravity_leans_back_uphill() -> None:
-    """In the air the centre of mass falls with it."""
+def test_slope_turns_gravity() -> None:
+    """In the air the centre of mass accelerates with gravity."""
     model = load_model()
     data = mujoco.MjData(model)
     truth = _airborne(0.3)["truth"]
@@ -158,8 +158,8 @@ def test_gravity_leans_back_uphill() -> None:
     np.testing.assert_allclose(data.subtree_linvel[0], expected, atol=2e-4)
 
 
-def test_the_imu_knows_where_down_is() -> None:
-    """Its attitude is nose-up on an upward slope, and in free fall it feels nothing else."""
+def test_imu_measures_attitude_relative_to_gravity() -> None:
+    """The nose is up on an upward slope; in free fall nothing else changes."""
     flat, uphill = (_airborne(slope)["sensors"] for slope in (0.0, 0.3))
     w, x, y, z = uphill["orientation"][0, 0].double().numpy()
     forward = np.array([w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)])
@@ -170,8 +170,8 @@ def test_the_imu_knows_where_down_is() -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("steps", [0, 1, 6, 8, 9, 40])
-def test_torques_act_when_they_should(backend: str, steps: int) -> None:
-    """A target that differs from now on moves the motor so many physics steps later."""
+def test_torques_act_after_the_delay(backend: str, steps: int) -> None:
+    """A change of the target acts `steps` physics steps later."""
     torques = []
     for offset in (0.0, 0.2):
         env = _base(backend, 1)
@@ -186,8 +186,8 @@ def test_torques_act_when_they_should(backend: str, steps: int) -> None:
     assert differ[0] == steps
 
 
-def test_motor_strength_scales_what_is_delivered() -> None:
-    """At the limit, too: the first torques of a target out of reach."""
+def test_motor_strength_scales_the_delivered_torque() -> None:
+    """The limit scales, too, as the first torques of a far target show."""
     env = _base("batch", 2)
     env.set_dynamics({"motor_strength": 0.7, "torque_delay": 0.0}, np.array([1]))
     env.set_dynamics({"torque_delay": 0.0}, np.array([0]))
@@ -206,8 +206,8 @@ def test_motor_strength_scales_what_is_delivered() -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_longer_memory_of_commands_changes_nothing_else(backend: str) -> None:
-    """Given in the middle of a walk, for one robot; the other goes on as if nothing had been."""
+def test_longer_memory_of_commands_does_not_affect_other_robots(backend: str) -> None:
+    """One robot gets a longer delay during a walk."""
     env, default = _base(backend), _base(backend)
     for each in (env, default):
         each.reset()
@@ -219,8 +219,8 @@ def test_a_longer_memory_of_commands_changes_nothing_else(backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_commands_on_their_way_are_not_forgotten(backend: str) -> None:
-    """Memory that was long enough all along gives the same walk."""
+def test_longer_memory_keeps_delayed_commands(backend: str) -> None:
+    """The walk is the same if the memory was long from the start."""
     early, late = _base(backend, 1), _base(backend, 1)
     early.set_dynamics({"torque_delay": 0.02})
     early.set_dynamics({"torque_delay": 0.003})
@@ -235,8 +235,8 @@ def test_commands_on_their_way_are_not_forgotten(backend: str) -> None:
     np.testing.assert_array_equal(*paths)
 
 
-def test_what_a_longer_memory_lacks_is_the_oldest_there_is() -> None:
-    """A delay beyond all that is remembered gives the oldest command, and then those after it."""
+def test_oldest_command_fills_a_longer_memory() -> None:
+    """A delay beyond the memory applies the oldest command, then the later ones."""
     torques = []
     for delay in (0.004, 0.01):
         env = _base("batch", 1)
@@ -266,7 +266,7 @@ def test_states_resume_among_robots_of_the_same_dynamics(backend: str) -> None:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_values_out_of_limits_are_refused_and_nothing_happens(backend: str) -> None:
+def test_values_out_of_limits_are_refused_and_change_nothing(backend: str) -> None:
     env = _base(backend)
     before = env.dynamics
     for values, message in (
@@ -286,13 +286,13 @@ def test_values_out_of_limits_are_refused_and_nothing_happens(backend: str) -> N
     assert not env.altered
 
 
-def test_limits_themselves_are_accepted_in_single_precision() -> None:
+def test_limits_are_accepted_in_single_precision() -> None:
     env = _base("batch", 1)
     for bound in ("low", "high"):
         env.set_dynamics({name: np.float32(getattr(p, bound)) for name, p in DYNAMICS.items()})
 
 
-def test_what_does_not_exist_is_named() -> None:
+def test_unknown_parameters_and_robots_are_named() -> None:
     env = _base("batch")
     with pytest.raises(UnknownNameError, match="did you mean 'floor_friction'"):
         env.set_dynamics({"floor_fricton": 1.0})

@@ -27,7 +27,7 @@ def _assert_equal(pool: SimulationPool, simulations: Simulations) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_parts_equal_the_whole(threads: int) -> None:
+def test_parts_equal_a_single_batch(threads: int) -> None:
     rng = np.random.default_rng(0)
     pool, whole = SimulationPool(NUM, num_threads=threads), Simulations(NUM, num_threads=1)
     assert len(pool.parts) >= 2
@@ -44,7 +44,7 @@ def test_parts_equal_the_whole(threads: int) -> None:
         _assert_equal(pool, whole)
 
 
-def test_what_is_only_looked_at_changes_nothing() -> None:
+def test_visual_geoms_do_not_change_the_physics() -> None:
     rng = np.random.default_rng(1)
     seen, unseen = (SimulationPool(3, model=load_model(visual=v)) for v in (True, False))
     assert unseen.model.ngeom < seen.model.ngeom
@@ -55,7 +55,7 @@ def test_what_is_only_looked_at_changes_nothing() -> None:
         np.testing.assert_array_equal(seen.states(), unseen.states())
 
 
-def test_one_part_diverging_is_counted_and_leaves_the_others_alone() -> None:
+def test_divergence_is_counted_and_affects_one_simulation_only() -> None:
     pool, sane = SimulationPool(NUM), SimulationPool(NUM)
     target = pool.snapshot().qpos[:, pool.indices.motor_qpos]
     poisoned = target.copy()
@@ -67,7 +67,7 @@ def test_one_part_diverging_is_counted_and_leaves_the_others_alone() -> None:
     np.testing.assert_array_equal(pool.states()[:-1], sane.states()[:-1])
 
 
-def test_states_can_be_handed_on() -> None:
+def test_states_transfer_between_pools() -> None:
     pool, other = SimulationPool(3), SimulationPool(3)
     target = pool.snapshot().qpos[:, pool.indices.motor_qpos] + 0.2
     pool.advance(target)
@@ -77,7 +77,7 @@ def test_states_can_be_handed_on() -> None:
     np.testing.assert_array_equal(pool.states(), other.states())
 
 
-def test_a_refused_reset_changes_nothing() -> None:
+def test_refused_resets_change_nothing() -> None:
     pool = SimulationPool(3)
     before = pool.states()
     with pytest.raises(ShapeError, match="qvel"):
@@ -85,7 +85,7 @@ def test_a_refused_reset_changes_nothing() -> None:
     np.testing.assert_array_equal(pool.states(), before)
 
 
-def test_bad_arguments_are_named() -> None:
+def test_invalid_arguments_are_named() -> None:
     with pytest.raises(ConfigurationError, match="0"):
         SimulationPool(0)
     with pytest.raises(ConfigurationError, match="-1"):
@@ -105,7 +105,7 @@ def test_each_part_gets_its_own_pushes() -> None:
 
 
 def _interrupt() -> None:
-    """Ctrl-C, as the main thread receives it."""
+    """Send Ctrl-C to the main thread."""
     signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)  # pyright: ignore
 
 
@@ -116,7 +116,7 @@ def _fail() -> None:
 @pytest.mark.parametrize(
     ("event", "error"), [(_interrupt, KeyboardInterrupt), (_fail, RuntimeError)]
 )
-def test_nothing_steps_on_after_an_error_or_an_interrupt(
+def test_no_thread_steps_on_after_an_error_or_interrupt(
     monkeypatch: pytest.MonkeyPatch, event, error: type[BaseException]
 ) -> None:
     pool = SimulationPool(4, num_threads=2)
@@ -151,8 +151,8 @@ def _step_in_child(pool: SimulationPool, target: np.ndarray, answer: Connection)
 
 @pytest.mark.parametrize("used", [False, True])
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_a_forked_process_is_told_at_once(used: bool) -> None:
-    """Without its threads a pool that has been stepped would wait forever."""
+def test_forked_processes_are_refused(used: bool) -> None:
+    """Without its threads a forked pool would wait forever."""
     pool = SimulationPool(2, num_threads=2)
     target = pool.snapshot().qpos[:, pool.indices.motor_qpos]
     if used:

@@ -12,17 +12,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from aslip.envs import BipedPhysics
 from aslip.files.assets import asset_path
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
-from aslip.sim import SimulationPool, Simulations
+from aslip.sim import Simulations
 from aslip.sim.sensors import (
     JOINT_VELOCITY_FILTER,
     MOTOR_VELOCITY_TAPS,
     Sensors,
 )
-from tests.helpers import motor_torque
 
 RATE = 1 / CASSIE.physics_timestep
 # radians of one count, at the joint: hip roll, hip yaw, hip pitch, knee, foot
@@ -36,7 +34,7 @@ def model() -> mujoco.MjModel:
 
 
 class Bench:
-    """Sensors of one robot whose encoders turn as they are told."""
+    """Sensors of one robot with prescribed joint angles."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self.sensors = Sensors(1, model)
@@ -84,7 +82,7 @@ MOTOR_FILTER = (MOTOR_VELOCITY_TAPS / np.pi, np.array([1.0]))
 
 
 def test_encoders_have_the_declared_resolution(model: mujoco.MjModel) -> None:
-    """A slow ramp of a motor is a staircase whose treads are that wide."""
+    """Readings of a slow ramp are a staircase of this resolution."""
     seen = Bench(model).run(lambda t: 0.5 + 1e-3 * t, 10)["motor_position"]
     errors = 0.5 + 1e-3 * CASSIE.physics_timestep * np.arange(len(seen))[:, None] - seen
     assert (errors >= 0).all()
@@ -92,7 +90,7 @@ def test_encoders_have_the_declared_resolution(model: mujoco.MjModel) -> None:
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
-def test_counts_are_cut_toward_zero(model: mujoco.MjModel, sign: float) -> None:
+def test_counts_are_truncated_toward_zero(model: mujoco.MjModel, sign: float) -> None:
     bench = Bench(model)
     seen = bench.run(lambda t: sign * (0.3 + 0.01 * t), 2)
     for name, steps in (("motor_position", MOTOR_STEPS), ("joint_position", JOINT_STEPS)):
@@ -105,7 +103,7 @@ def test_counts_are_cut_toward_zero(model: mujoco.MjModel, sign: float) -> None:
 
 
 @pytest.mark.parametrize("angle", [-1.0, -0.35007, 0.7003, 1.0])
-def test_the_resolution_is_that_of_the_bits(model: mujoco.MjModel, angle: float) -> None:
+def test_resolution_follows_from_the_bits(model: mujoco.MjModel, angle: float) -> None:
     seen = Bench(model).run(lambda t: angle, 1)
     for name, bits, gear in (
         ("motor_position", [13, 13, 13, 13, 18] * 2, CASSIE.gear),
@@ -119,7 +117,7 @@ def test_the_resolution_is_that_of_the_bits(model: mujoco.MjModel, angle: float)
 # ---------------------------------------------------------------------- filters
 
 
-def test_the_motor_filter_has_the_published_gain_and_delay() -> None:
+def test_motor_filter_has_the_published_gain_and_delay() -> None:
     gain = abs(_response(MOTOR_FILTER, 1e-3))
     assert gain == pytest.approx(0.9997, abs=1e-4)
     delay = -np.angle(_response(MOTOR_FILTER, 1.0)) / (2 * np.pi)
@@ -127,7 +125,7 @@ def test_the_motor_filter_has_the_published_gain_and_delay() -> None:
     assert abs(_response(MOTOR_FILTER, 200.0)) / gain == pytest.approx(0.96, abs=0.01)
 
 
-def test_the_joint_filter_has_the_published_gain_and_delay() -> None:
+def test_joint_filter_has_the_published_gain_and_delay() -> None:
     assert abs(_response(JOINT_VELOCITY_FILTER, 1e-3)) == pytest.approx(1.0019, abs=1e-4)
     delay = -np.angle(_response(JOINT_VELOCITY_FILTER, 1.0)) / (2 * np.pi)
     assert delay == pytest.approx(4.5e-3, abs=0.1e-3)
@@ -136,10 +134,8 @@ def test_the_joint_filter_has_the_published_gain_and_delay() -> None:
 
 
 @pytest.mark.parametrize("hertz", [2.0, 20.0, 50.0])
-def test_a_sine_comes_out_as_the_transfer_function_says(
-    model: mujoco.MjModel, hertz: float
-) -> None:
-    """To within what counting does: a count more or less, through the filter's largest gain."""
+def test_sine_response_equals_the_transfer_function(model: mujoco.MjModel, hertz: float) -> None:
+    """The tolerance is one count times the filter's largest gain."""
     amplitude, periods = 0.4, 30
     omega = 2 * np.pi * hertz
     bench = Bench(model)
@@ -161,8 +157,8 @@ def test_a_sine_comes_out_as_the_transfer_function_says(
         assert (worst < noise / (np.pi if coefficients is MOTOR_FILTER else 1.0)).all(), worst
 
 
-def test_a_step_of_angle_comes_out_as_the_difference_equations_say(model: mujoco.MjModel) -> None:
-    """Exactly, from the counted angles; packets hold every sixth of the motors' velocities."""
+def test_step_response_equals_the_difference_equations(model: mujoco.MjModel) -> None:
+    """Responses are exact; packets have every sixth velocity of the motors."""
     bench = Bench(model)
     bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = -0.2
     bench.reset()
@@ -184,10 +180,10 @@ def test_a_step_of_angle_comes_out_as_the_difference_equations_say(model: mujoco
     np.testing.assert_array_equal(seen["sent_motor_velocity"], seen["motor_velocity"][sent])
 
 
-def test_a_step_of_velocity_is_followed_without_overshoot_of_the_joint_filter(
+def test_joint_filter_follows_a_velocity_step_without_overshoot(
     model: mujoco.MjModel,
 ) -> None:
-    """From rest to 2 rad/s: still nothing at the first sample, all of it after 30 ms."""
+    """From rest to 2 rad/s: zero at the first sample, 2 rad/s after 30 ms."""
     bench = Bench(model)
     bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = 0.0
     bench.reset()
@@ -202,8 +198,8 @@ def test_a_step_of_velocity_is_followed_without_overshoot_of_the_joint_filter(
 # ------------------------------------------------------------------------ resets
 
 
-def test_a_reset_in_motion_starts_settled(model: mujoco.MjModel) -> None:
-    """As if the joints had always turned so: no transient, and nothing of what was before."""
+def test_filters_are_settled_after_a_reset_in_motion(model: mujoco.MjModel) -> None:
+    """There is no transient, as if the joints had always moved at this velocity."""
     bench = Bench(model)
     bench.run(lambda t: 1.0 - 40.0 * t, 1)  # something to forget
     speed = 3.0
@@ -224,8 +220,8 @@ def test_a_reset_in_motion_starts_settled(model: mujoco.MjModel) -> None:
 
 
 @pytest.mark.parametrize("angle", [-0.3501, 0.7003, 1.2345])
-def test_a_reset_at_rest_sends_no_velocity(model: mujoco.MjModel, angle: float) -> None:
-    """Not even that of the part of a count by which an angle is cut."""
+def test_velocities_are_zero_after_a_reset_at_rest(model: mujoco.MjModel, angle: float) -> None:
+    """The truncation of an angle causes no velocity."""
     bench = Bench(model)
     bench.run(lambda t: 1.0 - 40.0 * t, 1)  # something to forget
     bench.qpos[0, bench.indices.motor_qpos] = bench.qpos[0, bench.indices.joint_qpos] = angle
@@ -240,7 +236,7 @@ def test_a_reset_at_rest_sends_no_velocity(model: mujoco.MjModel, angle: float) 
 
 @pytest.fixture(scope="module")
 def with_accelerometer() -> mujoco.MjModel:
-    """The robot with MuJoCo's own accelerometer at the IMU."""
+    """Model with MuJoCo's accelerometer at the IMU."""
     spec = mujoco.MjSpec.from_file(str(asset_path("cassie.xml")))
     sensor = spec.add_sensor()
     sensor.name, sensor.type = "accelerometer", mujoco.mjtSensor.mjSENS_ACCELEROMETER
@@ -248,8 +244,8 @@ def with_accelerometer() -> mujoco.MjModel:
     return spec.compile()
 
 
-def test_the_imu_equals_mujocos(with_accelerometer: mujoco.MjModel) -> None:
-    """Every packet, while the robot is thrown about by random targets."""
+def test_imu_equals_mujocos_sensors(with_accelerometer: mujoco.MjModel) -> None:
+    """All packets of a motion with random targets."""
     model = with_accelerometer
     simulations = Simulations(2, model=model, num_threads=1)
     states: list[dict[str, np.ndarray]] = []
@@ -286,8 +282,10 @@ def test_the_imu_equals_mujocos(with_accelerometer: mujoco.MjModel) -> None:
     assert np.abs(mean).max() > 10
 
 
-def test_the_first_packets_have_the_force_at_the_reset(with_accelerometer: mujoco.MjModel) -> None:
-    """MuJoCo's own at that state, the pelvis turned and turning."""
+def test_first_packets_have_the_force_at_the_reset(
+    with_accelerometer: mujoco.MjModel,
+) -> None:
+    """The pelvis is tilted and has an angular velocity."""
     simulations = Simulations(2, model=with_accelerometer, num_threads=1)
     rng = np.random.default_rng(1)
     qpos = np.stack([with_accelerometer.key("standing").qpos] * 2)
@@ -299,124 +297,3 @@ def test_the_first_packets_have_the_force_at_the_reset(with_accelerometer: mujoc
     assert np.abs(expected).max() > 1
     sent = simulations.sensors.packets()["accelerometer"]
     np.testing.assert_allclose(sent, np.repeat(expected, CASSIE.sensor_window, axis=1), atol=1e-9)
-
-
-# ------------------------------------------------------------- many, and again
-
-
-def _targets(pool: SimulationPool, rng: np.random.Generator) -> np.ndarray:
-    standing = pool.model.key("standing").qpos[pool.indices.motor_qpos]
-    return standing + rng.normal(0, 0.3, (pool.num, 10))
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_packets_do_not_depend_on_how_robots_are_shared_out(threads: int) -> None:
-    num, rng = 70, np.random.default_rng(2)
-    pool, whole = SimulationPool(num, num_threads=threads), Simulations(num, num_threads=1)
-    for step in range(3):
-        targets = _targets(pool, rng)
-        pool.advance(targets)
-        whole.advance(targets)
-        if step == 1:
-            ids = np.array([0, 33, 64])
-            for simulations in (pool, whole):
-                simulations.reset(ids)
-        for name, window in pool.packets().items():
-            np.testing.assert_array_equal(window, whole.sensors.packets()[name], err_msg=name)
-
-
-def test_torque_is_commanded_from_the_state_one_substep_before() -> None:
-    """The first from the reading at the reset, 0.5 ms before it; each later one a substep late."""
-    simulations = Simulations(1, num_threads=1)
-    states: list[np.ndarray] = []
-    torques: list[np.ndarray] = []
-    original = simulations._step
-
-    def step(failed: np.ndarray, stage: int) -> None:
-        states.append(simulations.qpos[0, simulations.indices.motor_qpos].copy())
-        torques.append(simulations.batch.bind("ctrl")[0].copy())
-        original(failed, stage)
-
-    simulations._step = step
-    standing = simulations.qpos[:, simulations.indices.motor_qpos].copy()
-    target = standing + np.random.default_rng(7).normal(0, 0.3, (1, 10))
-    simulations.advance(target)
-    step_size = 2 * np.pi / 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / CASSIE.gear
-    counts = np.trunc(np.array(states) / step_size)
-    # the robot has always stood there
-    counts = np.concatenate([np.repeat(counts[:1], len(MOTOR_VELOCITY_TAPS), axis=0), counts])
-    velocity = lfilter(MOTOR_VELOCITY_TAPS / np.pi, 1.0, counts, axis=0) * step_size
-    last = slice(len(MOTOR_VELOCITY_TAPS) - 1, -1)
-    expected = motor_torque(target, counts[last] * step_size, velocity[last])
-    np.testing.assert_allclose(torques, expected, atol=1e-9)
-    assert np.ptp(torques, axis=0).max() > 0.1
-
-
-def test_a_reset_leaves_nothing_in_the_packets() -> None:
-    used, fresh = SimulationPool(2), SimulationPool(2)
-    rng = np.random.default_rng(8)
-    for _ in range(3):
-        used.advance(_targets(used, rng))
-    used.reset(np.arange(2))
-    for _ in range(2):
-        for name, window in used.packets().items():
-            np.testing.assert_array_equal(window, fresh.packets()[name], err_msg=name)
-        targets = _targets(used, rng)
-        used.advance(targets)
-        fresh.advance(targets)
-
-
-def test_both_backends_send_the_same_packets() -> None:
-    physics, pool = BipedPhysics.load(), SimulationPool(1)
-    rng = np.random.default_rng(3)
-    for _ in range(4):
-        target = _targets(pool, rng)
-        physics.set_control(target[0])
-        physics.step(CASSIE.substeps)
-        pool.advance(target)
-        for name, window in physics.packets().items():
-            np.testing.assert_array_equal(window, pool.packets()[name][0], err_msg=name)
-
-
-def test_a_saved_state_resumes_with_its_sensors() -> None:
-    pool, other = SimulationPool(3), SimulationPool(3)
-    rng = np.random.default_rng(4)
-    for _ in range(3):
-        pool.advance(_targets(pool, rng))
-    saved, after = pool.states(), _targets(pool, rng)
-    pool.advance(after)
-    other.advance(_targets(other, rng))
-    other.set_states(saved)
-    other.advance(after)
-    np.testing.assert_array_equal(pool.states(), other.states())
-    for name, window in pool.packets().items():
-        np.testing.assert_array_equal(window, other.packets()[name], err_msg=name)
-
-
-def test_a_copied_physics_has_its_own_sensors() -> None:
-    physics, rng = BipedPhysics.load(), np.random.default_rng(5)
-    standing = physics.motor_position()
-    physics.set_control(standing + rng.normal(0, 0.3, 10))
-    physics.step(CASSIE.substeps + 7)
-    twin = physics.copy()
-    for robot in (physics, twin):
-        robot.step(CASSIE.substeps)
-    for name, window in physics.packets().items():
-        np.testing.assert_array_equal(window, twin.packets()[name], err_msg=name)
-    np.testing.assert_array_equal(physics.data.qpos, twin.data.qpos)
-
-
-def test_a_diverged_robot_does_not_touch_the_others_sensors() -> None:
-    pool, sane = SimulationPool(4), SimulationPool(4)
-    rng = np.random.default_rng(6)
-    for step in range(3):
-        targets = _targets(pool, rng)
-        sane.advance(targets)
-        if step == 1:
-            targets[2, 0] = np.nan
-        pool.advance(targets)
-        for name, window in pool.packets().items():
-            assert np.isfinite(window).all(), name
-            rows = [0, 1, 3]
-            np.testing.assert_array_equal(window[rows], sane.packets()[name][rows], err_msg=name)
-    assert pool.divergences == 1

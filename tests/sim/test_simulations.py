@@ -1,11 +1,10 @@
-"""N simulations equal a naive loop, and none of them can hurt another."""
+"""N simulations equal a naive loop and do not affect each other."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -17,31 +16,13 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model, physics_timesteps
 from aslip.sim import Simulations
 from tests.helpers import motor_torque
+from tests.sim.batches import arrays, assert_rows_equal, random_targets
 
 WEIGHT = CASSIE.total_mass * 9.81
 
 
-def _targets(num: int, steps: int, seed: int = 0) -> np.ndarray:
-    """(steps, num, 10) targets around the standing pose."""
-    model = load_model()
-    standing = model.key("standing").qpos[CASSIE.indices.motor_qpos]
-    noise = np.random.default_rng(seed).uniform(-0.4, 0.4, (steps, num, 10))
-    return standing + noise
-
-
-def _arrays(simulations: Simulations) -> dict[str, np.ndarray]:
-    snapshot = simulations.snapshot()
-    return {name: np.array(value) for name, value in vars(snapshot).items()}
-
-
-def _assert_rows_equal(a: Simulations, b: Simulations, rows: list[int]) -> None:
-    left, right = _arrays(a), _arrays(b)
-    for name in left:
-        np.testing.assert_array_equal(left[name][rows], right[name][rows], err_msg=name)
-
-
 class NaiveLoop:
-    """One robot in the plainest way, motor encoders and their velocity filter included."""
+    """Loop over `mj_step` for one robot, with motor encoders and their velocity filter."""
 
     TAPS = (2727, 534, -2658, -795, 72, 110, 19, -6, -3)
     COUNTS = 2.0 ** np.array([13, 13, 13, 13, 18] * 2) / (2 * np.pi)
@@ -100,10 +81,10 @@ class NaiveLoop:
 
 
 @pytest.mark.parametrize("timestep", physics_timesteps())
-def test_equals_a_loop_over_mj_step_bit_for_bit(timestep: float) -> None:
-    """Also where some simulations restart in between, at the keyframe or elsewhere."""
+def test_simulations_equal_a_loop_over_mj_step_bit_for_bit(timestep: float) -> None:
+    """Some simulations are reset in between, to standing or another state."""
     num, steps = 3, 12
-    targets = _targets(num, steps)
+    targets = random_targets(num, steps)
     model = load_model(visual=False, timestep=timestep)
     simulations = Simulations(num, model=model, num_threads=1)
     loops = [NaiveLoop(timestep) for _ in range(num)]
@@ -137,7 +118,7 @@ def test_equals_a_loop_over_mj_step_bit_for_bit(timestep: float) -> None:
         np.testing.assert_array_equal(snapshot.qacc[i], acceleration)
 
 
-def test_half_as_many_physics_steps_find_nearly_the_same_motion() -> None:
+def test_half_as_many_physics_steps_give_nearly_the_same_motion() -> None:
     """A quarter of a second from standing, landing and falling, sensors included."""
     model = load_model(visual=False, timestep=physics_timesteps()[1])
     fine, coarse = Simulations(3, num_threads=1), Simulations(3, model=model, num_threads=1)
@@ -145,7 +126,7 @@ def test_half_as_many_physics_steps_find_nearly_the_same_motion() -> None:
     start[:, 2] += [0.0, 0.02, 1.0]
     for simulations in (fine, coarse):
         simulations.reset(np.arange(3), start)
-    for target in _targets(3, 1).repeat(8, 0):
+    for target in random_targets(3, 1).repeat(8, 0):
         fine.advance(target)
         coarse.advance(target)
         np.testing.assert_allclose(fine.qpos, coarse.qpos, rtol=0, atol=0.005)
@@ -173,14 +154,14 @@ def test_physics_steps_are_one_or_two_periods_of_the_motors_loop() -> None:
 
 def test_results_do_not_depend_on_the_number_of_threads() -> None:
     one, many = Simulations(5, num_threads=1), Simulations(5, num_threads=2)
-    for target in _targets(5, 6):
+    for target in random_targets(5, 6):
         one.advance(target)
         many.advance(target)
-    _assert_rows_equal(one, many, list(range(5)))
+    assert_rows_equal(one, many, list(range(5)))
 
 
 def test_results_do_not_depend_on_the_number_of_simulations() -> None:
-    targets = _targets(4, 5)
+    targets = random_targets(4, 5)
     many, single = Simulations(4, num_threads=1), Simulations(1, num_threads=1)
     for target in targets:
         many.advance(target)
@@ -203,8 +184,8 @@ def test_torque_acts_after_exactly_six_substeps() -> None:
     np.testing.assert_array_equal(forces[6:], [command] * 3)
 
 
-def test_the_delay_is_in_the_batched_simulations_too() -> None:
-    """A push of the target in the last six substeps of a period acts in the next one."""
+def test_batched_simulations_have_the_delay() -> None:
+    """Targets of the last six substeps of a period act in the next one."""
     simulations = Simulations(1, num_threads=1)
     force = simulations.batch.bind("actuator_force")
     seen: list[np.ndarray] = []
@@ -215,7 +196,7 @@ def test_the_delay_is_in_the_batched_simulations_too() -> None:
         seen.append(force[0].copy())
 
     simulations.batch.step = step
-    target = _targets(1, 1)[0]
+    target = random_targets(1, 1)[0]
     expected = motor_torque(
         target[0], simulations.sensors.motor_position[0], simulations.sensors.motor_velocity[0]
     )
@@ -228,38 +209,38 @@ def test_the_delay_is_in_the_batched_simulations_too() -> None:
 # -------------------------------------------------------------- resets
 
 
-def test_a_reset_forgets_everything() -> None:
-    """Delay line, warm start, time: what follows a reset equals a fresh object's."""
+def test_reset_clears_all_memory() -> None:
+    """A reset simulation equals a new one in delayed commands, warm start and time."""
     used, fresh = Simulations(2, num_threads=1), Simulations(2, num_threads=1)
-    for target in _targets(2, 5, seed=3):
+    for target in random_targets(2, 5, seed=3):
         used.advance(target)
     used.reset(np.arange(2))
-    _assert_rows_equal(used, fresh, [0, 1])
+    assert_rows_equal(used, fresh, [0, 1])
     for name in ("time", "qacc_warmstart"):
         assert (used.batch.bind(name) == 0).all()
     np.testing.assert_array_equal(used.states(), fresh.states())
-    for target in _targets(2, 5, seed=4):
+    for target in random_targets(2, 5, seed=4):
         used.advance(target)
         fresh.advance(target)
-        _assert_rows_equal(used, fresh, [0, 1])
+        assert_rows_equal(used, fresh, [0, 1])
 
 
-def test_a_reset_of_some_leaves_the_others_alone() -> None:
+def test_reset_does_not_affect_other_simulations() -> None:
     touched, untouched = Simulations(3, num_threads=1), Simulations(3, num_threads=1)
-    for k, target in enumerate(_targets(3, 6)):
+    for k, target in enumerate(random_targets(3, 6)):
         if k == 3:
-            before = _arrays(touched)
+            before = arrays(touched)
             touched.reset(np.array([1]))
-            after = _arrays(touched)
+            after = arrays(touched)
             for name in before:
                 np.testing.assert_array_equal(before[name][[0, 2]], after[name][[0, 2]])
                 assert not np.array_equal(before[name][1], after[name][1]), name
         touched.advance(target)
         untouched.advance(target)
-    _assert_rows_equal(touched, untouched, [0, 2])
+    assert_rows_equal(touched, untouched, [0, 2])
 
 
-def test_a_reset_to_a_state_shows_it() -> None:
+def test_snapshot_shows_the_state_of_a_reset() -> None:
     simulations = Simulations(3, num_threads=1)
     qpos = np.stack([simulations.model.key("standing").qpos] * 2)
     qpos[:, 0], qpos[:, 2] = [1.0, 2.0], [1.5, 1.6]
@@ -277,137 +258,52 @@ def test_a_reset_to_a_state_shows_it() -> None:
     )
 
 
-def test_a_reset_of_none_does_nothing() -> None:
+def test_reset_of_no_simulation_does_nothing() -> None:
     simulations = Simulations(1, num_threads=1)
-    simulations.advance(_targets(1, 1)[0])
-    before = _arrays(simulations)
+    simulations.advance(random_targets(1, 1)[0])
+    before = arrays(simulations)
     simulations.reset(np.array([], dtype=int))
-    after = _arrays(simulations)
+    after = arrays(simulations)
     for name in before:
         np.testing.assert_array_equal(before[name], after[name])
-
-
-# ---------------------------------------------------------- divergence
-
-Break = Callable[[Simulations, np.ndarray], None]
-
-
-def _nan_target(simulations: Simulations, target: np.ndarray) -> None:
-    target[1, 3] = np.nan
-
-
-def _infinite_position(simulations: Simulations, target: np.ndarray) -> None:
-    simulations.batch.bind("qpos")[1, 9] = np.inf
-
-
-def _nan_velocity(simulations: Simulations, target: np.ndarray) -> None:
-    simulations.batch.bind("qvel")[1, 4] = np.nan
-
-
-def _huge_velocity(simulations: Simulations, target: np.ndarray) -> None:
-    simulations.batch.bind("qvel")[1, 8] = 1e12
-
-
-def _mujoco_error(simulations: Simulations, target: np.ndarray) -> None:
-    """In the tenth substep MuJoCo raises an error in one simulation."""
-    kinds = simulations.batch.expand("eq_type")
-    original, calls = simulations.batch.step, [0]
-
-    def step(*args: Any, **kwargs: Any) -> None:
-        calls[0] += 1
-        kinds[1, 0] = 99 if calls[0] == 10 else 0
-        try:
-            original(*args, **kwargs)
-        finally:
-            kinds[1, 0] = 0
-
-    simulations.batch.step = step
-
-
-BREAKS: list[Break] = [
-    _nan_target,
-    _infinite_position,
-    _nan_velocity,
-    _huge_velocity,
-    _mujoco_error,
-]
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-@pytest.mark.parametrize("damage", BREAKS, ids=lambda f: f.__name__.strip("_"))
-def test_a_diverging_simulation_falls_alone(damage: Break) -> None:
-    """It is reported, counted and put back on its feet; the others do not notice."""
-    broken, whole = Simulations(3, num_threads=1), Simulations(3, num_threads=1)
-    targets = _targets(3, 6)
-    for target in targets[:2]:
-        broken.advance(target)
-        whole.advance(target)
-    target = targets[2].copy()
-    damage(broken, target)
-    assert broken.advance(target).tolist() == [False, True, False]
-    assert not whole.advance(targets[2]).any()
-    assert (broken.divergences, whole.divergences) == (1, 0)
-    _assert_rows_equal(broken, whole, [0, 2])
-
-    fresh = Simulations(3, num_threads=1)
-    _assert_rows_equal(broken, fresh, [1])
-
-    # all three go on, the one restarted as a fresh one does
-    if damage is _mujoco_error:
-        del broken.batch.step
-    for target in targets[3:]:
-        assert not broken.advance(target).any()
-        whole.advance(target)
-        fresh.advance(target)
-    _assert_rows_equal(broken, whole, [0, 2])
-    _assert_rows_equal(broken, fresh, [1])
-    assert broken.divergences == 1
-
-
-def test_all_may_diverge_at_once() -> None:
-    simulations = Simulations(2, num_threads=1)
-    assert simulations.advance(np.full((2, 10), np.nan)).all()
-    assert simulations.divergences == 2
-    standing = simulations.model.key("standing").qpos
-    np.testing.assert_array_equal(simulations.snapshot().qpos, [standing] * 2)
 
 
 # -------------------------------------------------------------- misuse
 
 
 @pytest.mark.parametrize("num", [0, -1, 1.5, "2", None])
-def test_a_number_of_simulations_that_is_none_is_refused(num: Any) -> None:
+def test_invalid_numbers_of_simulations_are_refused(num: Any) -> None:
     with pytest.raises(ConfigurationError, match="number of simulations"):
         Simulations(num)
 
 
 @pytest.mark.parametrize("threads", [-1, 1.5, "2"])
-def test_a_number_of_threads_that_is_none_is_refused(threads: Any) -> None:
+def test_invalid_numbers_of_threads_are_refused(threads: Any) -> None:
     with pytest.raises(ConfigurationError, match="num_threads"):
         Simulations(1, num_threads=threads)
 
 
 @pytest.mark.parametrize("shape", [(10,), (1, 10), (2, 9), (2, 10, 1)])
-def test_targets_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+def test_targets_of_wrong_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ShapeError, match=r"motor_target must have shape \(2, 10\)"):
         Simulations(2, num_threads=1).advance(np.zeros(shape))
 
 
 @pytest.mark.parametrize(("name", "size"), [("qpos", 34), ("qpos", 36), ("qvel", 35)])
-def test_states_of_another_shape_are_refused(name: str, size: int) -> None:
+def test_initial_states_of_wrong_shape_are_refused(name: str, size: int) -> None:
     simulations = Simulations(2, num_threads=1)
     with pytest.raises(ShapeError, match=name):
         simulations.reset(np.array([0]), **{name: np.zeros((1, size))})
 
 
-def test_a_refused_reset_changes_nothing() -> None:
-    """An error must not leave a simulation half reset."""
+def test_refused_resets_change_nothing() -> None:
+    """All arguments are checked before the first change."""
     simulations = Simulations(1, num_threads=1)
-    simulations.advance(_targets(1, 1)[0])
-    before = _arrays(simulations)
+    simulations.advance(random_targets(1, 1)[0])
+    before = arrays(simulations)
     with pytest.raises(ShapeError):
         simulations.reset(np.array([0]), np.zeros((1, 35)), np.zeros((1, 31)))
-    after = _arrays(simulations)
+    after = arrays(simulations)
     for name in before:
         np.testing.assert_array_equal(before[name], after[name])
 
@@ -439,7 +335,7 @@ def test_mean_ground_force_is_weight_plus_change_of_momentum() -> None:
     np.testing.assert_allclose(impulse, gained, atol=0.01 * WEIGHT * steps * CASSIE.policy_period)
 
 
-def test_a_falling_robots_imu_feels_nothing_with_coarse_steps_either() -> None:
+def test_imu_measures_free_fall_with_coarse_steps() -> None:
     model = load_model(visual=False, timestep=physics_timesteps()[1])
     coarse = Simulations(1, model=model, num_threads=1)
     start = coarse.qpos.copy()

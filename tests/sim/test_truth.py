@@ -32,7 +32,7 @@ def simulations() -> Simulations:
 
 
 def _random_states(simulations: Simulations, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A robot in the air that turns and moves in all directions."""
+    """Robot in the air that rotates and moves in all directions."""
     rng = np.random.default_rng(seed)
     qpos = np.stack([simulations.model.key("standing").qpos] * 2)
     qpos[:, 2] = 3.0
@@ -89,8 +89,8 @@ def test_foot_velocity_is_the_rate_of_foot_position(simulations: Simulations) ->
         np.testing.assert_allclose(moved / step, truths[0][f"{foot}_velocity"], atol=1e-4)
 
 
-def test_a_falling_robot_accelerates_with_gravity(simulations: Simulations) -> None:
-    """In free fall, joints at rest, the acceleration is gravity's, seen from the pelvis."""
+def test_acceleration_in_free_fall_is_gravity(simulations: Simulations) -> None:
+    """With joints at rest, in the pelvis frame."""
     qpos, _ = _random_states(simulations, 2)
     simulations.reset(np.arange(2), qpos)
     truth = true_state(simulations.snapshot(), simulations.indices)
@@ -98,8 +98,8 @@ def test_a_falling_robot_accelerates_with_gravity(simulations: Simulations) -> N
     np.testing.assert_allclose(truth["pelvis_acceleration"], gravity, atol=1e-6)
 
 
-def test_a_robot_at_rest_does_not_accelerate() -> None:
-    """Gravity does not show in the acceleration, whichever way the robot is turned."""
+def test_acceleration_at_rest_is_zero() -> None:
+    """At any attitude the acceleration has no gravity."""
     indices = CASSIE.indices
     quaternions = _random_quaternions(5)
     sensors = np.zeros((5, 19))
@@ -112,7 +112,7 @@ def test_a_robot_at_rest_does_not_accelerate() -> None:
     np.testing.assert_allclose(truth["pelvis_acceleration"], 0.0, atol=1e-14)
 
 
-def test_one_robot_and_many_have_the_same_truth(simulations: Simulations) -> None:
+def test_true_state_takes_any_leading_shape(simulations: Simulations) -> None:
     qpos, qvel = _random_states(simulations, 3)
     simulations.reset(np.arange(2), qpos, qvel)
     many = simulations.snapshot()

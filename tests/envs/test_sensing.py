@@ -1,4 +1,4 @@
-"""The policy never sees the truth, and rewards can do without it."""
+"""Observations, and rewards if asked, do not depend on the true state."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from aslip.transforms import (
 )
 from tests.helpers import MakeEnv
 
-# what ends episodes and rewards robots may look at the truth
+# transforms that may read the true state
 JUDGES = ["low_reward", "fall", "step_limit"]
 
 
 class Liar(SeededTransform):
-    """Puts nonsense in the place of all that is true, but for the heading that a robot is told."""
+    """Replace all true quantities by NaN, except the heading that the estimator starts with."""
 
     def __init__(self) -> None:
         groups: list[NestedKey] = ["truth", "true_odometry"]
@@ -43,7 +43,7 @@ class Liar(SeededTransform):
 
 
 def _walk(env: StackEnv, steps: int = 40) -> list[TensorDictBase]:
-    """The same actions in the same robots, one of which is reset in between."""
+    """Walk with fixed random actions; one robot is reset in between."""
     generator = torch.Generator().manual_seed(0)
     td = cast("TensorDictBase", env.reset())
     seen = [td.clone()]
@@ -64,8 +64,8 @@ def _envs(make: MakeEnv, library: GaitLibrary, **edit: object) -> list[StackEnv]
     return [make(stack=stack, **settings), make(stack=lying, **settings)]
 
 
-def test_nothing_true_reaches_the_observation(make: MakeEnv, library: GaitLibrary) -> None:
-    """With NaN for everything under `truth` the policy's input is the same, bit for bit."""
+def test_observation_does_not_depend_on_the_true_state(make: MakeEnv, library: GaitLibrary) -> None:
+    """Observations are bit-equal if all entries under `truth` are NaN."""
     honest, lied_to = (_walk(env) for env in _envs(make, library))
     for ours, theirs in zip(honest, lied_to, strict=True):
         assert not torch.isfinite(theirs["truth", "qpos"]).any()
@@ -73,15 +73,15 @@ def test_nothing_true_reaches_the_observation(make: MakeEnv, library: GaitLibrar
         assert torch.isfinite(ours["observation"]).all()
 
 
-def test_the_lie_would_be_noticed(make: MakeEnv, library: GaitLibrary) -> None:
-    """With the truth in place of the estimate it does reach the observation."""
+def test_observation_on_true_state_depends_on_it(make: MakeEnv, library: GaitLibrary) -> None:
+    """With `TrueState` the NaN of `Liar` reach the observation."""
     edit = {"replace": {"estimator": TrueState}}
     honest, lied_to = (_walk(env, 1) for env in _envs(make, library, **edit))
     assert torch.isfinite(honest[0]["observation"]).all()
     assert torch.isnan(lied_to[0]["observation"]).any()
 
 
-def test_the_observation_is_its_table_entry_by_entry(make: MakeEnv) -> None:
+def test_observation_equals_its_table_entry_by_entry(make: MakeEnv) -> None:
     env = make(num_envs=2, seed=1)
     td = env.rollout(3)[:, -1]["next"]
     assert {key[0] for key in OBSERVATION_TABLE} == {"estimate", "reference"}
@@ -93,7 +93,7 @@ def test_the_observation_is_its_table_entry_by_entry(make: MakeEnv) -> None:
     assert row == td["observation"].shape[-1] == 64
 
 
-def test_sensors_and_estimator_are_the_default(make: MakeEnv) -> None:
+def test_default_stack_has_noise_and_estimator(make: MakeEnv) -> None:
     env = make()
     kinds = dict(zip(env.transform_names, map(type, env.transforms), strict=True))
     assert kinds["noise"] is ObservationNoise
@@ -104,7 +104,7 @@ def test_sensors_and_estimator_are_the_default(make: MakeEnv) -> None:
 # ----------------------------------------------------------------------- estimates
 
 
-def test_a_reset_starts_that_robots_estimate_afresh_and_no_others(make: MakeEnv) -> None:
+def test_reset_restarts_the_estimate_of_its_robot_only(make: MakeEnv) -> None:
     envs = [make(num_envs=3, seed=2, drop=JUDGES) for _ in range(2)]
     td = [cast("TensorDictBase", env.reset()) for env in envs]
     for step in range(12):
@@ -123,8 +123,8 @@ def test_a_reset_starts_that_robots_estimate_afresh_and_no_others(make: MakeEnv)
     assert not torch.equal(td[0]["observation"][1], td[1]["observation"][1])
 
 
-def test_a_walking_robot_knows_how_it_moves(make: MakeEnv) -> None:
-    """The shipped policy with noisy sensors, after half a second."""
+def test_estimates_of_a_noisy_walk_are_close_to_the_truth(make: MakeEnv) -> None:
+    """After half a second of the shipped policy with noisy sensors."""
     env = make(num_envs=4, seed=0, drop=JUDGES)
     policy = aslip.load_policy("aslip")
     speeds = torch.tensor([[0.0], [0.5], [1.0], [2.0]])
@@ -146,9 +146,9 @@ def test_a_walking_robot_knows_how_it_moves(make: MakeEnv) -> None:
             assert (error.abs() < most).all(), name
 
 
-def test_a_broken_sensor_of_one_robot_is_told_and_touches_no_other(make: MakeEnv) -> None:
+def test_broken_sensor_is_reported_and_affects_one_robot_only(make: MakeEnv) -> None:
     class Broken(SeededTransform):
-        """A NaN from one encoder of robot 1."""
+        """Put a NaN into one encoder of robot 1."""
 
         def __init__(self) -> None:
             super().__init__(in_keys=[("sensors", "joint_position")], out_keys=[])
@@ -172,30 +172,30 @@ def test_a_broken_sensor_of_one_robot_is_told_and_touches_no_other(make: MakeEnv
 # ------------------------------------------------------------------------- rewards
 
 
-def test_rewards_can_be_given_on_the_estimate(make: MakeEnv, library: GaitLibrary) -> None:
-    """Then they are those of the truth but for the estimator's errors, and never look at it."""
+def test_rewards_on_the_estimate_need_no_true_state(make: MakeEnv, library: GaitLibrary) -> None:
+    """They equal the rewards on the truth up to the estimator's errors."""
     envs = [make(num_envs=3, seed=4, drop=JUDGES, reward_on=on) for on in ("truth", "estimate")]
     check_env_specs(envs[1])
     envs[1] = make(num_envs=3, seed=4, drop=JUDGES, reward_on="estimate")
     policy = aslip.load_policy("aslip")
     with torch.no_grad():
         walks = [env.rollout(40, policy, break_when_any_done=False) for env in envs]
-    seen, believed = (walk["next", "reward"][:, 15:] for walk in walks)
-    assert (seen - believed).abs().mean() < 0.02
-    assert not torch.equal(seen, believed)
+    seen, estimated = (walk["next", "reward"][:, 15:] for walk in walks)
+    assert (seen - estimated).abs().mean() < 0.02
+    assert not torch.equal(seen, estimated)
     lying = insert_before(default_stack(library, "estimate"), "noise", liar=Liar)
     lied_to = make(stack=lying, num_envs=3, seed=4, drop=[*JUDGES, "reward", "episode_sum"])
-    # a robot that diverged earns nothing: that, too, is the truth
+    # the sum is left out: it reads whether the simulation diverged
     terms = lied_to.rollout(2, break_when_any_done=False)["next", "reward_terms"]
     assert all(torch.isfinite(term).all() for term in terms.values())
 
 
-def test_rewards_on_anything_else_are_refused(make: MakeEnv) -> None:
+def test_rewards_on_other_sources_are_refused(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"'sensors'.*truth.*estimate|truth.*'sensors'"):
         make(reward_on="sensors")
 
 
-def test_feet_are_on_the_ground_and_contact_is_the_loaded_foots(make: MakeEnv) -> None:
+def test_estimated_feet_and_contacts_agree_with_the_truth(make: MakeEnv) -> None:
     env = make(num_envs=4, seed=0, drop=["noise", "low_reward", "fall", "step_limit"])
     policy = aslip.load_policy("aslip")
     td = env.reset()
