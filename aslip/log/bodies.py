@@ -1,4 +1,4 @@
-"""The robot as viewers see it: poses of its bodies, joints, and a description of its shapes."""
+"""Robot for viewers: poses of its bodies, states of its joints, and its shapes as a URDF."""
 
 from __future__ import annotations
 
@@ -10,20 +10,25 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, Robot
 from aslip.robot.model import APPEARANCE_GROUP, geom_color
 from aslip.show.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
 
 
 class LoggedKinematics:
-    """Poses of all bodies and states of the logged joints, from `qpos`, `qvel` and torques."""
+    """Poses of all bodies and states of the logged joints, from `qpos`, `qvel` and torques.
 
-    def __init__(self, model: mujoco.MjModel) -> None:
+    Args:
+        model: compiled model of the robot.
+        robot: names of the motors.
+    """
+
+    def __init__(self, model: mujoco.MjModel, robot: Robot = CASSIE) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._xpos, self._xquat = self._data.xpos[1:], self._data.xquat[1:]
         self.bodies = [model.body(i).name for i in range(1, model.nbody)]
         joints = [model.joint(name) for name in LOGGED_JOINTS]
-        passive = joints[len(CASSIE.motor_names) :]
+        passive = joints[len(robot.motor_names) :]
         qpos = np.array([joint.qposadr[0] for joint in joints])
         qvel = np.array([joint.dofadr[0] for joint in joints])
         motors = np.arange(model.nu)
@@ -38,7 +43,7 @@ class LoggedKinematics:
         self._stiffness, self._damping = self._springs * [[stiffness], [damping]]
 
     def poses(self, qpos: np.ndarray, out: np.ndarray) -> None:
-        """Write positions [m] and quaternions (xyzw) of all bodies but the world to (b, 7)."""
+        """Write positions [m] and quaternions (xyzw) of all bodies except the world to (b, 7)."""
         self._data.qpos[:] = qpos
         mujoco.mj_kinematics(self._model, self._data)
         out[:, :3], out[:, 3:6], out[:, 6] = self._xpos, self._xquat[:, 1:], self._xquat[:, 0]
@@ -60,22 +65,23 @@ class LoggedKinematics:
         return np.concatenate([values, effort], axis=-1)
 
 
-# feet larger than the model's, since nothing is drawn between them and the body
+# feet are larger than in pictures, because no legs are drawn
 _ROM_RADII = (BODY_RADIUS, 0.03, 0.03)
 _ROM_COLORS = (BODY_COLOR, *LEG_COLORS.values())
 _ROM_OPACITY = 0.7
 
 
-def robot_description(model: mujoco.MjModel, poses: np.ndarray) -> str:
+def robot_description(model: mujoco.MjModel, poses: np.ndarray, name: str = CASSIE.name) -> str:
     """URDF of the robot and of the reduced-order model's body and feet.
 
     Args:
-        model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
-        poses: (b, 7) positions [m] and quaternions (xyzw) of the model's bodies but the world,
-            then of `ROM_FRAMES`, at the log's first instant. Viewers that take a joint's origin
-            for a transform of its own show it beside the first one of `/tf`.
+        model: robot with its visible geoms, `aslip.robot.model.load_model()`.
+        poses: (b, 7) positions [m] and quaternions (xyzw) of the model's bodies without the world,
+            then of `ROM_FRAMES`, at the first instant of the log. They are the origins of the
+            joints, so that viewers that use these as transforms agree with the first `/tf`.
+        name: name of the robot.
     """
-    robot = ET.Element("robot", name="cassie")
+    robot = ET.Element("robot", name=name)
     ET.SubElement(robot, "link", name=WORLD_FRAME)
     for body in range(1, model.nbody):
         link = _link(robot, model.body(body).name, poses[body - 1])
@@ -83,10 +89,10 @@ def robot_description(model: mujoco.MjModel, poses: np.ndarray) -> str:
             if model.geom_group[geom] == APPEARANCE_GROUP:
                 _geom(link, model, geom)
     frames = zip(ROM_FRAMES, poses[model.nbody - 1 :], _ROM_RADII, _ROM_COLORS, strict=True)
-    for name, pose, radius, color in frames:
+    for frame, pose, radius, color in frames:
         rgba = _text(*color[:3], _ROM_OPACITY)
-        link = _link(robot, name, pose)
-        shape = _visual(link, name, rgba, np.zeros(3), np.eye(3))
+        link = _link(robot, frame, pose)
+        shape = _visual(link, frame, rgba, np.zeros(3), np.eye(3))
         ET.SubElement(shape, "sphere", radius=_text(radius))
     ET.indent(robot)
     return ET.tostring(robot, encoding="unicode", xml_declaration=True)
@@ -127,13 +133,15 @@ def _geom(link: ET.Element, model: mujoco.MjModel, geom: int) -> None:
                 shape = _visual(link, f"{name}_{i}", rgba, center, rotation)
                 ET.SubElement(shape, "sphere", radius=_text(radius))
     else:
-        raise ValueError(f"geom {geom} of {link.get('name')!r} is no primitive shape: type {kind}")
+        raise ValueError(
+            f"geom {geom} of {link.get('name')!r} is not a primitive shape: type {kind}"
+        )
 
 
 def _visual(
     link: ET.Element, name: str, rgba: str, position: np.ndarray, rotation: np.ndarray
 ) -> ET.Element:
-    """A visual at a pose; returns the element its shape goes into."""
+    """Add a visual at a pose; return the element of its shape."""
     visual = ET.SubElement(link, "visual")
     _origin(visual, position, rotation)
     geometry = ET.SubElement(visual, "geometry")
@@ -144,7 +152,7 @@ def _visual(
 
 def _origin(element: ET.Element, position: np.ndarray, rotation: np.ndarray) -> None:
     with warnings.catch_warnings():
-        # at a pitch of 90 degrees there are many answers, of which any will do
+        # at a pitch of 90 degrees any of the equivalent angles will do
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(rotation).as_euler("xyz")
     ET.SubElement(element, "origin", xyz=_text(*position), rpy=_text(*angles))

@@ -1,9 +1,9 @@
 """Compiled models as an MJCF and a few settings: exact, readable, and safe to load.
 
-MuJoCo's own XML writer rounds to six digits, after which a walk differs within seconds. A log may
-come from a stranger: its XML may differ from the shipped one in numbers only, settings have ranges,
-and no field of the model is set by name or index. Other differences between robots are logged as
-parameters of `aslip.sim.DYNAMICS`.
+MuJoCo's own XML writer rounds to six digits, with which a walk differs within seconds. A log from
+an untrusted source does no harm: its XML may differ from the shipped one in numbers only, settings
+have ranges, and no field of the model is set by name or index. Other differences between robots are
+logged as parameters of `aslip.sim.DYNAMICS`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ import numpy as np
 
 import aslip
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
-from aslip.files.assets import asset_path
 from aslip.robot import CASSIE
 from aslip.robot.model import check_timestep, set_floor_friction
 
@@ -32,9 +31,9 @@ MODEL_FILE: Final = "model.xml"
 SETTINGS_FILE: Final = "model.json"
 
 LONGEST_MEMORY: Final = 2 * CASSIE.substeps
-"""Torque commands that a motor can remember: a delay of a policy step, after doubling."""
+"""Longest memory of torque commands of a motor: a policy step, rounded up by doubling."""
 _HIGHEST_FRICTION = 1e3
-# limit of a number of the XML, relative to the shipped one
+# largest number in the XML, relative to the shipped one
 _LARGEST_FACTOR = 10.0
 
 
@@ -47,11 +46,11 @@ class ModelSettings:
     """
 
     visual: bool
-    """Whether the model has its visual geoms."""
+    """Compile the visual geoms, too."""
     timestep: float
     """Physics timestep [s]."""
     memory: int
-    """Torque commands that a motor remembers."""
+    """Number of torque commands in the memory of a motor."""
     floor_friction: float
     """Sliding friction of the floor."""
 
@@ -83,15 +82,15 @@ class ModelSettings:
 
 
 def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
-    """Files from which `thaw_model` compiles the same model, to the bit.
+    """Files from which `thaw_model` compiles the model again, bit for bit.
 
     Args:
-        model: from `aslip.robot.model.load_model`.
+        model: model from `aslip.robot.model.load_model`.
 
     Raises:
-        ConfigurationError: the model differs from the file in more than `ModelSettings`.
+        ConfigurationError: the model differs from the shipped MJCF in more than `ModelSettings`.
     """
-    xml = asset_path("cassie.xml").read_bytes()
+    xml = CASSIE.mjcf.read_bytes()
     differ: list[str] = []
     for visual in (False, True):
         settings = ModelSettings.of(model, visual=visual)
@@ -101,7 +100,8 @@ def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
             return frozen
         if thawed.ngeom == model.ngeom and thawed.nq == model.nq:
             differ = _differing(thawed, model)
-    found = f"differs from assets/cassie.xml in {differ}" if differ else "is not assets/cassie.xml"
+    shipped = CASSIE.mjcf.name
+    found = f"differs from {shipped} in {differ}" if differ else f"is not compiled from {shipped}"
     raise ConfigurationError(
         f"cannot log this model, which {found}; change robots by set_dynamics or RandomDynamics"
     )
@@ -111,11 +111,12 @@ def thaw_model(files: Mapping[str, bytes], memory: int | None = None) -> mujoco.
     """Compile the model that `freeze_model` was given.
 
     Args:
-        files: result of `freeze_model`, perhaps from a stranger.
-        memory: torque commands that a motor remembers, if not the stored number.
+        files: result of `freeze_model`, possibly from an untrusted log.
+        memory: number of torque commands in the memory of a motor; as stored by default.
 
     Raises:
-        FileDamagedError: the files cannot be compiled, or have other parts than the shipped MJCF.
+        FileDamagedError: the files cannot be compiled, or differ in structure from the shipped
+            MJCF.
     """
     try:
         given = json.loads(files[SETTINGS_FILE])
@@ -147,26 +148,24 @@ def _check_structure(xml: bytes) -> None:
     """Check that an MJCF has the structure of the shipped one.
 
     Raises:
-        ValueError: more than numbers differs, or a number is out of range.
+        ValueError: the files differ in more than numbers, or a number is out of range.
     """
-    own = asset_path("cassie.xml").read_bytes()
+    own = CASSIE.mjcf.read_bytes()
     if xml == own:
         return
     ours, theirs = (ElementTree.fromstring(text) for text in (own, xml))
     for one, other in zip_longest(ours.iter(), theirs.iter()):
         if one is None or other is None or (one.tag, len(one)) != (other.tag, len(other)):
-            raise ValueError(f"{MODEL_FILE} has other parts than assets/cassie.xml")
+            raise ValueError(f"{MODEL_FILE} has other elements than {CASSIE.mjcf.name}")
         if one.keys() != other.keys():
-            raise ValueError(f"<{one.tag}> has other attributes than in assets/cassie.xml")
+            raise ValueError(f"<{one.tag}> has other attributes than in {CASSIE.mjcf.name}")
         for key, text in one.items():
             if not _alike(text, other.get(key, "")):
-                raise ValueError(
-                    f"<{one.tag} {key}={other.get(key)!r}> cannot be in place of {text!r}"
-                )
+                raise ValueError(f"<{one.tag} {key}={other.get(key)!r}> cannot replace {text!r}")
 
 
 def _alike(ours: str, theirs: str) -> bool:
-    """Whether two attributes are equal, or numbers of the same order of magnitude."""
+    """True if two attributes are equal, or numbers of the same order of magnitude."""
     if ours == theirs:
         return True
     one, other = (_numbers(text) for text in (ours, theirs))
@@ -177,7 +176,7 @@ def _alike(ours: str, theirs: str) -> bool:
 
 
 def _numbers(text: str) -> list[float]:
-    """Numbers of an attribute; empty if it is something else."""
+    """Parse the numbers of an attribute; empty if it has other words."""
     words = text.split()
     if not all(re.fullmatch(r"[-+]?[\d.]+(?:[eE][-+]?\d+)?", word) for word in words):
         return []

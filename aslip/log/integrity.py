@@ -1,4 +1,4 @@
-"""Check of a log that lists every problem."""
+"""Check a log, and list every problem."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _BLOCK = 2**20
 
 
 def check(path: str | Path) -> list[str]:
-    """List the problems of a log; none if it is complete and intact.
+    """List the problems of a log; the list is empty if the log is complete and intact.
 
-    Checks that it was finished; every checksum, of each attachment and chunk, of all data and of
-    the summary; attachments against their hashes; that messages decode, each by a schema; that time
-    does not go back within a topic; and that the summary counts what there is.
+    The check covers the end of the file, the checksums of attachments, chunks, data and summary,
+    the hashes of attachments, the decoding of every message by its schema, the order of times
+    within each topic, and the counts of the summary.
 
     Args:
-        path: of a log.
+        path: log to check.
 
     Raises:
         AssetError: there is no such file.
@@ -66,7 +66,7 @@ def _summary_problems(file: IO[bytes], content: Content, path: Path) -> list[str
 
 @dataclass
 class _Order:
-    """Check that time does not go back within a topic."""
+    """Check that times never decrease within a topic."""
 
     problems: list[str] = field(default_factory=list)
     _topics: dict[int, str] = field(default_factory=dict)

@@ -39,22 +39,22 @@ from aslip.robot import CASSIE, SIDES
 
 FORMAT: Final = "2"
 """Version of this layout. Readers refuse others, and name the version and commit of aslip that
-wrote the log and can read and replay it. Format 1 had no hash of its metadata, neither
-`/observation`, `/sensors`, `/odometry` nor `/dynamics`, and the whole model in `model.json`."""
+wrote the log and can read and replay it. Format 1 had no hash of its metadata, none of
+`/observation`, `/sensors`, `/odometry` and `/dynamics`, and the whole model in `model.json`."""
 
 LOGGED_JOINTS: Final = (
     *CASSIE.motor_names,
     *(f"{side}_{joint}" for side in SIDES for joint in ("shin", "tarsus", "heel_spring")),
 )
-"""The 16 joints of `/joint_states`: motors, then the passive joints of the legs."""
+"""Joints of `/joint_states`: the motors, then the passive joints of the legs."""
 
 ROM_FRAMES: Final = ("rom_body", "rom_left_foot", "rom_right_foot")
-"""Frames of the reduced-order model in `/tf`, children of the world as the robot's bodies are."""
+"""Frames of the reduced-order model in `/tf`, children of the world like the robot's bodies."""
 
 WORLD_FRAME: Final = "world"
 
 MEMORY: Final = "memory"
-"""Column of `/dynamics`: number of torque commands that a motor remembers, one a physics step."""
+"""Column of `/dynamics`: number of torque commands in a motor's memory, one per physics step."""
 
 _SEPARATOR = "\n" + "=" * 80 + "\n"
 _TIME = "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec"
@@ -66,7 +66,7 @@ class MessageType:
     """A ROS 2 message type."""
 
     name: str
-    """Package, "msg" and type."""
+    """Package, "msg" and type, separated by slashes."""
     text: str
     """Definition, followed by those of the types it uses."""
 
@@ -138,10 +138,10 @@ def flat_type(name: str, number: str, fields: Sequence[str], length: int = 0) ->
     """Message type of named numbers, or of named arrays of one length.
 
     Args:
-        name: of the type, without its package.
+        name: name of the type, without its package.
         number: "float32" or "float64".
         fields: names of the numbers, in order.
-        length: of the arrays; 0 for single numbers.
+        length: length of the arrays; 0 for single numbers.
     """
     kind = f"{number}[{length}]" if length else number
     return MessageType(f"aslip_msgs/msg/{name}", "\n".join(f"{kind} {f}" for f in fields))
@@ -151,7 +151,7 @@ def component_names(name: str, size: int) -> list[str]:
     """Names of the numbers of an entry: axes, quaternion components, motors, joints, feet.
 
     Args:
-        name: of the entry, such as "pelvis_position".
+        name: name of the entry, such as "pelvis_position".
         size: number of numbers.
     """
     if size == 1:
@@ -171,7 +171,7 @@ def component_names(name: str, size: int) -> list[str]:
 
 
 def stamp(time_ns: int) -> dict[str, int]:
-    """A ROS time."""
+    """ROS time of a time in nanoseconds."""
     seconds, nanoseconds = divmod(time_ns, 10**9)
     return {"sec": seconds, "nanosec": nanoseconds}
 

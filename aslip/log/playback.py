@@ -1,4 +1,4 @@
-"""Replay: simulation of a log from the file alone, compared with every logged state."""
+"""Replay: simulate a log from the file alone, and compare with every logged state."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Replay:
     steps: int
     """Policy steps that were simulated."""
     state_time: np.ndarray
-    """(k,) log time of each state of the log that was compared [s]."""
+    """(k,) log time of each compared state [s]."""
     drift: np.ndarray
     """(k,) largest difference of each compared state; 0 if bit-equal."""
     qpos_drift: np.ndarray
@@ -52,7 +52,7 @@ class Replay:
 
     @property
     def equal(self) -> bool:
-        """Whether every compared state is bit-equal."""
+        """True if every compared state is bit-equal."""
         return self.diverged_at is None
 
     @property
@@ -70,19 +70,19 @@ class Replay:
 def replay(log: str | Path | Recording, start: float = 0.0, *, strict: bool = True) -> Replay:
     """Simulate a log again with its motor targets and pushes.
 
-    Every episode, and the part after a gap of a recovered log, starts from a logged state.
+    Every episode starts from a logged state, and so does the part after a gap of a recovered log.
 
     Args:
         log: a recording, or the path of a log.
         start: time [s]; the replay starts from the last logged state at or before it.
         strict: refuse a replay that cannot be bit-equal, and stop at the first difference.
-            Otherwise all states are compared, and `Replay.doubts` has reasons for differences.
+            Otherwise compare all states; `Replay.doubts` has reasons for differences.
 
     Raises:
         FileDamagedError: the log is damaged, or has no states or steps.
-        ConfigurationError: it was made by another version of MuJoCo, or its model compiles to
-            something else here, and the replay is strict; or the log has no state at or before
-            `start`, or no policy step after that.
+        ConfigurationError: a strict replay cannot be bit-equal, because the log was made with
+            another version of MuJoCo or its model compiles differently here; or the log has no
+            state at or before `start`, or no policy step after that state.
     """
     recording = log if isinstance(log, Recording) else read(log, TOPICS)
     try:
@@ -167,8 +167,8 @@ class _Run:
         """
         if not self._path:
             raise ConfigurationError(
-                f"nothing follows the state at {self._first * CASSIE.policy_period:g} s, the last"
-                f" of the log before {self._start:g} s"
+                f"no policy step follows the state at {self._first * CASSIE.policy_period:g} s, the"
+                f" last one before {self._start:g} s"
             )
         return Replay(
             start=self._first * CASSIE.policy_period,
@@ -184,14 +184,14 @@ class _Run:
 
 
 def _difference(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference of two arrays; the smallest positive number if only bits differ."""
+    """Largest difference of two arrays; the smallest normal number if only bits differ."""
     if one.tobytes() == other.tobytes():
         return 0.0
     return max(float(np.max(np.abs(one - other))), float(np.finfo(float).tiny))
 
 
 def low_level_differs(recording: Recording) -> bool:
-    """Whether drive, sensors or constants of this package have changed since the log was made."""
+    """True if drive, sensors or constants of this package have changed since the log was made."""
     return recording.metadata.get("low_level_digest") != low_level_digest()
 
 
@@ -206,15 +206,15 @@ def _doubts(recording: Recording, robot: ReplayedRobot) -> tuple[str, ...]:
         )
     if model_digest(robot.model) != metadata.get("model_digest"):
         doubts.append(
-            "the model in the log compiles to another one here than where the log was made"
-            f" (on {metadata.get('platform')})"
+            "the model of the log compiles differently here than where the log was made"
+            f" ({metadata.get('platform')})"
         )
     return tuple(doubts)
 
 
 def _series(recording: Recording, topic: str) -> Series:
     if topic not in recording.series:
-        raise FileDamagedError(f"it has no {topic}: nothing to replay")
+        raise FileDamagedError(f"the log has no topic {topic}")
     return recording[topic]
 
 
@@ -231,5 +231,5 @@ def _column(series: Series, name: str) -> np.ndarray:
     """
     column = series[name]
     if column.dtype.kind != "f" or column.ndim != 1:
-        raise FileDamagedError(f"{series.topic} has no single numbers as {name!r}")
+        raise FileDamagedError(f"{series.topic} must have one number per message as {name!r}")
     return column

@@ -28,7 +28,7 @@ Decoder = Callable[[bytes], dict[str, Any]]
 """Function from a message to its entries; those of nested messages have dotted names."""
 
 _FIELD = re.compile(r"float(32|64)(?:\[(\d+)\])? (\w+)")
-# bytes before the numbers of a message, which need no padding if all have one size
+# bytes before the numbers of a message; numbers of one size need no padding
 _ENCAPSULATION = 4
 
 
@@ -41,7 +41,7 @@ def decoder_of(channel: Channel, schema: Schema | None) -> Decoder:
     if schema is None:
         raise ValueError(f"the topic {channel.topic!r} has no schema")
     if (channel.message_encoding, schema.encoding) != (MessageEncoding.CDR, SchemaEncoding.ROS2):
-        raise ValueError(f"{channel.topic!r} has an unknown encoding")
+        raise ValueError(f"the topic {channel.topic!r} has an unknown encoding")
     dtype = _flat_dtype(schema.data.decode())
     if dtype is not None:
         return lambda data: _flat(data, dtype)
@@ -230,7 +230,7 @@ class Content:
         return self._topics[message.channel_id]
 
     def intact(self, metadata: Mapping[str, str]) -> dict[str, bytes]:
-        """Attachments whose hash is that of the metadata."""
+        """Attachments whose hash equals that in the metadata."""
         return {
             name: data
             for name, data in self.attachments.items()
@@ -239,7 +239,7 @@ class Content:
 
 
 def counts_differ(said: Any, content: Content) -> list[str]:
-    """Problems of the counts in a summary.
+    """Compare the counts of a summary with the content of the file; list the differences.
 
     Args:
         said: `Statistics` of the summary.
@@ -247,18 +247,17 @@ def counts_differ(said: Any, content: Content) -> list[str]:
     """
     counted = {channel: n for channel, n in said.channel_message_counts.items() if n}
     if counted != dict(content.counts) or said.message_count != content.counts.total():
-        return [f"its summary counts {said.message_count} messages, not the {_total(content)}"]
+        total = content.counts.total()
+        if said.message_count != total:
+            return [f"its summary counts {said.message_count} messages, the file has {total}"]
+        return ["its summary counts the messages of some topics wrongly"]
     if said.metadata_count != len(content.metadata):
         return [f"its summary counts {said.metadata_count} metadata, not {len(content.metadata)}"]
     return []
 
 
-def _total(content: Content) -> str:
-    return f"{content.counts.total()} there are, or other ones"
-
-
 def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
-    """Metadata of a log, if this version of the package reads it.
+    """Check that this version of the package reads a log, and return its metadata.
 
     Raises:
         FormatError: the log has another format.
@@ -283,7 +282,7 @@ class FormatError(ValueError):
 
 
 def hash_problems(metadata: dict[str, str], attachments: dict[str, bytes]) -> Iterator[str]:
-    """Problems of attachments that are missing, altered, or without a hash."""
+    """List attachments that are missing, altered, or without a hash."""
     hashes = {
         key.removeprefix(HASH_KEY): value
         for key, value in metadata.items()
@@ -306,7 +305,7 @@ def _explained(path: Path) -> Iterator[None]:
     except FormatError as error:
         raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
     except Exception as error:  # one cause, a bad file, has many exceptions
-        # messages of a parser say little without their type
+        # messages of a parser need their type to be understood
         reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
         raise FileDamagedError(
             f"{str(path)!r} is not a complete, intact log: {reason}; save its intact part with:"

@@ -37,7 +37,7 @@ CONFIG_FILE = "config.json"
 
 
 class Recorder(Transform):
-    """Write everything about one robot to an MCAP file, without an effect on the simulation.
+    """Write everything about one robot to an MCAP file; the simulation is unchanged.
 
     The recorder must be the last transform of a stack, on any backend:
 
@@ -52,10 +52,10 @@ class Recorder(Transform):
     takes the time of one policy step. See `aslip.log.messages` for topics.
 
     Args:
-        path: of the log.
+        path: log to write.
         robot: index of the robot in the environment.
-        joint_rate: `/joint_states` at the policy's rate or at that of the physics, 2 kHz.
-        policy: name or file of the acting policy, which is attached.
+        joint_rate: rate of `/joint_states`: that of the policy, or of the physics (2 kHz).
+        policy: name or file of the acting policy, to attach.
         config: settings to attach: a dataclass, or JSON types.
         library: gaits for planned footholds; the shipped ones by default.
         overwrite: replace an existing log when this one is finished.
@@ -154,13 +154,13 @@ class Recorder(Transform):
         self.close()
 
     def _require_last(self) -> None:
-        """Raise ConfigurationError if a transform follows, whose entries the log would lack."""
+        """Raise ConfigurationError if another transform follows."""
         env: Any = self.container
         after = list(env.transform)[-1]
         if after is not self:
             raise ConfigurationError(
-                f"the Recorder must be the last transform, or the log lacks the entries of later"
-                f" ones; the last one is a {type(after).__name__}"
+                f"the Recorder must be the last transform, because the log lacks the entries of"
+                f" later ones; the last one is a {type(after).__name__}"
             )
 
     def _begin(self, tensordict: TensorDictBase) -> Session:
@@ -211,7 +211,7 @@ def _finish(session: Session, process: int) -> None:
 
 
 def _observed_names(env: StackEnv, td: TensorDictBase) -> list[str] | None:
-    """Names of the observation's numbers; None if it is not concatenated from entries."""
+    """Names of the numbers of the observation; None if it is not concatenated from entries."""
     try:
         keys = [key if isinstance(key, tuple) else (key,) for key in observation_keys(env)]
     except ConfigurationError:
@@ -226,7 +226,7 @@ def _observed_names(env: StackEnv, td: TensorDictBase) -> list[str] | None:
 
 
 def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str]:
-    """Metadata on the origin of the log."""
+    """Metadata about the origin of a log."""
     packages = ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
     return {
         "format": messages.FORMAT,

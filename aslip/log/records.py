@@ -1,9 +1,9 @@
 """Sequential reading of MCAP records that skips damaged ones.
 
 Every part of a log has a checksum: chunks, attachments and the summary in MCAP's fields, metadata
-in an entry. Parts with a wrong one are skipped and reported, so that a wrong bit costs one chunk
-and not the rest of the file. Memory is bounded by the size of the file and
-`LARGEST_CHUNK`, whatever the lengths in it say.
+in an entry. Damaged parts are skipped and reported, so that a flipped bit costs one chunk and not
+the rest of the file. Memory is bounded by the size of the file and `LARGEST_CHUNK`, even if the
+file states larger lengths.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ METADATA_HASH: Final = "sha256"
 
 _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
-# opcode, length, where the summary and its offsets start, checksum of the summary
+# opcode, length, starts of the summary and of its offsets, checksum of the summary
 _FOOTER = struct.Struct("<BQQQI")
 # largest ratio of a chunk's size to its compressed size
 _DENSEST = 1000
@@ -64,13 +64,13 @@ def open_log(path: Path) -> IO[bytes]:
 
 
 def begins_as_mcap(file: IO[bytes]) -> bool:
-    """Whether a file starts with the magic bytes of MCAP."""
+    """True if a file starts with the magic bytes of MCAP."""
     file.seek(0)
     return file.read(len(_MAGIC)) == _MAGIC
 
 
 def metadata_hash(metadata: Mapping[str, str]) -> str:
-    """SHA-256 of the entries of a metadata record, except that of the hash."""
+    """SHA-256 of the entries of a metadata record, without the entry of the hash."""
     entries = sorted((key, text) for key, text in metadata.items() if key != METADATA_HASH)
     return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
 
@@ -120,21 +120,21 @@ def read_summary(file: IO[bytes]) -> Summary:
 
 @dataclass
 class Records:
-    """The records of a file's data section, without indexes; iterate once.
+    """Records of the data section of a file, without indexes; iterate once.
 
     Yields `Metadata`, `Attachment`, `Schema`, `Channel` and `Message` records that are intact.
     """
 
     file: IO[bytes]
-    """Open for reading."""
+    """File, open for reading."""
     problems: list[str] = field(default_factory=list)
-    """Damage that was skipped or ended the reading, except in attachments."""
+    """Damage, skipped or at the end of what can be read, except in attachments."""
     bad_attachments: list[str] = field(default_factory=list)
     """Damage of skipped attachments."""
     bad_chunks: int = 0
     """Number of skipped chunks."""
     whole: bool = False
-    """Whether the end of the data section was reached."""
+    """True once the end of the data section is reached."""
 
     def __iter__(self) -> Iterator[McapRecord]:
         if not begins_as_mcap(self.file):
@@ -146,7 +146,9 @@ class Records:
             head = self.file.read(_HEAD.size)
             opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
             if length > size - offset - _HEAD.size:
-                self.problems.append(f"the record at byte {offset} is cut off, or its length wrong")
+                self.problems.append(
+                    f"the record at byte {offset} is cut off, or its length is wrong"
+                )
                 return
             content = self.file.read(length)
             try:
@@ -155,7 +157,7 @@ class Records:
                 self._skip(opcode, offset, error)
 
     def _intact(self, opcode: int, content: bytes) -> list[McapRecord]:
-        """Records that one record at the top level contains."""
+        """Records of one record at the top level, such as the messages of a chunk."""
         stream = ReadDataStream(BytesIO(content))
         if opcode == Opcode.CHUNK:
             return _opened(Chunk.read(stream))
@@ -182,7 +184,7 @@ class Records:
 
 
 def _opened(chunk: Chunk) -> list[McapRecord]:
-    """Schemas, channels and messages of a chunk.
+    """Decompress and check the schemas, channels and messages of a chunk.
 
     Raises:
         ValueError: the chunk is damaged.
@@ -191,21 +193,21 @@ def _opened(chunk: Chunk) -> list[McapRecord]:
     if chunk.compression != "zstd":
         raise ValueError(f"its compression is {chunk.compression!r}")
     if size > min(LARGEST_CHUNK, _DENSEST * len(chunk.data)):
-        raise ValueError(f"it would take {size} bytes")
+        raise ValueError(f"it would decompress to {size} bytes")
     # decompression allocates the size in the compressed bytes, not that in the chunk
     if zstandard.frame_content_size(chunk.data) != size:
-        raise ValueError("its two sizes differ")
+        raise ValueError("its size differs from that in its compressed data")
     data = zstandard.decompress(chunk.data)
     if zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("its checksum differs")
     records = breakup_chunk(replace(chunk, compression="", data=data))
     if not all(isinstance(record, Schema | Channel | Message) for record in records):
-        raise ValueError("it holds other records than messages")
+        raise ValueError("it has records other than messages")
     return records
 
 
 def _checked(metadata: Metadata) -> Metadata:
-    """Metadata record with a correct hash, or without one.
+    """Check the hash of a metadata record, if it has one.
 
     Raises:
         ValueError: the hash differs.

@@ -38,11 +38,11 @@ class Recovery:
     until: float
     """Simulated time of the last saved message [s]."""
     complete: bool
-    """Whether nothing was lost, except at most the summary at the end."""
+    """True if nothing was lost, except at most the summary at the end."""
     skipped_chunks: int
-    """Number of damaged chunks that were left out; each holds at most a simulated second."""
+    """Number of damaged chunks left out; each holds at most a simulated second."""
     dropped: tuple[str, ...]
-    """Damaged attachments that were left out."""
+    """Names of damaged attachments left out."""
     reason: str
     """Damage found in the file, or an empty string."""
 
@@ -50,8 +50,8 @@ class Recovery:
 def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
     """Write the intact part of a damaged log to a new, complete one.
 
-    Damaged chunks and attachments are left out, and so are the hashes of the latter, so that `read`
-    accepts the new log. Reading ends where a length is wrong.
+    Damaged chunks, damaged attachments and the hashes of these attachments are left out, so that
+    `read` accepts the new log. Recovery ends at the first record whose length is wrong.
 
     Args:
         path: damaged log, often `<name>.mcap.part`.
@@ -67,7 +67,7 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
     out = Path(out)
     if out.exists():
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
-    # not ".part", which may be the name of the damaged log
+    # the damaged log itself may end in ".part"
     temporary = out.with_name(out.name + ".recovering")
     with open_log(path) as damaged:
         found = _look(damaged)
@@ -102,7 +102,7 @@ class _Found:
             self.channels.setdefault(record.id, record)
 
     def saved(self, record: McapRecord) -> bool:
-        """Whether a record is a message of a known channel and schema."""
+        """True if a record is a message of a known channel and schema."""
         channel = self.channels.get(record.channel_id) if isinstance(record, Message) else None
         return channel is not None and channel.schema_id in self.schemas
 
@@ -160,10 +160,10 @@ def _copy(damaged: IO[bytes], found: _Found, file: IO[bytes], out: Path) -> Reco
 
 
 def _copy_attachments(writer: Writer, found: _Found) -> None:
-    """Write metadata and attachments, except altered ones."""
+    """Write the metadata and the intact attachments."""
     metadata = found.metadata.get(METADATA, {"format": messages.FORMAT})
     metadata = {key: text for key, text in metadata.items() if key != METADATA_HASH}
-    # without metadata there are no hashes; checksums of attachments have been verified
+    # without metadata there are no hashes; the checksums were verified on reading
     known = {key: metadata.pop(key) for key in list(metadata) if key.startswith(HASH_KEY)}
     kept = {}
     for attachment in found.attachments:
@@ -181,7 +181,7 @@ def _copy_attachments(writer: Writer, found: _Found) -> None:
 
 
 def _open_channels(writer: Writer, found: _Found) -> dict[int, int]:
-    """Register the channels again; new ids by old ones."""
+    """Register the channels in the new file; map old ids to new ones."""
     schemas = {
         old: writer.register_schema(schema.name, schema.encoding, schema.data)
         for old, schema in found.schemas.items()

@@ -1,4 +1,4 @@
-"""Simulation of the robot of a log, with its model, dynamics and states."""
+"""Simulation of a logged robot, with the model, dynamics and states of the log."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _HISTORY = int(mujoco.mjtState.mjSTATE_HISTORY)
 
 
 class ReplayedRobot:
-    """Simulation of the robot of a log.
+    """Simulation of a logged robot.
 
     Args:
-        recording: with `/dynamics`, which must begin no later than the first state of a replay.
+        recording: log whose `/dynamics` begins no later than the first state of a replay.
 
     Raises:
         FileDamagedError: the log's model cannot be built, or its dynamics are not numbers.
@@ -32,7 +32,7 @@ class ReplayedRobot:
     def __init__(self, recording: Recording) -> None:
         self._files = {n: recording.attachment(n) for n in (MODEL_FILE, SETTINGS_FILE)}
         self.model = thaw_model(self._files)
-        """Robot as it was when the log began."""
+        """Model of the robot at the beginning of the log."""
         self._memory = self._shortest = int(self.model.actuator_history[0, 0])
         self._changes = _changes(recording["/dynamics"])
         self._dynamics = Dynamics(1, self.model)
@@ -50,7 +50,7 @@ class ReplayedRobot:
         return self._simulations.qvel[0].copy()
 
     def rows(self, states: Series) -> list[np.ndarray]:
-        """States of `/state`, checked to be safe to simulate.
+        """States of `/state`, after checks that they are safe to simulate.
 
         Raises:
             FileDamagedError: a row is not a state of this robot.
@@ -98,7 +98,7 @@ class ReplayedRobot:
     # -------------------------------------------------- memory of commands
 
     def _memory_of(self, row: np.ndarray) -> int:
-        """Number of torque commands that a state remembers, from its length.
+        """Number of torque commands in the memory of a state, from its length.
 
         Raises:
             FileDamagedError: the length is not that of a state of this robot.
@@ -111,7 +111,7 @@ class ReplayedRobot:
     def _checked_memory(self, memory: float) -> int:
         lengths = [self._shortest * 2**i for i in range(LONGEST_MEMORY.bit_length())]
         if memory > LONGEST_MEMORY or memory not in lengths:
-            raise FileDamagedError(f"no motor remembers {memory:g} commands")
+            raise FileDamagedError(f"a motor cannot remember {memory:g} torque commands")
         return int(memory)
 
     def _checked(self, row: np.ndarray) -> np.ndarray:
@@ -120,14 +120,16 @@ class ReplayedRobot:
             raise FileDamagedError("a state of the log has non-finite numbers")
         start = mujoco.mj_stateSize(self.model, _HISTORY - 1)
         history = row[start : start + self.model.nu * (2 + 2 * memory)]
-        # index of the newest command, which MuJoCo does not check
+        # MuJoCo does not check the index of the newest command
         newest = history.reshape(self.model.nu, -1)[:, 1]
         if not np.isin(newest, np.arange(memory)).all():
-            raise FileDamagedError("a state of the log has commands outside of a motor's memory")
+            raise FileDamagedError(
+                "a state of the log has the index of a command outside of a motor's memory"
+            )
         return row
 
     def _lengthen(self, memory: int) -> None:
-        """Continue in a simulation that remembers more commands, as `SimulatedEnv` does."""
+        """Continue in a simulation with a longer memory of commands, as `SimulatedEnv` does."""
         if memory <= self._memory:
             return
         states = self._converted(self._simulations.states(), self._memory, memory)
@@ -138,7 +140,7 @@ class ReplayedRobot:
         self._memory = memory
 
     def _converted(self, states: np.ndarray, memory: int, to: int) -> np.ndarray:
-        """States with room for `to` commands."""
+        """Convert states to a memory of `to` commands."""
         if memory == to:
             return states
         models = (thaw_model(self._files, memory=number) for number in (memory, to))
@@ -146,12 +148,12 @@ class ReplayedRobot:
 
 
 def _changes(series: Series) -> dict[int, dict[str, float]]:
-    """Dynamics by the instant of `/dynamics` from which they hold."""
+    """Policy step -> dynamics that hold from then on."""
     # logs of earlier versions lack the gains
     names = [*(n for n in DYNAMICS if n in series.columns or n not in _GAINS), MEMORY]
     columns = {name: series[name] for name in names}
     if any(column.dtype.kind != "f" or column.ndim != 1 for column in columns.values()):
-        raise FileDamagedError("/dynamics is not of numbers")
+        raise FileDamagedError("/dynamics must have one number per message and parameter")
     ticks = np.rint(series.time / CASSIE.policy_period).astype(int)
     return {
         int(tick): {name: float(column[i]) for name, column in columns.items()}

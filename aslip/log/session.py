@@ -22,9 +22,9 @@ from aslip.walking.metrics.contact import CONTACT_FORCE
 
 _SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)
 _STEP_NS = CASSIE.substeps * _SUBSTEP_NS
-# a chunk, and a state to begin a replay from, once per simulated second
+# a chunk ends, and a state for replays is written, once per simulated second
 _STEPS_PER_SECOND = round(1 / CASSIE.policy_period)
-# policy steps in the air before a touchdown
+# policy steps in the air after which a contact is a touchdown
 _AIRBORNE_STEPS = 4
 
 _TRUTH = (
@@ -49,12 +49,11 @@ _NO_PUSH = np.zeros(3)
 _START = {"faults": "fault"}
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _SPRINGS = ("spring_stiffness", "joint_damping")
-# internals of the filter, and functions of phase and command that nobody plots
+# internals of the filter, and functions of phase and command that are not plotted
 _UNLOGGED = {"estimate": {"memory"}, "reference": {"motor_velocity", "motor_torque"}}
 
-
-# entries of one robot in a part of the tensordict
 Row = dict[str, np.ndarray]
+"""Entries of one robot in a part of the tensordict."""
 
 
 def _row(part: TensorDictBase, robot: int) -> Row:
@@ -62,16 +61,16 @@ def _row(part: TensorDictBase, robot: int) -> Row:
 
 
 class _Flat:
-    """Topic of named numbers, from a robot's entries in a fixed order.
+    """Topic of named numbers, the entries of a robot in a fixed order.
 
     Args:
         writer: writer of the log.
-        topic: topic, which also names the type.
+        topic: topic; also the name of the message type.
         entries: keys of the entries -> prefix of the names of their numbers.
-        sample: row with these entries.
+        sample: row that shows the sizes of the entries.
         dtype: type of the numbers.
         names: names of all numbers; from the entries by default.
-        length: entries are (length, k), k named arrays; 0 for single numbers.
+        length: length of arrays, if entries (length, k) are k named arrays; 0 for numbers.
     """
 
     def __init__(
@@ -97,7 +96,7 @@ class _Flat:
         def build(marks: Marks) -> dict[str, Any]:
             return {name: marks.numbers(length) if length else marks.number() for name in names}
 
-        # an array holds the values of one number over the rows
+        # an array has the values of one number over the rows
         self._order: Literal["C", "F"] = "F" if length else "C"
         self._template = Template(kind, build, dtype)
         self._channel = writer.open_channel(topic, kind)
@@ -109,7 +108,7 @@ class _Flat:
 
 
 class Session:
-    """Log of one robot, from the first reset."""
+    """Writer of the log of one robot, from its first reset on."""
 
     def __init__(
         self,
@@ -199,7 +198,7 @@ class Session:
         done = bool(after.get("done")[self._robot])
         if done:
             self._note_end(after)
-        # with the last state, even a short episode can be compared with its replay
+        # the last state makes a replay of a short episode comparable
         self._state_due = not (done or self._ticks % _STEPS_PER_SECOND == 0)
         if not self._state_due:
             self._keep_state()
@@ -312,7 +311,7 @@ class Session:
             self._state = state_template(integration, len(state) - integration)
         data = self._state.encode(self._time, values)
         self._writer.write(self._state_channel, self._time, data)
-        self._dynamics = {}  # written with every state, so that none depends on an earlier chunk
+        self._dynamics = {}  # written again, so that no state depends on an earlier chunk
         self._note_change()
         self._writer.flush()
 
@@ -333,7 +332,7 @@ class Session:
             self._dynamics_topic.write(self._time, row)
 
     def _touchdowns(self, before: Row, truth: Row) -> None:
-        """Write `/touchdown` for feet that have come down."""
+        """Write `/touchdown` for feet that have just landed."""
         for i, force in enumerate(truth["ground_force"][:, 2].tolist()):
             airborne = self._airborne[i]
             self._airborne[i] = 0 if force > CONTACT_FORCE else airborne + 1

@@ -1,4 +1,4 @@
-"""Walk of a log in the form that metrics read."""
+"""Read a walk from a log, in the form that metrics take."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def read_walk(recording: Recording) -> Walks:
     ticks, instants = (
         np.rint(series.time / CASSIE.policy_period).astype(int) for series in (step, truth)
     )
-    # a reset takes the time of a step, in which there is no step
+    # a reset takes the time of a policy step, so the first gap ends the episode
     gaps = np.flatnonzero(np.diff(ticks) > 1)
     count = int(gaps[0]) + 1 if len(gaps) else len(ticks)
     rows = np.searchsorted(instants, ticks[:count])
@@ -63,7 +63,7 @@ def read_walk(recording: Recording) -> Walks:
 
 
 def _logged_odometry(truth: Series) -> dict[str, np.ndarray]:
-    """Odometry at each instant of a log, from the heading and place of its first instant."""
+    """Odometry at each instant of a log, in the heading frame of its first instant."""
     rows = {
         name: torch.from_numpy(truth.vector(name, "wxyz" if size == 4 else "xyz"))
         for name, size in ODOMETRY_SIZES.items()

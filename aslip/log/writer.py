@@ -1,9 +1,9 @@
 """Writer of MCAP files that loses at most a second in a crash of the process.
 
-Everything goes to `<name>.part`; chunks are closed and handed to the operating system once per
-simulated second, without waiting for the disk. A finished file is flushed to the disk and then
-renamed, so that a name without `.part` is always a complete log. A crash of the process thus loses
-at most one simulated second, a crash of the machine also what the system had not written yet.
+Records go to `<name>.part`; once per simulated second the chunk is closed and handed to the
+operating system, without waiting for the disk. A finished file is flushed to the disk and then
+renamed, so that a name without `.part` is always a complete log. A crash of the process loses at
+most one simulated second, a crash of the machine also data that the system had not written yet.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from aslip.log.messages import MessageType
 from aslip.log.records import METADATA_HASH, metadata_hash
 
 METADATA = "aslip"
-"""Name of the metadata record on the origin of the log."""
+"""Name of the metadata record about the origin of the log."""
 END_METADATA = "aslip/end"
 """Name of the metadata record with the counts at the end."""
 HASH_KEY = "sha256/"
@@ -43,7 +43,7 @@ class LogWriter:
     calls do nothing, and `<path>.part` can be recovered.
 
     Args:
-        path: finished log.
+        path: log to write.
         overwrite: replace an existing log.
 
     Raises:

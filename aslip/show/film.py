@@ -1,6 +1,6 @@
-"""Films of a walk: instants of it, drawn and written to an MP4 file.
+"""Films of a walk: frames, drawn and written to an MP4 file.
 
-Drawing is imported only to draw: it needs OpenGL.
+OpenGL is loaded on the first drawing, not on import.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ class Frame:
 
     @classmethod
     def of(cls, td: TensorDictBase) -> Frame:
-        """The instant that a tensordict of one robot describes."""
+        """Frame of a tensordict of one robot."""
         qpos = cast("torch.Tensor", td["truth", "qpos"])
         return cls(qpos[0].numpy().copy(), Ghost.of(td))
 
 
 @dataclass(frozen=True)
 class Look:
-    """How a film looks."""
+    """Camera, size and content of a film."""
 
     camera: str
     """Camera of the model: side, follow or front."""
@@ -53,12 +53,12 @@ class Look:
 
 
 def seconds_per_frame(look: Look) -> float:
-    """Time that drawing a frame takes here [s]; draws two, the first of which sets OpenGL up.
+    """Measure the time to draw a frame [s], after a first frame that sets up OpenGL.
 
     Raises:
-        RenderingError: no OpenGL works.
+        RenderingError: OpenGL does not work.
         UnknownNameError: there is no such camera.
-        ConfigurationError: pictures cannot have that size.
+        ConfigurationError: the size is out of range.
     """
     from aslip.show.render import render_frames
 
@@ -71,11 +71,17 @@ def seconds_per_frame(look: Look) -> float:
 
 
 def make_film(path: Path, frames: Sequence[Frame], rate: float, look: Look) -> None:
-    """Draw frames and write them at so many a second.
+    """Draw frames and write them as a film.
+
+    Args:
+        path: film to write, ending in .mp4.
+        frames: frames to draw.
+        rate: frames per second.
+        look: camera, size and content.
 
     Raises:
         ConfigurationError: the path does not end in .mp4, or the size is odd.
-        RenderingError: no OpenGL works.
+        RenderingError: OpenGL does not work.
     """
     from aslip.show.render import render_frames
 
@@ -93,21 +99,22 @@ def make_film(path: Path, frames: Sequence[Frame], rate: float, look: Look) -> N
 def write_video(
     path: Path, frames: Iterable[np.ndarray], rate: float, size: tuple[int, int]
 ) -> None:
-    """Write pictures to an H.264 film; no file is left if that fails.
+    """Write pictures as an H.264 film; a failure leaves no file.
 
     Args:
-        path: of the film, ending in .mp4.
-        frames: (height, width, 3) uint8 each.
-        rate: frames a second.
+        path: film to write, ending in .mp4.
+        frames: pictures (height, width, 3), uint8.
+        rate: frames per second.
         size: width and height [pixels], even numbers.
 
     Raises:
-        ConfigurationError: another ending or size, or imageio-ffmpeg is not installed.
+        ConfigurationError: the path does not end in .mp4, the size is odd, or imageio-ffmpeg is not
+            installed.
     """
     if path.suffix != ".mp4":
-        raise ConfigurationError(f"a film's name ends in .mp4, got {str(path)!r}")
+        raise ConfigurationError(f"the name of a film must end in .mp4, got {str(path)!r}")
     if any(length % 2 for length in size):
-        raise ConfigurationError(f"a film's width and height must be even, got {size}")
+        raise ConfigurationError(f"width and height of a film must be even, got {size}")
     try:
         import imageio_ffmpeg
     except ImportError:

@@ -1,8 +1,8 @@
-"""Reduced-order model beside the robot that it guides: for pictures, logs, live views.
+"""Reduced-order model in the world, at the robot that it guides: for pictures, logs, live page.
 
-The reference of the library has no place on the floor. Here its body follows the pelvis of the
-robot at the height of the reference, and its feet are where the reference has them relative to the
-body, turned by the yaw of the robot: the frame in which the reward compares feet.
+The reference of a library has no position in the world. Here its body is at the robot's pelvis, at
+the height of the reference, and its feet are those of the reference relative to the body, turned by
+the yaw of the robot: the frame in which the reward compares feet.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from aslip.show.palette import LEFT, MODEL, RIGHT, rgba
 _STANCE_SPEED = 0.05
 # height above its lowest point up to which a foot of a motion is in stance [m]
 _STANCE_HEIGHT = 0.005
-# instants of a stride at which a touchdown is looked for
+# samples of a stride in the search for a touchdown
 _INSTANTS = 4096
 
 BODY_COLOR = rgba(MODEL)
@@ -57,16 +57,16 @@ class Ghost:
     right: np.ndarray
     """(3,) position of the right foot [m]."""
     left_stance: bool = True
-    """Whether the left leg is in stance."""
+    """True if the left leg is in stance."""
     right_stance: bool = True
-    """Whether the right leg is in stance."""
+    """True if the right leg is in stance."""
 
     @classmethod
     def of(cls, tensordict: TensorDictBase, robot: int = 0) -> Ghost:
-        """Reference of one robot, at the place of the robot.
+        """Ghost of the reference of one robot.
 
         Args:
-            tensordict: has `("reference", ...)` and `("truth", ...)` of n robots.
+            tensordict: entries `("reference", ...)` and `("truth", ...)` of n robots.
             robot: index of the robot.
         """
         groups = (cast("TensorDictBase", tensordict.get(name)) for name in ("reference", "truth"))
@@ -74,7 +74,7 @@ class Ghost:
 
     @classmethod
     def of_rows(cls, reference: Mapping[str, np.ndarray], truth: Mapping[str, np.ndarray]) -> Ghost:
-        """Ghost from one robot's entries of `("reference", ...)` and `("truth", ...)`."""
+        """Ghost of one robot's entries of `("reference", ...)` and `("truth", ...)`."""
         body = truth["pelvis_position"].astype(np.float64)
         body[2] = reference["body_position"][2]
         turn = yaw_rotation(truth["pelvis_orientation"])
@@ -88,8 +88,7 @@ class Footholds:
     """Footholds that the reduced-order model plans.
 
     Args:
-        library: motions, each with one swing per foot; steps are interpolated linearly between
-            their speeds.
+        library: motions with one swing per foot; steps are interpolated linearly between speeds.
     """
 
     def __init__(self, library: GaitLibrary) -> None:
@@ -113,7 +112,7 @@ class Footholds:
         return float(np.interp(speed, self._speeds, self._phases[:, SIDES.index(side)]))
 
     def step(self, side: Side, speed: float) -> np.ndarray:
-        """Step (2,) from the stance foot to the other at touchdown, forward and left [m]."""
+        """Step (2,) from the stance foot to the landing foot at touchdown, forward and left [m]."""
         steps = self._steps[SIDES.index(side)]
         return np.array([np.interp(speed, self._speeds, steps[:, axis]) for axis in range(2)])
 
@@ -122,13 +121,13 @@ class Footholds:
     ) -> np.ndarray:
         """Planned foothold (2,) [m, world].
 
-        The actual place of the stance foot plus the step of the reduced-order model, as in the
-        comparison of the paper (Sec. V-A), turned by the yaw of the robot.
+        Position of the stance foot plus the step of the reduced-order model, turned by the yaw of
+        the robot, as in the comparison of the paper (Sec. V-A).
 
         Args:
             side: foot in swing.
             speed: commanded speed [m/s].
-            stance_foot: (3,) sole centre of the other foot [m, world].
+            stance_foot: (3,) sole centre of the stance foot [m, world].
             orientation: (4,) pelvis to world, wxyz.
         """
         turn = yaw_rotation(orientation)[:2, :2]
@@ -143,7 +142,7 @@ def yaw_rotation(orientation: np.ndarray) -> np.ndarray:
 
 
 def touchdown_phases(motion: Motion) -> tuple[float, float]:
-    """Stride fractions at which left and right foot of a motion come to rest on the ground.
+    """Stride fractions at which the left and the right foot of a motion come to rest on the ground.
 
     Raises:
         ConfigurationError: a foot does not swing once.
@@ -155,11 +154,11 @@ def touchdown_phases(motion: Motion) -> tuple[float, float]:
     begins = stance & ~np.roll(stance, 1, axis=0)
     if (begins.sum(axis=0) != 1).any():
         raise ConfigurationError(
-            "footholds are planned for motions in which each foot swings once a stride; swings of"
-            f" left and right foot at command {motion.command}: {begins.sum(axis=0).tolist()}"
+            "footholds need motions in which each foot swings once per stride; swings of the left"
+            f" and right foot at command {motion.command}: {begins.sum(axis=0).tolist()}"
         )
     first = begins.argmax(axis=0)
-    # and on until it moves no slower
+    # from there on until the speed stops falling
     slower = [np.diff(np.roll(v, -k)) < 0 for v, k in zip(speed.T, first, strict=True)]
     left, right = ((first + [s.argmin() for s in slower]) % _INSTANTS / _INSTANTS).tolist()
     return left, right

@@ -1,4 +1,4 @@
-"""Real-time loop."""
+"""Pacing of a real-time loop."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections import deque
 from collections.abc import Callable
 
 MOST_BEHIND = 0.1
-"""Delay that is caught up at most after a stall [s]; more would show the robot in fast motion."""
+"""Longest delay that is caught up after a stall [s]; more would show the robot in fast motion."""
 
 # window of the real-time factor [s]
 _WINDOW = 2.0
 
 
 class Pacer:
-    """Timer that makes a loop take one period a turn on average, without accumulating errors.
+    """Timer that keeps the mean duration of a loop's turns at a period, without drift.
 
     Args:
         period: period of the loop [s].
@@ -36,13 +36,13 @@ class Pacer:
         self.restart()
 
     def restart(self) -> None:
-        """Restart now, with nothing to catch up."""
+        """Restart now, without a delay to catch up."""
         self._due = self._clock()
         self._turns.clear()
         self._turns.append(self._due)
 
     def wait(self) -> None:
-        """Wait for the end of the present turn, if it is not over."""
+        """Wait until the present turn is over."""
         self._due += self._period
         now = self._clock()
         if now < self._due:
@@ -53,6 +53,6 @@ class Pacer:
 
     @property
     def factor(self) -> float:
-        """Real-time factor over the last two seconds: periods over time passed."""
+        """Real-time factor over the last two seconds: simulated time over elapsed time."""
         elapsed = self._turns[-1] - self._turns[0]
         return (len(self._turns) - 1) * self._period / elapsed if elapsed > 0 else 1.0

@@ -1,6 +1,6 @@
-"""Colours of robot, model and legs, the same in scenes, plots and the layouts of viewers.
+"""Colours of robot, model and legs in scenes, plots and the layouts of viewers.
 
-Blue and red are the left and the right leg, and nothing else.
+Blue is the left leg and red the right leg; no other curve is blue or red.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pictures of gaits and of learning."""
+"""Figures of gaits and of learning curves."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def gait_figure(gait: Gait, strides: int = 2) -> Figure:
     """Figure of the paths of body and feet of a gait, coloured by contact mode.
 
     Args:
-        gait: the gait.
+        gait: gait to draw.
         strides: number of strides to draw.
     """
     motion = gait.sample(np.linspace(0.0, strides, 400 * strides, endpoint=False))
@@ -81,7 +81,7 @@ def gait_sheet(gaits: Sequence[Gait]) -> Figure:
         _shade_modes(axes, gaits[0])
     rows[2].plot([], [], "k-", label="left leg")
     rows[2].plot([], [], "k:", label="right leg")
-    # over the left leg's flight, between the humps of the right one
+    # over the swing of the left leg, between the force humps of the right one
     rows[2].legend(loc="upper center", bbox_to_anchor=(0.2, 1.0), fontsize=8)
     rows[-1].set(xlabel="phase (0: left lift-off)", xlim=(0, 1))
     scale = ScalarMappable(
@@ -126,7 +126,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 
 def _pieces(mode: np.ndarray, points: np.ndarray) -> list[tuple[Mode, np.ndarray]]:
-    """Runs of equal mode; each reaches to the first point of the next, so the path has no gaps."""
+    """Pieces of equal mode; each ends at the first point of the next, so the path has no gaps."""
     breaks = [0, *(np.flatnonzero(np.diff(mode)) + 1), len(mode)]
     return [(Mode(mode[a]), points[a : b + 1]) for a, b in itertools.pairwise(breaks)]
 

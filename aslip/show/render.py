@@ -27,13 +27,13 @@ from aslip.show.ghost import (
     Ghost,
 )
 
-# groups of geoms in cassie.xml
+# group of the collision geoms in the robot's MJCF
 _COLLISION_GROUP = 3
 
 _COIL_RADIUS = 0.027
 _COILS = 7
 _SEGMENTS_PER_COIL = 12
-# share of a leg at each end that is a straight rod; the rest is the coil
+# share of a leg that is a straight rod, at each end
 _ROD_SHARE = 0.2
 
 
@@ -52,22 +52,22 @@ def render_robot(
 
     Args:
         qpos: (n, nq) configurations, MuJoCo's conventions.
-        camera: camera of the model; `cassie.xml` has "side", "follow" and "front".
-        width: of a picture [pixels].
-        height: of a picture [pixels].
-        model: another model; `aslip.robot.model.load_model()` by default.
-        ghosts: n reduced-order models to draw, one a picture.
+        camera: camera of the model; shipped robots have "side", "follow" and "front".
+        width: width of a picture [pixels].
+        height: height of a picture [pixels].
+        model: compiled model; `aslip.robot.model.load_model()` by default.
+        ghosts: n reduced-order models to draw, one per picture.
         robot: draw the robot itself.
-        supersampling: pixels are means over squares of this many pixels a side, for smooth edges.
+        supersampling: side of the squares of pixels averaged into one, for smooth edges.
 
     Returns:
         (n, height, width, 3) uint8, red, green, blue.
 
     Raises:
-        ShapeError: `qpos` does not fit the model, or there is another number of ghosts.
+        ShapeError: `qpos` does not fit the model, or the number of ghosts is not n.
         UnknownNameError: the model has no such camera.
         ConfigurationError: a size is less than 1, or exceeds the model's off-screen buffer.
-        RenderingError: no OpenGL works here.
+        RenderingError: OpenGL does not work.
     """
     frames = render_frames(
         qpos,
@@ -93,7 +93,7 @@ def render_frames(
     robot: bool = True,
     supersampling: int = 1,
 ) -> Iterator[np.ndarray]:
-    """Draw as `render_robot`, one picture (height, width, 3) at a time: for films."""
+    """Draw like `render_robot`, one picture (height, width, 3) at a time, for films."""
     model = load_model() if model is None else model
     qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
     _check(model, qpos, camera, (width, height, supersampling), ghosts)
@@ -141,7 +141,7 @@ def add_ghost(scene: mujoco.MjvScene, ghost: Ghost) -> None:
 
     Args:
         scene: scene before drawing; the next `update_scene` of a renderer clears it.
-        ghost: places of body and feet.
+        ghost: positions of body and feet.
     """
     body = np.asarray(ghost.body, dtype=np.float64)
     _add_sphere(scene, body, BODY_RADIUS, np.array(BODY_COLOR))
@@ -174,7 +174,7 @@ def spring_path(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     length = float(np.linalg.norm(axis))
     if length < 1e-9:
         return np.stack([start, end])
-    # two normals to the leg; the world's y is never along a leg that walks forward
+    # two normals to the leg, which a forward walk never aligns with the world's y axis
     first = np.cross(axis / length, [0.0, 1.0, 0.0])
     if np.linalg.norm(first) < 1e-6:
         first = np.array([1.0, 0.0, 0.0])
@@ -201,7 +201,7 @@ def _check(
         raise ShapeError(f"{len(qpos)} configurations need as many ghosts, got {len(ghosts)}")
     cameras = [model.camera(i).name for i in range(model.ncam)]
     if camera not in cameras:
-        raise UnknownNameError(f"no camera {camera!r}; the model has {cameras}")
+        raise UnknownNameError(f"there is no camera {camera!r}; the model has {cameras}")
     width, height, supersampling = sizes
     limits = model.vis.global_.offwidth, model.vis.global_.offheight
     if min(sizes) < 1 or width * supersampling > limits[0] or height * supersampling > limits[1]:
@@ -233,7 +233,7 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
 
 @contextlib.contextmanager
 def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
-    """Limit the off-screen buffer to the size of the picture, which is faster in software."""
+    """Limit the off-screen buffer to the size of a picture, for speed in software rendering."""
     limits, whole = model.vis.global_, (model.vis.global_.offwidth, model.vis.global_.offheight)
     limits.offwidth, limits.offheight = width, height
     try:
@@ -245,7 +245,7 @@ def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
 def _check_display() -> None:
     """Raise an error without an OpenGL context.
 
-    MuJoCo's own report ends the process the third time.
+    MuJoCo's own error aborts the process at the third attempt.
     """
     context = getattr(mujoco, "GLContext", None)
     if context is None:
@@ -293,7 +293,7 @@ def _next_geom(
         raise ConfigurationError(f"the scene is full: it holds {scene.maxgeom} geoms")
     geom = scene.geoms[scene.ngeom]
     mujoco.mjv_initGeom(geom, kind, size, position, np.eye(3).ravel(), rgba.astype(np.float32))
-    # decoration, what initGeom makes, casts no shadow
+    # geoms of mjv_initGeom are decoration, which casts no shadow
     geom.category = mujoco.mjtCatBit.mjCAT_DYNAMIC
     scene.ngeom += 1
     return geom

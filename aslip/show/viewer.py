@@ -20,9 +20,9 @@ from aslip.show.render import add_ghost
 
 @contextlib.contextmanager
 def open_viewer(*, ghost: bool = True) -> Iterator[Callable[[Frame], None]]:
-    """Open a window; yields a function that shows a frame and waits until its time is over.
+    """Open a window; yield a function that shows a frame for the duration of a policy step.
 
-    It raises KeyboardInterrupt once the window is closed.
+    The function raises KeyboardInterrupt once the window is closed.
 
     Args:
         ghost: draw the reduced-order model, too.
@@ -30,7 +30,7 @@ def open_viewer(*, ghost: bool = True) -> Iterator[Callable[[Frame], None]]:
     Raises:
         RenderingError: there is no display.
     """
-    # without one, MuJoCo says so in a thread of its own, and waits
+    # without a display MuJoCo fails in a thread of its own, and waits
     if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
         raise RenderingError("MuJoCo's viewer needs a display; without one use --video")
     model = load_model()
@@ -43,7 +43,7 @@ def open_viewer(*, ghost: bool = True) -> Iterator[Callable[[Frame], None]]:
         ) from error
     with window:
         window.cam.type = mujoco.mjtCamera.mjCAMERA_TRACKING
-        window.cam.trackbodyid = model.body("pelvis").id
+        window.cam.trackbodyid = model.body(CASSIE.pelvis).id
         pacer = Pacer(CASSIE.policy_period)
 
         def show(frame: Frame) -> None:

@@ -1,6 +1,6 @@
 """Sliders, buttons and choices of the page.
 
-The simulation reads sliders and choices once a turn, and takes clicks from a queue, which the
+The simulation reads sliders and choices once per turn, and takes clicks from a queue that the
 threads of the server fill.
 """
 
@@ -29,7 +29,7 @@ _TURN_STEP = 15
 
 _LEGEND = (
     "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Blue is the left leg, red the"
-    " right, pale in swing. A disc is where the foot in swing should land.</div>"
+    " right, pale in swing. A disc is the planned foothold of the foot in swing.</div>"
     # viser's boxes beside the sliders are too narrow for four digits
     "<style>.mantine-NumberInput-root{width:4rem!important;flex:none}</style>"
 )
@@ -46,7 +46,7 @@ class Settings:
     rom: RomPlace
     """Place of the reduced-order model."""
     auto_reset: bool
-    """Whether the robot is reset after a fall."""
+    """Reset the robot after a fall."""
 
 
 class Controls:
@@ -58,7 +58,7 @@ class Controls:
         server: server of the page.
         speeds: lowest and highest command [m/s].
         command: first command [m/s].
-        policies: names to choose from, the first of which is chosen.
+        policies: names to choose from; the first one is chosen.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class Controls:
         return self.push_size.value * np.array([np.cos(angle), np.sin(angle), 0.0])
 
     def show_paused(self, paused: bool) -> None:
-        """Label the button with its next action; single steps are for a paused page."""
+        """Label the button with its next action, and enable single steps only while paused."""
         self.pause.label = "Resume" if paused else "Pause"
         self.step.disabled = not paused
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE

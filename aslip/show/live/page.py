@@ -1,4 +1,4 @@
-"""The page and its loop, in which one thread owns the robot."""
+"""Live page and its loop; one thread owns the robot."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import yaw_rotation
 from aslip.show.live.controls import PUSH_DURATION, Click, Controls
-from aslip.show.live.readouts import Readouts, Status
+from aslip.show.live.readouts import ROBOT_LABEL, Readouts, Status
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
 from aslip.show.pacing import Pacer
@@ -35,13 +35,13 @@ _PANEL_WIDTH = 340
 class LivePage:
     """Page to watch and steer one robot in real time.
 
-    The server starts in the constructor, with the robot standing; the simulation runs in `serve`,
-    whose thread alone may use the walker then.
+    The server starts in the constructor, with the robot standing. The simulation runs in `serve`;
+    meanwhile its thread alone may use the walker.
 
     Args:
-        walker: robot; its present command is the first value of the slider.
-        policies: name -> policy, or its name or path. The first one acts at the start. The
-            walker's own policy by default.
+        walker: robot to watch; its present command is the first value of the slider.
+        policies: name -> policy, or its name or path; the first one acts at the start. By default
+            the policy of the walker.
         host: name or address of this machine to listen on. With "0.0.0.0" other machines can see
             the page and steer, without authentication.
         port: port to listen on; 0 for any free one.
@@ -69,7 +69,7 @@ class LivePage:
             raise ConfigurationError("policies must not be empty")
         self.walker = walker
         self.paused = False
-        """Whether the simulation is paused."""
+        """True while the simulation is paused."""
         self.falls = 0
         """Number of falls."""
         self._policies = {
@@ -93,7 +93,7 @@ class LivePage:
     def _build(self) -> None:
         gui, walker = self._server.gui, self.walker
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        gui.set_panel_label("Cassie, live")
+        gui.set_panel_label(f"{ROBOT_LABEL}, live")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL_WIDTH)
         speeds = float(walker.library.speeds[0]), float(walker.library.speeds[-1])
@@ -101,7 +101,7 @@ class LivePage:
             self._server, speeds=speeds, command=walker.command, policies=list(self._policies)
         )
         """Sliders, buttons and choices."""
-        # the walker has its command already; the rest is applied below
+        # the walker has its command already; other settings are applied below
         self._settings = replace(self.controls.settings(), policy="", rom="through")
         panel = gui.add_panel()
         with panel.add_tab("Readouts"):
@@ -130,19 +130,19 @@ class LivePage:
         if not self.walker.fallen:
             return self._error
         then = "it starts again in a second" if self._settings.auto_reset else "click Reset"
-        return f"Cassie has fallen; {then}"
+        return f"{ROBOT_LABEL} has fallen; {then}"
 
     def serve(self) -> None:
         """Simulate until `stop` is called or Ctrl-C is pressed, then close the page.
 
         Raises:
-            ConfigurationError: the page is being served, or was closed.
+            ConfigurationError: the page is already served, or was closed.
         """
         if not self._serving.acquire(blocking=False):
-            raise ConfigurationError("this page is being served already")
+            raise ConfigurationError("this page is already served")
         try:
             if self._closed:
-                raise ConfigurationError("this page was closed; make another")
+                raise ConfigurationError("this page was closed; create another LivePage")
             self._pacer.restart()
             while not self._stopping.is_set():
                 self.turn()
@@ -220,7 +220,7 @@ class LivePage:
             self._on_step(td)
 
     def _wait_fallen(self) -> None:
-        """Count turns on the ground, then reset."""
+        """Reset the robot after a second on the ground."""
         if self._settings.auto_reset and not self.paused:
             self._fallen_turns += 1
             if self._fallen_turns >= _TURNS_ON_THE_GROUND:

@@ -18,6 +18,9 @@ from aslip.robot import CASSIE
 from aslip.show.palette import COMMAND, MODEL, ROBOT
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
+ROBOT_LABEL = CASSIE.name.capitalize()
+"""Name of the robot on the page."""
+
 PLOT_SPAN = 8.0
 """Time span of the plot [s]."""
 
@@ -27,7 +30,7 @@ _PLOT_HEIGHT, _PLOT_PADDING = 320, (12, 16, 0, 0)
 _MARGIN, _SPEED_STEP = 0.02, 0.2
 _CURVES: tuple[uplot.Series, ...] = (
     {"label": "spring-mass model", "stroke": MODEL, "width": 1.5},
-    {"label": "Cassie", "stroke": ROBOT, "width": 2.0},
+    {"label": ROBOT_LABEL, "stroke": ROBOT, "width": 2.0},
     {"label": "command", "stroke": COMMAND, "width": 1.5, "dash": (6.0, 4.0)},
 )
 _LEGEND = "".join(
@@ -104,14 +107,14 @@ class Readouts:
         self._reward["reward"] = float(after["reward"])
 
     def redraw(self) -> None:
-        """Make browsers redraw the plot several times, until the page of a visitor has its size.
+        """Redraw the plot several times, until the page of a new visitor is laid out.
 
-        uPlot leaves out the time axis of a plot that gets its data while the page is laid out.
+        uPlot leaves out the time axis of a plot that gets its data before.
         """
         self._redraws = _REDRAWS
 
     def show(self, status: Status) -> None:
-        """Update lines, plot and bars; for a few calls a second."""
+        """Update lines, plot and bars; meant for a few calls per second."""
         self._lines.content = _lines(status, self._mean_speed())
         self._redraws = max(self._redraws - 1, 0)
         if (scales := self._scales()) != self._plot.scales:
@@ -120,9 +123,9 @@ class Readouts:
         self._bars.content = _bars(self._reward)
 
     def _curves(self) -> tuple[np.ndarray, ...]:
-        """Time before the present [s] and the speeds [m/s] then, each (n,), NaN before the start.
+        """Time before the present [s] and speeds [m/s], each (n,), NaN before the start.
 
-        The length never changes: uPlot draws no time axis for a range that its data do not fill.
+        The length is constant, because uPlot draws no time axis for a range that data do not fill.
         """
         columns = np.full((len(self._time), len(_CURVES)), np.nan)
         if self._history:
@@ -130,9 +133,9 @@ class Readouts:
         return (self._time, *columns.T)
 
     def _scales(self) -> dict[str, uplot.Scale]:
-        """Axes that hold the curves, in steps so that they rarely move.
+        """Ranges of the axes around the curves, rounded so that they rarely change.
 
-        uPlot finds no range of its own for data with NaN.
+        uPlot itself finds no range for data with NaN.
         """
         speeds = np.array(self._history or [(0.0, 0.0, 0.0)])
         low = _SPEED_STEP * math.floor((speeds.min() - _MARGIN) / _SPEED_STEP)

@@ -1,4 +1,4 @@
-"""The robot on the page: meshes of its visible shapes on a tree of its bodies."""
+"""Robot on the page: meshes of its visible shapes on a tree of its bodies."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WIRE_SECTIONS = 8
 
 
 class Mesh(NamedTuple):
-    """Triangles; where two faces meet at an edge, their corners are not shared."""
+    """Triangle mesh; faces that meet at a sharp edge share no vertices there."""
 
     vertices: np.ndarray
     """(n, 3) [m]."""
@@ -36,7 +36,7 @@ class Mesh(NamedTuple):
         return cls(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
     def moved(self, position: np.ndarray, quaternion: np.ndarray) -> Mesh:
-        """The mesh at a position (3,) [m] and orientation (4,), wxyz."""
+        """Move the mesh to a position (3,) [m] and orientation (4,), wxyz."""
         rotation = np.empty(9)
         mujoco.mju_quat2Mat(rotation, quaternion)
         return Mesh(self.vertices @ rotation.reshape(3, 3).T + position, self.faces)
@@ -46,7 +46,7 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
     """Surface of a geom, in the frame of its body.
 
     Args:
-        model: the compiled model.
+        model: compiled model.
         geom: id of a sphere, capsule, ellipsoid, cylinder or box.
 
     Raises:
@@ -73,12 +73,12 @@ def geom_mesh(model: mujoco.MjModel, geom: int) -> Mesh:
 
 
 def sphere(radius: float) -> Mesh:
-    """A sphere about the origin, radius [m]."""
+    """Sphere about the origin, radius [m]."""
     return revolve([_arc(radius, 0.0, -1.0, 1.0)])
 
 
 def cylinder(radius: float, half: float) -> Mesh:
-    """A cylinder about the z axis, from -half to half [m]."""
+    """Cylinder about the z axis, from -half to half [m]."""
     rim = np.array([[0.0, -half], [radius, -half], [radius, half], [0.0, half]])
     return revolve([rim[:2], rim[1:3], rim[2:]])
 
@@ -87,8 +87,8 @@ def revolve(profiles: Sequence[np.ndarray]) -> Mesh:
     """Surface of revolution of profiles about the z axis.
 
     Args:
-        profiles: each (n, 2), distance from the axis and height [m], upwards with the outside to
-            the right; the surface is smooth along a profile and has an edge between profiles.
+        profiles: (n, 2) points each, distance from the axis and height [m], from bottom to top;
+            the surface is smooth along a profile and has an edge between profiles.
     """
     angle = np.linspace(0.0, 2 * np.pi, _SECTIONS, endpoint=False)
     turn = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=-1)
@@ -100,11 +100,11 @@ def revolve(profiles: Sequence[np.ndarray]) -> Mesh:
 
 
 def tube(path: np.ndarray, radius: float) -> Mesh:
-    """A round wire.
+    """Round wire along a path.
 
     Args:
-        path: (n, 3) along its middle [m].
-        radius: of the wire [m].
+        path: (n, 3) centre line [m].
+        radius: radius of the wire [m].
     """
     along = np.gradient(path, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -128,7 +128,7 @@ def _arc(radius: float, height: float, start: float, end: float) -> np.ndarray:
 
 
 def _skin(rings: np.ndarray) -> Mesh:
-    """Surface through rings (n, k, 3), counter-clockwise about the way from ring to ring."""
+    """Surface through rings (n, k, 3), counter-clockwise about the direction from ring to ring."""
     count, sections = rings.shape[:2]
     ring, section = np.meshgrid(np.arange(count - 1), np.arange(sections), indexing="ij")
     a = (ring * sections + section).ravel()
@@ -139,7 +139,7 @@ def _skin(rings: np.ndarray) -> Mesh:
 
 
 def _box(half: np.ndarray) -> Mesh:
-    """A box about the origin, (3,) half sizes [m]."""
+    """Box about the origin, (3,) half sizes [m]."""
     square = np.array([[-1.0, -1.0, 1.0], [1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]])
     sides = []
     for axis in range(3):
@@ -155,8 +155,8 @@ Color = tuple[int, int, int]
 class RobotView:
     """Bodies of the robot, each a child of its parent body.
 
-    All joints turn about the origin of their body, so that positions in the parent are constant and
-    only orientations are sent.
+    Joints turn about the origin of their body, so positions in the parent are constant and only
+    orientations are sent.
 
     Args:
         scene: scene to draw in, with the pelvis above the origin.
@@ -196,11 +196,11 @@ class RobotView:
 
 
 def body_meshes(model: mujoco.MjModel, body: int) -> Iterator[tuple[Color, Mesh]]:
-    """Visible shapes of a body, in its frame: a mesh for every colour.
+    """Visible shapes of a body, in its frame: one mesh per colour.
 
     Args:
-        model: the compiled model.
-        body: id.
+        model: compiled model.
+        body: id of the body.
     """
     shapes: dict[Color, list[Mesh]] = {}
     start = model.body_geomadr[body]

@@ -1,4 +1,4 @@
-"""The scene of the page: the robot, the reduced-order model, and a floor that moves below them."""
+"""Scene of the page: robot, reduced-order model, and a floor that moves below them."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class RomView:
         }
 
     def place(self, place: RomPlace) -> None:
-        """Show the model at a place."""
+        """Show the model beside the robot, in its place, or not at all."""
         self._offset = _BESIDE if place == "beside" else np.zeros(3)
         self._root.position = self._turn @ self._offset
         self._root.visible = self._plans.visible = place != "hidden"
@@ -105,7 +105,7 @@ class RomView:
 class _LegView:
     """Coil spring with a round foot, one metre long and stretched to the length of the leg.
 
-    A skinned mesh, which viewers stretch as fast as they move it; scaling takes them longer.
+    The spring is a skinned mesh, because viewers stretch a skin faster than they scale a mesh.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, side: Side) -> None:
@@ -127,7 +127,7 @@ class _LegView:
         self._foot = scene.add_mesh_simple(f"{name}/foot", *sphere(FOOT_RADIUS), color=color)
 
     def update(self, body: np.ndarray, foot: np.ndarray, stance: bool) -> None:
-        """Stretch between two (3,) points [m]."""
+        """Stretch the leg between two points (3,) [m]."""
         quaternion = np.empty(4)
         mujoco.mju_quatZ2Vec(quaternion, body - foot)
         self._frame.position = foot
@@ -151,7 +151,7 @@ _ROBOT_OPACITY = 0.35
 
 
 class SceneView:
-    """Scene that moves with the robot, so that the camera need not.
+    """Scene in which the robot stays at the origin and the floor moves, for a fixed camera.
 
     Args:
         server: server of the page.
@@ -182,7 +182,7 @@ class SceneView:
         self._rom = RomView(scene, library)
 
     def place_rom(self, place: RomPlace) -> None:
-        """Show the reduced-order model at a place."""
+        """Show the reduced-order model beside the robot, in its place, or not at all."""
         with self._server.atomic():
             self._rom.place(place)
             self._robot.fade(_ROBOT_OPACITY if place == "through" else None)
@@ -195,7 +195,7 @@ class SceneView:
         """
         qpos = cast("torch.Tensor", td["truth", "qpos"])[0].numpy()
         with self._server.atomic():
-            # the pattern repeats after a section
+            # the pattern of the floor repeats after a section
             self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
             self._robot.update(qpos)
             self._rom.update(td)

@@ -1,8 +1,8 @@
 """Server of the page, at exactly the given address, which accepts only valid values.
 
-Whatever a browser sends, viser keeps and sends on to every later visitor. One value that cannot be
-encoded would close the page for all of them, and a page can set any attribute of a control, ask
-for a public address of the server, or have messages kept that nobody reads. So only valid values of
+viser keeps all messages of browsers and sends them on to every later visitor. A value that cannot
+be encoded would close the page for all of them. A browser could also set any attribute of a
+control, request a public address of the server, or fill its memory. So only valid values of
 controls pass.
 """
 
@@ -26,8 +26,8 @@ _PORTS = 65536
 def start_server(host: str, port: int) -> viser.ViserServer:
     """Start a server.
 
-    viser would take another port if one is taken, and search for ever on a host that is not this
-    machine; here both are errors.
+    viser would choose another port if the port is taken, and search without end on a host that is
+    not this machine; here both are errors.
 
     Args:
         host: name or address of this machine to listen on.
@@ -57,7 +57,7 @@ def page_url(server: viser.ViserServer) -> str:
 
 
 def _without_tracebacks(record: logging.LogRecord) -> bool:
-    """Drop reports of requests that browsers do not send, such as HEAD; shorten others."""
+    """Drop log records of requests other than a browser's, such as HEAD; shorten the others."""
     if record.exc_info and record.exc_info[1] is not None:
         record.msg, record.args = f"{record.getMessage()}: {record.exc_info[1]!r}", ()
         record.exc_info = record.exc_text = None
@@ -73,7 +73,7 @@ def _check_free(host: str, port: int) -> None:
         raise ConfigurationError(f"there is no host {host!r}: {error}") from error
     for family, kind, protocol, _, address in found:
         with socket.socket(family, kind, protocol) as probe:
-            # as the server does: a port whose last owner has just gone is free
+            # like the server: a port that was closed a moment ago is free
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(address)
@@ -123,14 +123,14 @@ def switch(value: object) -> bool:
 def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
     """Accept only valid values of controls from visitors.
 
-    Values out of range are clamped; other invalid messages are dropped. State of a single visitor,
-    such as the place of a camera, is not kept by the server and not touched here.
+    Values out of range are clamped; other invalid messages are dropped. The server does not keep
+    the state of single visitors, such as their cameras, which is left alone here.
 
     Args:
         server: server of the page.
         checks: uuid of a control -> check of its value.
     """
-    # viser has no public hook ahead of its own handlers
+    # viser has no public hook before its own handlers
     connections, accept = server._websock_server, server.gui._handle_gui_updates
 
     async def pass_valid(client: Any, message: messages.GuiUpdateMessage) -> None:

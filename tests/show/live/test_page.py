@@ -1,4 +1,4 @@
-"""What people ask for reaches the robot, turn by turn, without a browser."""
+"""Settings and clicks act on the robot, turn by turn, without a browser."""
 
 import urllib.request
 
@@ -22,7 +22,7 @@ def walk(page: LivePage, turns: int) -> None:
 
 
 def click(button) -> None:
-    """As a click in a browser does."""
+    """Click a button as a browser does."""
     button.value = True
 
 
@@ -68,7 +68,7 @@ def test_pause_stops_time_and_a_click_steps_once(open_page):
 def test_single_step_needs_a_paused_page(open_page):
     page = open_page()
     assert page.controls.step.disabled
-    # from a page that was drawn before
+    # a click from a page that was drawn earlier
     click(page.controls.step)
     walk(page, 2)
     assert page.walker.steps == 2
@@ -154,7 +154,7 @@ def test_push_has_its_direction_size_and_duration(open_page, degrees, ahead, lef
     pushed = [td["push"][0].numpy() for td in steps if "push" in td and td["push"].any()]
     assert len(pushed) * CASSIE.policy_period == pytest.approx(0.12)
     direction = np.array([ahead, left, 0]) / np.hypot(ahead, left)
-    # the robot looks straight ahead to within a degree or two here
+    # the heading is 0 to within two degrees
     np.testing.assert_allclose(pushed[0], 150 * direction, atol=6)
     assert np.linalg.norm(pushed[0]) == pytest.approx(150, rel=1e-5)
 

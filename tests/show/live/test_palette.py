@@ -1,4 +1,4 @@
-"""One meaning for each colour, in scenes, plots and layouts."""
+"""Each colour has one meaning in scenes, plots and layouts."""
 
 from aslip.robot import SIDES
 from aslip.rom import Mode
