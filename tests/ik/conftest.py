@@ -1,4 +1,4 @@
-"""Models of the robot and poses to solve."""
+"""Models of the robot, and poses to solve."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs
@@ -29,7 +29,7 @@ def mujoco_model() -> mujoco.MjModel:
 
 @pytest.fixture(scope="session")
 def random_qpos(mujoco_model: mujoco.MjModel) -> np.ndarray:
-    """50 configurations anywhere, loops open."""
+    """50 random configurations with open loops."""
     qpos = np.random.default_rng(0).uniform(-3, 3, (50, mujoco_model.nq))
     for configuration in qpos:
         mujoco.mj_normalizeQuat(mujoco_model, configuration)

@@ -1,4 +1,4 @@
-"""Messages about targets out of reach and malformed ones."""
+"""Error messages for targets out of reach and malformed targets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIDEWAYS = 0.12
 
 
 def _stand(kinematics, left=(0.0, SIDEWAYS, 0.0), **left_options):
-    """One pose whose left foot is to be tested; the right foot is comfortable."""
+    """Solve one pose with a given target of the left foot; the right one is within reach."""
     return solve(
         kinematics,
         BodyTarget(np.array([[0.0, 0.0, 0.85]])),
@@ -53,7 +53,7 @@ def test_missed_distance_grows_with_the_distance_of_the_target(kinematics):
         assert found
         misses.append(float(found.group(1)))
     np.testing.assert_allclose(np.diff(misses), (0.01, 0.29), atol=2e-3)
-    # and is what the leg lacks: at 0.27 it is stretched but still there
+    # the miss is the length that the leg lacks: at 0.27 m the foot still reaches its target
     assert misses[0] == pytest.approx(0.03, abs=0.01)
     _stand(kinematics, left=(0.0, SIDEWAYS, -0.27))
 
@@ -74,7 +74,7 @@ def test_limiting_joint_is_named(kinematics, joint, pose):
 
 @pytest.mark.parametrize(("turn", "least", "most"), [(0.8, 0.4, 0.42), (2.9, 1.2, 2.9 - 0.39)])
 def test_missed_direction_is_reported_as_an_angle(kinematics, turn, least, most):
-    """Hip yaw stops at 0.39 rad; toes that should point backwards are not met by such as do not."""
+    """Hip yaw stops at 0.39 rad; toes that should point backward do not count as forward ones."""
     message = _message(kinematics, orientation=_about((0, 0, 1), turn))
     found = re.search(r"its direction by ([\d.]+) rad", message)
     assert found

@@ -1,4 +1,4 @@
-"""Jacobians against finite differences and MuJoCo."""
+"""Jacobians agree with finite differences and MuJoCo."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without type stubs

@@ -1,4 +1,4 @@
-"""Pinocchio and MuJoCo read the same robot from the same file."""
+"""Pinocchio and MuJoCo agree on the robot of an MJCF."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs

@@ -1,4 +1,4 @@
-"""Solutions of the inverse kinematics, seen by Pinocchio and MuJoCo."""
+"""Solutions of the inverse kinematics, checked with Pinocchio and MuJoCo."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs
@@ -58,7 +58,7 @@ def test_walking_poses_are_solved_to_rounding(kinematics, walking, walking_libra
 
 
 def test_newton_needs_few_steps_anywhere_in_the_workspace(kinematics, monkeypatch):
-    """Without joint limits, level feet get to every position of the box."""
+    """Without joint limits, level feet reach every position in the box."""
     x, y, z = np.meshgrid(
         np.linspace(-0.45, 0.45, 10), np.linspace(0.05, 0.2, 4), np.linspace(-0.92, -0.6, 5)
     )
@@ -140,7 +140,7 @@ def test_feet_move_with_their_targets(kinematics, mujoco_model, smooth_motion):
             np.testing.assert_allclose(velocity[3:], target.velocity[i], atol=1e-11)
             toes = data.site_xmat[site.id].reshape(3, 3)[:, 0]
             turn = velocity[:3] - target.angular_velocity[i]
-            # whatever else it does, it rolls about its toe axis only
+            # the sole turns relative to its target about the toe axis only
             np.testing.assert_allclose(np.cross(turn, toes), 0, atol=1e-11)
 
 
@@ -160,7 +160,7 @@ def test_pelvis_motion_is_that_of_its_target_in_mujoco(kinematics, mujoco_model,
 
 
 def _mirror_target(target: BodyTarget) -> BodyTarget:
-    """The same body seen in a mirror along y: axial vectors change sign in x and z."""
+    """Mirror a target in y: axial vectors change sign in x and z."""
     polar, axial = np.array([1.0, -1, 1]), np.array([-1.0, 1, -1])
     return BodyTarget(
         target.position * polar,
@@ -218,7 +218,7 @@ def test_targets_are_not_changed(kinematics, smooth_motion):
 def test_loop_residual_is_the_largest_gap_of_the_solution(
     kinematics, smooth_motion, monkeypatch, joint
 ):
-    """Either loop may be open: that of the Achilles rod or that of the plantar rod."""
+    """Open either loop: that of the Achilles rod or that of the plantar rod."""
 
     def inexact(*args):
         configuration, solved = newton(*args)
@@ -226,7 +226,7 @@ def test_loop_residual_is_the_largest_gap_of_the_solution(
         moved[..., kinematics.leg_joints[0].index(f"left_{joint}")] = 1e-7
         return kinematics.integrate(configuration, moved), solved
 
-    # the function hides the module of its name
+    # the function `solve` hides its module
     monkeypatch.setattr(sys.modules["aslip.ik.solve"], "newton", inexact)
     solution = solve(kinematics, *smooth_motion(np.linspace(0, 3, 5)))
     legs = kinematics.legs(kinematics.to_pinocchio(solution.qpos))
@@ -237,7 +237,7 @@ def test_loop_residual_is_the_largest_gap_of_the_solution(
 
 
 def test_solver_reproduces_the_shipped_library(kinematics, library):
-    """Today's solver and the one that made the file agree on every pose."""
+    """The solver gives the poses of the shipped file."""
     phase = np.arange(library.table.qpos.shape[1]) / library.table.qpos.shape[1]
     for row in (0, 10, 20):
         motion = library.gaits[row].sample(phase)

@@ -1,4 +1,4 @@
-"""The standing pose, and the keyframe of the model that holds it."""
+"""Standing pose, and the keyframe of the MJCF that stores it."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs

@@ -1,4 +1,4 @@
-"""Static torques against virtual work on the library's own motion."""
+"""Static torques obey virtual work along motions of the library."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from aslip.robot import CASSIE, STANDARD_GRAVITY
 
 @pytest.mark.parametrize("row", [0, 7, 20])
 def test_motors_and_ground_do_the_same_work(library: GaitLibrary, row: int) -> None:
-    """Along a motion with rigid springs, what the motors put in goes into the load."""
+    """Virtual work: along a motion with rigid springs motors and ground forces balance."""
     table = library.table
     force = np.random.default_rng(row).normal(size=(table.qpos.shape[1], 2, 3))
     torque = static_torque(Kinematics(), table.qpos[row], force)
-    # the reference's feet, and with them the robot's, relative to a pelvis that does not turn
+    # feet relative to a pelvis that does not turn
     velocity = table.foot_velocity[row]
     velocity = velocity - table.body_velocity[row][:, None]
     by_ground = (force * velocity).sum((1, 2))
@@ -27,7 +27,7 @@ def test_motors_and_ground_do_the_same_work(library: GaitLibrary, row: int) -> N
 
 
 def test_library_torques_carry_the_load_of_the_model(library: GaitLibrary) -> None:
-    """In single stance the knee carries, in swing it does not."""
+    """The knee carries a load in stance and none in swing."""
     torque = library.table.motor_torque[10]
     left, right = torque[:, :5], torque[:, 5:]
     middle_of_left_swing = torque.shape[0] // 4

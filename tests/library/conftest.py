@@ -1,4 +1,4 @@
-"""A small library to damage, and a motion of one's own."""
+"""Small library to damage, and a user-defined motion."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from tests.helpers import MADE_BY
 
 
 class Shuffle:
-    """A user's motion, which inherits from nothing: a pendulum's walk that drifts sideways.
+    """User-defined motion without a base class: a pendulum walk that drifts sideways.
 
-    Its toes point outwards, and its command has two axes, forward and sideways.
+    The toes point outwards, and the command has two axes, forward and sideways.
     """
 
     def __init__(self, forward: float, sideways: float, toes: float = 0.1) -> None:
@@ -27,7 +27,7 @@ class Shuffle:
         self.toes = toes
 
     def sample(self, phase: np.ndarray) -> MotionSample:
-        """A walk forward, moved sideways at the commanded speed."""
+        """Sample a forward walk, moved sideways at the commanded speed."""
         walk = PendulumWalk(speed=self.forward, stride=self.stride).sample(phase)
         drift = np.multiply.outer(phase * self.stride, [0.0, self.sideways, 0.0])
         rate = np.array([0.0, self.sideways, 0.0])
@@ -42,7 +42,7 @@ class Shuffle:
 
 @pytest.fixture(scope="session")
 def small(library: GaitLibrary) -> GaitLibrary:
-    """Two gaits of eight samples."""
+    """Library of two gaits with eight samples each."""
     table = library.table
     rows = {name: getattr(table, name)[[5, 10]] for name in ARRAYS}
     thinned = {name: v[:, ::16] if v.ndim > 1 else v for name, v in rows.items()}
@@ -52,7 +52,7 @@ def small(library: GaitLibrary) -> GaitLibrary:
 
 @pytest.fixture
 def file(small: GaitLibrary, tmp_path: Path) -> Path:
-    """The small library in a file."""
+    """File of the small library."""
     path = tmp_path / "gaits.npz"
     small.save(path)
     return path

@@ -1,4 +1,4 @@
-"""The library's file: exact, whole or refused, and never a program."""
+"""Library files: exact, or refused; never executed."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_loaded_library_can_be_saved_again(file: Path, tmp_path: Path) -> None:
 def test_motions_other_than_gaits_are_stored_as_samples(
     library: GaitLibrary, tmp_path: Path
 ) -> None:
-    """With the torques' jumps: a saved library of pendulums looks up the same bits."""
+    """A saved library of pendulum walks keeps its table and its flag of jumping torques."""
     pendulums = pendulum_library(library.gaits[5:7], samples=16)
     pendulums.save(tmp_path / "pendulums.npz")
     loaded = GaitLibrary.load(tmp_path / "pendulums.npz")
@@ -97,7 +97,7 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_library_with_a_missing_entry_is_refused(file: Path, name: str) -> None:
-    """Even if all hashes are right."""
+    """Also with correct hashes."""
     parts = unzipped(file.read_bytes())
     del parts[name]
     file.write_bytes(forged(parts))

@@ -1,4 +1,4 @@
-"""Looking motions up: exact at the nodes, smooth between, consistent in itself."""
+"""Look-ups: exact at samples, smooth between them, consistent with the robot."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
@@ -94,11 +94,11 @@ def test_reference_is_continuous_across_gaits(library: GaitLibrary) -> None:
 
 
 LARGEST_CHANGES = {"velocity": (0.2, 0.02), "torque": (8.0, 1.0)}
-"""Bounds for rates and torques over a thousandth of a stride, and over 1 mm/s of speed."""
+"""Largest changes of velocities and torques over 1/1000 of a stride, and over 1 mm/s of speed."""
 
 
 def test_reference_changes_little_over_small_steps_of_phase_and_speed(library: GaitLibrary) -> None:
-    """No value moves faster than a foot does: the library has no outlier anywhere."""
+    """The library has no outliers."""
     phase, speed = _random(2000)
     here = library.lookup(phase, speed)
     ahead = library.lookup(phase + 1e-3, speed)
@@ -112,7 +112,7 @@ def test_reference_changes_little_over_small_steps_of_phase_and_speed(library: G
 
 
 def test_derivative_in_phase_is_continuous(library: GaitLibrary) -> None:
-    """Once continuously differentiable, across the nodes and the wrap, in double precision."""
+    """The reference is once continuously differentiable, also across samples and the wrap."""
     step = 1e-6
     samples = library.table.qpos.shape[1]
     for column in (0, 1, 40, 127):
@@ -122,7 +122,7 @@ def test_derivative_in_phase_is_continuous(library: GaitLibrary) -> None:
                 library.initial_state(p, v)[0] for p in (node - step, node, node + step)
             )
             left, right = (at - before) / step, (after - at) / step
-            # the second derivative times the step is what may remain
+            # the tolerance is the second derivative times the step
             torch.testing.assert_close(left, right, rtol=0, atol=2e-3)
 
 
@@ -153,7 +153,7 @@ def test_lookup_of_a_batch_equals_single_lookups(library: GaitLibrary) -> None:
 
 @pytest.mark.parametrize(("outside", "bound"), [(-0.5, 0.0), (2.5, 2.0), (1e6, 2.0)])
 def test_speeds_outside_are_clamped(library: GaitLibrary, outside: float, bound: float) -> None:
-    """A joystick can do no harm."""
+    """Commands out of range have the reference of the nearest command in range."""
     phase, _ = _random(20)
     a, b = (library.lookup(phase, _column(v, phase)) for v in (outside, bound))
     for name in NAMES:
@@ -216,7 +216,7 @@ def test_mean_velocity_is_the_speed(library: GaitLibrary) -> None:
 
 
 def test_reference_half_a_stride_later_is_mirrored(library: GaitLibrary) -> None:
-    """The reference is its own mirror image, half a stride apart."""
+    """Positions and velocities half a stride apart are mirror images."""
     phase, speed = _random(300)
     now, later = library.lookup(phase, speed), library.lookup(phase + 0.5, speed)
     for kind in ("position", "velocity"):
@@ -233,7 +233,7 @@ def test_reference_half_a_stride_later_is_mirrored(library: GaitLibrary) -> None
 
 
 def test_phase_zero_is_left_lift_off(library: GaitLibrary) -> None:
-    """Just after it the left foot rises while the right one stays down."""
+    """Just after phase 0 the left foot rises while the right foot stays down."""
     speed = _column(torch.tensor(library.speeds.copy()))
     before = library.lookup(torch.full_like(speed, -0.01), speed)
     after = library.lookup(torch.full_like(speed, 0.05), speed)
@@ -255,11 +255,11 @@ def test_one_foot_is_at_rest_on_the_ground_at_every_phase(library: GaitLibrary) 
     assert torch.stack(speeds).min(dim=0).values.max() < 0.02
 
 
-# ------------------------------------------------------------ the robot on it
+# ------------------------------------------------------------ the robot
 
 
 def _loop_errors(qpos: Tensor) -> np.ndarray:
-    """(n, 12) distances [m] between rod ends and where they belong."""
+    """(n, 12) components of the gaps of the loops [m]."""
     model = load_model()
     data = mujoco.MjData(model)
     errors = []
@@ -274,7 +274,7 @@ def _loop_errors(qpos: Tensor) -> np.ndarray:
 def test_initial_state_closes_the_loops(
     library: GaitLibrary, offset: float, tolerance: float
 ) -> None:
-    """To a micrometre at any phase of a gait; to half a millimetre between two gaits."""
+    """Gaps are below a micrometre at a gait's speed, and half a millimetre between two."""
     phase, _ = _random(20)
     for speed in library.speeds[:-1:4] + offset:
         qpos, _ = library.initial_state(phase, _column(speed, phase))
@@ -358,7 +358,7 @@ def test_calling_a_library_equals_lookup(library: GaitLibrary) -> None:
 
 
 def test_all_tables_move_to_another_device(small: GaitLibrary) -> None:
-    """Checked on torch's device without memory, which refuses tensors of another device."""
+    """Checked on the meta device, which refuses tensors of other devices."""
     moved = copy.deepcopy(small).to("meta")
     phase, speed = (torch.zeros(3, 1, device="meta") for _ in range(2))
     reference = moved.lookup(phase, speed)

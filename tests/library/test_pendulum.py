@@ -1,4 +1,4 @@
-"""Libraries of the linear inverted pendulum."""
+"""Libraries of pendulum walks: an ablation, and the single-reference baseline."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_walk_in_place_cannot_be_stretched() -> None:
 def test_pendulums_have_mass_and_clearance_of_gaits(
     library: GaitLibrary,
 ) -> None:
-    """So that a comparison of the two is one of how the body moves over its feet."""
+    """A comparison with gaits is then one of the motion of the body over its feet."""
     gaits = library.gaits[5:7]
     pendulums = pendulum_library(gaits, samples=32)
     pairs = zip(pendulums.table.qpos, pendulums.table.motor_torque, gaits, strict=True)
@@ -92,7 +92,7 @@ def test_pendulums_have_mass_and_clearance_of_gaits(
 
 
 def test_shipped_baseline_is_reproduced() -> None:
-    """The file keeps the bits; solving it anew gives the same to rounding."""
+    """Solving the inverse kinematics anew gives the shipped table to rounding."""
     shipped, anew = GaitLibrary.load("single_reference"), single_reference_library()
     for name in ARRAYS:
         found, expected = getattr(shipped.table, name), getattr(anew.table, name)

@@ -1,4 +1,4 @@
-"""Tables: motions on a grid of commands, any user's own among them."""
+"""Tables of motions on a grid of commands, user-defined motions among them."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def grid(shuffles: list[Shuffle]) -> GaitLibrary:
 
 
 def test_tabulating_new_gaits_gives_the_shipped_table(library: GaitLibrary) -> None:
-    """Two of its gaits, optimised anew."""
+    """Two gaits are optimised and tabulated anew."""
     table = tabulate(optimize_gaits(library.speeds[:2].tolist()), samples=16)
     for name in ARRAYS:
         shipped = getattr(library.table, name)[:2]
@@ -51,7 +51,7 @@ def test_tabulating_new_gaits_gives_the_shipped_table(library: GaitLibrary) -> N
 
 
 def test_heavier_model_needs_more_torque() -> None:
-    """Parameters and objective of the optimisation reach a library."""
+    """Parameters and objective of the optimisation reach the library."""
     heavy = SlipParameters(mass=33.3)
     settings: list[tuple[SlipParameters | None, Objective]]
     settings = [(None, "mean"), (heavy, "mean"), (heavy, "integral")]
@@ -90,7 +90,7 @@ def test_soles_point_along_the_toes_of_the_motion(grid: GaitLibrary) -> None:
 
 
 def test_user_defined_motion_guides_a_robot_and_plans_footholds(tmp_path: Path) -> None:
-    """Saved and loaded again, in the default stack; footholds are planned from it."""
+    """The library is saved, loaded and used in the default stack; its footholds are planned."""
     motions = [Shuffle(speed, 0.0) for speed in (0.2, 0.6)]
     for motion in motions:
         motion.command = motion.command[:1]
@@ -192,7 +192,7 @@ def test_tabulating_needs_four_samples() -> None:
         tabulate([PendulumWalk()], samples=3)
 
 
-# ------------------------------------------------------------------ the table itself
+# ------------------------------------------------------------------ the table
 
 
 def test_arrays_are_read_only(small: GaitLibrary) -> None:
@@ -219,7 +219,7 @@ def test_table_with_nan_is_refused(small: GaitLibrary) -> None:
 @pytest.mark.parametrize("name", ARRAYS)
 @pytest.mark.parametrize("change", ["column", "sample", "axis"])
 def test_table_of_wrong_shape_is_refused(small: GaitLibrary, name: str, change: str) -> None:
-    """With fewer columns, with one sample more than the others, as one number a gait or two."""
+    """An array with a wrong number of columns, samples or axes."""
     array = getattr(small.table, name)
     flat = array.ndim == 1
     wrong = {

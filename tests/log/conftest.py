@@ -1,8 +1,8 @@
-"""A log of a short walk, with a push, a change of command, a fall and a second episode."""
+"""Logs of short walks with a push, falls and several episodes."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from aslip.envs import default_stack, randomise_stack
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read
 from aslip.robot import CASSIE
-from tests.log.helpers import MakeRecorded, run
+from tests.log.helpers import Alter, MakeRecorded, run
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +56,7 @@ def make_recorded(library: GaitLibrary) -> MakeRecorded:
 def walk(
     make_recorded: MakeRecorded, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Path, list[TensorDict]]:
-    """A log of 80 policy steps and some episodes, and what happened."""
+    """Log of 80 policy steps in several episodes, and the tensordicts of the steps."""
     path = tmp_path_factory.mktemp("logs") / "walk.mcap"
     env = make_recorded(path, policy="aslip", config={"why": "a test"})
     seen = run(env, 80)
@@ -67,5 +67,35 @@ def walk(
 
 @pytest.fixture(scope="session")
 def recording(walk: tuple[Path, list[TensorDict]]) -> Recording:
-    """The same, read."""
+    """The log in memory."""
     return read(walk[0])
+
+
+@pytest.fixture(scope="session")
+def log(make_recorded: MakeRecorded, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Log of 3 s of walking in several episodes."""
+    path = tmp_path_factory.mktemp("logs") / "walk.mcap"
+    env = make_recorded(path)
+    run(env, 100)
+    env.close()
+    return path
+
+
+@pytest.fixture(scope="session")
+def whole(log: Path) -> Recording:
+    """The log in memory."""
+    return read(log)
+
+
+@pytest.fixture
+def altered(log: Path, tmp_path: Path) -> Alter:
+    """Function that writes a copy of the log with changed bytes."""
+
+    def alter(change: Callable[[bytearray], None]) -> Path:
+        data = bytearray(log.read_bytes())
+        change(data)
+        path = tmp_path / "altered.mcap"
+        path.write_bytes(data)
+        return path
+
+    return alter

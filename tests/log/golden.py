@@ -1,6 +1,6 @@
 """Write `tests/data/golden.mcap`, the log that pins the format: `python -m tests.log.golden`.
 
-To be written anew, with a new `aslip.log.messages.FORMAT`, only when messages change on purpose.
+Write it again, with a new `aslip.log.messages.FORMAT`, only when messages change on purpose.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ GOLDEN = Path(__file__).parents[1] / "data" / "golden.mcap"
 
 
 def main(path: Path) -> None:
-    """Some steps at 0.5 m/s, and more of a second episode with a payload."""
+    """Log 5 steps at 0.5 m/s, then an episode of 12 steps with a payload."""
     stack = {**default_stack(), "recorder": lambda: Recorder(path, overwrite=True)}
     env = aslip.make_env(seed=7, num_threads=1, stack=stack)
     policy = aslip.load_policy("aslip")

@@ -1,4 +1,4 @@
-"""A log that is checked in: what reads it today, reads the logs that people have."""
+"""Golden log: logs of earlier versions are still read and replayed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TOPICS = {
 
 
 def test_golden_log_is_read() -> None:
-    """Topics, columns and numbers are those of the day it was written."""
+    """Topics, columns and numbers are those at the time of writing."""
     assert check(GOLDEN) == []
     log = read(GOLDEN)
     assert log.metadata["format"] == FORMAT
@@ -52,12 +52,12 @@ ADDED = {"/dynamics": ["pd_stiffness", "pd_damping"]}
 
 
 def digest(text: str) -> str:
-    """Description of a log that changes when a column is renamed, moved, or added."""
+    """Short hash of a text; one of column names changes with any name or order."""
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def test_golden_log_is_replayed() -> None:
-    """To the bit where versions are the same; elsewhere it stays close for a second."""
+    """Bit-equal with the same versions; close for a second with others."""
     result = replay(GOLDEN, strict=False)
     assert result.steps == 17
     assert result.compared == 1
@@ -66,7 +66,7 @@ def test_golden_log_is_replayed() -> None:
 
 
 def test_new_log_has_the_messages_of_the_golden_log(tmp_path: Path) -> None:
-    """Otherwise the format has changed, and so must `FORMAT` and the golden log."""
+    """A failure means that the format has changed: change `FORMAT` and the golden log, too."""
     main(tmp_path / "new.mcap")
     new, golden = read(tmp_path / "new.mcap"), read(GOLDEN)
     assert new.series.keys() == golden.series.keys()

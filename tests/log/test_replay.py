@@ -1,4 +1,4 @@
-"""A log's simulation is repeated bit for bit, or it is said why not."""
+"""Replays are bit-equal, or name the reason for a difference."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_logs_of_both_backends_replay(
     result = replay(path)
     assert result.equal
     assert result.compared >= 2
-    # what it gives back is the robot's path
+    # the result has the path of the robot
     truth = read(path)["/truth"]
     rows = np.searchsorted(np.rint(truth.time / 0.03), np.rint(result.time / 0.03))
     np.testing.assert_array_equal(
@@ -98,7 +98,7 @@ def test_other_mujoco_version_is_reported(recording: Recording) -> None:
 
 
 def test_drift_is_measured_for_every_state(recording: Recording) -> None:
-    """It begins where something was different, and ends with the episode."""
+    """Drift begins at the changed target and ends with the episode."""
     row = int(np.searchsorted(recording["/step"].time, 1.0))
     other = _changed(recording, "/step", "motor_target_left_knee", row, 1e-9)
     whole, first = replay(other, strict=False), replay(other)
@@ -122,7 +122,7 @@ def test_drift_is_measured_for_every_state(recording: Recording) -> None:
 def test_drift_of_the_configuration_ignores_velocities(
     recording: Recording, place: int, moves: int
 ) -> None:
-    """The time comes before them in a state, velocities and others after them."""
+    """In a state, time comes before the configuration, velocities and other numbers after it."""
     states = recording["/state"]
     last = np.searchsorted(states.time, recording["/step"].time[-1], side="right") - 1
     other = _changed(recording, "/state", "integration", (last, place), 1e-3)
@@ -148,7 +148,7 @@ def test_changed_low_level_code_is_detected(recording: Recording) -> None:
 
 
 def test_replay_resumes_after_a_gap(recording: Recording) -> None:
-    """Replay goes on from the first state after it."""
+    """Replay continues from the first state after the gap of a recovered log."""
     step = recording["/step"]
     kept = (step.time < 0.6) | (step.time > 0.7)
     columns = {name: column[kept] for name, column in step.columns.items()}
@@ -217,13 +217,13 @@ def test_verification_needs_a_policy_step(
     walk: tuple[Path, list], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", "--verify", "--start", "100", str(walk[0])]) == 2
-    assert "nothing follows the state at" in capsys.readouterr().err
+    assert "no policy step follows the state at" in capsys.readouterr().err
 
 
 def test_verification_fails_when_the_simulation_differs(
     walk: tuple[Path, list], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As it would after a change of the drive, which is then named."""
+    """Changed code of the drive is named as the reason."""
     from aslip.log import replay as _  # noqa: F401
 
     module, torque = sys.modules["aslip.log.playback"], PD.torque

@@ -1,4 +1,4 @@
-"""Logs of robots and physics other than the default replay too, and forged ones do no harm."""
+"""Logs of non-default robots and physics are replayed, and forged logs do no harm."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from tests.log.helpers import MakeRecorded, run
 def test_randomised_robots_are_recorded(
     make_recorded: MakeRecorded, tmp_path: Path, backend: str
 ) -> None:
-    """From episode to episode; each replays from any of its states."""
+    """Dynamics differ from episode to episode; a replay may start in the middle."""
     path = tmp_path / "walk.mcap"
     env = make_recorded(path, backend, num_envs=2, robot=1, dynamics=True)
     run(env, 60)
@@ -44,7 +44,7 @@ def test_randomised_robots_are_recorded(
 def test_changes_of_dynamics_in_an_episode_are_recorded(
     make_recorded: MakeRecorded, tmp_path: Path
 ) -> None:
-    """Also a delay that makes states longer, and one of another robot that does."""
+    """Also a torque delay that makes states longer, of this or another robot."""
     path = tmp_path / "walk.mcap"
     env = make_recorded(path, num_envs=2, drop=["fall", "low_reward"])
     td, still = env.reset(), torch.zeros(2, 10)
@@ -103,7 +103,7 @@ def test_physics_at_1_khz_is_recorded(make_recorded: MakeRecorded, tmp_path: Pat
     assert not replay(replace(log, attachments=files), strict=False).equal
 
 
-# ------------------------------------------------------------------ strangers
+# ------------------------------------------------------------------ forged logs
 
 
 def _with_file(recording: Recording, name: str, data: bytes) -> Recording:
@@ -117,9 +117,9 @@ def _settings(recording: Recording, **changes: Any) -> Recording:
 
 def test_changed_model_is_reported(recording: Recording) -> None:
     slippery = _settings(recording, floor_friction=0.5)
-    with pytest.raises(ConfigurationError, match="compiles to another"):
+    with pytest.raises(ConfigurationError, match="compiles differently"):
         replay(slippery)
-    assert "compiles to another" in replay(slippery, strict=False).doubts[0]
+    assert "compiles differently" in replay(slippery, strict=False).doubts[0]
 
 
 @pytest.mark.parametrize(
@@ -178,7 +178,7 @@ def test_model_with_forged_structure_is_refused(recording: Recording, old: str, 
 
 
 def test_model_with_other_numbers_is_simulated(recording: Recording) -> None:
-    """An older robot's file is what its log is replayed from, not the one that ships."""
+    """The replay uses the MJCF of the log, not the shipped one."""
     xml = asset_path("cassie.xml").read_bytes()
     heavier = re.sub(
         rb' mass="([\d.]+)"', lambda found: b' mass="%.4f"' % (1.5 * float(found[1])), xml
@@ -186,7 +186,7 @@ def test_model_with_other_numbers_is_simulated(recording: Recording) -> None:
     assert heavier != xml
     result = replay(_with_file(recording, "model.xml", heavier), strict=False)
     assert not result.equal
-    assert "compiles to another" in result.doubts[0]
+    assert "compiles differently" in result.doubts[0]
 
 
 def _with_column(recording: Recording, topic: str, name: str, column: np.ndarray) -> Recording:
@@ -200,7 +200,7 @@ def _with_column(recording: Recording, topic: str, name: str, column: np.ndarray
 def test_forged_states_are_refused_or_simulated_safely(
     recording: Recording, place: int, value: float
 ) -> None:
-    """The newest command's place in a motor's memory is among them."""
+    """Among the numbers is the index of the newest command in a motor's memory."""
     integration = recording["/state"]["integration"].copy()
     integration[:, place] = value
     try:
@@ -210,9 +210,9 @@ def test_forged_states_are_refused_or_simulated_safely(
 
 
 def test_forged_index_of_a_command_is_refused(recording: Recording) -> None:
-    """A place outside the memory of commands is refused."""
+    """An index outside the memory of commands is refused."""
     integration = recording["/state"]["integration"].copy()
-    # time, positions, velocities; then of each motor a number for users and the place
+    # time, positions, velocities; then per motor a number for users and the index
     integration[:, 1 + 35 + 32 + 1] = 10_000_000
     with pytest.raises(FileDamagedError, match="outside of a motor's memory"):
         replay(_with_column(recording, "/state", "integration", integration))
@@ -221,7 +221,7 @@ def test_forged_index_of_a_command_is_refused(recording: Recording) -> None:
 @pytest.mark.parametrize("size", [0, 1, 10, 301, 322])
 def test_states_of_wrong_size_are_refused(recording: Recording, size: int) -> None:
     integration = np.resize(recording["/state"]["integration"], (len(recording["/state"]), size))
-    with pytest.raises(FileDamagedError, match=r"state of the log|remembers .* commands"):
+    with pytest.raises(FileDamagedError, match=r"state of the log|remember .* commands"):
         replay(_with_column(recording, "/state", "integration", integration))
 
 
@@ -232,7 +232,7 @@ def test_dynamics_out_of_range_are_refused(recording: Recording, name: str) -> N
         with pytest.raises(FileDamagedError, match=f"{name}|commands"):
             replay(_with_column(recording, "/dynamics", name, column))
     text = np.array(["much"] * len(recording["/dynamics"]))
-    with pytest.raises(FileDamagedError, match="/dynamics is not of numbers"):
+    with pytest.raises(FileDamagedError, match="/dynamics must have one number"):
         replay(_with_column(recording, "/dynamics", name, text))
 
 

@@ -1,4 +1,4 @@
-"""A log is begun, finished and named once; nothing that exists is overwritten."""
+"""Logs are finished and renamed once, and never overwrite a file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from torchrl.envs.transforms import StepCounter
 
 import aslip
 from aslip.envs import default_stack, insert_before
-from aslip.errors import ConfigurationError
+from aslip.errors import AssetError, ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, check, read, recover, replay
 from tests.log.helpers import MakeRecorded, run
@@ -71,7 +71,7 @@ def test_reset_after_closing_leaves_the_log_alone(make_recorded: MakeRecorded, p
 
 
 def test_recorder_that_is_not_last_is_refused(library: GaitLibrary, path: Path) -> None:
-    """It would log the reward 0."""
+    """Before the reward transform it would log a reward of 0."""
     stack = insert_before(
         default_stack(library), "reward", recorder=lambda: Recorder(path, library=library)
     )
@@ -109,7 +109,7 @@ if len(sys.argv) > 2:
 
 @pytest.mark.parametrize("error", [[], ["a mistake in the script"]])
 def test_end_of_a_program_finishes_its_log(path: Path, error: list[str]) -> None:
-    """Whether it ends well or not."""
+    """With and without an exception."""
     command = [sys.executable, "-c", _SCRIPT, str(path), *error]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == len(error), ended.stderr
@@ -136,7 +136,7 @@ def test_forked_process_leaves_the_log_to_its_parent(
 
 @contextmanager
 def _full_disk(path: Path, size: int) -> Iterator[None]:
-    """No file may grow beyond a size."""
+    """Limit the size of files."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
@@ -148,7 +148,7 @@ def _full_disk(path: Path, size: int) -> Iterator[None]:
 
 
 def test_full_disk_ends_the_log_and_not_the_walk(make_recorded: MakeRecorded, path: Path) -> None:
-    """There is one warning, and what was written is recovered."""
+    """There is one warning, and the written part can be recovered."""
     env = make_recorded(path)
     seen = run(env, 40)
     size = path.with_name("walk.mcap.part").stat().st_size
@@ -184,7 +184,7 @@ def test_unwritable_folder_is_an_error(make_recorded: MakeRecorded, tmp_path: Pa
 def test_log_is_synced_before_it_is_renamed(
     make_recorded: MakeRecorded, path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Otherwise a crash of the machine could leave an empty file under the name."""
+    """Otherwise a crash of the machine could leave an empty file under the final name."""
     env = make_recorded(path)
     run(env, 2)
     done: list[tuple[str, int]] = []
@@ -208,7 +208,7 @@ def test_log_is_synced_before_it_is_renamed(
 
 
 def test_sequence_numbers_count_per_topic(walk: tuple[Path, list]) -> None:
-    """A reader that looks for gaps within a topic finds none."""
+    """Readers detect lost messages by gaps within a topic."""
     numbers = defaultdict(list)
     with walk[0].open("rb") as file:
         for _, channel, message in make_reader(file).iter_messages():
@@ -224,3 +224,36 @@ def test_recording_raises_no_warning(make_recorded: MakeRecorded, path: Path) ->
         td = env.reset()
         env.step(td.set("action", torch.zeros(1, 10)))
         env.close()
+
+
+def test_file_is_renamed_when_complete(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+    path = tmp_path / "walk.mcap"
+    env = make_recorded(path)
+    env.rollout(2)
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.mcap.part"]
+    env.close()
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.mcap"]
+
+
+def test_unfinished_log_is_not_overwritten(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+    (tmp_path / "walk.mcap.part").write_bytes(b"precious")
+    with pytest.raises(ConfigurationError, match="recover"):
+        make_recorded(tmp_path / "walk.mcap").reset()
+    assert (tmp_path / "walk.mcap.part").read_bytes() == b"precious"
+
+
+def test_failed_start_leaves_no_file(make_recorded: MakeRecorded, tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="cannot record robot 7"):
+        make_recorded(tmp_path / "walk.mcap", robot=7).reset()
+    env = make_recorded(tmp_path / "walk.mcap")
+    env.base_env.model.geom_size[0] += 1.0
+    with pytest.raises(ConfigurationError, match=r"differs .* in \['geom_size'\]"):
+        env.reset()
+    assert not list(tmp_path.iterdir())
+
+
+def test_invalid_settings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="joint_rate"):
+        Recorder(tmp_path / "a.mcap", joint_rate="fast")  # pyright: ignore
+    with pytest.raises(AssetError, match="nobody"):
+        Recorder(tmp_path / "a.mcap", policy="nobody")

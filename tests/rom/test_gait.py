@@ -1,4 +1,4 @@
-"""Laws every optimal gait obeys, at all 21 speeds."""
+"""Laws of optimal gaits, at all 21 speeds."""
 
 import copy
 import dataclasses
@@ -76,7 +76,7 @@ def test_body_peaks_in_single_stance_and_dips_in_double_stance(gaits, index):
 
 @EVERY_SPEED
 def test_stance_force_has_two_humps(gaits, index):
-    """Spring-mass walking (paper, ground reaction forces): up, down and up again."""
+    """Ground reaction forces of spring-mass walking: up, down and up again."""
     # right stance, from its touchdown at the end of left single stance
     force = np.roll(gaits[index].leg_force[:-1, 1], QUARTER)[: 3 * QUARTER]
     slope = np.sign(np.diff(force))
@@ -89,7 +89,7 @@ def test_stance_force_has_two_humps(gaits, index):
 def test_vertical_impulse_carries_the_weight(gaits, index):
     g = gaits[index]
     force = vertical_force(g)
-    # the force of the leg that lifts off is zero there, so a mode may end with the next one's value
+    # the leg force is zero at lift-off, so a mode may end with the value of the next mode
     impulse = sum(simpson(g, force, mode) for mode in range(4))
     assert impulse == pytest.approx(g.parameters.weight * g.stride, rel=0.005)
 
@@ -246,7 +246,7 @@ def test_certificate_names_each_failed_check(gait):
     ],
 )
 def test_certificate_fails_beyond_each_tolerance(gait, name, good, bad):
-    """A margin of -1e-2 m would be a body a centimetre too low."""
+    """One value just within and one beyond each tolerance."""
     assert dataclasses.replace(gait.certificate, **{name: good}).ok
     assert not dataclasses.replace(gait.certificate, **{name: bad}).ok
 

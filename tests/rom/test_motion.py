@@ -1,4 +1,4 @@
-"""Motions known by their samples."""
+"""Sampled motions interpolate, repeat and survive their arrays."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from aslip.rom import Angle, MotionSample, SampledMotion, Track
 
 
 class Swaying:
-    """A body that sways and turns its heading as sines, at rest above two feet that do not move."""
+    """Body that sways and turns sinusoidally while body and feet move forward at constant speed."""
 
     command = np.array([0.5])
     stride = 0.8
@@ -41,7 +41,7 @@ def test_resampling_returns_the_samples(sampled):
 
 
 def test_interpolation_follows_the_motion_between_samples_and_strides(sampled):
-    """Positions and angles to the error of a cubic, forces to that of a line."""
+    """Positions and angles are cubic, forces and toes linear between samples."""
     phase = np.linspace(-1.3, 2.7, 301)
     found = SampledMotion(sampled.command, sampled.stride, sampled.sample(phase)).to_arrays()
     exact = SampledMotion(Swaying.command, Swaying.stride, Swaying().sample(phase)).to_arrays()

@@ -1,4 +1,4 @@
-"""The linear inverted pendulum's walk obeys its dynamics and repeats itself."""
+"""Walks of the linear inverted pendulum obey its dynamics and repeat themselves."""
 
 import numpy as np
 import pytest

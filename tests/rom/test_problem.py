@@ -73,7 +73,7 @@ def test_kkt_residual_detects_each_violation(gradient, g, lam, expected):
 
 
 def test_multipliers_of_inactive_bounds_fail_the_certificate(monkeypatch):
-    """Complementarity: bounds moved away by 0.1 leave multipliers without a constraint."""
+    """Complementarity: after bounds move away by 0.1, their multipliers belong to no bound."""
     problem, speed = walking_problem(SlipParameters(), "mean"), 1.0
     problem.opti.set_value(problem.speed, speed)
     problem.start_from(problem.rough_guess(speed))

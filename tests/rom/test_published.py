@@ -1,4 +1,4 @@
-"""Our gaits against those the paper's authors released."""
+"""Gaits agree with those released by the authors of the paper."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Films."""
+"""Films have their frames, or are refused."""
 
 from __future__ import annotations
 

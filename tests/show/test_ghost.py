@@ -1,4 +1,4 @@
-"""The reduced-order model beside the robot."""
+"""Ghosts are the reference at the robot, and footholds follow from the gaits."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_feet_turn_with_the_robot(library: GaitLibrary) -> None:
 def test_stance_follows_from_the_foot_velocity(
     library: GaitLibrary, phase: float, stance: tuple[bool, bool]
 ) -> None:
-    """Of the stride: right, double, left, double."""
+    """Modes of a stride: right, double, left, double."""
     ghost = Ghost.of(_instant(library, phase, 1.0, 0.0))
     assert (ghost.left_stance, ghost.right_stance) == stance
 
@@ -60,7 +60,7 @@ def test_ghost_is_of_the_chosen_robot(make: MakeEnv) -> None:
 
 
 def test_ghost_leaves_its_inputs_unchanged(library: GaitLibrary) -> None:
-    """Also rows of double precision, as logs have them."""
+    """Also rows of double precision, as in logs."""
     groups = _instant(library, 0.2, 1.0, 0.5)
     rows = [
         {k: v[0].double().numpy() for k, v in groups[g].items()} for g in ("reference", "truth")
@@ -83,7 +83,7 @@ def test_planned_steps_add_up_to_the_stride(library: GaitLibrary, speed: float) 
 
 
 def test_planned_steps_match_the_gaits(library: GaitLibrary) -> None:
-    """Where the swing foot of a gait is when it has come down, from the other foot."""
+    """A step is from the stance foot to the landing foot at touchdown."""
     footholds, gait = Footholds(library), library.gaits[12]
     for i, side in enumerate(SIDES):
         phase = footholds.touchdown_phase(side, gait.speed)
@@ -98,7 +98,7 @@ def test_planned_steps_match_the_gaits(library: GaitLibrary) -> None:
 
 
 def test_touchdowns_of_a_pendulum_precede_its_change_of_stance() -> None:
-    """Its feet swing 80 % of a step, 0.4 strides, and then wait on the ground."""
+    """Feet swing for 80 % of a step, 0.4 strides, and touch down before the stance changes."""
     for walk in (PendulumWalk(speed=0.0), PendulumWalk(speed=1.0)):
         np.testing.assert_allclose(touchdown_phases(walk), [0.4, 0.9], atol=5e-4)
 
@@ -125,6 +125,6 @@ def test_yaw_rotation_ignores_pitch() -> None:
     yaw, pitch = 0.7, 0.4
     half = np.array([yaw, pitch]) / 2
     (cy, cp), (sy, sp) = np.cos(half), np.sin(half)
-    # first pitched, then turned
+    # pitch first, then yaw
     quaternion = np.array([cy * cp, -sy * sp, cy * sp, sy * cp])
     np.testing.assert_allclose(yaw_rotation(quaternion)[:2, 0], [np.cos(yaw), np.sin(yaw)])

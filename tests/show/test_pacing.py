@@ -1,4 +1,4 @@
-"""The pace of the loop, on a clock that the test moves."""
+"""Pacing of a loop on a simulated clock."""
 
 import pytest
 
@@ -8,7 +8,7 @@ PERIOD = 0.03
 
 
 class Clock:
-    """Time passes while one works or sleeps, and a little more than was slept."""
+    """Simulated clock, on which sleeping takes a little longer than asked for."""
 
     def __init__(self) -> None:
         self.time = 1e5

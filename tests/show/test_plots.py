@@ -1,4 +1,4 @@
-"""Pictures of gaits show what the gaits are."""
+"""Figures of gaits show their paths, modes and phases."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_paths_are_continuous_and_coloured_by_mode(library: GaitLibrary) -> None
 
 
 def test_double_stance_is_shaded(library: GaitLibrary) -> None:
-    """Phases of the first gait are shaded where both feet are on the ground, and nowhere else."""
+    """Shaded are exactly the phases at which both feet of the first gait are on the ground."""
     gaits = library.gaits[::20]
     phase = np.linspace(0, 1, 500, endpoint=False)
     double = gaits[0].sample(phase).mode == Mode.DOUBLE

@@ -1,4 +1,4 @@
-"""Pictures: shapes, what is in them, and what is said where none can be made."""
+"""Pictures: their size, content and errors."""
 
 import os
 import subprocess

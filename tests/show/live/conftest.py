@@ -24,7 +24,7 @@ def server() -> Iterator[viser.ViserServer]:
 
 @pytest.fixture
 def open_page(library: GaitLibrary) -> Iterator[Callable[..., LivePage]]:
-    """Makes pages of a walker that stands, on any free port."""
+    """Function that opens pages of a standing walker on a free port."""
     pages: list[LivePage] = []
 
     def open_page(*policies, speed=0.0, **settings) -> LivePage:

@@ -1,4 +1,4 @@
-"""A served page, and waiting for it."""
+"""Serve a page, and wait for conditions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PATIENCE = 60.0
 
 @contextmanager
 def served(page: LivePage) -> Iterator[None]:
-    """Serve a page meanwhile; what `serve` raises is raised here."""
+    """Serve a page in a thread; errors of `serve` are raised at the end."""
     raised: list[BaseException] = []
 
     def serve() -> None:
@@ -37,7 +37,7 @@ def served(page: LivePage) -> Iterator[None]:
 
 
 def wait_for(condition: Callable[[], object]) -> None:
-    """Wait until a condition is true; fail if it does not become so."""
+    """Wait until a condition is true; fail after a minute."""
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, "still not so after a minute"

@@ -1,4 +1,4 @@
-"""A person at the page: a browser without a screen moves and clicks, and the robot must follow."""
+"""Headless browser: sliders and buttons of the page act on the robot."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.show.live.helpers import PATIENCE, served, wait_for
 playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-# the scene is drawn without a graphics card: few pixels, since every one takes its time
+# few pixels, because the scene is drawn in software
 _ARGUMENTS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader"]
 _ARGUMENTS += ["--enable-unsafe-swiftshader"]
 _SIZE = {"viewport": {"width": 860, "height": 480}, "device_scale_factor": 0.5}
@@ -27,7 +27,7 @@ _SIZE = {"viewport": {"width": 860, "height": 480}, "device_scale_factor": 0.5}
 
 @dataclass
 class Desk:
-    """A page that is being served, and a browser that looks at it."""
+    """Served page, and a browser that shows it."""
 
     live: LivePage
     browser: Any
@@ -35,7 +35,7 @@ class Desk:
     steps: list[TensorDictBase]
 
     def open(self) -> Any:
-        """Another tab with the page, once it is there."""
+        """Open another tab with the page."""
         view = self.browser.new_page(**_SIZE)
         view.set_default_timeout(1000 * PATIENCE)
         view.goto(self.live.url)
@@ -43,7 +43,7 @@ class Desk:
         return view
 
     def come_back(self) -> None:
-        """Look at the page again after having left."""
+        """Load the page again."""
         self.view.goto(self.live.url)
         self.view.get_by_role("button", name="Reset").wait_for()
 
@@ -51,11 +51,11 @@ class Desk:
         self.view.get_by_role("button", name=name).click()
 
     def speeds(self, axis: int) -> list[float]:
-        """Of the pelvis after every step so far [m/s]."""
+        """Speeds of the pelvis after every step so far [m/s]."""
         return [float(td["next", "truth", "pelvis_velocity"][0, axis]) for td in self.steps]
 
     def pause(self) -> int:
-        """Stop time with a click; the number of steps by then."""
+        """Click Pause; return the number of steps so far."""
         self.click("Pause")
         self.view.get_by_role("button", name="Resume").wait_for()
         return len(self.steps)
@@ -86,7 +86,7 @@ def opened(library) -> Iterator[Desk]:
 
 @pytest.fixture
 def desk(opened: Desk) -> Desk:
-    """Whatever was done before, the robot stands at the start and time runs."""
+    """Page after a reset: the robot stands, and time runs."""
     controls = opened.live.controls
     controls.command.value, controls.policy.value = 0.0, "aslip"
     if opened.live.paused:

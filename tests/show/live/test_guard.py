@@ -1,4 +1,4 @@
-"""Visitors who send what no browser sends."""
+"""Invalid messages of visitors are dropped or clamped."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ INVALID = [None, "", "1.0", "9" * 309, math.nan, [], {}, [0.5], {"a": 1}, b"x", 
 
 
 def serves_others(page: LivePage) -> bool:
-    """Whether a later visitor is sent the page and what is set on it."""
+    """True if a later visitor receives the page."""
     with visit(page) as later:
         return bool(later.messages("GuiSliderMessage", lambda m: "force" in m["props"]["label"]))
 
 
 def settle(page: LivePage, visitor: Visitor) -> None:
-    """Wait until the server has handled all that was sent."""
+    """Wait until the server has handled all messages."""
     clicks: list[str] = []
     visitor.update(page.controls.step, value=True)
     wait_for(lambda: clicks.extend(page.controls.clicks()) or "step" in clicks)

@@ -1,4 +1,4 @@
-"""Numbers, bars and curves say what happened."""
+"""Lines, bars and curves show the status, rewards and speeds."""
 
 import re
 
@@ -29,7 +29,7 @@ def readouts(server) -> Readouts:
 
 @pytest.fixture
 def shown(server, monkeypatch) -> dict:
-    """Everything that the readouts put on the page, by kind."""
+    """Elements that the readouts add to the page, by kind."""
     made = {}
     for kind in ("html", "uplot"):
         add = getattr(server.gui, f"add_{kind}")

@@ -1,4 +1,4 @@
-"""Surfaces: where they end, that they are closed, and which way they face."""
+"""Meshes have the bounds of their geoms, are closed and face outwards."""
 
 import mujoco
 import numpy as np
@@ -33,13 +33,13 @@ def compiled(place: str) -> mujoco.MjModel:
 
 
 def volume(mesh: Mesh) -> float:
-    """Enclosed by a closed mesh; negative if its faces look inward."""
+    """Volume of a closed mesh; negative if its faces point inwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
     return float((a * np.cross(b, c)).sum() / 6)
 
 
 def is_closed(mesh: Mesh) -> bool:
-    """Whether every edge is passed as often one way as the other; places count, not indices."""
+    """True if every edge is passed as often in one direction as in the other."""
     _, corner = np.unique(mesh.vertices.round(9), axis=0, return_inverse=True)
     faces = corner.reshape(-1)[mesh.faces]
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -73,7 +73,7 @@ def test_plane_is_refused():
 
 
 def test_faces_that_share_a_vertex_are_nearly_parallel():
-    # or shading would round off what is sharp
+    # otherwise shading would round off sharp edges
     for geom in range(5):
         mesh = geom_mesh(compiled(""), geom)
         a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))

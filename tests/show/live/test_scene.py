@@ -1,4 +1,4 @@
-"""Where things are drawn, read from the handles of a server that nobody looks at."""
+"""Scene nodes have the poses and colours of robot and model."""
 
 import mujoco
 import numpy as np
@@ -19,7 +19,7 @@ def model() -> mujoco.MjModel:
 
 @pytest.fixture
 def walker(library) -> Walker:
-    """A robot in the midst of a step, not straight ahead of the world's origin."""
+    """Robot in mid-step, away from the world's x axis."""
     walker = Walker(library=library, speed=1.0)
     walker.push([0, 150, 0], 0.2)
     for _ in range(20):
@@ -42,7 +42,7 @@ def pose(scene, name: str) -> np.ndarray:
 
 
 def names(model: mujoco.MjModel) -> list[str]:
-    """Of the bodies in the scene, from the first."""
+    """Names of the bodies in the scene."""
     names = ["/robot"]
     for body in range(1, model.nbody):
         names.append(f"{names[model.body_parentid[body]]}/{model.body(body).name}")
@@ -123,7 +123,7 @@ def test_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, library
     )
     drawn = node("/footholds/left").position
     np.testing.assert_allclose(drawn[:2], plan - ghost.body[:2], atol=1e-5)
-    # before the robot, and a little left of it
+    # ahead of the robot, on the floor
     assert drawn[0] > 0.1
     assert 0 < drawn[2] < 0.01
 
@@ -169,10 +169,10 @@ def test_floor_moves_under_the_robot(server, model, library, walker):
         td["truth", "qpos"][0, :2] = torch.tensor([x, y])
         view.update(td)
         places.append(np.array(floor.position))
-        # what is drawn of the robot stays where it is
+        # the drawn robot stays at the origin
         assert server.scene.get_handle_by_name("/robot/pelvis").position[0] == 0.0
     np.testing.assert_allclose(places[1] - places[0], [-0.25, 0, 0], atol=1e-12)
-    # whole squares away, the picture is the same
+    # after whole squares the picture is the same
     np.testing.assert_allclose(places[2], places[0], atol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""Addresses that cannot be had, and a library that is not there."""
+"""Invalid addresses, unusual requests, and a missing viser are reported."""
 
 import ast
 import logging
@@ -62,7 +62,7 @@ def test_page_answers_at_its_url_and_frees_its_port():
 
 @pytest.mark.parametrize("request_line", ["HEAD / HTTP/1.1", "POST / HTTP/1.1", "hello"])
 def test_unsupported_requests_print_nothing_and_the_page_stays_up(request_line):
-    # in a process of its own: what viser does about its log, it does for a whole process
+    # in a process of its own, because viser configures logging for the whole process
     code = (
         "import socket, urllib.request\n"
         "from aslip.show.live.server import page_url, start_server\n"

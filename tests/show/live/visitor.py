@@ -1,4 +1,4 @@
-"""A visitor of the page without a browser: raw messages to the server and back."""
+"""Visitor of the page without a browser: raw messages to and from the server."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CAMERA: dict[str, Any] = {
 
 
 class Visitor:
-    """One connection, as a browser's."""
+    """Connection like that of a browser."""
 
     def __init__(self, connection: Any) -> None:
         self._connection = connection
@@ -44,7 +44,7 @@ class Visitor:
         """All messages of a kind, up to the first that satisfies a condition.
 
         Raises:
-            TimeoutError: none does for half a minute.
+            TimeoutError: no message satisfies it for half a minute.
         """
         found: list[dict] = []
         for message in self._all():
@@ -55,7 +55,7 @@ class Visitor:
         raise AssertionError("the connection was closed")
 
     def _all(self) -> Iterator[dict]:
-        """Everything from the first message, waiting for more."""
+        """Iterate over all messages, and wait for more."""
         for i in itertools.count():
             while i >= len(self._received):
                 raw = self._connection.recv(timeout=30)

@@ -1,0 +1,267 @@
+"""Rerun reads a log, and the shipped blueprint shows it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+from tensordict import TensorDict
+
+from aslip.files.assets import asset_path
+from aslip.log import Recording
+from aslip.log.messages import LOGGED_JOINTS
+from tests.log.helpers import CURVES
+
+Walk = tuple[Path, list[TensorDict]]
+
+
+@pytest.fixture(scope="module")
+def chunk() -> ModuleType:
+    """Module with Rerun's readers of files."""
+    return pytest.importorskip("rerun.chunk")
+
+
+class RerunLog:
+    """File as Rerun reads it: columns of entities, in order of time."""
+
+    def __init__(self, chunks: list[Any]) -> None:
+        self._batches: dict[str, list[tuple[bool, Any]]] = {}
+        for part in chunks:
+            entity = self._batches.setdefault(str(part.entity_path), [])
+            entity.append((part.is_static, part.to_record_batch()))
+        self.entities = set(self._batches)
+
+    def column(self, entity: str, component: str, static: bool = False) -> list[Any]:
+        """Rows of a component, each a list of instances."""
+        return [
+            row
+            for is_static, batch in self._batches.get(entity, [])
+            if is_static == static and component in batch.schema.names
+            for row in batch.column(component).to_pylist()
+        ]
+
+    def arrays(self, entity: str, component: str) -> list[Any]:
+        """Rows of a component that changes with time, as Arrow arrays."""
+        return [
+            batch.column(component)
+            for is_static, batch in self._batches.get(entity, [])
+            if not is_static and component in batch.schema.names
+        ]
+
+    def time(self, entity: str, component: str) -> np.ndarray:
+        """(m,) times of the rows of a component [s]."""
+        columns = [
+            batch.column("message_log_time").cast("int64").to_numpy()
+            for is_static, batch in self._batches[entity]
+            if not is_static and component in batch.schema.names
+        ]
+        return np.concatenate(columns) / 1e9
+
+
+@pytest.fixture(scope="module")
+def rerun_log(walk: Walk, chunk: ModuleType) -> RerunLog:
+    """The log as Rerun reads it."""
+    return RerunLog(chunk.McapReader(walk[0]).stream().to_chunks())
+
+
+def test_rerun_draws_every_shape_of_the_robot(rerun_log: RerunLog, recording: Recording) -> None:
+    robot = ET.fromstring(str(recording["/robot_description"]["data"][0]))
+    drawn = {
+        "box": "Boxes3D:half_sizes",
+        "cylinder": "Cylinders3D:lengths",
+        "sphere": "Ellipsoids3D:half_sizes",
+    }
+    count = 0
+    for link in robot.iter("link"):
+        for i, visual in enumerate(link.findall("visual")):
+            entity = f"/cassie/visual_geometries/{link.get('name')}/visual_{i}"
+            geometry = visual.find("geometry")
+            assert geometry is not None
+            (size,) = rerun_log.column(entity, drawn[geometry[0].tag], static=True)
+            assert np.min(size) > 0
+            # a shape moves with the frame of its link
+            (frame,) = rerun_log.column(entity, "CoordinateFrame:frame", static=True)
+            assert frame == [link.get("name")]
+            count += 1
+    assert count > 100
+    shapes = {e for e in rerun_log.entities if e.startswith("/cassie/visual_geometries/")}
+    assert len({e for e in shapes if "/visual_" in e}) == count
+    assert rerun_log.column("/cassie", "CoordinateFrame:frame", static=True) == [["world"]]
+
+
+def test_rerun_reads_the_transform_of_every_link(rerun_log: RerunLog, recording: Recording) -> None:
+    ours = recording["/tf"]
+    frames = ours["transforms.child_frame_id"]
+    shape = (len(ours), frames.shape[1])
+    names = np.reshape(rerun_log.column("/tf", "Transform3D:child_frame"), shape)
+    np.testing.assert_array_equal(names, frames)
+    parents = rerun_log.column("/tf", "Transform3D:parent_frame")
+    assert parents == [["world"]] * frames.size
+    for component, part, axes in (
+        ("translation", "translation", "xyz"),
+        ("quaternion", "rotation", "xyzw"),
+    ):
+        theirs = np.reshape(rerun_log.column("/tf", f"Transform3D:{component}"), (*shape, -1))
+        values = np.stack([ours[f"transforms.transform.{part}.{axis}"] for axis in axes], axis=-1)
+        np.testing.assert_allclose(theirs, values, atol=1e-6)
+    times = rerun_log.time("/tf", "Transform3D:child_frame").reshape(shape)
+    np.testing.assert_array_equal(times, np.repeat(ours.time[:, None], shape[1], axis=1))
+    # no other entity places a frame
+    placed = {
+        (entity, static)
+        for entity in rerun_log.entities
+        for static in (False, True)
+        if rerun_log.column(entity, "Transform3D:child_frame", static)
+    }
+    assert placed == {("/tf", False)}
+    links = {e.split("/")[3] for e in rerun_log.entities if "/visual_geometries/" in e}
+    assert links <= set(frames[0])
+
+
+def test_rerun_reads_names_and_states_of_joints(rerun_log: RerunLog, recording: Recording) -> None:
+    ours = recording["/joint_states"]
+    for field in ("position", "velocity", "effort"):
+        entity = f"/joint_states/{field}"
+        names = rerun_log.column(entity, "SeriesLines:names")
+        assert names == [list(LOGGED_JOINTS)] * len(ours)
+        np.testing.assert_array_equal(rerun_log.column(entity, "Scalars:scalars"), ours[field])
+        np.testing.assert_array_equal(rerun_log.time(entity, "Scalars:scalars"), ours.time)
+
+
+@pytest.mark.parametrize("topic", ["/truth", "/estimate", "/reference", "/step", "/touchdown"])
+def test_rerun_reads_every_field_of_flat_topics(
+    rerun_log: RerunLog, recording: Recording, topic: str
+) -> None:
+    rows = [row for (row,) in rerun_log.column(topic, _message(topic))]
+    ours = recording[topic]
+    assert list(rows[0]) == list(ours.columns)
+    for name, column in ours.columns.items():
+        np.testing.assert_array_equal([row[name] for row in rows], column, err_msg=name)
+    np.testing.assert_array_equal(rerun_log.time(topic, _message(topic)), ours.time)
+
+
+def test_rerun_shows_the_notes(rerun_log: RerunLog, recording: Recording) -> None:
+    shown = [text for (text,) in rerun_log.column("/log", "TextLog:text")]
+    ours = recording["/log"]
+    assert len(shown) == len(ours)
+    assert all(text in line for text, line in zip(ours["msg"], shown, strict=True))
+
+
+def _message(topic: str) -> str:
+    """Column in which Rerun keeps the messages of a topic."""
+    return f"aslip_msgs.msg.{topic.strip('/').title()}:message"
+
+
+class Blueprint:
+    """Rerun blueprint: content of its views and sources of its curves."""
+
+    def __init__(self, path: Path, chunk: ModuleType) -> None:
+        reader = chunk.RrdReader(path)
+        (store,) = reader.blueprints()
+        self.application = store.application_id
+        entries = {
+            (str(part.entity_path), name): column.to_pylist()
+            for part in reader.stream(store=store).to_chunks()
+            for batch in [part.to_record_batch()]
+            for name, column in zip(batch.schema.names, batch.columns, strict=True)
+            if ":" in name  # the others are times
+        }
+        self.origins = {
+            (entries[entity, "ViewBlueprint:class_identifier"][0][0], row[0][0])
+            for (entity, name), row in entries.items()
+            if name == "ViewBlueprint:space_origin"
+        }
+        self.curves: set[tuple[str, str, str]] = set()
+        """Entity, component and selector."""
+        for (entity, name), rows in entries.items():
+            if name == "VisualizerInstruction:component_map":
+                topic = entity.split("/overrides")[1].split("/visualizers/")[0]
+                for mapping in rows[0]:
+                    assert mapping["target"] == "Scalars:scalars"
+                    self.curves.add((topic, mapping["source_component"], mapping["selector"]))
+        shown = [rows[0] for (_, name), rows in entries.items() if name == "ViewContents:query"]
+        self.contents = {path for paths in shown for path in paths}
+        (self.followed,) = (
+            rows[0][0]
+            for (_, name), rows in entries.items()
+            if name == "EyeControls3D:tracking_entity"
+        )
+
+
+def test_rerun_blueprint_plots_logged_fields(
+    chunk: ModuleType, rerun_log: RerunLog, recording: Recording
+) -> None:
+    """Rerun's selectors find the logged numbers."""
+    blueprint = Blueprint(asset_path("viewers/rerun.rbl"), chunk)
+    curves = set()
+    for topic, component, selector in blueprint.curves:
+        field = selector.removeprefix(".")
+        found = [
+            value
+            for array in rerun_log.arrays(topic, component)
+            for value in chunk.Selector(selector).execute_per_row(array).to_pylist()
+        ]
+        np.testing.assert_array_equal(np.ravel(found), recording[topic][field], err_msg=selector)
+        curves.add((topic, field))
+    assert curves == CURVES
+    assert blueprint.contents == {"$origin/**", *(topic for topic, _ in CURVES)}
+
+
+def test_rerun_blueprint_follows_the_robot(chunk: ModuleType, rerun_log: RerunLog) -> None:
+    blueprint = Blueprint(asset_path("viewers/rerun.rbl"), chunk)
+    assert blueprint.application == "aslip"
+    assert blueprint.origins == {
+        ("3D", "/cassie"),
+        ("TimeSeries", "/"),
+        ("TimeSeries", "/joint_states/position"),
+        ("TextLog", "/log"),
+    }
+    for _, origin in blueprint.origins:
+        assert any(entity.startswith(origin) for entity in rerun_log.entities)
+    frame = rerun_log.column(blueprint.followed, "CoordinateFrame:frame", static=True)
+    assert frame == [["pelvis"]]
+
+
+def test_rerun_opens_log_and_blueprint_as_one_application(
+    walk: Walk, chunk: ModuleType, tmp_path: Path
+) -> None:
+    """Rerun ignores blueprints of other applications."""
+    import rerun
+
+    blueprint = asset_path("viewers/rerun.rbl")
+    name = Blueprint(blueprint, chunk).application
+    stream = rerun.RecordingStream(name)
+    stream.save(tmp_path / "both.rrd")
+    for path in (blueprint, walk[0]):
+        rerun.log_file_from_path(path, recording=stream)
+    stream.disconnect()
+    reader = chunk.RrdReader(tmp_path / "both.rrd")
+    assert {store.application_id for store in reader.blueprints()} == {name}
+    recordings = reader.recordings()
+    assert {store.application_id for store in recordings} == {name}
+    assert any(
+        "/cassie" in {str(part.entity_path) for part in reader.stream(store=store).to_chunks()}
+        for store in recordings
+    )
+
+
+def test_shipped_layouts_are_those_of_the_recipe(
+    tmp_path: Path, chunk: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from recipes import viewer_layouts
+
+    viewer_layouts.main(viewer_layouts.Config(out=tmp_path))
+    assert len(capsys.readouterr().out.splitlines()) == 3
+    for name in ("foxglove.json", "plotjuggler.xml"):
+        shipped = asset_path(f"viewers/{name}").read_text(encoding="utf-8")
+        assert (tmp_path / name).read_text(encoding="utf-8") == shipped
+    # entities of a blueprint have random names
+    shipped, made = (
+        vars(Blueprint(path, chunk))
+        for path in (asset_path("viewers/rerun.rbl"), tmp_path / "rerun.rbl")
+    )
+    assert made == shipped

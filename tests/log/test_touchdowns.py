@@ -1,0 +1,87 @@
+"""Touchdowns of a log, and the footholds that were planned for them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDict
+
+import aslip
+from aslip.library import GaitLibrary
+from aslip.log import read
+from aslip.robot import SIDES
+from aslip.show.ghost import Footholds
+from tests.log.helpers import MakeRecorded
+
+_LIFT = torch.tensor([[0.0, 0.0, 800.0]])
+
+
+def test_touchdowns_have_actual_and_planned_positions(
+    make_recorded: MakeRecorded, tmp_path: Path, library: GaitLibrary
+) -> None:
+    env = make_recorded(tmp_path / "walk.mcap")
+    policy = aslip.load_policy("aslip")
+    start = TensorDict(command=torch.full((1, 1), 1.0), phase=torch.zeros(1, 1), batch_size=1)
+    env.rollout(70, policy, auto_reset=False, tensordict=env.reset(start))
+    env.close()
+    log = read(tmp_path / "walk.mcap")
+    events, truth = log["/touchdown"], log["/truth"]
+    assert events["side"].tolist() in ([0, 1, 0, 1, 0], [1, 0, 1, 0, 1])
+    gait = library.gaits[10]
+    for i, side in enumerate(events["side"]):
+        k = int(np.searchsorted(truth.time, events.time[i]))
+        landing, stance = (("left", "right"), ("right", "left"))[side]
+        assert events["x"][i] == truth[f"{landing}_foot_position_x"][k]
+        # an ideal footstep: half a stride ahead of the other foot, twenty centimetres beside it
+        ahead = events["x_planned"][i] - truth[f"{stance}_foot_position_x"][k]
+        beside = events["y_planned"][i] - truth[f"{stance}_foot_position_y"][k]
+        assert ahead == pytest.approx(0.5 * gait.stride * gait.speed, abs=0.02)
+        assert beside == pytest.approx((0.2, -0.2)[side], abs=0.04)
+        assert abs(events["x"][i] - events["x_planned"][i]) < 0.1
+        # it was in the air just before
+        force = log["/step"][f"ground_force_{landing}_z"]
+        step = int(np.searchsorted(log["/step"].time, events.time[i]))
+        assert force[step] > 20 >= force[step - 3 : step].max()
+
+
+def test_reset_of_an_airborne_robot_is_no_touchdown(
+    make_recorded: MakeRecorded, tmp_path: Path
+) -> None:
+    """A robot lifted off the ground before a reset has not landed after it."""
+    env = make_recorded(tmp_path / "a.mcap", drop=["fall", "low_reward"])
+    still = torch.zeros(1, 10)
+    td = env.reset()
+    for _ in range(8):
+        td = env.step_mdp(env.step(td.set("action", still).set("push", _LIFT)))
+    assert td["truth", "ground_force"][0, :, 2].abs().max() == 0
+    td = env.reset()
+    for _ in range(3):
+        td = env.step_mdp(env.step(td.set("action", still)))
+        assert td["truth", "ground_force"][0, :, 2].max() > 20
+    env.close()
+    log = read(tmp_path / "a.mcap")
+    assert "/touchdown" not in log.series
+
+
+def test_planned_footholds_turn_with_the_robot(
+    make_recorded: Any, tmp_path: Path, library: GaitLibrary
+) -> None:
+    env = make_recorded(tmp_path / "a.mcap")
+    start = TensorDict(command=torch.full((1, 1), 1.0), phase=torch.zeros(1, 1), batch_size=1)
+    env.rollout(40, aslip.load_policy("aslip"), auto_reset=False, tensordict=env.reset(start))
+    env.close()
+    log, footholds = read(tmp_path / "a.mcap"), Footholds(library)
+    events, truth = log["/touchdown"], log["/truth"]
+    assert len(events) > 1
+    for i, k in enumerate(np.searchsorted(truth.time, events.time)):
+        side, other = SIDES[events["side"][i]], SIDES[1 - events["side"][i]]
+        stance = truth.vector(f"{other}_foot_position")[k].astype(float)
+        turn = truth.vector("pelvis_orientation", "wxyz")[k]
+        expected = footholds.planned(side, 1.0, stance, turn)
+        np.testing.assert_allclose(
+            [events["x_planned"][i], events["y_planned"][i]], expected, atol=1e-9
+        )
