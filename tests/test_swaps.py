@@ -36,7 +36,7 @@ from aslip.envs import (
     insert_before,
     policy_interface,
     robot_stack,
-)
+)  # fmt: skip
 from aslip.errors import ConfigurationError
 from aslip.policy import (
     MakeActor,
@@ -46,7 +46,7 @@ from aslip.policy import (
     make_recurrent_actor,
     read_card,
     save_policy,
-)
+)  # fmt: skip
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.rom import Angle, MotionSample, Track
 from aslip.sim import Torque
