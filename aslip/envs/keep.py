@@ -33,6 +33,8 @@ class KeepKeys(SeededTransform):
         self._kept = set(kept)
         # groups of which a part is kept
         self._opened = {key[:depth] for key in kept for depth in range(len(key))}
+        # entries of the environment; a policy's own, such as its memory, are not hidden
+        self._to_hide: list[tuple[str, ...]] | None = None
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         hidden = tensordict.get(HIDDEN, None)
@@ -40,7 +42,8 @@ class KeepKeys(SeededTransform):
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         hidden = TensorDict(batch_size=next_tensordict.batch_size)
-        for key in self._hidden_keys(next_tensordict, ()):
+        keys = self._to_hide
+        for key in self._hidden_keys(next_tensordict, ()) if keys is None else keys:
             hidden.set(key, next_tensordict.pop(key))
         return next_tensordict.set(HIDDEN, hidden)
 
@@ -60,7 +63,8 @@ class KeepKeys(SeededTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Move the specs of the hidden entries to their group."""
         hidden = Composite(shape=observation_spec.shape)
-        for key in self._hidden_keys(observation_spec, ()):
+        self._to_hide = self._hidden_keys(observation_spec, ())
+        for key in self._to_hide:
             hidden[key] = observation_spec[key]
             del observation_spec[key]
         observation_spec[HIDDEN] = hidden

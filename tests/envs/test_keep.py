@@ -15,6 +15,7 @@ from torchrl.envs.utils import check_env_specs
 import aslip
 from aslip.envs import policy_interface
 from aslip.errors import UnknownNameError
+from aslip.policy import PolicyShape, RunningNormalizer, add_memory, make_recurrent_actor
 from tests.helpers import MakeEnv, differing, leaves
 
 KEEP = ["observation", ("reward_terms", "com_vel")]
@@ -81,6 +82,14 @@ def test_environments_of_torchrl_carry_hidden_entries() -> None:
 
 def test_hidden_entries_keep_the_interface_to_policies(make: MakeEnv) -> None:
     assert policy_interface(make(keep=["observation"])) == policy_interface(make())
+
+
+def test_a_recurrent_policy_keeps_its_memory(make: MakeEnv) -> None:
+    actor = make_recurrent_actor(RunningNormalizer(64), PolicyShape(hidden=(8,)))
+    envs = [add_memory(make(num_envs=2, keep=keep), actor) for keep in (None, ["observation"])]
+    everything, kept = (env.rollout(3, actor) for env in envs)
+    assert kept["memory"][:, 1:].any()
+    assert torch.equal(kept["memory"], everything["memory"])
 
 
 def test_unknown_entries_are_named(make: MakeEnv) -> None:
