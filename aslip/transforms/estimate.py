@@ -20,22 +20,24 @@ from aslip.estimation import (
     Tracking,
     tracking_size,
 )
-from aslip.robot import CASSIE, SIDES
+from aslip.robot import CASSIE, SIDES, Robot
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 
-ESTIMATE_SIZES: Final = MappingProxyType(
-    {
+
+def estimate_sizes(robot: Robot) -> dict[str, int]:
+    """Entries of a robot's estimate -> their lengths; see `ESTIMATE_SIZES`."""
+    encoders = ("motor_position", "motor_velocity", "joint_position", "joint_velocity")
+    return {
         "height": 1,
         "orientation": 4,
         "velocity": 3,
         "angular_velocity": 3,
         "acceleration": 3,
-        "motor_position": 10,
-        "motor_velocity": 10,
-        "joint_position": 6,
-        "joint_velocity": 6,
+        **{name: robot.packet_sizes[name] for name in encoders},
     }
-)
+
+
+ESTIMATE_SIZES: Final = MappingProxyType(estimate_sizes(CASSIE))
 """Entries of `("estimate", ...)`, 46 numbers in all: height of the pelvis above ground [m],
 orientation (wxyz, w >= 0) and velocity [m/s] in the heading frame, angular velocity in the pelvis
 frame [rad/s], acceleration in the pelvis frame without gravity [m/s^2], motors and joints [rad,
@@ -73,10 +75,13 @@ _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
 class _Estimator(SeededTransform):
     """Base class of transforms that write estimate and odometry under their first two keys."""
 
+    _robot = CASSIE
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES` and `ODOMETRY_SIZES`."""
         require_keys(self, observation_spec, self.in_keys)
-        for key, sizes in zip(self.out_keys, (ESTIMATE_SIZES, ODOMETRY_SIZES), strict=False):
+        groups = (estimate_sizes(self._robot), ODOMETRY_SIZES)
+        for key, sizes in zip(self.out_keys, groups, strict=False):
             group = Composite(shape=observation_spec.shape)
             observation_spec[key] = extend_spec(group, sizes)
         return observation_spec
@@ -116,7 +121,7 @@ class EstimatedState(_Estimator):
     reset is estimated afresh from its first packets.
 
     Args:
-        estimator: another estimator, or one with other settings.
+        estimator: state estimator, whose robot gives the sizes of the entries.
         in_keys: keys of the packets (n, w, k), in the order of `Robot.packet_sizes`.
         out_keys: keys of estimate, odometry, and the estimator's own entries.
         heading_key: key of the yaw (n, 1) that is straight ahead [rad], as `HeadingFrame` writes
@@ -137,6 +142,7 @@ class EstimatedState(_Estimator):
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self._heading_key = heading_key
         self.estimator = StateEstimator() if estimator is None else estimator
+        self._robot = self.estimator.robot
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict[unravel_key((self.out_keys[2], "memory"))])
@@ -177,7 +183,7 @@ class EstimatedState(_Estimator):
         return grouped
 
     def _packets(self, tensordict: TensorDictBase) -> np.ndarray:
-        """Packets (n, w, 42) of the sensors."""
+        """Packets (n, w, p) of the sensors."""
         entries = [cast("torch.Tensor", tensordict[key]) for key in self.in_keys]
         return torch.cat(entries, dim=-1).double().numpy()
 

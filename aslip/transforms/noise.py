@@ -146,7 +146,7 @@ class ObservationNoise(SeededTransform):
         return tensordict
 
     def _scaled(self, error: Tensor, tensordict: TensorDictBase) -> Tensor:
-        """What of an error (n, w, k) there is; for subclasses to change."""
+        """Scale an error (n, w, k); subclasses override it."""
         del tensordict
         return error
 

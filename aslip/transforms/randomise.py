@@ -119,7 +119,7 @@ class RandomDynamics(SeededTransform):
         return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare them as something a caller may set."""
+        """Declare the parameters as entries that a caller may set."""
         return extend_spec(state_spec, dict.fromkeys(self.out_keys, 1))
 
 

@@ -37,7 +37,7 @@ def com_vel(pelvis_orientation: Tensor, pelvis_velocity: Tensor, body_velocity: 
     Args:
         pelvis_orientation: (*b, 4) wxyz, pelvis to world.
         pelvis_velocity: (*b, 3) [m/s, world].
-        body_velocity: (*b, 3) the reference's [m/s, walking frame].
+        body_velocity: (*b, 3) of the reference [m/s, walking frame].
     """
     velocity_b = rotate_inverse(pelvis_orientation, pelvis_velocity)
     return torch.exp(-_norm(velocity_b - body_velocity))
@@ -53,8 +53,8 @@ def foot_pos(
 ) -> Tensor:
     r""":math:`\exp(-\|l - \hat l\| - \|r - \hat r\|)`, feet relative to the body.
 
-    Both in the pelvis-centred, yaw-aligned frame. Public code compares feet in the tilting pelvis
-    frame with a level reference, an error of about 15 mm a degree of pitch.
+    Both feet are seen in the pelvis-centred, yaw-aligned frame. Public code compares feet in the
+    tilting pelvis frame with a level reference, an error of about 15 mm a degree of pitch.
 
     Args:
         pelvis_orientation: (*b, 4) wxyz, pelvis to world.
@@ -87,8 +87,8 @@ def foot_orient(left_foot_orientation: Tensor, right_foot_orientation: Tensor) -
     :math:`q^*` is the identity: sole level, toes along the world's x. The paper gives no formula;
     this is the form of its public code with the quaternions' signs made equal (10 degrees cost
     0.087 a foot). As nothing else rewards it, this term also keeps the robot's heading. Without a
-    motor for its roll a foot leans with its leg, by 0.04 rad on the reference, so 0.96 is the most
-    that can be had there.
+    motor for its roll a foot leans with its leg, by 0.04 rad on the reference, so 0.96 is the
+    largest value there.
 
     Args:
         left_foot_orientation: (*b, 4) wxyz, sole to world.
@@ -100,7 +100,7 @@ def foot_orient(left_foot_orientation: Tensor, right_foot_orientation: Tensor) -
 
 
 def action_diff(action: Tensor, last_action: Tensor) -> Tensor:
-    r""":math:`\exp(-\|a_t - a_{t-1}\|)` of the deltas [rad]; the last one is zero after a reset.
+    r""":math:`\exp(-\|a_t - a_{t-1}\|)` of the deltas [rad]; `last_action` is zero after a reset.
 
     Args:
         action: (*b, 10) [rad].
@@ -114,6 +114,6 @@ def _norm(vector: Tensor) -> Tensor:
 
 
 def _from_identity(quaternion: Tensor) -> Tensor:
-    """Distance of a (*b, 4) wxyz rotation from the identity, whichever sign it has."""
+    """Distance (*b, 1) of rotations (*b, 4) from the identity, whatever the quaternion's sign."""
     w, vector = quaternion[..., :1].abs(), quaternion[..., 1:]
     return _norm(torch.cat([w - 1, vector], dim=-1))

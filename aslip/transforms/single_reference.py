@@ -1,8 +1,8 @@
 r"""Rewards of the single-reference method of Xie et al. 2018, the paper's baseline (Sec. V).
 
-One walking motion is imitated in joint space at every speed; of the command only the way of the
-pelvis knows. Our motion is a linear inverted pendulum's (`aslip.rom.pendulum`), in place of the
-recorded one. Shapes: (*b, k) in, (*b, 1) out.
+The robot imitates one walking motion in joint space at every speed; only the path of the pelvis
+follows the command. Our motion is that of a linear inverted pendulum (`aslip.rom.pendulum`), in
+place of the recorded one. Shapes: (*b, k) in, (*b, 1) out.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ KNEELING_HEIGHT: Final = 0.75
 Public code ends it by the height of the tarsi. Without, slow walking is learned on the knees: at
 0 to 0.4 m/s, after 1.5 million policy steps, with the pelvis at 0.65 m instead of 0.87 or more."""
 
-# of hip roll, hip yaw, hip pitch, knee and foot, twice
+# weights of hip roll, hip yaw, hip pitch, knee and foot of both legs
 _JOINT_WEIGHTS: Final = torch.tensor([0.15, 0.15, 0.1, 0.05, 0.05] * 2)
-# a foot of the reference that moves slower over ground carries [m/s]
+# speed below which a foot of the reference is in stance [m/s]
 _STANCE_SPEED = 0.05
 
 
@@ -73,8 +73,8 @@ def upright(pelvis_orientation: Tensor) -> Tensor:
 def springs(qpos: Tensor, left_foot_velocity: Tensor, right_foot_velocity: Tensor) -> Tensor:
     r""":math:`\exp(-1000 \sum_i (s_i - \hat s_i)^2)` over both shins' leaf springs.
 
-    The pendulum knows no springs: those of its stance legs are taken to carry its weight, each a
-    half where both feet stand.
+    The pendulum has no springs: those of its stance legs are assumed to carry its weight, each a
+    half in double support.
 
     Args:
         qpos: (*b, 35).
@@ -90,7 +90,7 @@ def springs(qpos: Tensor, left_foot_velocity: Tensor, right_foot_velocity: Tenso
 
 @functools.cache
 def _motors_and_shins() -> tuple[list[int], list[int]]:
-    """Where the ten motor joints and the two shins are in `qpos`."""
+    """Places of the ten motor joints and the two shins in `qpos`."""
     model = load_model()
     shins = [int(model.joint(f"{side}_shin").qposadr[0]) for side in SIDES]
     return CASSIE.indices.motor_qpos.tolist(), shins

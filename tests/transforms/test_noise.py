@@ -1,4 +1,4 @@
-"""Sensors err as much as they are told to, and no more.
+"""Sensor noise has the levels, correlations and seeds that its settings say.
 
 Statistics are compared within 5 standard errors of the estimate, with fixed seeds.
 """
@@ -6,24 +6,20 @@ Statistics are compared within 5 standard errors of the estimate, with fixed see
 from __future__ import annotations
 
 import math
-from dataclasses import FrozenInstanceError, replace
-from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from scipy.signal import lfilter
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
-from torchrl.data import Binary, Composite, Unbounded
-from torchrl.envs import EnvBase, TransformedEnv
+from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import check_env_specs
 
-from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.errors import UnknownNameError
 from aslip.robot import CASSIE
-from aslip.sim.sensors import JOINT_VELOCITY_FILTER
 from aslip.transforms import NoiseLevel, ObservationNoise
 from tests.helpers import differing, leaves
+from tests.transforms.sensing_env import SensingEnv
 
 WINDOW = 10
 SIZES = CASSIE.noise_channels | {"orientation": 4}
@@ -52,7 +48,7 @@ def _next(noise: ObservationNoise, td: TensorDictBase, packets: TensorDict) -> T
 
 
 def _errors(noisy: TensorDictBase, clean: TensorDict) -> dict[str, Tensor]:
-    """(n, W, k) of each sensor, in double precision; of the orientation the rotation vector."""
+    """Errors (n, W, k) of each sensor in double precision; a rotation vector for orientations."""
     errors = {}
     for name in CASSIE.noise_channels:
         before, after = (td["sensors", name].double() for td in (clean, noisy))
@@ -80,7 +76,7 @@ def _join(by_sensor: dict[str, Tensor]) -> Tensor:
 
 
 def _bias(td: TensorDictBase) -> Tensor:
-    """(n, 41)."""
+    """Biases (n, 41) of all sensors."""
     return torch.cat([td["sensor_bias", name] for name in CASSIE.noise_channels], dim=-1)
 
 
@@ -92,7 +88,7 @@ def _everywhere(white: float = 0.0, bias: float = 0.0) -> dict[str, NoiseLevel]:
 
 
 def test_every_channel_has_its_own_white_noise() -> None:
-    """Of the standard deviation that was asked for, relative error 1 / sqrt(2 N); mean zero."""
+    """Standard deviation as set, relative error 1 / sqrt(2 N); mean zero."""
     levels, num = {}, 500
     for name, channels in CASSIE.noise_channels.items():
         levels[name] = NoiseLevel(white=0.01 + 0.01 * np.arange(channels))
@@ -171,7 +167,7 @@ def test_biases_of_robots_and_channels_are_independent() -> None:
         assert abs((x * y).mean()) < 5 / math.sqrt(x.numel())
 
 
-def test_the_bias_drifts_from_what_the_tensordict_holds() -> None:
+def test_the_bias_drifts_from_the_one_in_the_tensordict() -> None:
     """Not from anything the transform remembers: two episodes through one transform, in turns."""
     clean = _clean(3)
     noise = ObservationNoise(_everywhere(bias=1.0), bias_time=math.inf)
@@ -268,7 +264,7 @@ def test_the_scale_multiplies_noise_and_bias() -> None:
     torch.testing.assert_close(left, 0.5 * right, rtol=0, atol=1e-6)
 
 
-def test_the_packets_that_came_in_are_not_written_to() -> None:
+def test_given_packets_are_not_changed() -> None:
     packets, clean = _clean(3), _clean(3)
     held = leaves(packets)
     ObservationNoise(_everywhere(1.0, 1.0))._reset(TensorDict(batch_size=3), packets)
@@ -276,7 +272,7 @@ def test_the_packets_that_came_in_are_not_written_to() -> None:
         assert torch.equal(held[key], value)
 
 
-def test_a_packet_that_is_no_number_stays_its_own() -> None:
+def test_nan_stays_in_its_packet() -> None:
     clean = _clean(3)
     broken = clean.clone()
     for name in SIZES:
@@ -317,147 +313,21 @@ def test_the_same_seed_gives_the_same_noise() -> None:
     assert not torch.equal(after["sensors", "gyro"], first["sensors", "gyro"])
 
 
-def test_what_a_sensor_draws_does_not_depend_on_other_levels() -> None:
+def test_draws_of_a_sensor_do_not_depend_on_other_levels() -> None:
     alone = ObservationNoise({**SILENT, "gyro": CASSIE.sensor_noise["gyro"]})
     among, single = _two_steps(ObservationNoise()), _two_steps(alone)
     for group in ("sensors", "sensor_bias"):
         assert torch.equal(among[group, "gyro"], single[group, "gyro"])
 
 
-# ----------------------------------------------------------------- levels
-
-
-def test_the_default_levels_are_the_declared_and_the_chosen_ones() -> None:
-    """White noise from the model file of the public simulator, where it declares any."""
-    assert CASSIE.sensor_noise["joint_position"].white == (2e-4, 2e-4, 0.0, 2e-4, 2e-4, 0.0)
-    assert CASSIE.sensor_noise["gyro"] == NoiseLevel(white=5e-4, bias=1e-3)
-    assert CASSIE.sensor_noise["accelerometer"] == NoiseLevel(white=1e-2, bias=2e-2)
-    assert CASSIE.sensor_noise["orientation"] == NoiseLevel(white=5e-4, bias=1.5e-3)
-    silent = {name for name, level in CASSIE.sensor_noise.items() if level == NoiseLevel()}
-    assert silent == {"motor_position", "motor_velocity"}
-    assert set(CASSIE.sensor_noise) == set(CASSIE.noise_channels)
-
-
-def test_joint_velocities_err_by_what_the_encoders_noise_becomes_in_their_filter() -> None:
-    angle, rate = (
-        np.asarray(CASSIE.sensor_noise[f"joint_{name}"].white) for name in ("position", "velocity")
-    )
-    noise = np.random.default_rng(0).normal(size=(400_000, len(angle))) * angle
-    filtered = np.asarray(lfilter(*JOINT_VELOCITY_FILTER, noise, axis=0))[1000:]
-    np.testing.assert_allclose(rate, filtered.std(0), rtol=0.01)
-    packets = filtered[:: CASSIE.packet_substeps, 0]
-    # white enough to be drawn anew for every packet
-    assert abs(np.corrcoef(packets[1:], packets[:-1])[0, 1]) < 0.1
-
-
-def test_levels_take_the_place_of_those_named_only() -> None:
-    noise = ObservationNoise({"gyro": NoiseLevel(0.1)})
-    assert noise.levels == {**CASSIE.sensor_noise, "gyro": NoiseLevel(0.1)}
-
-
-def test_a_level_cannot_be_altered() -> None:
-    values = np.array([1.0, 2.0, 3.0])
-    level = NoiseLevel(white=values)
-    values[0] = 9.0
-    assert level == NoiseLevel(white=(1.0, 2.0, 3.0))
-    assert replace(level, bias=1).bias == 1.0
-    with pytest.raises(FrozenInstanceError):
-        level.white = 0.0  # pyright: ignore[reportAttributeAccessIssue]
-
-
-@pytest.mark.parametrize(
-    "value", [-1.0, math.nan, math.inf, [0.1, -0.1], "0.1", None, True, 1j, [[0.1], [0.1, 0.2]]]
-)
-@pytest.mark.parametrize("name", ["white", "bias"])
-def test_a_standard_deviation_that_is_none_is_refused(name: str, value: Any) -> None:
-    with pytest.raises(ConfigurationError, match=f"{name} must be finite and 0 or more, got"):
-        NoiseLevel(**{name: value})
-
-
-def test_a_table_of_standard_deviations_is_refused() -> None:
-    with pytest.raises(ShapeError, match=r"one for each channel, got the shape \(2, 3\)"):
-        NoiseLevel(white=np.zeros((2, 3)))
-
-
-@pytest.mark.parametrize(("sensor", "channels"), [("gyro", 3), ("orientation", 3), ("gyro", 1)])
-def test_another_number_of_channels_is_refused(sensor: str, channels: int) -> None:
-    level = NoiseLevel(bias=[0.1] * (4 if channels == 3 else channels))
-    with pytest.raises(ConfigurationError, match=f"bias of '{sensor}' must be one number or 3"):
-        ObservationNoise({sensor: level})
-
-
-def test_an_unknown_sensor_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="no sensor 'gyros', did you mean 'gyro'"):
-        ObservationNoise({"gyros": NoiseLevel()})
-    with pytest.raises(UnknownNameError, match=r"no sensor 'sonar'; there are.*'accelerometer'"):
-        ObservationNoise({"sonar": NoiseLevel()})
-
-
-def test_a_bare_number_is_no_level() -> None:
-    with pytest.raises(ConfigurationError, match=r"'gyro' must be a NoiseLevel, got 0\.1"):
-        ObservationNoise({"gyro": 0.1})  # pyright: ignore[reportArgumentType]
-
-
-@pytest.mark.parametrize("scale", [-1.0, math.nan, math.inf])
-def test_a_scale_that_is_none_is_refused(scale: float) -> None:
-    with pytest.raises(
-        ConfigurationError, match="scale must be a finite number of at least 0, got"
-    ):
-        ObservationNoise(scale=scale)
-
-
-@pytest.mark.parametrize("bias_time", [0.0, -1.0, math.nan])
-def test_a_time_constant_that_is_none_is_refused(bias_time: float) -> None:
-    with pytest.raises(ConfigurationError, match="bias_time must be more than 0 s, got"):
-        ObservationNoise(bias_time=bias_time)
-
-
 # --------------------------------------------------------- in environments
 
 
-class _Sensing(EnvBase):
-    """N robots at rest, each with its own readings, that never change.
-
-    Args:
-        num: number of robots.
-        names: sensors they have.
-    """
-
-    def __init__(self, num: int, names: tuple[str, ...] = tuple(SIZES)) -> None:
-        super().__init__(device="cpu", batch_size=torch.Size([num]))
-        clean = _clean(num).select(*(("sensors", name) for name in names))
-        self.clean = clean
-        self.observation_spec = Composite(
-            sensors=Composite(
-                {name: Unbounded(value.shape) for name, value in clean["sensors"].items()},
-                shape=(num,),
-            ),
-            shape=(num,),
-        )
-        single = torch.Size((num, 1))
-        self.action_spec = Composite(action=Unbounded(single), shape=(num,))
-        self.reward_spec = Unbounded(single)
-        flag = Binary(shape=single, dtype=torch.bool)
-        self.done_spec = Composite(done=flag, terminated=flag.clone(), shape=(num,))
-
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        del tensordict
-        flag = torch.zeros(*self.batch_size, 1, dtype=torch.bool)
-        rest = {"reward": flag.float(), "done": flag, "terminated": flag.clone()}
-        return self.clean.clone().update(rest)
-
-    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
-        del tensordict, kwargs
-        return self.clean.clone()
-
-    def _set_seed(self, seed: int | None) -> None: ...
-
-
 def _noisy_env(num: int) -> TransformedEnv:
-    return TransformedEnv(_Sensing(num), ObservationNoise(_everywhere(0.1, 0.1)))
+    return TransformedEnv(SensingEnv(_clean(num)), ObservationNoise(_everywhere(0.1, 0.1)))
 
 
-def test_the_specs_hold() -> None:
+def test_specs_are_torchrls() -> None:
     env = _noisy_env(3)
     check_env_specs(env)
     spec = env.observation_spec["sensor_bias"]
@@ -467,7 +337,10 @@ def test_the_specs_hold() -> None:
 
 
 def test_an_environment_that_lacks_a_sensor_is_refused() -> None:
-    env = TransformedEnv(_Sensing(2, ("gyro", "orientation")), ObservationNoise())
+    env = TransformedEnv(
+        SensingEnv(_clean(2).select(("sensors", "gyro"), ("sensors", "orientation"))),
+        ObservationNoise(),
+    )
     with pytest.raises(UnknownNameError, match=r"reads \('sensors', 'motor_position'\)"):
         _ = env.observation_spec
 

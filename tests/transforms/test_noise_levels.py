@@ -1,0 +1,101 @@
+"""Noise levels of sensors: the robot's, and those that a caller gives."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import FrozenInstanceError, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.robot import CASSIE
+from aslip.sim.sensors import JOINT_VELOCITY_FILTER
+from aslip.transforms import NoiseLevel, ObservationNoise
+
+
+def test_default_levels_are_those_of_the_public_simulator_and_ours() -> None:
+    """White noise from the model file of the public simulator, where it declares any."""
+    assert CASSIE.sensor_noise["joint_position"].white == (2e-4, 2e-4, 0.0, 2e-4, 2e-4, 0.0)
+    assert CASSIE.sensor_noise["gyro"] == NoiseLevel(white=5e-4, bias=1e-3)
+    assert CASSIE.sensor_noise["accelerometer"] == NoiseLevel(white=1e-2, bias=2e-2)
+    assert CASSIE.sensor_noise["orientation"] == NoiseLevel(white=5e-4, bias=1.5e-3)
+    silent = {name for name, level in CASSIE.sensor_noise.items() if level == NoiseLevel()}
+    assert silent == {"motor_position", "motor_velocity"}
+    assert set(CASSIE.sensor_noise) == set(CASSIE.noise_channels)
+
+
+def test_noise_of_joint_velocities_is_that_of_the_filtered_encoders() -> None:
+    angle, rate = (
+        np.asarray(CASSIE.sensor_noise[f"joint_{name}"].white) for name in ("position", "velocity")
+    )
+    noise = np.random.default_rng(0).normal(size=(400_000, len(angle))) * angle
+    filtered = np.asarray(lfilter(*JOINT_VELOCITY_FILTER, noise, axis=0))[1000:]
+    np.testing.assert_allclose(rate, filtered.std(0), rtol=0.01)
+    packets = filtered[:: CASSIE.packet_substeps, 0]
+    # white enough to be drawn anew for every packet
+    assert abs(np.corrcoef(packets[1:], packets[:-1])[0, 1]) < 0.1
+
+
+def test_given_levels_replace_only_those_of_their_sensors() -> None:
+    noise = ObservationNoise({"gyro": NoiseLevel(0.1)})
+    assert noise.levels == {**CASSIE.sensor_noise, "gyro": NoiseLevel(0.1)}
+
+
+def test_a_level_cannot_be_altered() -> None:
+    values = np.array([1.0, 2.0, 3.0])
+    level = NoiseLevel(white=values)
+    values[0] = 9.0
+    assert level == NoiseLevel(white=(1.0, 2.0, 3.0))
+    assert replace(level, bias=1).bias == 1.0
+    with pytest.raises(FrozenInstanceError):
+        level.white = 0.0  # pyright: ignore[reportAttributeAccessIssue]
+
+
+@pytest.mark.parametrize(
+    "value", [-1.0, math.nan, math.inf, [0.1, -0.1], "0.1", None, True, 1j, [[0.1], [0.1, 0.2]]]
+)
+@pytest.mark.parametrize("name", ["white", "bias"])
+def test_a_negative_or_infinite_standard_deviation_is_refused(name: str, value: Any) -> None:
+    with pytest.raises(ConfigurationError, match=f"{name} must be finite and 0 or more, got"):
+        NoiseLevel(**{name: value})
+
+
+def test_a_table_of_standard_deviations_is_refused() -> None:
+    with pytest.raises(ShapeError, match=r"one per channel, got shape \(2, 3\)"):
+        NoiseLevel(white=np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize(("sensor", "channels"), [("gyro", 3), ("orientation", 3), ("gyro", 1)])
+def test_a_wrong_number_of_channels_is_refused(sensor: str, channels: int) -> None:
+    level = NoiseLevel(bias=[0.1] * (4 if channels == 3 else channels))
+    with pytest.raises(ConfigurationError, match=f"bias of '{sensor}' must be one number or 3"):
+        ObservationNoise({sensor: level})
+
+
+def test_an_unknown_sensor_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="no sensor 'gyros', did you mean 'gyro'"):
+        ObservationNoise({"gyros": NoiseLevel()})
+    with pytest.raises(UnknownNameError, match=r"no sensor 'sonar'; there are.*'accelerometer'"):
+        ObservationNoise({"sonar": NoiseLevel()})
+
+
+def test_a_bare_number_is_refused_as_a_level() -> None:
+    with pytest.raises(ConfigurationError, match=r"'gyro' must be a NoiseLevel, got 0\.1"):
+        ObservationNoise({"gyro": 0.1})  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("scale", [-1.0, math.nan, math.inf])
+def test_a_negative_or_infinite_scale_is_refused(scale: float) -> None:
+    with pytest.raises(
+        ConfigurationError, match="scale must be a finite number of at least 0, got"
+    ):
+        ObservationNoise(scale=scale)
+
+
+@pytest.mark.parametrize("bias_time", [0.0, -1.0, math.nan])
+def test_a_time_constant_that_is_not_positive_is_refused(bias_time: float) -> None:
+    with pytest.raises(ConfigurationError, match="bias_time must be more than 0 s, got"):
+        ObservationNoise(bias_time=bias_time)
