@@ -1,15 +1,11 @@
 """Teach Cassie with soft actor-critic (Haarnoja et al. 2018): off-policy learning in a page.
 
-    python recipes/sac_aslip.py --total-steps 60000          # runs/sac_aslip/
+    python recipes/sac_aslip.py                      # runs/sac_aslip/
 
 The environment is that of `ppo_aslip.py`, its action bounded, which the squashed Gaussian of SAC
 needs. Of a transition the replay buffer stores only what the loss reads, 0.6 kB in place of 10 kB.
-The policy is not tuned; the page shows how the parts fit. Its network is this recipe's own:
-
-    aslip.load_policy("runs/sac_aslip", sac_aslip.make_actor)
+The network is this recipe's own: `aslip.load_policy("runs/sac_aslip", sac_aslip.make_actor)`.
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,30 +22,25 @@ class Config:
     """Folder of the run."""
     seed: int = 0
     """Seed of all random numbers."""
-    total_steps: int = 200_000
+    total_steps: int = 60_000
     """Policy steps to train for."""
-    num_envs: int = 64
+    num_envs: int = 32
     """Robots simulated in parallel."""
-    samples: int = 256
-    """Policy steps between updates, of all robots together."""
+    samples: int = 64
+    """Policy steps of a batch, of all robots together."""
     updates: int = 32
-    """Gradient steps per update, of 256 transitions each."""
-    gamma: float = 0.95
-    """Discount factor."""
-    learning_rate: float = 3e-4
-    """Learning rate of Adam."""
+    """Gradient steps after each batch, of 256 transitions each."""
 
 
 if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = command_line(Config)
 
-from collections.abc import Sequence
+from collections import deque
 from functools import partial
 
 import torch
-from tensordict.nn import NormalParamExtractor, TensorDictModule
-from tensordict.utils import NestedKey
+from tensordict.nn import NormalParamExtractor, TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
@@ -57,26 +48,24 @@ from torchrl.objectives import SACLoss, SoftUpdate
 from tqdm import tqdm
 
 import aslip
-from aslip.envs import observation_keys, policy_interface
+from aslip.envs import policy_interface
 from aslip.policy import PolicyShape, RunningNormalizer, save_policy
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import ProgressLog
 from aslip.transforms import ActionDelta
 
-_LIMIT = 0.5  # largest action [rad]
-STORED: tuple[NestedKey, ...] = (
-    "observation", "action", ("next", "observation"), ("next", "reward"), ("next", "done"),
-    ("next", "terminated"),
-)  # fmt: skip
-"""Entries of a transition that the loss reads."""
+_LIMIT = 0.4  # largest action [rad]
+_CELLS = 128
+_MLP = {"depth": 2, "num_cells": _CELLS, "activation_class": nn.ReLU}
+_AFTER = [("next", name) for name in ("observation", "reward", "done", "terminated")]
 
 
-def make_actor(
-    normalizer: RunningNormalizer, shape: PolicyShape, observation: Sequence[NestedKey] = ()
-) -> ProbabilisticActor:
-    """Squashed Gaussian policy with a standard deviation that depends on the observation."""
-    mlp = MLP(shape.observation_size, 2 * shape.action_size, num_cells=list(shape.hidden))
-    net = nn.Sequential(normalizer, mlp, NormalParamExtractor())
+def make_actor(normalizer: RunningNormalizer, shape: PolicyShape, *_: object) -> ProbabilisticActor:
+    """Squashed Gaussian policy around the reference motion at first."""
+    mlp = MLP(shape.observation_size, 2 * shape.action_size, **_MLP)
+    for parameter in mlp[-1].parameters():
+        nn.init.zeros_(parameter)
+    net = nn.Sequential(normalizer, mlp, NormalParamExtractor("biased_softplus_0.3"))
     return ProbabilisticActor(
         TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
@@ -85,69 +74,54 @@ def make_actor(
     )
 
 
-class Critic(nn.Module):
-    """Value of an observation and an action."""
-
-    def __init__(self, normalizer: RunningNormalizer, shape: PolicyShape) -> None:
-        super().__init__()
-        self.normalizer = normalizer
-        self.mlp = MLP(shape.observation_size + shape.action_size, 1, num_cells=list(shape.hidden))
-
-    def forward(self, observation: torch.Tensor, action: torch.Tensor) -> torch.Tensor:
-        """Return (*b, 1) values."""
-        return self.mlp(torch.cat([self.normalizer(observation), action / _LIMIT], dim=-1))
+def make_critic(normalizer: RunningNormalizer, shape: PolicyShape) -> TensorDictSequential:
+    """Value of an observation and an action; its layers are normalised against overestimation."""
+    inputs = shape.observation_size + shape.action_size
+    mlp = MLP(inputs, 1, norm_class=nn.LayerNorm, norm_kwargs={"normalized_shape": _CELLS}, **_MLP)
+    normalise = TensorDictModule(normalizer, in_keys=["observation"], out_keys=["normalised"])
+    return TensorDictSequential([normalise, ValueOperator(mlp, in_keys=["normalised", "action"])])
 
 
-def main(config: Config) -> list[float]:
-    """Train and save a policy; returns the mean reward of each batch."""
+def main(config: Config) -> None:
+    """Train and save a policy."""
+    config.out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     bounded = {"action": partial(ActionDelta, ("reference", "motor_target"), limit=_LIMIT)}
-    # what the loss reads beside action, reward and ends
-    make_env = partial(aslip.make_env, replace=bounded, keep=["observation", "step_count"])
     env = aslip.make_env(replace=bounded)
-    interface, keys, spec = policy_interface(env), observation_keys(env), env.action_spec_unbatched
-    shape = PolicyShape(env.observation_spec["observation"].shape[-1], spec.shape[-1])
-    env.close()
-
-    normalizer = RunningNormalizer(shape.observation_size)
-    actor = make_actor(normalizer, shape, keys)
-    critic = ValueOperator(Critic(normalizer, shape), in_keys=["observation", "action"])
-    loss = SACLoss(actor, critic, action_spec=spec, alpha_init=0.02)
-    loss.make_value_estimator(gamma=config.gamma)
+    interface, spec = policy_interface(env), env.action_spec_unbatched
+    size = env.observation_spec["observation"].shape[-1]
+    shape, normalizer = PolicyShape(size, spec.shape[-1], 2 * (_CELLS,)), RunningNormalizer(size)
+    actor, critic = make_actor(normalizer, shape), make_critic(normalizer, shape)
+    loss = SACLoss(actor, critic, action_spec=spec, alpha_init=0.01, target_entropy=-10.0)
+    loss.make_value_estimator(gamma=0.95)
     target = SoftUpdate(loss, tau=0.005)
-    optimizer = torch.optim.Adam(loss.parameters(), lr=config.learning_rate)
+    optimizer = torch.optim.Adam(loss.parameters(), lr=3e-4, fused=True)
     buffer = ReplayBuffer(storage=LazyTensorStorage(config.total_steps), batch_size=256)
-
-    log, rewards = ProgressLog(config.out), []
     collector = LocalCollector(
-        make_env, actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed
-    )
-    bar = tqdm(total=config.total_steps, unit="step")
-    with bar, collector:
+        partial(aslip.make_env, replace=bounded, keep=["observation", "step_count"]), actor,
+        num_envs=config.num_envs, samples=config.samples, seed=config.seed,
+    )  # fmt: skip
+    log, lengths = ProgressLog(config.out), deque(maxlen=256)
+    with tqdm(total=config.total_steps, unit="step") as bar, collector:
         for data in collector:
-            if len(buffer) == 0:
-                normalizer.update(data["observation"])
-            done = data["next", "done"]
-            lengths = data["next", "step_count"][done].float()
-            buffer.extend(data.reshape(-1).select(*STORED))
+            normalizer.update(data["observation"])
+            buffer.extend(data.reshape(-1).select("observation", "action", *_AFTER))
             for _ in range(config.updates):
                 losses = loss(buffer.sample())
                 optimizer.zero_grad()
                 (losses["loss_actor"] + losses["loss_qvalue"] + losses["loss_alpha"]).backward()
                 optimizer.step()
                 target.step()
-            rewards.append(float(data["next", "reward"].mean()))
+            lengths.extend(data["next", "step_count"][data["next", "done"]].tolist())
+            length, reward = sum(lengths) / max(1, len(lengths)), data["next", "reward"].mean()
             bar.update(data.numel())
-            bar.set_postfix(reward=rewards[-1], alpha=float(losses["alpha"]))
-            row = {"reward": rewards[-1], "episode_length": float(lengths.mean())}
-            log.write(bar.n, row | {"alpha": float(losses["alpha"])})
+            bar.set_postfix(row := {"reward": float(reward), "episode_length": length})
+            log.write(bar.n, row)
             if bar.n >= config.total_steps:
                 break
     log.close()
-    path = config.out / "policy.zip"
-    save_policy(path, actor, shape, {"seed": config.seed}, network=make_actor, **interface)
-    print(f"mean reward {rewards[0]:.3f} -> {rewards[-1]:.3f}; {path}")
-    return rewards
+    file, about = config.out / "policy.zip", {"seed": config.seed}
+    save_policy(file, actor, shape, about, network=make_actor, **interface)
 
 
 if __name__ == "__main__":
