@@ -81,6 +81,7 @@ from aslip.transforms import ActionDelta
 from aslip.walking import markdown
 from benchmarks.common import MakeEnv, Policy, Subject, checkpoint_times, quiet
 from recipes import ppo_aslip
+from recipes.ppo_presets import environments
 
 _BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
 _PAUSE = 0.01  # [s]
@@ -275,7 +276,7 @@ def time_iterations(
             config, out=Path(folder), total_steps=config.samples * (number + 1),
             eval_interval=10**9, eval_steps=1, checkpoint_minutes=1e6,
         )  # fmt: skip
-        parts = ppo_aslip.environments(preset)
+        parts = environments(preset)
         ppo_aslip.main(short, **parts, make_collector=make_collector)
         cost = checkpoint_times(max((short.out / "checkpoints").iterdir()))
     return made[0].spans, cost

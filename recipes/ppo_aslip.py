@@ -16,14 +16,7 @@ Robots in several processes or on a cluster: `ppo_cluster.py`.
 
 from __future__ import annotations
 
-from ppo_settings import (
-    PRESETS,
-    Config,
-    resume_command,
-    scheduled,
-    training_settings,
-    with_schedule,
-)
+from ppo_settings import PRESETS, Config, resume_command, training_settings, with_schedule
 
 from aslip.errors import one_line_errors
 
@@ -32,29 +25,21 @@ if __name__ == "__main__":
     CONFIG = training_settings(PRESETS)
 
 import copy
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
 import torch
+from ppo_presets import environments
 from tensordict import TensorDict
-from torchrl.checkpoint import GlobalRNGState
 from torchrl.modules import ProbabilisticActor, ValueOperator, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 from torchrl.record.loggers import Logger
 
 import aslip
-from aslip.envs import (
-    ON_TRUTH,
-    StackEnv,
-    default_stack,
-    observation_keys,
-    policy_interface,
-    randomise_stack,
-)
+from aslip.envs import StackEnv, observation_keys, policy_interface
 from aslip.policy import (
     MakeActor,
     PolicyShape,
@@ -65,7 +50,6 @@ from aslip.policy import (
     save_policy,
     set_std,
 )
-from aslip.robot.model import physics_timesteps
 from aslip.show.plots import learning_curve, save_figure
 from aslip.training.collectors import LocalCollector
 from aslip.training.environments import (
@@ -74,11 +58,11 @@ from aslip.training.environments import (
     make_evaluation_env,
     make_training_env,
 )
-from aslip.training.progress import Progress, check_rewards
-from aslip.training.provenance import provenance
+from aslip.training.loop import training_loop
+from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
 from aslip.training.settings import read_settings
-from aslip.walking import WalkResult, evaluate, walk_table
+from aslip.walking import WalkResult, evaluate, evaluation_means, walk_table
 
 
 def main(
@@ -100,8 +84,7 @@ def main(
         make_env: makes the environment, of the keywords `num_envs` and `seed`.
         make_actor: makes the policy of a normaliser, a `PolicyShape` and the observation's keys.
         make_critic: makes the value function, of the keyword `scale`, too.
-        make_train_env: makes the environment to train in; by default `make_env`'s with changing
-            commands and staggered first episodes (`make_training_env`).
+        make_train_env: makes the environment to train in; `make_training_env`'s by default.
         make_collector: makes the collector, of the arguments of `LocalCollector`.
         network: more settings of the `PolicyShape`, such as `hidden` and `mirror_signs`.
         logger: logger of TorchRL's, besides CSV and TensorBoard.
@@ -111,70 +94,56 @@ def main(
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     make_train_env = make_train_env or partial(make_training_env, make_env)
     env, speeds = make_evaluation_env(make_env, config.seed)
-    transforms = describe_environments(env, make_train_env)
+    about = describe_environments(env, make_train_env)
     run = TrainingRun(
-        config.out, config, resume=config.resume, transforms=transforms, go_on=go_on, logger=logger
+        config.out, config, resume=config.resume, transforms=about, go_on=go_on, logger=logger
     )
-
-    # ---------------------------------------------------------------- networks
-    observation, size = observation_keys(env), env.observation_spec["observation"].shape[-1]
-    settings = {"std": config.std, "symmetric": config.symmetric, **(network or {})}
-    shape = PolicyShape(size, env.action_spec.shape[-1], **settings)
-    normalizer = RunningNormalizer(size)
-    actor = make_actor(normalizer, shape, observation)
-    critic = make_critic(normalizer, shape, observation, scale=config.value_scale)
-    for net in (actor, critic):
-        net.to(config.device)
+    shape, normalizer, actor, critic = make_networks(config, env, make_actor, make_critic, network)
     advantage, loss, optimizer = make_ppo(config, actor, critic)
-
-    # -------------------------------------------------------------------- loop
     collector = make_collector(
         make_train_env, actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
         device=config.device,
     )  # fmt: skip
-    parts = {"actor": actor, "critic": critic, "optimizer": optimizer, "rng": GlobalRNGState()}
-    parts["collector"] = collector
-    progress = Progress(
-        config.total_steps, config.samples, run.restore(parts) if config.resume else None
-    )
-    title = f"preset {config.preset}, seed {config.seed}, {config.num_envs} robots"
-    print(run.announcement(title, progress), flush=True)
+    parts = {"actor": actor, "critic": critic, "optimizer": optimizer, "collector": collector}
+
     results: list[WalkResult] = []
-    batches = () if progress.finished else progress.watch(collector, actor, config.num_envs)
-    with progress, collector, run.saving(parts, config.checkpoint_minutes) as keep:
-        for data in batches:
-            if normalizer.count == 0:
-                # the first batch only initialises the normaliser
-                normalizer.update(data["observation"])
-                continue
-            check_rewards(data)
-            with torch.no_grad():
-                advantage(data)
-            set_learning_rate(optimizer, config, progress.step)
+    with training_loop(run, parts, config) as training:
+        if normalizer.count == 0:  # the first batch teaches nothing else
+            normalizer.update(next(training)["observation"])
+        for data in training:
+            advantage(data)
             losses = update(data, loss, optimizer, config)
             normalizer.update(data["observation"])
-            progress.add(data)
-            std = scheduled(config, progress.step, config.std, config.last_std)
-            set_std(actor, std)
-            shape = replace(shape, std=std)
-            results = []
-            if progress.step % config.eval_interval < data.numel() or progress.finished:
-                results = evaluate_all(config, actor, env, speeds)
-            run.log(progress.step, progress.row(data, losses) | eval_means(results))
-            keep(progress.step, progress.state())
-            if progress.finished:
-                break
-
-    # ----------------------------------------------------------------- results
-    results = results or evaluate_all(config, actor, env, speeds)
-    made_by = run.about(progress) | provenance()
+            training.count(data)
+            anneal(config, training.step, actor, optimizer)
+            results = evaluate_all(config, actor, env, speeds) if training.evaluates else []
+            training.log(data, losses, evaluation_means(results))
+    shape = replace(shape, std=config.std_after(training.step))
+    made_by = run.about(training.progress)
     save_policy(run.policy_file, actor, shape, made_by, network=make_actor, **policy_interface(env))
+    results = results or evaluate_all(config, actor, env, speeds)
+    save_results(config, run, training.progress, results)
     env.close()
-    run.finish(walk_table(results), progress)
-    if history := run.history():
-        curve = learning_curve(history, f"seed {config.seed}")
-        save_figure(curve, config.out / "learning_curve.png")
     return results
+
+
+def make_networks(
+    config: Config,
+    env: StackEnv,
+    make_actor: MakeActor,
+    make_critic: Callable[..., ValueOperator],
+    network: Mapping[str, Any] | None = None,
+) -> tuple[PolicyShape, RunningNormalizer, ProbabilisticActor, ValueOperator]:
+    """Shape, normaliser, actor and critic for an environment."""
+    keys, size = observation_keys(env), env.observation_spec["observation"].shape[-1]
+    settings = {"std": config.std, "symmetric": config.symmetric, **(network or {})}
+    shape = PolicyShape(size, env.action_spec.shape[-1], **settings)
+    normalizer = RunningNormalizer(size)
+    actor = make_actor(normalizer, shape, keys)
+    critic = make_critic(normalizer, shape, keys, scale=config.value_scale)
+    for net in (actor, critic):
+        net.to(config.device)
+    return shape, normalizer, actor, critic
 
 
 def make_ppo(
@@ -182,22 +151,13 @@ def make_ppo(
 ) -> tuple[GAE, ClipPPOLoss, torch.optim.Optimizer]:
     """Advantage estimator, loss and optimizer."""
     advantage = GAE(
-        gamma=config.gamma,
-        lmbda=config.gae_lambda,
-        value_network=critic,
-        average_gae=True,
+        gamma=config.gamma, lmbda=config.gae_lambda, value_network=critic, average_gae=True,
         deactivate_vmap=True,
-    )
+    )  # fmt: skip
     loss = ClipPPOLoss(
-        actor,
-        critic,
-        clip_epsilon=config.clip,
-        entropy_bonus=False,
-        loss_critic_type="l2",
-        critic_coeff=0.5,
-        functional=False,
-        log_explained_variance=False,
-    )
+        actor, critic, clip_epsilon=config.clip, entropy_bonus=False, loss_critic_type="l2",
+        critic_coeff=0.5, functional=False, log_explained_variance=False,
+    )  # fmt: skip
     parameters = [*actor.parameters(), *critic.parameters()]
     optimizer = torch.optim.Adam(
         parameters, lr=config.learning_rate, eps=config.adam_epsilon, fused=True
@@ -240,11 +200,13 @@ def update(
     return {key: float(means.get(key)) for key in ("loss_critic", "kl_approx", "clip_fraction")}
 
 
-def set_learning_rate(optimizer: torch.optim.Optimizer, config: Config, step: int) -> None:
-    """Set the learning rate of an update after so many policy steps."""
-    rate = scheduled(config, step, config.learning_rate, config.last_learning_rate)
+def anneal(
+    config: Config, step: int, actor: ProbabilisticActor, optimizer: torch.optim.Optimizer
+) -> None:
+    """Set learning rate and standard deviation of the policy after so many policy steps."""
+    set_std(actor, config.std_after(step))
     for group in optimizer.param_groups:
-        group["lr"] = rate
+        group["lr"] = config.learning_rate_after(step)
 
 
 def evaluate_all(
@@ -256,31 +218,14 @@ def evaluate_all(
     return evaluate(policy, env, speeds, config.eval_steps)
 
 
-def eval_means(results: list[WalkResult]) -> dict[str, float]:
-    """Means of an evaluation, NaN where there was none."""
-    count = len(results) or float("nan")
-    return {
-        "eval_return": sum(r.total for r in results) / count,
-        "eval_length": sum(r.steps for r in results) / count,
-        "eval_survived": sum(r.survived for r in results) / count,
-    }
-
-
-def environments(preset: str) -> dict[str, Any]:
-    """Environments of a preset, as arguments of `main`."""
-    one_speed = partial(make_training_env, command_interval=math.inf)
-    if preset in ("paper", "single-reference"):
-        make_env = partial(aslip.make_env, stack=preset.replace("-", "_"))
-        return {"make_env": make_env, "make_train_env": partial(one_speed, make_env)}
-    if preset == "robust":
-        robots = partial(aslip.make_env, stack=randomise_stack(default_stack()))
-        return {"make_train_env": partial(make_training_env, robots)}
-    if preset == "truth":
-        return {"make_env": partial(aslip.make_env, **ON_TRUTH)}
-    if preset == "coarse":
-        steps = partial(aslip.make_env, timestep=physics_timesteps()[1])
-        return {"make_train_env": partial(make_training_env, steps)}
-    return {}
+def save_results(
+    config: Config, run: TrainingRun, progress: Progress, results: list[WalkResult]
+) -> None:
+    """Write and print the table of the walks, and draw the learning curve."""
+    run.finish(walk_table(results), progress)
+    if history := run.history():
+        curve = learning_curve(history, f"seed {config.seed}")
+        save_figure(curve, config.out / "learning_curve.png")
 
 
 if __name__ == "__main__":

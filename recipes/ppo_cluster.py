@@ -53,6 +53,7 @@ if __name__ == "__main__":
 from functools import partial
 
 import ppo_aslip
+from ppo_presets import environments
 
 from aslip.training.cluster import DistributedCollectors
 from aslip.training.ray import RayCollectors
@@ -69,7 +70,7 @@ def main(config: ClusterConfig, go_on: str = "resume=True") -> list[WalkResult]:
     collectors = RayCollectors if config.backend == "ray" else DistributedCollectors
     return ppo_aslip.main(
         config,
-        **ppo_aslip.environments(config.preset),
+        **environments(config.preset),
         make_collector=partial(collectors, num_collectors=config.num_collectors),
         go_on=go_on,
     )

@@ -122,6 +122,14 @@ class Config:
                 raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
         check_shares(self.num_envs, self.samples)
 
+    def learning_rate_after(self, step: int) -> float:
+        """Learning rate after so many policy steps."""
+        return scheduled(self, step, self.learning_rate, self.last_learning_rate)
+
+    def std_after(self, step: int) -> float:
+        """Standard deviation of the policy after so many policy steps [rad]."""
+        return scheduled(self, step, self.std, self.last_std)
+
 
 _PAPER = Config(
     preset="paper", out=Path("runs/paper"), symmetric=False, value_scale=1.0, samples=5120,
@@ -143,7 +151,7 @@ PRESETS = {
         Config(preset="coarse", out=Path("runs/coarse")),
     )
 }  # fmt: skip
-"""Settings to start from, by name; `ppo_aslip.ENVIRONMENTS` has the environment of each."""
+"""Settings to start from, by name; `ppo_presets.environments` makes the environments of each."""
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
 

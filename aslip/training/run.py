@@ -39,7 +39,7 @@ from aslip.files.writing import replacing
 from aslip.policy import POLICY_FILE
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.progress import Progress, ProgressLog, read_progress
-from aslip.training.provenance import peak_memory
+from aslip.training.provenance import peak_memory, provenance
 from aslip.training.settings import SETTINGS_FILE, read_settings, settings_text
 
 _KEPT_CHECKPOINTS = 3
@@ -217,13 +217,14 @@ class TrainingRun:
         return f"{about}\nCtrl-C saves and stops; to go on: {self.go_on}"
 
     def about(self, progress: Progress) -> dict[str, Any]:
-        """Settings, transforms and length of the training, for the policy's card."""
+        """Settings, transforms, length and provenance of the training, for the policy's card."""
         settings = {k: v for k, v in self.settings.items() if k not in ("out", "resume")}
         return {
             "settings": settings,
             "transforms": self.transforms,
             "steps": progress.step,
             "seconds": round(progress.elapsed),
+            **provenance(),
         }
 
     def finish(self, table: str, progress: Progress) -> None:

@@ -126,6 +126,16 @@ def evaluate(
     return _results(rows, speeds, env.base_env.weight)
 
 
+def evaluation_means(results: Sequence[WalkResult]) -> dict[str, float]:
+    """Columns of a training's log: means of an evaluation, NaN where there was none."""
+    count = len(results) or float("nan")
+    return {
+        "eval_return": sum(r.total for r in results) / count,
+        "eval_length": sum(r.steps for r in results) / count,
+        "eval_survived": sum(r.survived for r in results) / count,
+    }
+
+
 def _results(rows: TensorDict, speeds: Sequence[float], weight: Any) -> list[WalkResult]:
     """Results of (m, n) recorded policy steps of robots of some weight (n,) [N]."""
     after = rows["next"]

@@ -42,6 +42,7 @@ from aslip.transforms.base import extend_spec
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import Walker, WalkResult
 from recipes import ppo_aslip
+from recipes.ppo_presets import environments
 from recipes.ppo_settings import PRESETS, scheduled, with_schedule
 from tests.helpers import TINY
 
@@ -228,7 +229,7 @@ def test_presets_choose_their_environments() -> None:
     """What training has and evaluation has not."""
     found = {}
     for name in PRESETS:
-        made = ppo_aslip.environments(name)
+        made = environments(name)
         make_env = made.get("make_env", aslip.make_env)
         train = made.get("make_train_env", partial(make_training_env, make_env))
         envs = [make(num_envs=2, seed=0, num_threads=1) for make in (train, make_env)]

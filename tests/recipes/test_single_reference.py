@@ -21,6 +21,7 @@ from aslip.robot.model import load_model
 from aslip.transforms import SINGLE_REFERENCE_TABLE, Fall, SpeedCommand
 from aslip.transforms import single_reference as terms
 from aslip.walking import Walker
+from recipes.ppo_presets import environments
 from recipes.ppo_settings import PRESETS
 from tests.helpers import MakeEnv
 
@@ -184,7 +185,7 @@ def test_the_recipe_trains_a_policy_that_knows_its_stack(tmp_path: Path) -> None
         PRESETS["single-reference"], out=tmp_path, num_envs=4, samples=32, total_steps=32,
         minibatch=16, eval_steps=5,
     )  # fmt: skip
-    ppo_aslip.main(config, **ppo_aslip.environments(config.preset))
+    ppo_aslip.main(config, **environments(config.preset))
     assert policy_stack(tmp_path) == "single_reference"
     walker = Walker(tmp_path, speed=1.0)
     assert walker.step()["observation"].shape == (1, 49)

@@ -18,7 +18,7 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.rom import SlipParameters
 from aslip.transforms import LowReward, SpeedCommand, rewards
-from recipes.ppo_aslip import environments
+from recipes.ppo_presets import environments
 from recipes.ppo_settings import PRESETS
 from tests.helpers import MakeEnv
 

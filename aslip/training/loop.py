@@ -1,0 +1,102 @@
+"""Loop of a training: batches of a collector, counted, logged, saved, and resumed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, Self
+
+from tensordict import TensorDict
+from torchrl.checkpoint import GlobalRNGState
+
+from aslip.training.progress import Progress, check_rewards
+from aslip.training.run import TrainingRun
+
+
+class TrainingLoop:
+    """Batches to train on, until the training is finished; made by `training_loop`.
+
+    Args:
+        run: folder of the run.
+        progress: state of the training.
+        batches: batches of the collector.
+        keep: copies the state of the training, see `TrainingRun.saving`.
+        eval_interval: policy steps between evaluations.
+    """
+
+    def __init__(
+        self,
+        run: TrainingRun,
+        progress: Progress,
+        batches: Iterator[TensorDict],
+        keep: Callable[[int, Mapping[str, Any]], None],
+        eval_interval: int,
+    ) -> None:
+        self.progress = progress
+        self._run, self._batches, self._keep = run, batches, keep
+        self._interval = eval_interval
+
+    @property
+    def step(self) -> int:
+        """Policy steps of all updates so far."""
+        return self.progress.step
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> TensorDict:
+        if self.progress.finished:
+            raise StopIteration
+        data = next(self._batches)
+        check_rewards(data)
+        return data
+
+    def count(self, data: TensorDict) -> None:
+        """Count a batch that was learned from."""
+        self.progress.add(data)
+
+    @property
+    def evaluates(self) -> bool:
+        """True if the last update passed a multiple of `eval_interval`, or ended the training."""
+        return self.step % self._interval < self.progress.samples or self.progress.finished
+
+    def log(
+        self, data: TensorDict, losses: Mapping[str, float], means: Mapping[str, float]
+    ) -> None:
+        """Log an update, and copy the state of the training for the next checkpoint.
+
+        Args:
+            data: the batch.
+            losses: means of the update.
+            means: means of an evaluation.
+        """
+        self._run.log(self.step, {**self.progress.row(data, losses), **means})
+        self._keep(self.step, self.progress.state())
+
+
+@contextmanager
+def training_loop(
+    run: TrainingRun, components: Mapping[str, Any], settings: Any
+) -> Iterator[TrainingLoop]:
+    """Context of a training that is announced, shows a progress bar, and is saved at its end.
+
+    Args:
+        run: folder of the run.
+        components: all that is saved and restored, by name, besides torch's generators; among them
+            `actor` and `collector`, which is shut down at the end.
+        settings: settings of the recipe: `preset`, `seed`, `resume`, `total_steps`, `samples`,
+            `num_envs`, `eval_interval` and `checkpoint_minutes`.
+
+    Raises:
+        TrainingStoppedError: as `TrainingRun.saving`.
+        FileDamagedError: as `TrainingRun.restore`.
+    """
+    components = {**components, "rng": GlobalRNGState()}
+    collector, actor = components["collector"], components["actor"]
+    kept = run.restore(components) if settings.resume else None
+    progress = Progress(settings.total_steps, settings.samples, kept)
+    title = f"preset {settings.preset}, seed {settings.seed}, {settings.num_envs} robots"
+    print(run.announcement(title, progress), flush=True)
+    batches = progress.watch(collector, actor, settings.num_envs)
+    with progress, collector, run.saving(components, settings.checkpoint_minutes) as keep:
+        yield TrainingLoop(run, progress, batches, keep, settings.eval_interval)

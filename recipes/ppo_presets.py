@@ -1,0 +1,29 @@
+"""Environments of the presets of `ppo_aslip.py`; `ppo_settings.py` has their settings."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Any
+
+import aslip
+from aslip.envs import ON_TRUTH, default_stack, randomise_stack
+from aslip.robot.model import physics_timesteps
+from aslip.training.environments import make_training_env
+
+
+def environments(preset: str) -> dict[str, Any]:
+    """Environments of a preset, as arguments of `ppo_aslip.main`."""
+    one_speed = partial(make_training_env, command_interval=math.inf)
+    if preset in ("paper", "single-reference"):
+        make_env = partial(aslip.make_env, stack=preset.replace("-", "_"))
+        return {"make_env": make_env, "make_train_env": partial(one_speed, make_env)}
+    if preset == "robust":
+        robots = partial(aslip.make_env, stack=randomise_stack(default_stack()))
+        return {"make_train_env": partial(make_training_env, robots)}
+    if preset == "truth":
+        return {"make_env": partial(aslip.make_env, **ON_TRUTH)}
+    if preset == "coarse":
+        steps = partial(aslip.make_env, timestep=physics_timesteps()[1])
+        return {"make_train_env": partial(make_training_env, steps)}
+    return {}
