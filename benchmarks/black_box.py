@@ -1,11 +1,11 @@
-"""Logs of a walk: overhead, size, crashes, cuts and replays.
+"""Walk logs: overhead, size, killed writers, truncation and replay.
 
     python -m benchmarks.black_box                       # everything
     python -m benchmarks.black_box --rounds 5 --kills 0 --cuts 0 --replays 0
 
-One robot walks under a policy with and without a recorder: in each round both walk the same steps
-in turn, in small portions, so that other load on the machine affects both alike. Processes are then
-killed while they write a log, logs are cut anywhere, and walks are replayed.
+One robot walks with and without a recorder. Both take the same steps in turn, in small portions, so
+that other load on the machine affects both alike. Processes are then killed while they write a log,
+logs are truncated at random, and walks are replayed.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ class Config:
     rounds: int = 3
     """Walks of 12 s, each with and without a log."""
     kills: int = 50
-    """Number of processes to kill while they write a log."""
+    """Number of processes killed while they write a log."""
     cuts: int = 200
-    """Number of places to cut a log at."""
+    """Number of truncated copies of a log."""
     replays: int = 20
-    """Number of walks with random commands and pushes to replay."""
+    """Number of walks replayed, with random commands and pushes."""
     policy: str = "aslip"
     """Policy that walks, as `aslip.load_policy` takes it."""
     seed: int = 0
     """Seed of all random numbers."""
     report: Path = Path("runs/black_box.json")
-    """File for the numbers."""
+    """JSON file for the results."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import json
@@ -66,18 +66,18 @@ from benchmarks.flags import Common
 
 # length of the paper's episodes [policy steps]
 _EPISODE = 400
-# policy steps that are timed together, so that a pause of the machine affects one portion only
+# policy steps timed together; a pause of the machine affects one portion only
 _PORTION = 20
 
 
 def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
-    """Measure, and print tables.
+    """Measure, print tables and write the results.
 
     Args:
         config: the settings.
-        policy: policy that walks instead of that in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`; kills need one that
-            can be pickled.
+        policy: policy that walks; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`; `kills`
+            needs it to be picklable.
     """
     torch.set_num_threads(1)
     subject = Subject.load(policy or config.policy, make_env)
@@ -99,7 +99,7 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
 def make_walker(
     subject: Subject, path: Path | None, rate: JointRate = "policy", seed: int = 0
 ) -> Walker:
-    """Walker that logs if there is a path."""
+    """Walker of a subject, with a recorder if a path is given."""
     library = GaitLibrary.load()
     env = subject.walking_env(Common(seed=seed), 1, num_threads=1)
     if path is not None:
@@ -112,8 +112,8 @@ def make_walker(
 
 
 def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
-    """Measure the time of a logged walk over that of the same walk without a log, and sizes."""
-    print("\n| log | time of 12 s | slower by | size |\n|---|---:|---:|---:|")
+    """Measure the slowdown of walks by a recorder, and the size of logs."""
+    print("\n| log | time for 12 s | slowdown | size |\n|---|---:|---:|---:|")
     ratios: dict[str, list[float]] = {"policy": [], "physics": []}
     seconds: dict[str, list[float]] = {"none": [], "policy": [], "physics": []}
     sizes: dict[str, int] = {}
@@ -127,7 +127,7 @@ def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]
             walker.env.close()
             seconds[name].append(float(spent[name].sum()))
         for rate, path in paths.items():
-            # portion by portion, as the machine's speed changes within a walk
+            # by portion, as the machine's speed varies during a walk
             ratios[rate].append(float(np.median(spent[rate] / spent["none"])))
             sizes[rate] = path.stat().st_size
     results: dict[str, float] = {}
@@ -143,7 +143,7 @@ def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]
 
 
 def portions(walkers: dict[str, Walker]) -> dict[str, np.ndarray]:
-    """Seconds of each portion of an episode, all walkers in turn."""
+    """Wall time of each portion of an episode [s], all walkers in turn."""
     spent: dict[str, list[float]] = {name: [] for name in walkers}
     order = list(walkers)
     for _ in range(_EPISODE // _PORTION):
@@ -160,7 +160,7 @@ def portions(walkers: dict[str, Walker]) -> dict[str, np.ndarray]:
 
 
 def kills(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
-    """Kill processes that write a log at random times, and recover their logs."""
+    """Kill log-writing processes at random times, and recover their logs."""
     rng = np.random.default_rng(config.seed)
     lost, failures = [], 0
     for i in trange(config.kills, unit="kill", leave=False):
@@ -172,14 +172,15 @@ def kills(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
         whole = loss <= 1.0 + CASSIE.policy_period and not check(saved.path)
         failures += not (whole and replay(saved.path).equal)
     print(
-        f"\n{config.kills - failures} of {config.kills} killed writers recovered up to one second"
-        f" before; lost {statistics.median(lost):.2f} s in the median, {max(lost):.2f} s at most"
+        f"\nrecovered {config.kills - failures} of {config.kills} logs of killed writers, with at"
+        f" most one second; lost {statistics.median(lost):.2f} s (median),"
+        f" {max(lost):.2f} s (maximum)"
     )
     return {"kills": config.kills, "failures": failures, "worst_loss": max(lost)}
 
 
 def kill_writer(subject: Subject, path: Path, steps: int, rng: np.random.Generator) -> int:
-    """Kill a process that logs a walk soon after some steps; returns the last step it reported."""
+    """Kill a log-writing process after a number of steps; returns its last reported step."""
     context, reached = multiprocessing.get_context("spawn"), 0
     ours, theirs = context.Pipe(duplex=False)
     victim = context.Process(target=_walk_on, args=(subject, path, theirs), daemon=True)
@@ -191,14 +192,14 @@ def kill_writer(subject: Subject, path: Path, steps: int, rng: np.random.Generat
         time.sleep(float(rng.uniform(0, 0.02)))
         assert victim.pid is not None
         os.kill(victim.pid, signal.SIGKILL)
-        while True:  # reports sent before its end
+        while True:  # reports sent before the kill
             reached = ours.recv()
     victim.join()
     return reached
 
 
 def _walk_on(subject: Subject, path: Path, reports: Connection) -> None:
-    """Log a walk without end, and report each step."""
+    """Log an endless walk, and report each step."""
     walker = make_walker(subject, path)
     while True:
         walker.step()
@@ -209,7 +210,7 @@ def _walk_on(subject: Subject, path: Path, reports: Connection) -> None:
 
 
 def cuts(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
-    """Cut a log anywhere, and count logs recovered up to the cut and clear errors."""
+    """Truncate a log at random, and count recovered logs, clear errors and wrong results."""
     path = folder / "whole.mcap"
     with closing_env(make_walker(subject, path)) as walker:
         for _ in range(200):
@@ -226,7 +227,7 @@ def cuts(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
 
 
 def outcome(cut: Path, time: np.ndarray) -> str:
-    """Outcome of reading a cut log: "saved", "clear error" or "wrong"."""
+    """Outcome of reading a truncated log: "saved", "clear error" or "wrong"."""
     if not check(cut):
         return "wrong"
     try:
@@ -269,15 +270,15 @@ def replays(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
         equal += all(result.equal for result in results)
         states += sum(result.compared for result in results)
     print(
-        f"\n{equal} of {config.replays} walks replayed bit for bit, from the start and from the"
-        f" middle: {states} states compared, {falls} falls among them"
+        f"\nreplayed {equal} of {config.replays} walks bit for bit, from the start and from the"
+        f" middle; {states} states compared, {falls} falls included"
     )
     return {"walks": config.replays, "equal": equal, "states": states, "falls": falls}
 
 
 @contextmanager
 def closing_env(walker: Walker) -> Iterator[Walker]:
-    """Close a walker's environment, and its log, in the end."""
+    """Close a walker's environment and log on exit."""
     try:
         yield walker
     finally:

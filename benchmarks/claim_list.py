@@ -11,16 +11,16 @@ from aslip.walking import TRACKING_TOLERANCE
 
 @dataclass(frozen=True)
 class Claim:
-    """Claim and the condition under which it holds."""
+    """Claim, and the limit that its value must meet."""
 
     name: str
     sentence: str
-    """Sentence of the paper with its section, or a condition of this project."""
+    """Sentence of the paper with its section, or requirement of this project."""
     published: str
-    """Published value, if there is one."""
+    """Published value; empty if there is none."""
     unit: str
     at_least: float = -math.inf
-    """Least value for which the claim holds."""
+    """Smallest value for which the claim holds."""
     at_most: float = math.inf
     """Largest value for which the claim holds."""
     digits: int = 2
@@ -28,7 +28,7 @@ class Claim:
 
     @property
     def limit(self) -> str:
-        """Condition as text."""
+        """Limit as text."""
         if math.isfinite(self.at_least):
             return f"≥ {self.at_least:g}"
         return f"≤ {self.at_most:g}"
@@ -62,7 +62,7 @@ CLAIMS: Final = (
     ),
     Claim(
         "velocity tracking",
-        "V-A: succeeds across the broad set of commanded speeds; largest error of all speeds",
+        "V-A: succeeds across the broad set of commanded speeds; largest error over speeds",
         "0.02",
         "m/s",
         at_most=0.05,
@@ -71,13 +71,13 @@ CLAIMS: Final = (
     Claim("slow walking", "obeys commands of 0 to 0.3 m/s", "", "m/s", at_most=0.05, digits=3),
     Claim(
         "smooth transitions",
-        "V-A: smoothly transition between reference walk cycles; changes survived",
+        "V-A: smoothly transition between reference walk cycles; step changes survived",
         "all",
         "of 6",
         at_least=6,
         digits=1,
     ),
-    Claim("settling", "settled after changes of 1 m/s, the slowest", "", "s", at_most=1.5),
+    Claim("settling", "slowest settling time after steps of 1 m/s", "", "s", at_most=1.5),
     Claim(
         "velocity oscillation",
         "V-A: oscillations in pelvis velocity correspond to the model's; correlation",
@@ -87,14 +87,14 @@ CLAIMS: Final = (
     ),
     Claim(
         "touchdown spikes",
-        "Fig. 5: does not emulate the spikes at touchdown; robot's over model's",
+        "Fig. 5: does not emulate the spikes at touchdown; ratio of robot to model",
         "",
         "",
         at_most=0.5,
     ),
     Claim(
         "wider feet",
-        "V-A: at all speeds places its feet slightly wider; the least",
+        "V-A: at all speeds places its feet slightly wider; smallest offset",
         "1.5",
         "cm",
         at_least=0,
@@ -110,7 +110,7 @@ CLAIMS: Final = (
     ),
     Claim(
         "feet above 1 m/s",
-        "V-A: above 1.0 m/s footsteps lag more and more; growth of the error to 2.0 m/s",
+        "V-A: above 1.0 m/s footsteps lag more and more; increase of the error to 2.0 m/s",
         "34",
         "cm",
         at_least=0,
@@ -128,7 +128,7 @@ CLAIMS: Final = (
     ),
     Claim(
         "baseline's single hump",
-        "V-A: single flattened hump for all speeds; least dip ratio",
+        "V-A: single flattened hump for all speeds; smallest dip ratio",
         "0.92",
         "",
         at_least=0.9,
@@ -142,7 +142,7 @@ CLAIMS: Final = (
     ),
     Claim(
         "step frequency",
-        "V-B: stepping frequency matches; largest difference of all speeds",
+        "V-B: stepping frequency matches; largest difference over speeds",
         "0",
         "%",
         at_most=2,

@@ -1,11 +1,11 @@
-"""Claims of the paper's results as numbers: sentence, published value, value here, verdict.
+"""Claims of the paper in numbers: sentence, published value, measured value, verdict.
 
     python -m benchmarks.claims --baseline single_reference      # the shipped policies
     python -m benchmarks.claims --policy runs/seed0 runs/seed1 --baseline single_reference
 
-Runs the other benchmarks of a policy and judges their numbers. Costs of training are read from run
-folders, where policies are given by these. Rows with a section are sentences of the paper; the
-others are conditions of this project. The exit status is 1 if a claim that holds in the record
+Runs the other benchmarks and judges their results. Training costs are read from run folders, if
+policies are given as such. Rows with a section number are sentences of the paper; others are
+requirements of this project. The exit status is 1 if a claim that holds in the record
 (`docs/claims.json`, replaced by `--record`) no longer holds.
 """
 
@@ -29,7 +29,7 @@ class Config(Common):
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import json
@@ -59,21 +59,21 @@ from benchmarks.common import (
 )
 
 RECORD = Path("docs/claims.json")
-"""Record of the claims that hold for the published numbers."""
+"""Record of the claims that hold for the shipped policies."""
 
 _SPEEDS = (0.0, 0.5, 1.0, 1.5, 2.0)
 _SLOW = 0.3
-# duration before correlations, and of correlations [s]
+# duration before the correlation, and of it [s]
 _SETTLE, _WALK = 4.0, 8.0
 
 
 def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> int:
-    """Measure, print and write; returns the number of claims that hold in the record only.
+    """Measure, print and write; returns the number of claims that no longer hold.
 
     Args:
         config: the settings.
-        policy: policy to measure instead of those in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     values = claim_values(config, policy, make_env)
     rows: list[dict[str, Any]] = []
@@ -95,7 +95,7 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
 
 
 def write_record(config: Config, rows: Sequence[dict[str, Any]]) -> None:
-    """Write the record: claims that hold, and names of the policies without their folders."""
+    """Write the record: which claims hold, and names of policies without folders."""
     names = {
         key: [Path(policy).name for policy in policies]
         for key, policies in (("policies", config.policy), ("baseline", config.baseline))
@@ -127,11 +127,18 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         ]
         for row in rows
     ]
-    header = ["claim", "where the paper says it, or what we ask", "published", "here", "limit", ""]
+    header = [
+        "claim",
+        "sentence of the paper, or requirement",
+        "published",
+        "measured",
+        "limit",
+        "",
+    ]
     passed = sum(row["holds"] for row in rows)
     align = ["---", "---", "---:", "---:", "---:", "---"]
     text = markdown(header, cells, align)
-    return f"{text}\n\n{passed} of {len(rows)} hold; intervals of 95 % over seeds."
+    return f"{text}\n\n{passed} of {len(rows)} hold; 95 % intervals over seeds."
 
 
 def value_text(row: dict[str, Any]) -> str:
@@ -145,7 +152,7 @@ def value_text(row: dict[str, Any]) -> str:
 # ---------------------------------------------------------------------- values
 
 Values = Mapping[str, Sequence[float]]
-"""Name of a claim -> its value for each seed, NaN where the robot fell."""
+"""Name of a claim -> its value for each seed; NaN after a fall."""
 
 
 def claim_values(
@@ -172,24 +179,24 @@ def claim_values(
 
 
 def interval_over_seeds(values: Sequence[float]) -> Interval:
-    """Interval of one value a seed; NaN if a seed has none, as the others would hide a failure."""
+    """Interval over seeds; NaN if any seed's value is missing, which would hide a failure."""
     if not np.isfinite(values).all():
         return Interval(math.nan, math.nan, math.nan)
     return Interval.of([np.array([value]) for value in values])
 
 
 def largest_by_seed(values: Sequence[Sequence[float]]) -> list[float]:
-    """Largest value of each seed, of (conditions, seeds): seeds do not compensate each other."""
+    """Largest value of each seed, from (conditions, seeds)."""
     return np.max(values, axis=0).tolist()
 
 
 def smallest_by_seed(values: Sequence[Sequence[float]]) -> list[float]:
-    """Smallest value of each seed, of (conditions, seeds)."""
+    """Smallest value of each seed, from (conditions, seeds)."""
     return np.min(values, axis=0).tolist()
 
 
 def training_costs(policies: Sequence[Policy]) -> Values:
-    """Samples, time and return of trainings, for policies given by run folders."""
+    """Samples, time and return of trainings, for policies given as run folders."""
     samples, hours, returns = [], [], []
     for policy in policies:
         if not isinstance(policy, str | Path) or not Path(policy).is_dir():
@@ -262,7 +269,7 @@ def force_claims(rows: Sequence[dict[str, Any]]) -> Values:
 
 
 def correlation_claims(walks: Sequence[Walks]) -> Values:
-    """Values of claims on likeness to the model: mean correlations over speeds."""
+    """Values of claims on similarity to the model: mean correlations over speeds."""
     first = round(_SETTLE / CASSIE.policy_period)
     speed, legs = [], []
     for walk in walks:
@@ -271,7 +278,7 @@ def correlation_claims(walks: Sequence[Walks]) -> Values:
             legs.append(math.nan)
             continue
         ones = [walk.one(i, first) for i in range(len(_SPEEDS))]
-        # stepping in place, the model has no forward oscillation
+        # in place, the model's velocity does not oscillate
         moving = [w for w in ones if w.command[0, 0] > 0]
         speed.append(np.mean([_speed_correlation(w) for w in moving]))
         legs.append(np.mean([_leg_correlation(w) for w in ones]))

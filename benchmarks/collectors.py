@@ -1,15 +1,14 @@
-"""Policy steps per second of collecting: in this process, in others, and in actors of Ray.
+"""Collection rate: in this process, in several processes, and in Ray actors.
 
     python -m benchmarks.collectors
     python -m benchmarks.collectors --num-collectors 8 --kinds single distributed
 
-All kinds collect the same number of samples from the same number of robots, in turn in every round,
-so that other load on the machine affects all alike. Each kind has all processors for its physics:
-a single process has a thread for each, several share them. The time of a batch includes sending
-weights to other processes and receiving the samples. A table row is the median over rounds; ratios
-are taken within a round.
+All kinds collect equal batches from equally many robots, in turn in every round, so that other load
+on the machine affects all alike. Each kind uses all processors: one process has a thread for each,
+several share them. The time of a batch includes sending weights to other processes and receiving
+the samples. Table rows are medians over rounds; ratios are taken within a round.
 
-On one machine this is the cost or gain of processes; several machines have more processors.
+On one machine the result is the cost or gain of processes alone.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ class Config:
     num_collectors: int = 2
     """Number of processes or actors."""
     rounds: int = 9
-    """Rounds to take the median over, after a batch to warm up."""
+    """Number of rounds; tables show the median, after a batch to warm up."""
     policy: str = "aslip"
     """Policy that acts, with exploration noise, as `aslip.load_policy` takes it."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import statistics
@@ -68,10 +67,10 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
 
     Args:
         config: the settings.
-        policy: policy that acts instead of that in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy that acts; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
-    # as in the other processes, which would wait for spinning threads of more
+    # as in the other processes: spinning torch threads would slow them
     torch.set_num_threads(1)
     subject = Subject.load(policy or config.policy, make_env)
     makers: dict[Kind, Callable[..., Any]] = {
@@ -96,8 +95,8 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
         rate = statistics.median(config.samples / r[kind] for r in rounds)
         share = statistics.median(r[config.kinds[0]] / r[kind] for r in rounds)
         rows.append([f"`{kind}`", f"{rate:.0f}", f"{100 * share:.0f} %", f"{first[kind]:.1f}"])
-    robots, beside = f"{config.num_envs} robots", f"of `{config.kinds[0]}`"
-    header = [robots, "policy steps/s", beside, "first batch s"]
+    robots, share = f"{config.num_envs} robots", f"of `{config.kinds[0]}`"
+    header = [robots, "policy steps/s", share, "first batch [s]"]
     print(markdown(header, rows, ["---", "---:", "---:", "---:"]))
 
 

@@ -1,4 +1,4 @@
-"""Subjects, walks and reports that the benchmarks of a policy share.
+"""Subjects, walks and reports shared by the benchmarks.
 
 A subject is a policy and a way to make its environment. On the command line a policy is the name of
 a shipped one, a file or a run folder, and its environment follows from its card. In Python `main`
@@ -55,15 +55,15 @@ __all__ = [
     "load_subjects",
     "nearest_gait",
     "quiet",
+    "record_subject",
     "shortest_swing",
     "strides",
-    "walks_of",
     "write_report",
     "write_results",
 ]
 
 WALKING_LENGTH = 350
-"""Mean length of training episodes that counts as having learned to walk, of 400 [policy steps]."""
+"""Mean episode length from which a training counts as walking, of at most 400 [policy steps]."""
 
 Policy = TensorDictModuleBase | str | Path
 """Policy module, or what `aslip.load_policy` takes."""
@@ -74,25 +74,25 @@ MakeEnv = Callable[..., StackEnv]
 
 @dataclass(frozen=True)
 class Subject:
-    """Policy to measure, and a way to make its environment."""
+    """Policy to measure, and the function that makes its environment."""
 
     name: str
     """Name in reports, see `policy_name`."""
     policy: TensorDictModuleBase
-    """Policy that acts."""
+    """TensorDict module that writes `action`."""
     make_env: MakeEnv
-    """Function that makes environments of its stack."""
+    """Function that makes its environments."""
     stored: bool
-    """Whether the policy has a card, by which environments are checked."""
+    """True for a policy file, whose card environments are checked against."""
 
     @classmethod
     def load(cls, policy: Policy, make_env: MakeEnv | None = None) -> Subject:
-        """Load a policy by name or path, or take a module.
+        """Make a subject of a policy's name, path or module.
 
         Args:
             policy: the policy.
             make_env: function that makes its environment; by default `aslip.make_env` with the
-                stack that the policy's card names, or with the default stack for a module.
+                stack named in the policy's card, or the default stack for a module.
 
         Raises:
             AssetError: no such policy exists.
@@ -104,13 +104,12 @@ class Subject:
         return cls(policy_name(policy), aslip.load_policy(policy), make_env, True)
 
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
-        """Environment of the policy, where episodes end as in training.
+        """Environment of the policy whose episodes end as in training.
 
         `drop` and `replace` add to those of a `make_env` that is a `functools.partial`.
 
         Raises:
-            ConfigurationError: the environment has another observation than the policy's card, or
-                adds its action to something else.
+            ConfigurationError: observation or action baseline differ from the policy's card.
         """
         settings = _joined(self.make_env, settings)
         env = self.make_env(num_envs=num_envs, **settings)
@@ -120,7 +119,7 @@ class Subject:
         return env
 
     def walking_env(self, config: Common, num_envs: int, **settings: Any) -> StackEnv:
-        """Environment of the policy, where episodes end in falls only."""
+        """Environment of the policy whose episodes end only in falls."""
         drop = [*EPISODE_ENDS]
         if config.truth:
             drop += ON_TRUTH["drop"]
@@ -149,14 +148,14 @@ def load_subjects(
 
 
 def policy_name(policy: Policy) -> str:
-    """Name of a policy in reports: its name or path, or the class of a module."""
+    """Name of a policy in reports: name, path, or class of the module."""
     return str(policy) if isinstance(policy, str | Path) else str(policy.__class__.__name__)
 
 
 def constant_walks(
     config: Common, subjects: Sequence[Subject], speeds: Sequence[float], duration: float
 ) -> list[Walks]:
-    """Record walks at constant speeds side by side, one `Walks` a subject.
+    """Record walks at constant speeds side by side, one `Walks` for each subject.
 
     Args:
         config: settings of the walks.
@@ -166,10 +165,10 @@ def constant_walks(
     """
     steps = round(duration / CASSIE.policy_period)
     command = np.tile(np.array(speeds), (steps, 1))
-    return [walks_of(config, subject, command) for subject in subjects]
+    return [record_subject(config, subject, command) for subject in subjects]
 
 
-def walks_of(config: Common, subject: Subject, command: np.ndarray) -> Walks:
+def record_subject(config: Common, subject: Subject, command: np.ndarray) -> Walks:
     """Record walks of one subject through commands (m, n) [m/s]."""
     with contextlib.closing(subject.walking_env(config, command.shape[1])) as env:
         return record_walks(subject.policy, env, command)
@@ -190,9 +189,9 @@ def nearest_gait(library: GaitLibrary, speed: float) -> Gait:
 
 
 def shortest_swing(library: GaitLibrary, speed: float) -> float:
-    """Half of the model's swing [s], the least time without load that counts as a robot's swing.
+    """Shortest time without load that counts as a swing: half of the model's swing [s].
 
-    A leg that follows the model carries nothing for a while in the middle of its stance.
+    Shorter ones occur in mid-stance, where the model's leg force may be zero.
     """
     gait = nearest_gait(library, speed)
     return (1 - gait.duty_factor) * gait.stride / 2
@@ -209,7 +208,7 @@ def write_report(
     table: str,
     figure: Figure | None = None,
 ) -> None:
-    """Write results with the names of the policies and the settings of all benchmarks."""
+    """Write results, with policies and shared settings."""
     names = list(config.policy) if policy is None else [policy_name(policy)]
     about = {"policies": names, "seed": config.seed, "truth": config.truth}
     write_results(config.out, name, {**about, **numbers}, table, figure)
@@ -218,7 +217,7 @@ def write_report(
 def write_results(
     out: Path, name: str, numbers: dict[str, Any], table: str, figure: Figure | None = None
 ) -> None:
-    """Print a table, and write table, numbers and picture into a folder, by name."""
+    """Print the table, and write table, numbers and picture into a folder."""
     print(table)
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / f"{name}.md", table + "\n")
@@ -229,7 +228,7 @@ def write_results(
 
 
 def _without_nan(value: Any) -> Any:
-    """Copy of nested numbers with None for those that JSON lacks."""
+    """Copy of nested numbers with None for NaN and infinity, which JSON lacks."""
     if isinstance(value, Mapping):
         return {key: _without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -239,7 +238,7 @@ def _without_nan(value: Any) -> Any:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[list[str]]:
-    """Print nothing and show no bars; yields the list that collects TorchRL's log messages."""
+    """Silence output and progress bars; yields the list of TorchRL's log messages."""
     messages: list[str] = []
 
     class Listener(logging.Handler):
@@ -260,13 +259,13 @@ def quiet() -> Iterator[list[str]]:
 
 
 class Holder:
-    """Component of a checkpoint that any state can be loaded into."""
+    """Checkpoint component that accepts any state."""
 
     def __init__(self, state: Any = None) -> None:
         self.state = state
 
     def state_dict(self) -> Any:
-        """State that was loaded."""
+        """Loaded state."""
         return self.state
 
     def load_state_dict(self, state: Any) -> None:
@@ -275,7 +274,7 @@ class Holder:
 
 
 def checkpoint_times(path: Path) -> dict[str, float]:
-    """Size of a checkpoint [bytes], and times to copy its states and to write them [s]."""
+    """Size of a checkpoint [bytes], time to copy its states and time to write them [s]."""
     names = ("actor", "critic", "optimizer", "rng", "collector")
     components = {name: Holder() for name in names}
     metadata = load_checkpoint(path, components)

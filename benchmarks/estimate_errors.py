@@ -1,4 +1,4 @@
-"""Errors of the state estimate on walks at constant speed and through changes of speed."""
+"""Errors of the state estimate on walks at constant and changing speeds."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from aslip.walking import markdown, reset_walks, walk
 from benchmarks.common import Subject
 
 SPEEDS: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
-"""Speeds of the walks at constant speed; one through changes of speed follows [m/s]."""
+"""Speeds of the walks at constant speed [m/s]; a walk at changing speed follows."""
 
 # policy step -> commanded speed [m/s]
 _CHANGES = {0: 0.0, 60: 1.0, 130: 2.0, 200: 0.3, 270: 1.5, 340: 0.0}
@@ -55,7 +55,7 @@ class EstimateErrors:
 
 
 def record_estimates(subject: Subject, steps: int, repeats: int, seed: int) -> EstimateErrors:
-    """Walk at each speed and through changes of speed, and compare estimate and truth.
+    """Compare estimate and truth on walks at each speed and at changing speed.
 
     Args:
         subject: policy that walks.
@@ -80,7 +80,7 @@ def array(td: TensorDictBase, key: Any) -> np.ndarray:
 
 
 def _commands(steps: int, repeats: int) -> np.ndarray:
-    """(steps, n) commanded speed of each walk's robots [m/s]; those of changes come last."""
+    """(steps, n) commanded speed of each robot [m/s]; changing speeds come last."""
     changing = [max(i for i in _CHANGES if i <= step) for step in range(steps)]
     command = np.tile([*SPEEDS, 0.0], (steps, 1))
     command[:, -1] = [_CHANGES[i] for i in changing]
@@ -142,7 +142,7 @@ def _compare(seen: dict[str, np.ndarray]) -> EstimateErrors:
 
 
 def walk_rows(walks: EstimateErrors, repeats: int) -> list[dict[str, Any]]:
-    """Rows of the table, one a walk."""
+    """Rows of the table, one for each walk."""
     rows = []
     for i, name in enumerate([*(f"{speed:.1f}" for speed in SPEEDS), "changes"]):
         robots = slice(i * repeats, (i + 1) * repeats)
@@ -169,14 +169,15 @@ def walk_rows(walks: EstimateErrors, repeats: int) -> list[dict[str, Any]]:
 
 
 def walk_table(rows: list[dict[str, Any]]) -> str:
-    """Table of errors, a row a walk."""
+    """Table of errors, a row for each walk."""
     header = [
-        "walk m/s", "velocity RMSE x, y, z m/s", "height RMSE mm", "attitude, worst deg",
-        "drift of x m", "of the way", "NIS", "in band", "NEES velocity", "NEES height", "falls",
+        "walk [m/s]", "velocity RMSE x, y, z [m/s]", "height RMSE [mm]",
+        "worst attitude error [deg]", "drift in x [m]", "drift [% of the way]", "NIS",
+        "in band [%]", "NEES velocity", "NEES height", "falls",
     ]  # fmt: skip
     cells = []
     for row in rows:
-        share = f"{100 * row['drift'] / row['distance']:.1f} %" if row["distance"] > 1 else "-"
+        share = f"{100 * row['drift'] / row['distance']:.1f}" if row["distance"] > 1 else "-"
         cells.append(
             [
                 row["walk"],
@@ -186,7 +187,7 @@ def walk_table(rows: list[dict[str, Any]]) -> str:
                 f"{row['drift']:.2f}",
                 share,
                 f"{row['nis']:.1f}",
-                f"{100 * row['nis_inside']:.0f} %",
+                f"{100 * row['nis_inside']:.0f}",
                 f"{row['nees_velocity']:.1f}",
                 f"{row['nees_height']:.1f}",
                 str(row["fallen"]),
@@ -203,7 +204,7 @@ def _mean(values: np.ndarray, axis: tuple[int, ...]) -> np.ndarray:
 
 
 def picture(walks: EstimateErrors, repeats: int) -> Figure:
-    """Draw truth and estimate of the first walk through changes of speed."""
+    """Draw truth and estimate of the first walk at changing speed."""
     robot = len(SPEEDS) * repeats
     seen = {key: values[:, robot] for key, values in walks.seen.items()}
     seconds = CASSIE.policy_period * np.arange(1, len(seen["force"]) + 1)
@@ -226,5 +227,5 @@ def picture(walks: EstimateErrors, repeats: int) -> Figure:
     axes[4].set_xlabel("time [s]")
     axes[0].legend(loc="upper right", ncols=3, fontsize=8)
     axes[4].legend(loc="upper right", ncols=2, fontsize=8)
-    figure.suptitle("State estimate of a walk through changes of speed, noisy sensors")
+    figure.suptitle("State estimate on a walk at changing speed, noisy sensors")
     return figure

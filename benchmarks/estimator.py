@@ -2,13 +2,12 @@
 
     python -m benchmarks.estimator
 
-A policy walks at constant speeds and through changes of speed with noisy sensors. The first table
-compares the estimate that the policy observes with the truth at the same instant, without removing
-bias or delay. NIS is the squared innovation of a foot at rest over its predicted variance, summed
-over the three axes: its mean is 3 where the filter is consistent, and with normal noise 95 % of
-single values lie between 0.22 and 9.35. NEES is the same for errors of velocity (mean 3) and height
-(mean 1). The second table is of robots that fell and were reset, the third of time, measured side
-by side in one run.
+A policy walks at constant and changing speeds with noisy sensors. The first table compares the
+observed estimate with the truth at the same instant, bias and delay included. NIS is the normalised
+innovation squared of a foot in stance: for a consistent filter its mean is 3 and 95 % of values lie
+between 0.22 and 9.35. NEES is the normalised estimation error squared of velocity (mean 3) and
+height (mean 1). The second table shows the recovery after falls and resets, the third the cost,
+measured side by side in one run.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ class Config:
     policy: str = "aslip"
     """Policy that walks, as `aslip.load_policy` takes it."""
     steps: int = 400
-    """Policy steps of a walk."""
+    """Policy steps of each walk."""
     repeats: int = 4
-    """Robots on each walk, which differ in sensor noise."""
+    """Robots on each walk, with different sensor noise."""
     falls: int = 64
-    """Robots that fall and are reset."""
+    """Number of robots that fall and are reset."""
     num_envs: int = 256
-    """Robots for the cost in throughput."""
+    """Number of robots in the throughput measurement."""
     rounds: int = 15
-    """Rounds to take the median of times over."""
+    """Number of rounds; tables show the median."""
     seed: int = 0
     """Seed of the sensor noise."""
     out: Path = Path("runs/benchmarks")
@@ -43,7 +42,7 @@ class Config:
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import statistics
@@ -78,8 +77,8 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
 
     Args:
         config: the settings.
-        policy: policy that walks instead of that in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy that walks; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     subject = Subject.load(policy or config.policy, make_env)
     walks = record_estimates(subject, config.steps, config.repeats, config.seed)
@@ -102,7 +101,7 @@ _AGES = ((0, 1), (1, 4), (4, 10), (10, 20), (20, 60))
 
 
 def recovery(config: Config, subject: Subject) -> list[dict[str, Any]]:
-    """Make robots fall, and compare the estimate with the truth from their reset on."""
+    """Compare estimate and truth after falls and resets, by policy steps since the reset."""
     with closing(subject.env(config.falls, seed=config.seed)) as env:
         ages, error = _errors_by_age(config, subject, env)
     rows = []
@@ -121,11 +120,13 @@ def recovery(config: Config, subject: Subject) -> list[dict[str, Any]]:
 def _errors_by_age(
     config: Config, subject: Subject, env: StackEnv
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Policy steps since the reset (k,), and errors (k, 4) of velocity and height then."""
+    """Policy steps since the reset (k,), and errors (k, 4) of velocity and height."""
     generator = torch.Generator().manual_seed(config.seed)
     td = cast("TensorDictBase", env.reset())
     oldest = _AGES[-1][1]
-    age = torch.full((config.falls,), oldest)  # old robots are made to fall
+    age = torch.full(
+        (config.falls,), oldest
+    )  # robots of this age get random actions until they fall
     errors: list[tuple[np.ndarray, np.ndarray]] = []
     for _ in range(3 * oldest):
         subject.policy(td)
@@ -148,9 +149,9 @@ def _errors_by_age(
 
 
 def recovery_table(rows: list[dict[str, Any]]) -> str:
-    """Table of errors after a reset, a row a range of ages."""
+    """Table of errors after a reset, a row for each range of policy steps."""
     header = [
-        "policy steps after a fall and reset", "velocity RMSE x, y, z m/s", "height RMSE mm",
+        "policy steps since reset", "velocity RMSE x, y, z [m/s]", "height RMSE [mm]",
         "samples",
     ]  # fmt: skip
     cells = []
@@ -171,7 +172,7 @@ def recovery_table(rows: list[dict[str, Any]]) -> str:
 
 
 class _NoSensors:
-    """Stand-in for `Sensors`: the PD loop reads the truth, packets stay as they are."""
+    """Replacement for `Sensors`: PD control on the true state, constant packets."""
 
     def __init__(self, sensors: Sensors, indices: Indices) -> None:
         self._packets = sensors.packets()
@@ -196,7 +197,7 @@ class _NoSensors:
 
 
 def throughput(config: Config, subject: Subject) -> dict[str, float]:
-    """Policy steps per second of whole environments, in turn, by the robot's sensors."""
+    """Policy steps per second of environments, by kind of sensing."""
     variants: dict[str, Mapping[str, Any]] = {
         "truth, no sensors": ON_TRUTH,
         "truth, sensors": ON_TRUTH,
@@ -224,7 +225,7 @@ def throughput(config: Config, subject: Subject) -> dict[str, float]:
 def _time_steps(
     config: Config, subject: Subject, envs: Mapping[str, StackEnv]
 ) -> dict[str, list[float]]:
-    """Seconds of each environment's policy steps."""
+    """Wall times of each environment's policy steps [s]."""
     base = envs["truth, no sensors"].base_env
     assert isinstance(base, BatchEnv)
     for part in base.simulations.parts:
@@ -245,7 +246,7 @@ def _time_steps(
 @torch.no_grad()
 @set_exploration_type(ExplorationType.DETERMINISTIC)
 def packet_time(config: Config, subject: Subject) -> float:
-    """Median seconds for one packet of one robot."""
+    """Median time for one packet of one robot [s]."""
     sensed: list[np.ndarray] = []
     with closing(subject.env(1, seed=config.seed)) as env:
         td = cast("TensorDictBase", env.reset())
@@ -263,7 +264,7 @@ def packet_time(config: Config, subject: Subject) -> float:
 
 
 def cost_table(costs: dict[str, Any], config: Config) -> str:
-    """Table of throughput, a row a kind of sensing, and the time of a packet."""
+    """Table of throughput, a row for each kind of sensing, and the time of a packet."""
     best = costs["throughput"]["truth, no sensors"]
     rows = [
         [name, f"{rate:.0f}", f"{100 * rate / best:.0f} %"]

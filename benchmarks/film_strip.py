@@ -4,8 +4,8 @@
     python -m benchmarks.film_strip --policy runs/ppo_aslip --overlay
     python -m benchmarks.film_strip --reference --out docs/images/reference.png
 
-The upper strip shows body and spring legs of the actuated SLIP that the policy follows, the lower
-one the robot at the same instants. Without a display set MUJOCO_GL=egl, or MUJOCO_GL=osmesa for
+The upper strip shows body and spring legs of the actuated SLIP model, the lower strip the robot at
+the same instants. Without a display set MUJOCO_GL=egl, or MUJOCO_GL=osmesa for
 software rendering.
 """
 
@@ -33,11 +33,11 @@ class Config:
     out: Path = Path("runs/film_strip.png")
     """File for the picture."""
     frames: int = 6
-    """Number of instants, at equal steps of phase."""
+    """Number of instants, equally spaced in phase."""
     settle: float = 3.0
-    """Duration of the walk before the stride that is drawn [s]."""
+    """Duration of the walk before the drawn stride [s]."""
     camera: str = "side"
-    """Camera: side, follow or front."""
+    """Name of the camera: side, follow or front."""
     overlay: bool = False
     """Draw the reduced-order model over the robot, too."""
     width: int = 320
@@ -54,7 +54,7 @@ class Config:
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 from typing import Any
@@ -93,12 +93,12 @@ class Stride:
 
 
 def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
-    """Walk, choose the instants, draw.
+    """Walk, and draw the film strip.
 
     Args:
         config: the settings.
-        policy: policy to draw instead of that in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy to draw; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     library = aslip.GaitLibrary.load()
     speed = library.check_speed(config.speed)
@@ -119,7 +119,7 @@ def kinematic_stride(library: aslip.GaitLibrary, speed: float, phase: np.ndarray
     column = torch.from_numpy(phase)[:, None]
     speeds = torch.full_like(column, speed)
     qpos, _ = library.initial_state(column, speeds)
-    # the library's motion is relative to uniform motion
+    # the library stores motion relative to uniform motion
     qpos[:, 0] += column[:, 0] * speed * stride_duration(library, speed)
     instants = TensorDict(
         reference=library.lookup(column, speeds).to_tensordict(),
@@ -140,7 +140,7 @@ def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Strid
         settle: duration to walk before [s].
 
     Raises:
-        ConfigurationError: the robot fell before the stride was over.
+        ConfigurationError: the robot fell before the end of the stride.
     """
     duration = stride_duration(walker.library, walker.command)
     first = np.ceil(settle / duration)
@@ -173,7 +173,7 @@ def draw(stride: Stride, config: Config) -> Figure:
     rom = render_frames(stride.qpos, ghosts=stride.ghosts, robot=False, supersampling=2, **look)
     overlay = stride.ghosts if config.overlay else None
     robot = render_frames(stride.qpos, ghosts=overlay, supersampling=2, **look)
-    # in software a picture takes seconds
+    # software rendering takes seconds per picture
     drawn = tqdm(itertools.chain(rom, robot), total=2 * count, unit="picture", desc="drawing")
     pictures = np.stack(list(drawn))
     size = (count * config.width / 110, 2 * config.height / 110 + 0.8)

@@ -13,13 +13,13 @@ class Common:
     """Flags of every benchmark of a policy."""
 
     policy: tuple[str, ...] = ("aslip",)
-    """Policies to measure: shipped names, files or run folders; several count as seeds of one."""
+    """Policies to measure: names, files or run folders; several count as seeds of one method."""
     truth: bool = False
-    """Let policies observe the simulator's truth instead of the state estimate."""
+    """Give the policy the true state instead of the state estimate."""
     seed: int = 0
     """Seed of the sensor noise."""
     out: Path = Path("runs/benchmarks")
-    """Folder for table, numbers and picture."""
+    """Folder for the table, results and picture."""
 
     def __post_init__(self) -> None:
         """Check that there is a policy."""

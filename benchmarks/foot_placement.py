@@ -2,11 +2,11 @@
 
     python -m benchmarks.foot_placement                                   # the shipped policy
     python -m benchmarks.foot_placement --policy runs/seed0 runs/seed1 runs/seed2
-    python -m benchmarks.foot_placement --log walk.mcap                   # of a log at one speed
+    python -m benchmarks.foot_placement --log walk.mcap                   # a log at one speed
 
-At each speed, 15 consecutive footsteps count after the walk has settled. The ideal place of each is
-the actual place of the other foot plus the step of the reduced-order model. The place of a foot is
-that of its sole in the middle of its stance.
+At each speed, 15 consecutive footsteps of the settled walk are measured. The ideal position of each
+is the other foot's actual position plus the step of the reduced-order model. The position of a
+footstep is the sole centre at mid-stance.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PUBLISHED: Final = MappingProxyType(
         2.0: (0.4319, 0.0423),
     }
 )  # fmt: skip
-"""Speed [m/s] -> mean error and standard deviation [m], from the data of the paper's figure."""
+"""Speed [m/s] -> published mean error and standard deviation [m]."""
 
 
 @dataclass(frozen=True)
@@ -40,11 +40,11 @@ class Config(Common):
     speeds: tuple[float, ...] = tuple(PUBLISHED)
     """Commanded speeds [m/s]."""
     log: Path | None = None
-    """Log to measure instead of a policy, of a walk at one commanded speed."""
+    """Log of a walk at one commanded speed, to measure instead of a policy."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import math
@@ -71,19 +71,19 @@ from benchmarks.common import (
 )
 
 _FOOTSTEPS = 15
-# duration before the first footstep counts, and from there on [s]
+# duration before the measurement, and of it [s]
 _SETTLE, _WALK = 4.0, 12.0
 
 
 def main(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> dict[float, list[Placement]]:
-    """Measure, print and draw; returns the placements at each speed, one a policy.
+    """Measure, print and draw; returns the placements of all policies at each speed.
 
     Args:
         config: the settings.
-        policy: policy to measure instead of those in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     library = GaitLibrary.load()
     if config.log is not None:
@@ -102,7 +102,7 @@ def main(
 
 
 def logged_walk(path: Path) -> tuple[float, Walks]:
-    """Commanded speed [m/s] and walk of a log.
+    """Read the commanded speed [m/s] and walk of a log.
 
     Raises:
         ConfigurationError: the log has several commanded speeds.
@@ -111,14 +111,14 @@ def logged_walk(path: Path) -> tuple[float, Walks]:
     speeds = np.unique(walk.command)
     if len(speeds) != 1:
         raise ConfigurationError(
-            f"{str(path)!r} has {len(speeds)} commanded speeds; record one at a time:"
-            " recipes/walk.py --command 1.0"
+            f"{str(path)!r} has {len(speeds)} commanded speeds, the benchmark needs one: record"
+            " with recipes/walk.py --command 1.0"
         )
     return float(speeds[0]), walk
 
 
 def walk_placement(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Placement:
-    """Placement of one walk's footsteps after it has settled; a single NaN if it fell."""
+    """Placement of the footsteps of one settled walk; a single NaN after a fall."""
     one, footholds, swing = walk.one(index), Footholds(library), shortest_swing(library, speed)
     step = np.stack([footholds.step(side, speed) for side in SIDES])
     if not one.survived[0]:
@@ -136,7 +136,7 @@ def walk_placement(walk: Walks, index: int, speed: float, library: GaitLibrary) 
 
 
 def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, float | None]]]:
-    """Numbers of the report, a row a speed."""
+    """Rows of the report, one for each speed."""
     rows = []
     for speed, every in by_speed.items():
         placements = without_falls(every)
@@ -163,10 +163,10 @@ def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, 
 
 
 def table(by_speed: dict[float, list[Placement]]) -> str:
-    """Table of errors, a row a speed."""
+    """Table of errors, a row for each speed."""
     header = [
-        "command m/s", "error cm", "std cm", "forward cm", "outward cm", "width cm",
-        "survived", "published cm",
+        "command [m/s]", "error [cm]", "std [cm]", "forward [cm]", "outward [cm]", "width [cm]",
+        "survived", "published [cm]",
     ]  # fmt: skip
     rows = []
     for speed, every in by_speed.items():
@@ -192,17 +192,17 @@ def table(by_speed: dict[float, list[Placement]]) -> str:
 
 
 def without_falls(placements: Sequence[Placement]) -> list[Placement]:
-    """Placements of robots that did not fall."""
+    """Placements of the walks without a fall."""
     return [p for p in placements if np.isfinite(p.error).all()]
 
 
 def published_error(speed: float) -> float | None:
-    """Mean error in the paper at a speed [m]; None if the paper has none."""
+    """Published mean error at a speed [m]; None at other speeds."""
     return next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), None)
 
 
 def _mean(statistic: Callable[..., Any], footsteps: Sequence[np.ndarray]) -> float:
-    """Mean over policies of a statistic of their footsteps; NaN if none has made any."""
+    """Mean over policies of a statistic of their footsteps; NaN without footsteps."""
     values = [statistic(value) for value in footsteps if len(value)]
     return float(np.mean(values)) if values else math.nan
 
@@ -226,7 +226,7 @@ def picture(by_speed: dict[float, list[Placement]]) -> Figure:
         means = [100 * _mean(np.mean, [pick(p) for p in ps]) for ps in by_speed.values()]
         right.plot(speeds, means, "o-", color=color, label=name)
     right.axhline(0, color="black", lw=0.8)
-    right.set(xlabel="commanded speed [m/s]", ylabel="actual minus ideal place [cm]")
+    right.set(xlabel="commanded speed [m/s]", ylabel="actual minus ideal position [cm]")
     right.legend()
     for axis in (left, right):
         axis.grid(alpha=0.3)

@@ -3,10 +3,10 @@
     python -m benchmarks.ground_reaction                                    # the shipped policy
     python -m benchmarks.ground_reaction --policy runs/seed0 runs/seed1 --baseline runs/baseline0
 
-Speeds are those of the paper's figure, 0, 1 and 2 m/s; forces come from the physics at 2 kHz.
-Spring-mass walking has two humps a stance, a body held at constant height has one. The dip ratio is
-the lowest force between the humps over that of the lower hump, after two passes of a moving average
-of 30 ms.
+The paper's figure has 0, 1 and 2 m/s. Forces are sampled by the physics at 2 kHz. Spring-mass
+walking has two humps per stance; walking at a constant body height has one. The dip ratio is the
+lowest force between the humps over the peak of the lower hump, after two passes of a 30 ms moving
+average.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Config(Common):
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 from collections.abc import Mapping, Sequence
@@ -59,12 +59,12 @@ from benchmarks.common import (
     write_report,
 )
 
-# duration before strides count, and from there on [s]
+# duration before the measurement, and of it [s]
 _SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
-# stances of a foot that count as stepping
+# stances of a foot from which a robot counts as stepping
 _LEAST_STANCES = 3
-_VERTICAL = [-4, -1]  # columns of both feet in watched rows
+_VERTICAL = [-4, -1]  # columns of both feet's vertical force in `watched`
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,12 @@ class Curve:
 def main(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row a method and speed.
+    """Measure, print and draw; returns a row for each method and speed.
 
     Args:
         config: the settings.
-        policy: policy to measure instead of those in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
@@ -107,10 +107,10 @@ def main(
 
 
 def profile(force: np.ndarray | None) -> dict[str, Any]:
-    """Mean `ForceProfile` of both feet from forces (m, 2), or the reason for which there is none.
+    """Mean `ForceProfile` of both feet from forces (m, 2), or the reason why there is none.
 
     Args:
-        force: vertical forces at 2 kHz [N]; None of a robot that fell.
+        force: vertical forces at 2 kHz [N]; None after a fall.
     """
     if force is None:
         return {"failed": "fell"}
@@ -123,7 +123,7 @@ def profile(force: np.ndarray | None) -> dict[str, Any]:
 def vertical_forces(
     config: Config, library: GaitLibrary, subject: Subject, speed: float
 ) -> np.ndarray | None:
-    """(m, 2) vertical forces at 2 kHz after the walk has settled [N]; None if the robot fell."""
+    """(m, 2) vertical forces at 2 kHz of the settled walk [N]; None after a fall."""
     torch.set_num_threads(1)
     parts = []
     with closing(subject.walking_env(config, 1, num_threads=1)) as env:
@@ -140,7 +140,7 @@ def vertical_forces(
 
 
 def curve(force: np.ndarray) -> Curve:
-    """Force of a foot over the stride, from forces (m,) over many."""
+    """Mean force of a foot over the stride, from forces (m,) of many strides."""
     starts = stances(force, CASSIE.physics_timestep)[:, 0]
     return Curve(*mean_over_strides(force, starts, _SAMPLES))
 
@@ -155,7 +155,7 @@ def model_force(gait: Gait, samples: int = 4000) -> np.ndarray:
 
 
 def model_profile(gait: Gait) -> dict[str, float]:
-    """`ForceProfile` of the model, which has no impact and may carry nothing in mid-stance."""
+    """`ForceProfile` of the model; it has no impact, and its force may be zero in mid-stance."""
     force = model_force(gait)
     period = gait.stride / len(force)
     # a stride begins with the left foot's lift-off
@@ -172,7 +172,7 @@ def model_profile(gait: Gait) -> dict[str, float]:
 
 
 def table(rows: list[dict[str, Any]]) -> str:
-    """Table of force profiles, a row a method and speed, means over policies."""
+    """Table of force profiles, a row for each method and speed, means over policies."""
     cells = []
     for method in dict.fromkeys(row["method"] for row in rows):
         for speed in dict.fromkeys(row["speed"] for row in rows):
@@ -198,8 +198,8 @@ def table(rows: list[dict[str, Any]]) -> str:
                 ]
             )
     header = [
-        "method", "command m/s", "humps", "dip ratio [range]", "stance s", "impulse N s", "peak N",
-        "stepped",
+        "method", "command [m/s]", "humps", "dip ratio [range]", "stance [s]", "impulse [N s]",
+        "peak [N]", "stepped",
     ]  # fmt: skip
     return markdown(header, cells)
 
@@ -210,7 +210,7 @@ _NUMBERS = {"humps", "dip_ratio", "duration", "impulse", "peak"}
 def picture(
     config: Config, curves: Mapping[tuple[str, float], Sequence[Curve]], library: GaitLibrary
 ) -> Figure:
-    """Force over the stride: a panel a speed, a line a policy, a band around a single policy."""
+    """Force over the stride: panels for speeds, lines for policies, a band for a single policy."""
     figure = Figure(figsize=(4 * len(config.speeds), 3.6), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, len(config.speeds), sharey=True))
     share = np.arange(_SAMPLES) / _SAMPLES

@@ -1,17 +1,16 @@
-r"""Learning curves of the recipe: its default, on the truth, and with the paper's settings.
+r"""Learning curves of the recipe: default, on the true state, and with the paper's settings.
 
-    python -m benchmarks.learning_curves                      # train what is missing, then report
-    python -m benchmarks.learning_curves --jobs 2             # two runs at once, a processor each
-    python -m benchmarks.learning_curves --no-train           # report what there is
+    python -m benchmarks.learning_curves                      # train missing runs, then report
+    python -m benchmarks.learning_curves --jobs 2             # two runs at a time
+    python -m benchmarks.learning_curves --no-train           # report existing runs
     python -m benchmarks.learning_curves --record docs/learning_curves.csv --no-train \
         --variants default paper --seeds 0 1 2 3 4 5 6 7 8 9
 
-Each run is `recipes/ppo_aslip.py` in a folder of its own. The next call resumes interrupted runs
-from their last checkpoints. Curves are means over seeds with their range.
+Each run is `recipes/ppo_aslip.py` in its own folder; interrupted runs resume from their last
+checkpoints. Curves show mean and range over seeds.
 
-Many seeds take days, and maybe several machines. A record, `--record`, keeps the curves of finished
-runs without their folders: the report includes it, its runs are not trained again, and other
-finished runs are added to it.
+A record, `--record`, collects the curves of finished runs over days and machines, without their run
+folders. The report includes its runs, which are not trained again, and adds new finished runs.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ class Config:
     """Settings of the benchmark."""
 
     out: Path = Path("runs/learning_curves")
-    """Folder of the runs' folders, by variant and seed."""
+    """Parent of the run folders."""
     variants: tuple[Literal["truth", "default", "paper"], ...] = ("truth", "default")
     """Variants of the recipe."""
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -37,11 +36,11 @@ class Config:
     total_steps: int = 1_500_000
     """Policy steps of each run."""
     jobs: int = 1
-    """Number of runs at once; several are bound to a processor each."""
+    """Number of simultaneous runs; several are bound to one processor each."""
     train: bool = True
     """Train missing runs before the report."""
     record: Path | None = None
-    """File of curves of finished runs; created if missing."""
+    """CSV file with the curves of finished runs; created if missing."""
     picture: Path = Path("runs/learning_curves/learning_curves.png")
     """File for the picture."""
 
@@ -52,7 +51,7 @@ class Config:
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import csv
@@ -79,10 +78,10 @@ from aslip.walking import markdown
 from benchmarks.common import WALKING_LENGTH, Interval
 
 VARIANTS: Final = MappingProxyType({"truth": ("truth",), "default": (), "paper": ("paper",)})
-"""Name -> flags of the recipe; all but `truth` learn on the state estimate."""
+"""Variant -> flags of the recipe; only `truth` observes the true state."""
 
 ROBUST_LENGTH: Final = 390
-"""Mean length of training episodes in which hardly any fall is left, of 400 [policy steps]."""
+"""Mean episode length with almost no falls, of at most 400 [policy steps]."""
 
 COLUMNS: Final = (
     "step", "elapsed_s", "episode_length", "episode_return", "divergences",
@@ -96,27 +95,27 @@ _COLORS = {"truth": "black", "default": "tab:red", "paper": "tab:blue"}
 
 _RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
 _POLL = 5.0  # [s]
-_THINNED = 8  # a record keeps every eighth row
+_THINNED = 8  # interval of rows in a record
 
 
 @dataclass(frozen=True)
 class Run:
-    """The progress of one training."""
+    """Progress of one training."""
 
     variant: str
     seed: int
     commit: str
-    """Commit of the code that finished the run; empty if unknown or unfinished."""
+    """Commit of the code that finished the run; empty if unfinished or unknown."""
     columns: dict[str, np.ndarray]
     """Columns of the progress, by name."""
 
     @property
     def steps(self) -> int:
-        """Policy steps done."""
+        """Number of policy steps."""
         return int(self.columns["step"][-1])
 
     def after(self, length: float) -> int | None:
-        """First row with episodes of a mean length; None if there is none."""
+        """First row with at least a mean episode length; None without one."""
         found = np.flatnonzero(self.columns["episode_length"] >= length)
         return int(found[0]) if len(found) else None
 
@@ -125,7 +124,7 @@ class Run:
         return np.flatnonzero(np.isfinite(self.columns["eval_return"]))
 
     def thinned(self) -> Run:
-        """Copy with every eighth row, and those that the report uses."""
+        """Copy with every eighth row and the rows used by the report."""
         rows = {0, len(self.columns["step"]) - 1, *self.evaluations().tolist()}
         rows |= set(range(0, len(self.columns["step"]), _THINNED))
         rows |= {row for row in map(self.after, _LENGTHS) if row is not None}
@@ -135,7 +134,7 @@ class Run:
 
 
 Runs = dict[tuple[str, int], Run]
-"""(Variant, seed) -> a training."""
+"""(Variant, seed) -> training."""
 
 _LENGTHS = (WALKING_LENGTH, ROBUST_LENGTH)
 
@@ -146,7 +145,7 @@ def main(config: Config) -> None:
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
-        # others may have added to it during the training
+        # another process may have extended it during the training
         recorded = read_record(config.record) if config.record else {}
     found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
     done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
@@ -156,8 +155,8 @@ def main(config: Config) -> None:
     runs = [found[key] for key in _wanted(config) if key in found]
     if not runs:
         raise ConfigurationError(
-            f"there is no run in {str(config.out)!r}, nor in a --record, of {config.variants} with"
-            f" the seeds {config.seeds}; without --no-train they are trained"
+            f"there is no run of {config.variants} with seeds {config.seeds} in {str(config.out)!r}"
+            " or in --record; leave out --no-train to train them"
         )
     table = report(runs)
     print(table)
@@ -207,7 +206,7 @@ def _train(config: Config, recorded: Runs) -> None:
         finally:
             for process in running.values():
                 process.terminate()
-            # until they have saved
+            # wait until they have saved
             for process in running.values():
                 process.wait()
 
@@ -216,7 +215,7 @@ def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Pop
     folder = _folder(config, variant, seed)
     command = [sys.executable, str(_RECIPE), *VARIANTS[variant], "--seed", str(seed)]
     command += ["--out", str(folder), "--total-steps", str(config.total_steps)]
-    # where there is no checkpoint yet, that begins anew
+    # without a checkpoint, --resume starts from the beginning
     if (folder / "config.json").exists():
         command.append("--resume")
     with (config.out / f"{folder.name}.log").open("ab") as log:
@@ -245,7 +244,7 @@ def _found(config: Config) -> Runs:
 
 
 def _commit(folder: Path) -> str:
-    """Commit that the policy of a run was trained with; empty without a policy."""
+    """Commit that trained the policy of a run; empty without a policy."""
     policy = folder / POLICY_FILE
     return read_card(policy)["made_by"].get("commit") or "" if policy.exists() else ""
 
@@ -282,7 +281,7 @@ def read_record(path: Path) -> Runs:
         for (variant, seed), lines in rows.items():
             columns = {name: np.array([float(line[name]) for line in lines]) for name in COLUMNS}
             if not np.isfinite(columns["step"]).all():
-                raise ValueError(f"{variant}, seed {seed}, has a step that is no number")
+                raise ValueError(f"{variant}, seed {seed}, has a step that is not finite")
             runs[variant, seed] = Run(variant, seed, lines[0]["commit"], columns)
         return runs
     except (csv.Error, KeyError, TypeError, ValueError) as error:
@@ -295,13 +294,13 @@ def read_record(path: Path) -> Runs:
 
 
 def report(runs: Sequence[Run]) -> str:
-    """Table: for each run the time to walk and the final results; means for each variant."""
-    header = ["variant", "seed", "commit", "thousand steps", "minutes"]
-    header += [f"episodes of {length} after" for length in _LENGTHS]
-    header += ["in the end", "return", "evaluation: return", "speeds survived %"]
-    header += ["diverged"]
-    # Student's interval would exceed 100 %
-    most = [100.0 if name.endswith("%") else math.inf for name in header[3:]]
+    """Table of time until walking and final results, for each run and each variant's mean."""
+    header = ["variant", "seed", "commit", "steps [10³]", "time [min]"]
+    header += [f"steps to length {length} [10³]" for length in _LENGTHS]
+    header += ["final length", "final return", "evaluation return", "speeds survived [%]"]
+    header += ["divergences"]
+    # Student's interval may exceed 100 %
+    most = [100.0 if name.endswith("[%]") else math.inf for name in header[3:]]
     lines = []
     for variant in dict.fromkeys(run.variant for run in runs):
         group = [run for run in runs if run.variant == variant]
@@ -315,7 +314,7 @@ def report(runs: Sequence[Run]) -> str:
 
 
 def _short(commit: str) -> str:
-    """First seven digits, and a plus if files had changed since."""
+    """First seven digits, and a plus for uncommitted changes."""
     return commit[:7] + "+" * commit.endswith("+")
 
 
@@ -339,7 +338,7 @@ def _numbers(run: Run) -> list[float]:
 
 
 def _cell(values: np.ndarray, most: float) -> str:
-    """Cell of one run's value, or of mean and interval over runs, if all have one."""
+    """Cell with one run's value, or mean and interval over runs if all have a value."""
     if not np.isfinite(values).all():
         return f"{np.isfinite(values).sum()} of {len(values)}" if len(values) > 1 else "not yet"
     interval = Interval.of([values[i : i + 1] for i in range(len(values))])

@@ -1,10 +1,10 @@
-"""How long the gaits and their inverse kinematics take on one core.
+"""Time of gait optimisation and inverse kinematics on one core.
 
     python -m benchmarks.library
 
-Each measurement is a fresh Python process bound to one core and one thread, so imports and the
-construction of solvers count; the table gives the median over processes. The inverse kinematics
-solves all poses of the library, positions and velocities, and is timed inside its process.
+Each measurement is a fresh Python process on one core and one thread, so that imports and solver
+construction count; table rows are medians over processes. The inverse kinematics solves positions
+and velocities of all poses of the library; only the solution is timed.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ class Config:
     """Settings of the benchmark."""
 
     rounds: int = 5
-    """Processes to take the median over."""
+    """Number of processes; the table shows the median."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import os
@@ -82,10 +82,10 @@ def main(config: Config) -> None:
     rows = [
         ["21 gaits from a cold start", f"{statistics.median(seconds):.1f} s"],
         [f"inverse kinematics of {count:.0f} poses", f"{rate:.0f} poses/s"],
-        ["largest gap of a loop", f"{loop:.0e} m"],
-        ["largest error of a foot", f"{foot:.0e} m"],
+        ["largest loop-closure error", f"{loop:.0e} m"],
+        ["largest foot position error", f"{foot:.0e} m"],
     ]
-    print(markdown(["on one core", ""], rows, ["---", "---:"]))
+    print(markdown(["on one core", "result"], rows, ["---", "---:"]))
 
 
 def _run(code: str) -> str:

@@ -1,17 +1,17 @@
-"""Perturbations that a policy survives: pushes by direction and phase, changes of robot and floor.
+"""Robustness of a policy: pushes by direction and phase, changes of robot and floor.
 
     python -m benchmarks.perturbation                                       # the shipped policy
     python -m benchmarks.perturbation --policy runs/seed0 runs/seed1 runs/seed2
 
-A push is a horizontal force on the pelvis; its largest survivable impulse is found by bisection,
-all directions and phases side by side, each from a state of the same steady walk. Survival need not
-be monotonic in the impulse: the result is one bound between walks and falls. Direction 0 is
-forward, 90 degrees to the left; phase 0 is left lift-off. A push to one side in one half of the
-stride should act as a push to the other side in the other half.
+A push is a horizontal force on the pelvis. Bisection finds the largest impulse survived, for all
+directions and phases side by side, each from a state of the same steady walk. Survival need not be
+monotonic in the impulse: the result is one boundary between survival and fall. Direction 0 is
+forward, 90 degrees is left; phase 0 is left lift-off. By symmetry, a push to the left should act
+like a push to the right half a stride later.
 
-Sweeps change one parameter of the robot or of the floor at a time, see `aslip.sim.DYNAMICS`, and
-count walks without a fall over commanded speeds. Wilson's interval takes these speeds for draws
-from all speeds, and walks of several policies for independent.
+Sweeps change one parameter of robot or floor at a time, see `aslip.sim.DYNAMICS`, and count walks
+without a fall over commanded speeds. Wilson's interval assumes that speeds are random draws and
+that policies are independent.
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ SWEEPS: Final = MappingProxyType(
 
 @dataclass(frozen=True)
 class Config(Common):
-    """Settings of the benchmark. A sweep without values is left out."""
+    """Settings of the benchmark; a sweep without values is skipped."""
 
     speed: float = 1.0
-    """Commanded speed while pushed [m/s]."""
+    """Commanded speed of pushed walks [m/s]."""
     directions: int = 8
-    """Number of directions of pushes, all around."""
+    """Number of push directions, evenly around the robot."""
     phases: int = 8
-    """Number of phases of the stride at which a push begins; 0 for no pushes at all."""
+    """Number of stride phases at which a push begins; 0 skips pushes."""
     repeats: int = 2
-    """Trials of each push, which differ in sensor noise."""
+    """Trials of each push, with different sensor noise."""
     bisections: int = 7
-    """Halvings of the range of impulses."""
+    """Number of halvings of the range of impulses."""
     largest: float = 96.0
     """Upper end of the range of impulses [N s]."""
     duration: float = 0.2
@@ -76,7 +76,7 @@ class Config(Common):
     settle: float = 3.0
     """Duration of the walk before a push [s]."""
     after: float = 3.0
-    """Duration without a fall after a push that counts as surviving it [s]."""
+    """Duration without a fall after which a push is survived [s]."""
     floor_friction: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
     """Coefficients of sliding friction."""
     payload: tuple[float, ...] = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0)
@@ -90,7 +90,7 @@ class Config(Common):
     speeds: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0)
     """Commanded speeds of sweeps [m/s]."""
     episodes: int = 1
-    """Walks at each value and speed, which begin at other phases."""
+    """Walks at each value and speed, with different initial phases."""
     episode: float = 12.0
     """Duration of a walk of a sweep [s]."""
 
@@ -107,7 +107,7 @@ class Config(Common):
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 from collections.abc import Sequence
@@ -136,8 +136,8 @@ def main(
 
     Args:
         config: the settings.
-        policy: policy to measure instead of those in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     subjects = load_subjects(config, policy, make_env)
     total = len(subjects) * count_robot_steps(config)
@@ -159,7 +159,7 @@ def main(
 
 
 def count_robot_steps(config: Config) -> int:
-    """Policy steps times robots that one policy takes at most."""
+    """Largest number of policy steps of all robots of one policy."""
     pushed = config.directions * config.phases * config.repeats
     once = push_steps(config) + round(config.after / CASSIE.policy_period)
     each = round(config.settle / CASSIE.policy_period) + config.bisections * once
@@ -178,14 +178,14 @@ def walk_on(
 
     Args:
         env: environment of n robots, in the state that belongs to the tensordict.
-        actor: policy that acts.
+        actor: policy.
         td: start.
         steps: policy steps.
         bar: progress bar that counts each robot's steps.
         force: (n, 3) force on the pelvis throughout [N, world].
 
     Returns:
-        The tensordict after the last step, and (n,) whether each robot has not fallen.
+        The tensordict after the last step, and (n,) whether each robot is still up.
     """
     alive = np.ones(env.num_envs, dtype=bool)
     for step in walk(actor, env, td, steps, push=force):
@@ -206,9 +206,9 @@ def push_steps(config: Config) -> int:
 
 
 def measure_pushes(config: Config, subject: Subject, bar: tqdm) -> np.ndarray:
-    """(directions, phases, repeats) largest impulses that a policy was seen to survive [N s].
+    """(directions, phases, repeats) largest impulses that a policy survived [N s].
 
-    Zero where it falls without a push.
+    Zero where the robot falls without a push.
     """
     shape = (config.directions, config.phases, config.repeats)
     if not config.phases:
@@ -233,13 +233,13 @@ def measure_pushes(config: Config, subject: Subject, bar: tqdm) -> np.ndarray:
 def settle(
     config: Config, env: StackEnv, actor: TensorDictModuleBase, phase: np.ndarray, bar: tqdm
 ) -> tuple[TensorDictBase, np.ndarray]:
-    """Walk until transients of the start have decayed, all robots to the same time.
+    """Walk until the initial transient has decayed, all robots for the same time.
 
     Args:
         config: settings of the walk.
         env: environment of n robots.
         actor: policy that acts.
-        phase: (n,) phases at the end.
+        phase: (n,) final phases.
         bar: progress bar.
 
     Returns:
@@ -259,7 +259,7 @@ def push_robots(
     impulse: np.ndarray,
     bar: tqdm,
 ) -> np.ndarray:
-    """(n,) whether each robot stays up during and after a push of impulse (n, 3) [N s, world]."""
+    """Push robots by impulses (n, 3) [N s, world]; returns (n,) whether each stays up."""
     steps = push_steps(config)
     td, during = walk_on(env, actor, td, steps, bar, impulse / (steps * CASSIE.policy_period))
     _, after = walk_on(env, actor, td, round(config.after / CASSIE.policy_period), bar)
@@ -273,7 +273,7 @@ def stride_of(env: StackEnv, speed: float) -> float:
 
 
 def push_rows(config: Config, pushes: list[np.ndarray]) -> list[dict[str, Any]]:
-    """Rows of impulses, one a direction: over all phases, and at each."""
+    """Rows of impulses, one for each direction: over all phases, and at each phase."""
     return [
         {
             "direction_deg": 360 * i / config.directions,
@@ -288,7 +288,7 @@ def push_rows(config: Config, pushes: list[np.ndarray]) -> list[dict[str, Any]]:
 
 
 def push_table(numbers: dict[str, Any]) -> str:
-    """Table of impulses, a row a direction."""
+    """Table of impulses, a row for each direction."""
     rows = []
     for row in numbers["pushes"]:
         extremes = [pick(row["phases"], key=lambda cell: cell["mean"]) for pick in (min, max)]
@@ -299,7 +299,7 @@ def push_table(numbers: dict[str, Any]) -> str:
                 *(f"{Interval.of_row(cell).text(1)} at {cell['phase']:.3g}" for cell in extremes),
             ]
         )
-    header = ["push", "impulse N s", "least, at phase", "greatest, at phase"]
+    header = ["push", "impulse [N s]", "minimum, at phase", "maximum, at phase"]
     return markdown(header, rows) if rows else ""
 
 
@@ -348,7 +348,7 @@ def measure_sweeps(config: Config, subject: Subject, bar: tqdm) -> np.ndarray:
 
 
 def sweep_rows(config: Config, sweeps: Sequence[np.ndarray]) -> list[dict[str, Any]]:
-    """Rows of survival over all policies, one a parameter and value."""
+    """Rows of survival over all policies, one for each parameter and value."""
     all_trials, survived = trials(config), np.array(sweeps)
     rows = []
     for name, shown in dict.fromkeys((t.parameter, t.shown) for t in all_trials):
@@ -368,7 +368,7 @@ def sweep_rows(config: Config, sweeps: Sequence[np.ndarray]) -> list[dict[str, A
 
 
 def sweep_table(numbers: dict[str, Any]) -> str:
-    """Table of survival, a row a parameter and value."""
+    """Table of survival, a row for each parameter and value."""
     rows = [
         [
             SWEEPS[row["parameter"]].label,
@@ -378,7 +378,7 @@ def sweep_table(numbers: dict[str, Any]) -> str:
         ]
         for row in numbers["sweeps"]
     ]
-    header = ["changed", "value", "walks survived %", "falls when told to walk at m/s"]
+    header = ["parameter", "value", "survived [%]", "falls at commands [m/s]"]
     return markdown(header, rows) if rows else ""
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.projections.polar import PolarAxes
 from matplotlib.ticker import MaxNLocator
 
-# colours of phases, which are cyclic
+# cyclic colour map of phases
 _CYCLIC = "hsv"
 
 
@@ -55,14 +55,14 @@ def picture(
 
 
 def _draw_polar(axes: PolarAxes, impulse: np.ndarray, sides: Mapping[float, str]) -> None:
-    """Draw impulses (directions, phases) over the direction, forward up; a line a phase.
+    """Draw impulses (directions, phases) over direction, forward up, with a line for each phase.
 
-    Impulses survived at every phase are shaded.
+    The shaded area is survived at every phase.
     """
     directions, phases = impulse.shape
     angle = 2 * np.pi * np.arange(directions + 1) / directions
     closed = np.concatenate([impulse, impulse[:1]])
-    axes.fill(angle, closed.min(axis=1), color="0.85", label="any")
+    axes.fill(angle, closed.min(axis=1), color="0.85", label="every phase")
     for j in range(phases):
         color = mpl.colormaps[_CYCLIC](j / phases)
         axes.plot(angle, closed[:, j], color=color, lw=1.2, label=f"{j / phases:.3g}")
@@ -77,7 +77,7 @@ def _draw_polar(axes: PolarAxes, impulse: np.ndarray, sides: Mapping[float, str]
 
 
 def _draw_map(axes: Axes, impulse: np.ndarray, sides: Mapping[float, str]) -> None:
-    """Draw impulses (directions, phases) as a map with numbers."""
+    """Draw impulses (directions, phases) as a labelled heat map."""
     directions, phases = impulse.shape
     image = axes.imshow(impulse, cmap="viridis", aspect="auto", norm=Normalize(0, impulse.max()))
     for (i, j), value in np.ndenumerate(impulse):
@@ -86,7 +86,7 @@ def _draw_map(axes: Axes, impulse: np.ndarray, sides: Mapping[float, str]) -> No
     axes.set_xticks(range(phases), [f"{j / phases:.3g}" for j in range(phases)])
     degrees = [360 * i / directions for i in range(directions)]
     axes.set_yticks(range(directions), [sides.get(d, f"{d:.0f}°") for d in degrees])
-    axes.set(xlabel="phase at which the push begins (0: left lift-off)", ylabel="towards")
+    axes.set(xlabel="phase at which the push begins (0: left lift-off)", ylabel="push direction")
     axes.figure.colorbar(image, ax=axes, label="impulse [N s]")
 
 

@@ -1,11 +1,11 @@
-"""Ship a policy: its file, and a card of its training, its interface and its performance.
+"""Ship a policy: its file, and a card of training, interface and performance.
 
     python -m benchmarks.policy_card --run runs/ppo_aslip --name aslip
     python -m benchmarks.policy_card --run runs/single_reference --name single_reference
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
-`aslip.load_policy` finds it by name, and writes the card beside them. The card's contents come from
-the policy's file, and from the other benchmarks, which take some minutes.
+`aslip.load_policy` finds it by name, and writes the card beside them. The card combines the
+policy's file and the other benchmarks, which take some minutes.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Config:
     assets: Path = Path("assets/policies")
     """Folder of shipped policies."""
     out: Path = Path("runs/policy_card")
-    """Folder for the results of the benchmarks."""
+    """Folder for the benchmarks' results."""
     measure: bool = True
-    """Run the benchmarks, whose tables the card has."""
+    """Run the benchmarks and add their tables to the card."""
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -39,7 +39,7 @@ class Config:
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import json
@@ -60,35 +60,35 @@ from benchmarks import foot_placement, perturbation, step_frequency, velocity_tr
 from benchmarks.perturbation import SWEEPS
 
 _LEFT = "---"
-# flags of the training's command that say nothing of the policy
+# flags of the training command that do not affect the policy
 _OWN = r" --out [^ ]+| --resume\b"
 _MOTORS, _JOINTS = "; ".join(CASSIE.motor_names), "; ".join(CASSIE.joint_names)
 _ENTRIES = {
-    "estimate/height": "pelvis above the ground [m]",
-    "estimate/orientation": "pelvis to world, wxyz with w ≥ 0",
-    "estimate/velocity": "of the pelvis [m/s, world]",
-    "estimate/angular_velocity": "[rad/s, pelvis]",
-    "estimate/acceleration": "of the pelvis, without gravity [m/s², pelvis]",
-    "estimate/motor_position": f"[rad]: {_MOTORS}",
-    "estimate/motor_velocity": "[rad/s], the same motors",
-    "estimate/joint_position": f"[rad]: {_JOINTS}",
-    "estimate/joint_velocity": "[rad/s], the same joints",
-    "reference/body_position": "of the model's body, without its forward motion [m]",
-    "reference/body_velocity": "[m/s]",
+    "estimate/height": "pelvis height above the ground [m]",
+    "estimate/orientation": "pelvis-to-world quaternion, wxyz with w ≥ 0",
+    "estimate/velocity": "pelvis velocity [m/s, world]",
+    "estimate/angular_velocity": "pelvis angular velocity [rad/s, pelvis]",
+    "estimate/acceleration": "pelvis acceleration without gravity [m/s², pelvis]",
+    "estimate/motor_position": f"motor angles [rad]: {_MOTORS}",
+    "estimate/motor_velocity": "motor velocities [rad/s], same order",
+    "estimate/joint_position": f"joint angles [rad]: {_JOINTS}",
+    "estimate/joint_velocity": "joint velocities [rad/s], same order",
+    "reference/body_position": "body of the model, relative to uniform motion [m]",
+    "reference/body_velocity": "velocity of the model's body [m/s]",
     "reference/left_foot_position": "from the body [m]",
     "reference/left_foot_velocity": "over ground [m/s]",
     "reference/right_foot_position": "from the body [m]",
     "reference/right_foot_velocity": "over ground [m/s]",
-    "clock/sin": "of the phase of the stride",
-    "clock/cos": "of the phase of the stride",
-    "command": "speed [m/s]",
+    "clock/sin": "sine of the stride phase",
+    "clock/cos": "cosine of the stride phase",
+    "command": "commanded forward speed [m/s]",
 }
 """Meaning of each entry of the observation."""
 
 _BASELINES = {
-    "reference/motor_target": "the reference's angles one policy step ahead, aimed so that the"
-    " loops exert what the model's legs do and make up for their damping",
-    "reference/motor_position": "the reference's angles one policy step ahead",
+    "reference/motor_target": "the reference's motor angles one policy step ahead, plus feedforward"
+    " of the model's leg forces and of the PD loop's damping",
+    "reference/motor_position": "the reference's motor angles one policy step ahead",
 }
 
 
@@ -134,11 +134,11 @@ def training_section(about: dict[str, Any]) -> str:
         ["versions", versions or "not recorded"],
         ["settings", ", ".join(f"{k} {v}" for k, v in settings.items()) or "not recorded"],
     ]
-    return f"## How it was made\n\n{markdown(['', ''], rows, _LEFT)}"
+    return f"## Training\n\n{markdown(['', ''], rows, _LEFT)}"
 
 
 def interface_section(about: dict[str, Any]) -> str:
-    """Section on the observation, the action and the PD loop."""
+    """Section on observation, action and PD control."""
     env = make_env(stack=about["stack"])
     try:
         delta = next(t for t in env.transforms if isinstance(t, ActionDelta))
@@ -162,13 +162,13 @@ def interface_section(about: dict[str, Any]) -> str:
             strict=True,
         )
     ]
-    header = ["motor", "stiffness N m/rad", "damping N m s/rad", "torque limit N m"]
+    header = ["motor", "stiffness [N m/rad]", "damping [N m s/rad]", "torque limit [N m]"]
     return "\n\n".join(
         [
-            "## What it needs",
-            f"It observes {index} numbers, normalised by the mean and variance in the file and cut"
-            " off at ten deviations:",
-            markdown(["index", "entry", "what it is"], rows, _LEFT),
+            "## Interface",
+            f"It observes {index} numbers, normalised by the mean and variance in the file and"
+            " clipped at ten standard deviations:",
+            markdown(["index", "entry", "meaning"], rows, _LEFT),
             f"It answers with {len(CASSIE.motor_names)} angles [rad],"
             f" {1 / CASSIE.policy_period:.1f} times a second, that are added to the baseline"
             f" {baseline}: {_BASELINES[baseline]}. The sums are the targets of PD loops that run"
@@ -181,28 +181,28 @@ def interface_section(about: dict[str, Any]) -> str:
 
 
 def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
-    """Run the other benchmarks; sections with their tables, and on limits."""
+    """Run the other benchmarks; returns sections with their tables and the limits."""
     common: dict[str, Any] = {"policy": (policy,), "out": config.out / config.name}
     parts = []
     if "reference/body_position" in about["observation"]:
         foot_placement.main(foot_placement.Config(**common))
         step_frequency.main(step_frequency.Config(**common))
         parts += [
-            _section(config, "Where feet are placed", "foot_placement"),
+            _section(config, "Foot placement", "foot_placement"),
             _section(config, "Step frequency", "step_frequency"),
         ]
     velocity_tracking.main(velocity_tracking.Config(**common))
     numbers = perturbation.main(perturbation.Config(**common))
     return [
         *parts,
-        _section(config, "Speed", "velocity_tracking"),
-        f"## What makes it fall\n\n{limits(numbers)}\n{training_conditions(about)}",
+        _section(config, "Velocity tracking", "velocity_tracking"),
+        f"## Limits\n\n{limits(numbers)}\n{training_conditions(about)}",
         (config.out / config.name / "perturbation.md").read_text().strip(),
     ]
 
 
 def limits(numbers: dict[str, Any]) -> str:
-    """List of the largest push survived at the weakest point, and of changes not survived."""
+    """List of the weakest push direction and phase, and of parameters that cause falls."""
     cells = [(cell, row) for row in numbers["pushes"] for cell in row["phases"]]
     weakest, row = min(cells, key=lambda pair: pair[0]["mean"])
     lines = [
@@ -240,7 +240,7 @@ def _section(config: Config, title: str, benchmark: str) -> str:
 
 
 def _ship(source: Path, target: Path) -> None:
-    """Copy a policy, without the run folder in its command."""
+    """Copy a policy without the run folder in its recorded command."""
     entries = POLICY_FORMAT.read(source)
     card = json.loads(entries[CARD])
     made = card["made_by"]
@@ -250,7 +250,7 @@ def _ship(source: Path, target: Path) -> None:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Copy a file, completely or not at all."""
+    """Copy a file atomically."""
     with replacing(target) as file:
         file.write(source.read_bytes())
 

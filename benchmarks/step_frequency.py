@@ -17,11 +17,11 @@ class Config(Common):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
-    """Commanded [m/s]."""
+    """Commanded speeds [m/s]."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 from typing import Any
@@ -44,19 +44,19 @@ from benchmarks.common import (
     write_report,
 )
 
-# walking before footsteps count, and while they do [s]
+# duration before the measurement, and of it [s]
 _SETTLE, _WALK = 4.0, 16.0
 
 
 def main(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row a speed.
+    """Measure, print and draw; returns a row for each speed.
 
     Args:
         config: the settings.
-        policy: policy to measure instead of those in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     subjects = load_subjects(config, policy, make_env)
     library = GaitLibrary.load()
@@ -88,7 +88,7 @@ def main(
         ]
         for row in rows
     ]
-    header = ["command m/s", "model Hz", "robot Hz", "off", "duty factor"]
+    header = ["command [m/s]", "model [Hz]", "robot [Hz]", "error", "duty factor"]
     write_report(
         config, policy, "step_frequency", {"rows": rows}, markdown(header, cells), picture(rows)
     )
@@ -96,7 +96,7 @@ def main(
 
 
 def frequency_and_duty(walk: Walks, swing: float) -> tuple[float, float]:
-    """Step frequency [Hz] and duty factor of a walk, NaN if it fell."""
+    """Step frequency [Hz] and duty factor of a walk; NaN after a fall."""
     if not walk.survived[0]:
         return np.nan, np.nan
     left, right = walk.ground_force[:, 0, :, 2].T
@@ -105,13 +105,13 @@ def frequency_and_duty(walk: Walks, swing: float) -> tuple[float, float]:
 
 
 def picture(rows: list[dict[str, Any]]) -> Figure:
-    """Both frequencies over speed."""
+    """Step frequency of robot and model over speed."""
     figure = Figure(figsize=(6, 4), layout="constrained")
     axis = figure.subplots()
     speeds = [row["speed"] for row in rows]
     axis.plot(speeds, [row["model"] for row in rows], color="tab:gray", lw=3, label="model")
     axis.plot(speeds, [row["mean"] for row in rows], "o", color="tab:red", label="robot")
-    axis.set(xlabel="commanded speed [m/s]", ylabel="steps a second")
+    axis.set(xlabel="commanded speed [m/s]", ylabel="step frequency [Hz]")
     axis.grid(alpha=0.3)
     axis.legend()
     return figure

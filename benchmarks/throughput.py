@@ -1,19 +1,19 @@
-"""Policy steps per second: the environments against bare `mj_step`, side by side in one run.
+"""Throughput of the environments relative to bare `mj_step`, side by side in one run.
 
     python -m benchmarks.throughput                                       # a quarter of an hour
     python -m benchmarks.throughput --num-envs 256 --num-threads 2 --rounds 9
 
-In every policy step of the run each candidate advances the same N robots from the same states, in
-turn, so that other load on the machine affects all alike. A table row is the median over rounds;
-ratios are taken within a round. The bound is `mj_step` alone, 60 substeps a call
-and simulations shared out to threads in advance: no environment around this physics can beat it.
-Two rows of `mujoco.batch` with constant torques give the cost of 60 calls in place of one.
+In every policy step each candidate advances the same N robots from the same states, in turn, so
+that other load on the machine affects all alike. Table rows are medians over rounds; ratios are
+taken within a round. The upper bound is `mj_step` alone, with 60 substeps per call and robots
+assigned to threads in advance. Two rows of `mujoco.batch` with constant torques show the cost of 60
+calls instead of one.
 
-For few robots there are two more: the dm_control task in a loop, and TorchRL's `ParallelEnv`, a
-process a robot. Those processes walk on their own, as many at a time as there are processors.
+For few robots there are two more candidates: the dm_control task in a loop, and TorchRL's
+`ParallelEnv` with a process for each robot, where all processors work whatever `num_threads` says.
 
-Two tables follow: the share of an iteration of training that is learning (everything but collecting
-samples), and the memory that environment, policy and samples take.
+Two more tables show the share of learning (everything but collection) in a training iteration, and
+the memory of environment, policy and samples.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ class Config:
     num_envs: tuple[int, ...] = (1, 16, 64, 256, 1024)
     """Numbers N of robots."""
     num_threads: tuple[int, ...] = (1, 2)
-    """Numbers of physics threads of every candidate."""
+    """Numbers of physics threads."""
     rounds: int = 5
-    """Rounds to take the median over."""
+    """Number of rounds; tables show the median."""
     robot_steps: int = 1024
-    """Policy steps of a round over all robots: one to 64 for each."""
+    """Policy steps of all robots in a round, one to 64 for each robot."""
     single: int = 16
-    """Largest N for the dm_control task in a loop, and for a process a robot."""
+    """Largest N for dm_control in a loop and `ParallelEnv`."""
     updates: bool = True
-    """Also measure updates and memory."""
+    """Also measure learning and memory."""
     policy: str = "aslip"
-    """Policy that walks, as `aslip.load_policy` takes it; its own time does not count."""
+    """Policy that walks, as `aslip.load_policy` takes it; its inference is not timed."""
     action_std: float = 0.135
     """Standard deviation of the exploration noise on actions [rad]."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import itertools
@@ -85,13 +85,13 @@ from recipes.ppo_presets import environments
 
 _BOUND, _LEADER = "`mj_step` (bound)", "environment, all transforms"
 _PAUSE = 0.01  # [s]
-# calls of a round: enough for its mean, and a single robot's round would last minutes
+# largest number of policy steps of a robot in a round
 _MOST_STEPS = 64
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 class Bound:
-    """Bare `mj_step` on some threads."""
+    """Upper bound: bare `mj_step` on a number of threads."""
 
     def __init__(self, model: mujoco.MjModel, num_threads: int) -> None:
         self.model = model
@@ -111,21 +111,21 @@ class Bound:
 
 
 class Candidates:
-    """The bound, bare simulations, and environments with transforms, all in the same states."""
+    """Upper bound, bare simulations and environments with transforms, in the same states."""
 
     def __init__(self, num_envs: int, num_threads: int, config: Config, subject: Subject) -> None:
         batch = partial(subject.env, num_envs, num_threads=num_threads)
         self.leader = batch()
         self.envs: dict[str, EnvBase] = {
-            "environment on the truth": batch(**ON_TRUTH),
+            "environment, true state": batch(**ON_TRUTH),
             _LEADER: self.leader,
-            "the same, physics of 1 kHz": batch(timestep=physics_timesteps()[1]),
+            "environment, physics at 1 kHz": batch(timestep=physics_timesteps()[1]),
         }
         self.pools = [_pool(env) for env in self.envs.values()]
         if num_envs <= config.single:
             self.envs["dm_control, all transforms"] = subject.env(num_envs, backend="dm_control")
             one = partial(subject.env, 1, num_threads=1)
-            self.envs["ParallelEnv of single ones"] = ParallelEnv(num_envs, one)
+            self.envs["ParallelEnv of single robots"] = ParallelEnv(num_envs, one)
         self.bare = SimulationPool(num_envs, num_threads=num_threads)
         self.bound = Bound(self.bare.model, num_threads)
         transforms = self.leader.transforms
@@ -135,7 +135,7 @@ class Candidates:
         self.states = {name: env.reset() for name, env in self.envs.items()}
 
     def step(self) -> dict[str, float]:
-        """Take a policy step of each from the leader's states; returns seconds by name."""
+        """Take a policy step of each from the leader's states; returns times [s] by name."""
         states = _pool(self.leader).states()
         for pool in self.pools:
             pool.set_states(states)
@@ -165,7 +165,7 @@ class Candidates:
             env.close()
 
     def _step_batches(self, steps: int) -> None:
-        """Simulate a policy period of the bare simulations, some steps a call."""
+        """Simulate a policy period of the bare simulations, a number of substeps per call."""
 
         def run(part: Simulations) -> None:
             for _ in range(0, CASSIE.substeps, steps):
@@ -190,14 +190,14 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
 
     Args:
         config: the settings.
-        policy: policy that walks instead of that in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy that walks; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     subject = Subject.load(policy or config.policy, make_env)
     torch.manual_seed(0)
     torch.set_num_threads(1)
     columns = " | ".join(
-        f"{n} thread{'s' * (n > 1)}: steps/s | of the bound" for n in config.num_threads
+        f"{n} thread{'s' * (n > 1)}: steps/s | of bound" for n in config.num_threads
     )
     print(f"| N | candidate | {columns} |\n|---:|---|{'---:|---:|' * len(config.num_threads)}")
     for num_envs in config.num_envs:
@@ -219,7 +219,7 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
 
 
 class TimedCollector(LocalCollector):
-    """Collector that keeps the instants at which batches are asked for and delivered [s]."""
+    """Collector that records when batches are requested and delivered [s]."""
 
     def __init__(self, *args: Any, **settings: Any) -> None:
         super().__init__(*args, **settings)
@@ -234,9 +234,9 @@ class TimedCollector(LocalCollector):
 
 
 def update_table(config: Config) -> str:
-    """Seconds that a training spends on collecting, learning, copies of states and checkpoints."""
-    header = ["settings", "samples", "collecting s", "learning s", "share of learning"]
-    header += ["copy s", "checkpoint s"]
+    """Table of times that a training spends on collection, learning and checkpoints."""
+    header = ["settings", "samples", "collection [s]", "learning [s]", "share of learning"]
+    header += ["copy of states [s]", "checkpoint [s]"]
     rows = []
     for name, preset in ppo_aslip.PRESETS.items():
         training = replace(preset, num_envs=min(preset.num_envs, preset.samples))
@@ -260,10 +260,10 @@ def time_iterations(
     Args:
         preset: name of the preset.
         config: its settings.
-        number: number of iterations, one less than are trained.
+        number: number of iterations timed, after one of warm-up.
 
     Returns:
-        Instants at which each batch was asked for and delivered [s], and `checkpoint_times`.
+        Instants at which each batch was requested and delivered [s], and `checkpoint_times`.
     """
     made: list[TimedCollector] = []
 
@@ -293,7 +293,7 @@ def memory_table(config: Config) -> str:
         command = [sys.executable, "-c", code, str(num_envs)]
         done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
         rows.append([str(num_envs), f"{float(done.stdout.split()[-1]):.2f}"])
-    return markdown(["N", "peak memory GiB"], rows)
+    return markdown(["N", "peak memory [GiB]"], rows)
 
 
 def memory_of(num_envs: int) -> float:
@@ -304,7 +304,7 @@ def memory_of(num_envs: int) -> float:
 
 
 def _round(candidates: Candidates, steps: int) -> dict[str, float]:
-    """Seconds of a number of policy steps, by candidate."""
+    """Time of a number of policy steps [s], by candidate."""
     total: dict[str, float] = {}
     for _ in range(steps):
         for name, seconds in candidates.step().items():
@@ -313,7 +313,7 @@ def _round(candidates: Candidates, steps: int) -> dict[str, float]:
 
 
 def _timed(call: Callable[[], object]) -> float:
-    # torch's threads spin for a while after their work and would slow the next candidate
+    # torch's threads spin briefly after their work, which would slow the next candidate
     time.sleep(_PAUSE)
     start = time.perf_counter()
     call()

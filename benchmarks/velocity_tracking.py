@@ -1,12 +1,11 @@
-"""Tracking of the commanded speed: through a schedule, at each speed, and after sudden changes.
+"""Velocity tracking: through a schedule, at constant speeds, and after step changes.
 
     python -m benchmarks.velocity_tracking                                 # the shipped policy
     python -m benchmarks.velocity_tracking --policy runs/seed0 runs/seed1 runs/seed2
-    python -m benchmarks.velocity_tracking --log walk.mcap                 # the walk of a log
+    python -m benchmarks.velocity_tracking --log walk.mcap                 # a logged walk
 
-The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s, four seconds each. A map shows mean
-against commanded speed at all speeds, also below 0.3 m/s; a table the responses to changes of
-1 m/s.
+The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s, four seconds each. A map compares mean
+and commanded speed. A table lists the responses to steps of 1 m/s.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ class Config(Common):
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
     """Commanded speeds of the map [m/s]."""
     log: Path | None = None
-    """Log whose schedule to draw and measure instead of policies."""
+    """Log of a walk through a schedule, to measure instead of policies."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import itertools
@@ -61,7 +60,7 @@ from benchmarks.common import (
     Subject,
     constant_walks,
     load_subjects,
-    walks_of,
+    record_subject,
     write_report,
 )
 
@@ -69,22 +68,22 @@ SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
 """Commanded speeds of the schedule [m/s]."""
 
 STEPS: Final = ((0.0, 1.0), (1.0, 2.0), (0.5, 1.5), (1.5, 0.5), (2.0, 1.0), (1.0, 0.0))
-"""Sudden changes of command [m/s]."""
+"""Step changes of the command, from and to [m/s]."""
 
 PUBLISHED: Final = MappingProxyType(
     {0.0: -0.005, 0.4: 0.397, 0.5: 0.484, 0.8: 0.778, 1.3: 1.278, 1.9: 1.898}
 )
-"""Commanded -> mean speed [m/s] of the authors' recording of the schedule, after 1.5 s each."""
+"""Commanded -> mean speed [m/s] in the authors' recording, 1.5 s after each change."""
 
 _HOLD = 4.0  # [s]
-# time from a change of command to the mean of the speed [s]
+# duration after a change of command that the mean excludes [s]
 _TRANSIENT = 1.5
-# durations before and after a sudden change [s]; and before and during the mean of the map
+# durations before and after a step change, and before and during the mean of the map [s]
 _BEFORE, _AFTER = 4.0, 4.0
 _SETTLE, _WALK = 4.0, 8.0
-# weight of the robot as modelled, which walks here [N]
+# weight of the nominal robot [N]
 _WEIGHT = CASSIE.total_mass * STANDARD_GRAVITY
-# policy steps before and after a touchdown in which the model's speed spikes
+# half-width of the model's velocity spike at touchdown [policy steps]
 _SPIKE = 2
 
 
@@ -95,8 +94,8 @@ def main(
 
     Args:
         config: the settings.
-        policy: policy to measure instead of those in the settings.
-        make_env: function that makes its environment, see `benchmarks.common`.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
     """
     if config.log is not None:
         walks = [read_walk(read(config.log))]
@@ -107,7 +106,7 @@ def main(
     subjects = load_subjects(config, policy, make_env)
     steps = round(_HOLD / CASSIE.policy_period)
     command = np.repeat(SCHEDULE, steps)[:, None]
-    walks = [walks_of(config, subject, command) for subject in subjects]
+    walks = [record_subject(config, subject, command) for subject in subjects]
     numbers = {
         "schedule": schedule_rows(walks),
         "map": map_rows(config, subjects),
@@ -124,7 +123,7 @@ def main(
 
 
 def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
-    """Mean speeds of robot and model in each part of a schedule, after its transient."""
+    """Mean speeds of robot and model in each part of a schedule, without the transient."""
     command = walks[0].command[:, 0]
     bounds = [0, *np.flatnonzero(np.diff(command)) + 1, len(command)]
     rows = []
@@ -150,26 +149,29 @@ def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
 
 
 def schedule_table(numbers: dict[str, Any]) -> str:
-    """Table of the schedule, a row a part."""
+    """Table of the schedule, a row for each part."""
     rows = [
         [f"{row[key]:.3f}" for key in ("command", "robot", "robot_std", "model", "rms")]
         + [f"{row['published']:.3f}" if math.isfinite(row["published"]) else ""]
         for row in numbers["schedule"]
     ]
-    header = ["command m/s", "robot m/s", "oscillation", "model m/s", "rms to model", "published"]
+    header = [
+        "command [m/s]", "robot [m/s]", "oscillation [m/s]", "model [m/s]",
+        "RMS difference to model [m/s]", "published [m/s]",
+    ]  # fmt: skip
     return markdown(header, rows)
 
 
 def spike_numbers(walks: list[Walks]) -> dict[str, Any]:
     """Mean range of speed around the model's touchdowns over walks, robot and model [m/s]."""
-    each = [spikes_of(walk) for walk in walks]
+    each = [walk_spikes(walk) for walk in walks]
     means = {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
     return {**means, "each": each}
 
 
-def spikes_of(walk: Walks) -> dict[str, float]:
+def walk_spikes(walk: Walks) -> dict[str, float]:
     """Mean range of speed around the model's touchdowns of one walk, robot and model [m/s]."""
-    # the model's foot is down where its height is zero
+    # the model's foot is in stance where its height is zero
     height = walk.body_position[:, :1, 2] + walk.body_to_foot[:, 0, :, 2]
     model, robot = walk.body_velocity[:, 0, 0], walk.pelvis_velocity[:, 0, 0]
     down = [stances(np.where(h < 1e-3, 100.0, 0.0), CASSIE.policy_period)[:, 0] for h in height.T]
@@ -183,7 +185,7 @@ def spikes_of(walk: Walks) -> dict[str, float]:
 
 
 def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
-    """Mean speed at each commanded one, and which policies survived, on the feet, tracking it."""
+    """Mean speed at each command, and whether policies survived, on their feet, and tracked it."""
     walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
     first = round(_SETTLE / CASSIE.policy_period)
     rows = []
@@ -199,7 +201,7 @@ def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
                 "each": each,
                 "sideways": float(drift),
                 "survived": [bool(walk.survived[i]) for walk in walks],
-                # NaN after a fall is neither
+                # false for NaN after a fall
                 "on_feet": [bool(is_on_feet(ratio, _WALK)) for ratio in carried],
                 "tracked": [bool(tracks_command(speed, mean)) for mean in each],
             }
@@ -213,7 +215,7 @@ def mean_velocity(position: np.ndarray) -> np.ndarray:
 
 
 def map_table(numbers: dict[str, Any]) -> str:
-    """Table of the map, a row a speed."""
+    """Table of the map, a row for each speed."""
     rows = [
         [
             f"{row['command']:.1f}",
@@ -224,7 +226,9 @@ def map_table(numbers: dict[str, Any]) -> str:
         ]
         for row in numbers["map"]
     ]
-    header = ["command m/s", "mean m/s", "off m/s", "sideways m/s", "survived", "on the feet"]
+    header = [
+        "command [m/s]", "mean [m/s]", "error [m/s]", "lateral [m/s]", "survived", "on the feet",
+    ]  # fmt: skip
     return markdown([*header, f"tracked within {TRACKING_TOLERANCE:g} m/s"], rows)
 
 
@@ -234,14 +238,14 @@ def map_table(numbers: dict[str, Any]) -> str:
 def step_rows(
     config: Config, subjects: list[Subject], footholds: Footholds
 ) -> list[dict[str, Any]]:
-    """Responses to sudden changes of command, a row a change."""
+    """Responses to sudden changes of command, a row for each change."""
     before, after = (round(time / CASSIE.policy_period) for time in (_BEFORE, _AFTER))
     changes = np.array(STEPS).T
     command = np.concatenate([np.tile(changes[0], (before, 1)), np.tile(changes[1], (after, 1))])
-    walks = [walks_of(config, subject, command) for subject in subjects]
+    walks = [record_subject(config, subject, command) for subject in subjects]
     rows = []
     for i, (old, new) in enumerate(STEPS):
-        responses = [step_response_of(walk, i, before, footholds) for walk in walks]
+        responses = [walk_step_response(walk, i, before, footholds) for walk in walks]
         rows.append(
             {
                 "from": old,
@@ -258,8 +262,8 @@ def step_rows(
     return rows
 
 
-def step_response_of(walk: Walks, index: int, change: int, footholds: Footholds) -> StepResponse:
-    """Response of one walk to a change of command in a policy step; a fall never settles."""
+def walk_step_response(walk: Walks, index: int, change: int, footholds: Footholds) -> StepResponse:
+    """Response of one walk to the change at a policy step; a fall never settles."""
     old, new = walk.command[change - 1, index], walk.command[change, index]
     if not walk.survived[index]:
         return StepResponse(math.inf, math.nan, math.nan)
@@ -268,24 +272,26 @@ def step_response_of(walk: Walks, index: int, change: int, footholds: Footholds)
 
 
 def step_table(numbers: dict[str, Any]) -> str:
-    """Table of the responses, a row a change."""
+    """Table of the responses, a row for each change."""
     rows = [
         [
             f"{row['from']:.1f} to {row['to']:.1f}",
-            f"{row['settling']:.2f}" if math.isfinite(row["settling"]) else "not",
+            f"{row['settling']:.2f}" if math.isfinite(row["settling"]) else "never",
             f"{row['overshoot']:.2f}",
             f"{row['steady_error']:+.3f}",
         ]
         for row in numbers["steps"]
     ]
-    return markdown(["change m/s", "settled after s", "overshoot m/s", "steady error m/s"], rows)
+    return markdown(
+        ["step [m/s]", "settling time [s]", "overshoot [m/s]", "steady error [m/s]"], rows
+    )
 
 
 # ---------------------------------------------------------------------- picture
 
 
 def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Figure:
-    """Speeds of the first policy through the schedule; mean against commanded speed of all."""
+    """Speed of the first policy through the schedule; mean over commanded speed of all."""
     figure = Figure(figsize=(11, 4), layout="constrained")
     parts = figure.subplots(1, 2, width_ratios=(2, 1)) if mapped else [figure.subplots()]
     time = (np.arange(len(walk.command)) + 1) * CASSIE.policy_period
@@ -294,7 +300,7 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
     name = "robot's pelvis" if policies == 1 else f"robot's pelvis, first of {policies} policies"
     parts[0].plot(time, robot, color="tab:red", lw=1.2, label=name)
     smooth = stride_average(robot, 0.8, CASSIE.policy_period)
-    parts[0].plot(time, smooth, color="tab:red", lw=3, alpha=0.3, label="mean of a stride")
+    parts[0].plot(time, smooth, color="tab:red", lw=3, alpha=0.3, label="stride average")
     parts[0].step(time, walk.command[:, 0], "k--", where="pre", label="command")
     parts[0].set(xlabel="time [s]", ylabel="forward velocity [m/s]", xlim=(0, time[-1]))
     parts[0].legend(loc="upper right", fontsize=8)

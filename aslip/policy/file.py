@@ -1,8 +1,8 @@
-"""Policy files: writing, reading, and the checks of both.
+"""Policy files: writing and reading, with checks.
 
 A file has a card (`card.json`) and the weights as plain arrays. The card names the function that
-makes the network, but nothing is ever imported or run because a file says so: "mlp" and "gru" are
-known, any other network is made by a function that the caller of `load_policy` gives.
+makes the network, but reading a file never imports code: "mlp" and "gru" are built in, and any
+other network needs the `network` argument of `load_policy`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from aslip.policy.recurrent import make_recurrent_actor
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
-"""Function that makes an actor of a normaliser, a shape and the keys of the observation."""
+"""Function from normaliser, shape and observation keys to an actor."""
 
 POLICY_FILE = "policy.zip"
 """Name of the policy in the folder of a training run."""
@@ -37,9 +37,9 @@ POLICY_FORMAT = ArchiveFormat("policy", 2)
 """Entries: `card.json`, and `weights/NAME.npy` for each parameter and buffer."""
 
 CARD = "card.json"
-"""Entry of a policy's file that describes it; see `save_policy`."""
+"""Entry of a policy file that describes the policy; see `save_policy`."""
 _WEIGHTS = "weights/"
-# what the actions of the named stacks are added to
+# action baselines of the named stacks
 _KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
@@ -61,21 +61,21 @@ def save_policy(
     `aslip.envs.policy_interface(env)` gives the last three arguments.
 
     Args:
-        path: the file; replaced as a whole.
+        path: path of the file; an existing one is replaced atomically.
         actor: the policy.
         shape: its shape.
         made_by: settings and versions of the training, of JSON types.
         network: function that made the actor.
         stack: name of its stack, one of `aslip.envs.STACKS`; None for another.
         observation: keys of the observation's entries, in order.
-        baseline: key of the angles that its action is added to; None for an action of another kind.
+        baseline: key of the angles to which the action is added; None for another kind of action.
 
     Raises:
-        ConfigurationError: `network` makes another actor of shape and observation, or a weight is
-            not finite. Nothing is written.
-        OSError: the file cannot be written; an older one is left as it was.
+        ConfigurationError: `network` makes an actor that differs from `actor`, or a weight is not
+            finite. Nothing is written.
+        OSError: the file cannot be written; an existing one stays intact.
     """
-    if odd := _unlike(actor, network, shape, observation):
+    if odd := _actor_differences(actor, network, shape, observation):
         raise ConfigurationError(
             f"the actor is not what {_network_name(network)!r} makes of {shape}:"
             f" {'; '.join(odd[:4])}; give the function that made it, network=..."
@@ -104,10 +104,10 @@ def _network_name(network: MakeActor) -> str:
     return f"{network.__module__}.{name}"
 
 
-def _unlike(
+def _actor_differences(
     actor: nn.Module, network: MakeActor, shape: PolicyShape, observation: Sequence[NestedKey]
 ) -> list[str]:
-    """Differences between an actor and the one that `load_policy` would make, a clause each."""
+    """Differences between an actor and the one that `load_policy` would make, in words."""
     with torch.random.fork_rng(devices=[]):
         loaded = network(RunningNormalizer(shape.observation_size), shape, observation)
     weights = {name: value.detach().cpu() for name, value in actor.state_dict().items()}
@@ -121,12 +121,12 @@ def _unlike(
         with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
             ours, theirs = loaded(given.clone()), actor(given.to(device)).cpu()
         if not torch.allclose(ours["action"], theirs["action"], rtol=1e-4, atol=1e-5):
-            return ["it acts otherwise with the same weights"]
+            return ["its actions differ for the same weights"]
     return []
 
 
 def _differences(expected: nn.Module, weights: Mapping[str, Tensor]) -> list[str]:
-    """Differences between weights and those of a module, a clause each."""
+    """Differences between weights and those of a module, in words."""
     wanted = expected.state_dict()
     odd = [f"{name!r} is missing" for name in wanted.keys() - weights.keys()]
     odd += [f"{name!r} is unexpected" for name in weights.keys() - wanted.keys()]
@@ -146,8 +146,8 @@ def _kind(tensor: Tensor) -> str:
 def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> ProbabilisticActor:
     """Load a trained policy: the environment's tensordict -> `action`, deterministic by default.
 
-    Its parameters require no gradients; to train it further, let them. An environment for a
-    recurrent policy needs `aslip.policy.add_memory`.
+    Parameters have `requires_grad=False`; change that to train further. Prepare the environment of
+    a recurrent policy with `aslip.policy.add_memory`.
 
     Args:
         name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
@@ -156,8 +156,8 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: the file is truncated, altered, or not a policy.
-        ConfigurationError: the network is of your own and `network` is not given; or the stack
-            gives another observation in this version of the package.
+        ConfigurationError: a custom network is not given as `network`, or a named stack has another
+            observation in this version of the package.
     """
     path = find_policy(name_or_path)
     entries = POLICY_FORMAT.read(path)
@@ -186,7 +186,7 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error
     actor.load_state_dict(weights)
-    # nothing differentiates through a simulator: without this, rollouts would carry graphs along
+    # otherwise rollouts would keep autograd graphs
     return actor.eval().requires_grad_(False)
 
 
@@ -214,30 +214,30 @@ def _check_count(weights: Mapping[str, Tensor], shape: PolicyShape) -> None:
 
 
 def policy_stack(name_or_path: str | Path) -> str:
-    """Name of the stack that a policy acts on, one of `aslip.envs.STACKS`.
+    """Name of the stack of a policy, one of `aslip.envs.STACKS`.
 
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: the file is truncated, altered, or not a policy.
-        ConfigurationError: it acts on a stack of its own; the message says what differs.
+        ConfigurationError: the policy has an unnamed stack; the message names the difference.
     """
     card = read_card(name_or_path)
     if card["stack"] is None:
         raise ConfigurationError(
-            f"the policy {str(name_or_path)!r} was trained with a stack of its own, which has no"
-            f" name: {_own(card)}; give an environment that is made with the same edits"
+            f"the policy {str(name_or_path)!r} was trained with an unnamed stack:"
+            f" {_stack_difference(card)}; give an environment with the same edits"
         )
     return card["stack"]
 
 
-def _own(card: Mapping[str, Any]) -> str:
+def _stack_difference(card: Mapping[str, Any]) -> str:
     """Difference between a policy's stack and the named ones, in words."""
     if card["observation"] not in _known_observations():
         return observation_difference(card["observation"], _known_observations()[0])
     if card["baseline"] is None:
         return "its action is not, or not only, an `ActionDelta`"
     if card["baseline"] not in _KNOWN_BASELINES:
-        return f"its action is added to {card['baseline']!r}, which no named stack does alike"
+        return f"its action is added to {card['baseline']!r}, unlike in any named stack"
     return "its reference is another motion, or a transform changes its observation"
 
 
@@ -255,7 +255,7 @@ def _known_observations() -> list[list[str]]:
 
 
 def find_policy(name_or_path: str | Path) -> Path:
-    """File of a policy: given, inside the folder of a run, or shipped.
+    """Path of a policy file: a file, in a run folder, or shipped.
 
     Raises:
         AssetError: there is no such policy.
@@ -278,7 +278,7 @@ def find_policy(name_or_path: str | Path) -> Path:
 
 
 def read_card(name_or_path: str | Path) -> dict[str, Any]:
-    """Card of a policy: how it is built and what it acts on.
+    """Card of a policy: network, interface and provenance.
 
     Returns:
         The arguments of `save_policy`: `shape`, `made_by`, `stack`, and as text `network`,

@@ -35,10 +35,10 @@ from aslip.errors import ConfigurationError
 from aslip.policy.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
 
-# normalised inputs are clipped here, so that a fall does not drown the rest
+# bound of normalised inputs, so that falls do not dominate
 _CLIP = 10.0
 _EPSILON = 1e-4
-# inputs of a smaller variance did not vary in training, and have trained no weights
+# variance below which an input counts as constant in training
 _CONSTANT = 1e-8
 # factor on the actor's last layer, so that training starts near the reference motion
 _OUTPUT_SCALE = 0.01
@@ -55,9 +55,9 @@ class PolicyShape:
     hidden: tuple[int, ...] = (256, 256)
     """Widths of the hidden layers ("2 hidden layers of 256 nodes each", Sec. IV-B)."""
     std: float = math.exp(-2)
-    """Standard deviation of every action [rad]; the paper gives no value, its public code this."""
+    """Standard deviation of every action [rad]; value of the public code, not in the paper."""
     symmetric: bool = False
-    """Answer a mirrored observation with the mirrored action; not in the paper."""
+    """Make the policy equivariant to the left-right mirror; not in the paper."""
     mirror_signs: Mapping[str, Sequence[float]] = field(default_factory=dict)
     """Signs of the mirror images of your own observation entries, by name, one sign a number; see
     `aslip.policy.observation_mirror`."""
@@ -182,7 +182,7 @@ def make_actor(
 
 
 def action_layers(shape: PolicyShape, inputs: int, hidden: Sequence[int] | None = None) -> MLP:
-    """Perceptron that ends in the mean action, small at first.
+    """Multi-layer perceptron with a small initial mean action as output.
 
     Args:
         shape: sizes.
@@ -247,7 +247,7 @@ def make_critic(
         normalizer: shared with the actor.
         shape: as the actor's.
         observation: as the actor's.
-        scale: factor on the network's output; near the size of returns it learns sooner.
+        scale: factor on the network's output; near the magnitude of returns it speeds up learning.
     """
     shape = shape or PolicyShape()
     net = MLP(

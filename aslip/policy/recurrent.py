@@ -3,8 +3,8 @@
     env = add_memory(aslip.make_env(num_envs=8), actor)
     env.rollout(100, actor)
 
-The hidden state travels in the tensordict as `memory`: the policy writes it for the next policy
-step, and the environment resets it along with the robot.
+The hidden state is the entry `memory`: the policy writes it for the next policy step, and the
+environment resets it with the robot.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def make_recurrent_actor(
 
 
 def is_recurrent(policy: Callable[..., Any]) -> bool:
-    """Tell whether a policy keeps a hidden state, as TorchRL's `GRUModule` and `LSTMModule` do."""
+    """Check whether a policy has a hidden state, as TorchRL's `GRUModule` and `LSTMModule` do."""
     parts = policy.modules() if isinstance(policy, nn.Module) else ()
     return any(hasattr(part, "make_tensordict_primer") for part in parts)
 

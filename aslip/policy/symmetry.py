@@ -1,7 +1,7 @@
 """Left-right mirror images of observations and actions.
 
-Robot, gaits and reward are symmetric about the plane of walking: mirror a state and an action, and
-nearly the mirrored next state follows (Cassie's pelvis has its centre of mass 0.3 mm off). The maps
+Robot, gaits and reward are symmetric about the plane of walking: a mirrored state and action lead
+to the mirrored next state (nearly: Cassie's pelvis is 0.3 mm off centre). The maps
 are built from the names of the observation's entries and of the motors.
 """
 

@@ -1,4 +1,4 @@
-"""Walks of a policy: recorded (`record`), evaluated (`evaluation`), steered (`walker`), measured.
+"""Walks of a policy: recording (`record`), evaluation, interactive control (`walker`), metrics.
 
 `metrics` are pure functions of arrays; `tables` writes Markdown.
 """

@@ -1,4 +1,4 @@
-"""Deterministic walks of a policy at many speeds at once, and the table of their results."""
+"""Evaluation of a policy on deterministic walks at many speeds, and its table of results."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from aslip.walking.record import record
 from aslip.walking.tables import markdown
 
 TRACKING_TOLERANCE: Final = 0.2
-"""Difference of mean and commanded speed up to which a walk tracks its command [m/s]."""
+"""Largest difference of mean and commanded speed of a walk that tracks its command [m/s]."""
 
-# share of the weight that feet carry in the long run, and vertical speed that the pelvis may gain
+# least share of the weight on the feet, and allowance for a change of the vertical velocity
 _ON_FEET, _BOB = 0.95, 0.5  # [-], [m/s]
 _POSITION = ("true_odometry", "pelvis_position")
 _RECORDED: Final[list[NestedKey]] = [
@@ -40,15 +40,15 @@ _RECORDED: Final[list[NestedKey]] = [
 class WalkResult:
     """One episode at one commanded speed.
 
-    `survived`, `on_feet` and `tracked` are three separate results; a walk that succeeds has all.
+    `survived`, `on_feet` and `tracked` are separate criteria; a successful walk meets all three.
     """
 
     speed: float
     """Commanded speed [m/s]."""
     steps: int
-    """Policy steps until the episode ended, at most the number asked for."""
+    """Number of policy steps, up to the end of the episode."""
     survived: bool
-    """Whether the robot had not fallen by then."""
+    """True if the robot did not fall."""
     total: float
     """Sum of rewards."""
     mean_speed: float
@@ -56,24 +56,24 @@ class WalkResult:
     lateral_drift: float
     """Final distance of the pelvis from the line along the heading [m]."""
     weight_ratio: float
-    """Mean vertical ground force over the weight of the robot as simulated, with its mass and
-    payload; one when nothing but the feet carries it."""
+    """Mean vertical ground force over the simulated robot's weight, payload included; 1 if the feet
+    carry it all."""
     terms: dict[str, float]
     """Mean of each reward term."""
 
     @property
     def on_feet(self) -> bool:
-        """Whether feet carried the robot; robots also learn to shuffle along on their heels."""
+        """True if the feet carried the robot; some policies slide on other parts of the legs."""
         return is_on_feet(self.weight_ratio, self.steps * CASSIE.policy_period)
 
     @property
     def tracked(self) -> bool:
-        """Whether the mean speed is within `TRACKING_TOLERANCE` of the command."""
+        """True if the mean speed is within `TRACKING_TOLERANCE` of the command."""
         return tracks_command(self.speed, self.mean_speed)
 
 
 def is_on_feet(weight_ratio: float, duration: float) -> bool:
-    """Judge whether feet carried the robot, except for what its momentum can carry for a while.
+    """Check that the feet carried the robot, allowing for vertical momentum in short walks.
 
     Args:
         weight_ratio: mean vertical ground force on the feet over the robot's weight.
@@ -83,7 +83,7 @@ def is_on_feet(weight_ratio: float, duration: float) -> bool:
 
 
 def tracks_command(speed: float, mean_speed: float) -> bool:
-    """Judge whether a mean speed is within `TRACKING_TOLERANCE` of the command; NaN is not.
+    """Check that a mean speed is within `TRACKING_TOLERANCE` of the command; false for NaN.
 
     Args:
         speed: commanded [m/s].
@@ -98,16 +98,16 @@ def evaluate(
     speeds: Sequence[float],
     num_steps: int = MAX_EPISODE_STEPS,
 ) -> list[WalkResult]:
-    """Walk once at each speed, from phase 0, without exploration noise.
+    """Evaluate one walk at each speed, from phase 0, without exploration noise.
 
-    Each robot keeps its speed, also where the environment's `SpeedCommand` would change it. Its
-    walk ends with its episode, or after `num_steps`.
+    Commands stay constant, whatever the environment's `SpeedCommand` does. A walk ends with its
+    episode or after `num_steps`.
 
     Args:
         policy: maps the environment's tensordict to `action`.
-        env: environment of as many robots as there are speeds.
+        env: environment with one robot for each speed.
         speeds: commanded speeds [m/s].
-        num_steps: most policy steps of a walk, 1 or more.
+        num_steps: largest number of policy steps of a walk, 1 or more.
 
     Raises:
         ConfigurationError: the environment has another number of robots, or `num_steps` is not a
@@ -119,7 +119,7 @@ def evaluate(
         )
     if env.num_envs != len(speeds):
         raise ConfigurationError(
-            f"{len(speeds)} speeds need an environment of as many robots, got {env.num_envs}"
+            f"env must have one robot for each of the {len(speeds)} speeds, got {env.num_envs}"
         )
     command = np.tile(np.asarray(speeds, dtype=np.float32), (num_steps, 1))
     rows = record(policy, env, command, _RECORDED, until_all_ended=True)
@@ -173,9 +173,17 @@ def _sum(values: torch.Tensor, walking: torch.Tensor) -> torch.Tensor:
 
 
 def walk_table(results: Sequence[WalkResult]) -> str:
-    """Markdown table of results, one row a speed, and a line of totals."""
+    """Markdown table of results, one row for each speed, and a line of totals."""
     names = list(results[0].terms)
-    header = ["command m/s", "steps", "return", "speed m/s", "drift m", "force/weight", *names]
+    header = [
+        "command [m/s]",
+        "steps",
+        "return",
+        "speed [m/s]",
+        "drift [m]",
+        "force/weight",
+        *names,
+    ]
     rows = [
         [
             str(round(r.speed, 3)),

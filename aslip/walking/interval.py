@@ -1,4 +1,4 @@
-"""Means and shares with their 95 % confidence intervals."""
+"""Means and shares with 95 % confidence intervals."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ CONFIDENCE: Final = 0.95
 """Confidence of all intervals."""
 
 _RESAMPLES = 2000
-# a bootstrap of fewer values is too narrow
+# fewer values make a bootstrap too narrow
 _LEAST_VALUES = 10
 
 
 @dataclass(frozen=True)
 class Interval:
-    """Mean and its 95 % confidence interval; single values may well lie outside."""
+    """Mean and its 95 % confidence interval."""
 
     mean: float
     low: float
@@ -27,10 +27,10 @@ class Interval:
 
     @classmethod
     def of(cls, groups: Sequence[np.ndarray]) -> Interval:
-        """Mean over groups, one a seed; values that are not finite are left out.
+        """Mean over groups (seeds) of their finite values.
 
-        The interval is Student's over the means of several groups. A single group has a bootstrap
-        over its values, or no interval if they are fewer than ten.
+        Several groups get Student's interval over their means. A single group gets a bootstrap
+        interval over its values, or none with fewer than ten.
         """
         kept = [group[np.isfinite(group)] for group in map(np.asarray, groups)]
         kept = [group for group in kept if len(group)]
@@ -54,17 +54,17 @@ class Interval:
 
     @classmethod
     def of_share(cls, successes: int, trials: int) -> Interval:
-        """Share of successes and Wilson's interval, which holds at 0 and 1, too."""
+        """Share of successes with Wilson's interval, valid at 0 and 1, too."""
         found = stats.binomtest(successes, trials)
         interval = found.proportion_ci(CONFIDENCE, method="wilson")
         return cls(successes / trials, float(interval.low), float(interval.high))
 
     @classmethod
     def of_row(cls, row: Mapping[str, Any]) -> Interval:
-        """Interval from a row of numbers that has its fields."""
+        """Interval from a row with its fields."""
         return cls(row["mean"], row["low"], row["high"])
 
     def text(self, digits: int, scale: float = 1.0) -> str:
-        """Mean and, if there is one, interval, times `scale`."""
+        """Mean times `scale`, with the interval if it is not empty."""
         mean, low, high = (f"{scale * v:.{digits}f}" for v in (self.mean, self.low, self.high))
         return mean if self.low == self.high else f"{mean} [{low}, {high}]"

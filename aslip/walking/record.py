@@ -1,10 +1,10 @@
-"""Walks of a policy, recorded as arrays for metrics.
+"""Recording of walks as arrays for metrics.
 
     walks = record_walks(policy, env, command)      # (m, n) commanded speeds of n robots
 
-`walk` is the loop below every recording and evaluation: policy steps without exploration noise and
-without resets. Recurrent policies carry their state from step to step; recordings give
-the environment the transforms that they need (`aslip.policy.add_memory`).
+`walk` is the loop of every recording and evaluation: policy steps without exploration noise and
+resets. For recurrent policies, recordings add the transforms of the hidden state to the
+environment (`aslip.policy.add_memory`).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from aslip.transforms import SpeedCommand
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
 _FORCE: Final[NestedKey] = ("next", "truth", "ground_force")
-# where the robot is: the truth, or the state estimator's odometry
+# groups with the robot's position: simulated truth, or the estimator's odometry
 _PLACES: Final = ("true_odometry", "odometry")
-# other entries of a policy step that make the arrays of `Walks`
+# array of `Walks` -> entry of a policy step, for the other arrays
 _RECORDED: Final[dict[str, NestedKey]] = {
     "phase": ("next", "phase"),
     "reward": ("next", "reward"),
@@ -45,17 +45,17 @@ _RECORDED: Final[dict[str, NestedKey]] = {
 
 @dataclass(frozen=True)
 class Walks:
-    """n walks of m policy steps; rows are the instants at which the steps end.
+    """n walks of m policy steps; rows are the ends of the steps.
 
     Rows after a fall are NaN, except for `alive` and `command`. Positions, orientations and
     velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`. Without
-    a simulation, pelvis and feet are as the state estimator has them, and ground forces are NaN.
+    a simulation, pelvis and feet come from the state estimator, and ground forces are NaN.
     """
 
     command: np.ndarray
     """(m, n) commanded speed during the step [m/s]."""
     alive: np.ndarray
-    """(m, n) whether the walk has not ended, in a fall or otherwise."""
+    """(m, n) true until the fall."""
     phase: np.ndarray
     """(m, n) stride fraction."""
     reward: np.ndarray
@@ -94,7 +94,7 @@ class Walks:
 
     @property
     def survived(self) -> np.ndarray:
-        """(n,) whether each walk lasted to the end of the record."""
+        """(n,) true for walks without a fall."""
         return self.alive[-1]
 
     def one(self, index: int, start: int = 0, stop: int | None = None) -> Walks:
@@ -127,14 +127,14 @@ def walk(
     command: np.ndarray | None = None,
     push: np.ndarray | None = None,
 ) -> Iterator[TensorDictBase]:
-    """Walk on from a tensordict, which is left as it is; robots that fall are not reset.
+    """Walk from a tensordict, which is not modified; fallen robots are not reset.
 
     Args:
         policy: maps the environment's tensordict to `action`.
         env: environment of n robots, in the state that belongs to the tensordict.
         td: start of the first step.
         steps: number of policy steps m.
-        command: (m, n) commanded speed of each step [m/s]; by default as in the tensordict.
+        command: (m, n) commanded speed of each step [m/s]; by default the tensordict's.
         push: (n, 3) force on the pelvis throughout [N, world].
 
     Yields:
@@ -174,11 +174,11 @@ def record(
     *,
     until_all_ended: bool = False,
 ) -> TensorDict:
-    """Record entries of walks from phase 0, commanded speeds kept.
+    """Record entries of walks from phase 0 at given commands.
 
     Args:
         policy: maps the environment's tensordict to `action`.
-        env: environment of n robots; gets what a recurrent policy needs, see `add_memory`.
+        env: environment of n robots; `add_memory` prepares it for a recurrent policy.
         command: (m, n) commanded speed of each policy step [m/s].
         keys: entries of a policy step to record; absent ones are left out.
         until_all_ended: stop once the episode of every robot has ended.
@@ -200,7 +200,7 @@ def record(
 
 @contextmanager
 def _commands_kept(env: StackEnv) -> Iterator[None]:
-    """Keep the environment from changing commands by itself."""
+    """Suspend the environment's own changes of the command."""
     transforms = [t for t in env.transforms if isinstance(t, SpeedCommand)]
     intervals = [transform.interval for transform in transforms]
     for transform in transforms:

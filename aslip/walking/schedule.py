@@ -1,4 +1,4 @@
-"""Commanded speeds and pushes over time, and how they are written on a command line."""
+"""Commanded speeds and pushes over time, and their command-line notation."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ def policy_steps(time: float) -> int:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Commanded speeds over time: each holds until the next begins."""
+    """Commanded speeds over time, each held until the next."""
 
     times: tuple[float, ...]
-    """Start of each speed [s], ascending from 0."""
+    """Start time of each speed [s], ascending from 0."""
     speeds: tuple[float, ...]
     """Commanded speeds [m/s]."""
 
@@ -45,7 +45,7 @@ class Schedule:
         """Read "time:speed,time:speed,...", or a single speed.
 
         Raises:
-            ConfigurationError: the text is something else.
+            ConfigurationError: the text has another form.
         """
         try:
             if ":" not in text:
@@ -82,7 +82,7 @@ class Push:
         """Read "time:x,y,z" or "time:x,y,z:duration".
 
         Raises:
-            ConfigurationError: the text is something else.
+            ConfigurationError: the text has another form.
         """
         try:
             time, force, *duration = text.split(":")

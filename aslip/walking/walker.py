@@ -1,4 +1,4 @@
-"""One robot under a policy, driven a policy step at a time: commands, pushes, outcomes."""
+"""Interactive control of one robot: commands, pushes and policy steps."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ class Walker:
     """One robot that walks until it falls.
 
     Args:
-        policy: module that maps the environment's tensordict to `action`, or what `load_policy`
-            takes.
-        env: environment of one robot. By default the policy's stack, where episodes end in falls
-            only.
+        policy: module that maps the environment's tensordict to `action`, or name or path for
+            `load_policy`.
+        env: environment of one robot. By default the policy's stack, with falls as the
+            only end of an episode.
         library: gaits of the default environment, and the range of commands.
         seed: seed of the default environment.
         speed: first command [m/s].
 
     Raises:
-        ConfigurationError: the environment has another number of robots, shows the policy another
-            observation than in its training, or adds its action to something else.
+        ConfigurationError: the environment has several robots, or another observation or action
+            baseline than the policy's card.
         SpeedOutOfRangeError: the library does not cover the speed.
     """
 
@@ -51,9 +51,7 @@ class Walker:
         if env is None:
             env = self._default_env(policy, seed)
         if env.num_envs != 1:
-            raise ConfigurationError(
-                f"a Walker drives one robot, the environment has {env.num_envs}"
-            )
+            raise ConfigurationError(f"env of a Walker must have one robot, got {env.num_envs}")
         self.env = env
         self.policy = policy
         self.reset(speed)
@@ -67,7 +65,7 @@ class Walker:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """Policy that acts; assign a module, a name or a path at any time."""
+        """Current policy; assign a module, name or path at any time."""
         return self._policy
 
     @policy.setter
@@ -88,7 +86,7 @@ class Walker:
         self.td["command"] = torch.full((1, 1), self.library.check_speed(speed))
 
     def push(self, force: Sequence[float], duration: float = 4 * CASSIE.policy_period) -> None:
-        """Push the pelvis from the next policy step on; replaces a push that is under way.
+        """Push the pelvis from the next policy step on; replaces the current push.
 
         Args:
             force: (3,) force [N, world].
@@ -108,18 +106,18 @@ class Walker:
         """Start again on the reference at phase 0.
 
         Args:
-            speed: command [m/s]; the present one by default.
+            speed: command [m/s]; by default the current one.
 
         Raises:
             SpeedOutOfRangeError: the library does not cover the speed.
         """
         speed = self.command if speed is None else self.library.check_speed(speed)
         self.td: TensorDictBase = reset_walks(self.env, np.array([speed]))
-        """Present state, from which the next action will be chosen."""
+        """Current tensordict, input of the next policy step."""
         self.steps = 0
         """Policy steps since the last reset."""
         self.fallen = False
-        """Whether the last step ended in a fall, or in a simulation that diverged."""
+        """True after a step that ended in a fall or a diverged simulation."""
         self._push, self._push_steps = torch.zeros(1, 3), 0
 
     @property

@@ -1,10 +1,9 @@
-"""Faults injected on purpose and many times, and faults survived.
+"""Fault injection: number of faults injected and number survived, by kind of fault.
 
-    python -m benchmarks.faults                        # all of them: half an hour
-    python -m benchmarks.faults --steps 0 --kills 0    # without the long ones
-    python -m benchmarks.faults --kills 100            # a night of killed trainings
+    python -m benchmarks.faults                        # all kinds, half an hour
+    python -m benchmarks.faults --random-steps 0 --kills 0    # short kinds only
+    python -m benchmarks.faults --kills 100            # a hundred killed trainings
 
-The docstring of each function says what counts as survived. Trainings are tiny ones of
-`recipes/ppo_aslip.py` on one thread; each one that was stopped is resumed and compared bit by bit
-with an undisturbed one.
+The docstring of each fault defines survival. Trainings are tiny runs of `recipes/ppo_aslip.py` on
+one thread. Each interrupted run is resumed and compared bit by bit with an uninterrupted one.
 """

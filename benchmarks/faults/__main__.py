@@ -1,4 +1,4 @@
-"""Faults injected on purpose, and faults survived: see `benchmarks.faults`."""
+"""Command line of the fault injection, see `benchmarks.faults`."""
 
 from __future__ import annotations
 
@@ -11,42 +11,42 @@ from aslip.training.command_line import command_line
 
 @dataclass(frozen=True)
 class Config:
-    """Number of faults of each kind; 0 leaves a kind out."""
+    """Number of faults of each kind; 0 skips a kind."""
 
-    numbers: int = 600
+    bad_numbers: int = 600
     """Robots with NaN, infinity or a huge value in their state."""
-    raises: int = 10
-    """Simulations that raise in the middle of a training."""
+    simulation_errors: int = 10
+    """Trainings stopped by an exception in the simulation."""
     kills: int = 20
     """Trainings killed at a random moment."""
-    workers: int = 2
-    """Processes of collectors killed."""
-    cuts: int = 100
+    worker_kills: int = 2
+    """Collector processes killed."""
+    truncations: int = 100
     """Newest checkpoints truncated at a random offset."""
-    flips: int = 100
+    bit_flips: int = 100
     """Newest checkpoints with a flipped bit."""
-    losses: int = 10
+    lost_checkpoints: int = 10
     """Runs with all checkpoints truncated."""
     full_disks: int = 50
-    """Disks that are full after a random number of bytes of a checkpoint."""
-    strangers: int = 24
-    """Files with a hidden program, in eight ways."""
-    files: int = 1000
+    """Checkpoints whose disk is full after a random number of bytes."""
+    hidden_programs: int = 24
+    """Files with a hidden program, hidden in eight ways."""
+    damaged_files: int = 1000
     """Damaged files of each kind."""
-    settings: int = 1000
+    bad_settings: int = 1000
     """Settings of a wrong type or out of range."""
-    steps: int = 1_000_000
-    """Policy steps of random actions."""
-    robots: int = 256
-    """Robots of a training whose checkpoints are timed."""
+    random_steps: int = 1_000_000
+    """Policy steps with random actions."""
+    timed_robots: int = 256
+    """Number of robots of a training whose checkpoint is timed; 0 skips it."""
     seed: int = 0
     """Seed of all random numbers."""
     report: Path = Path("runs/faults.json")
-    """File for the numbers."""
+    """JSON file for the results."""
 
 
 if __name__ == "__main__":
-    # before the imports below, which take seconds
+    # parsed before the slow imports below
     CONFIG = command_line(Config)
 
 import json
@@ -62,43 +62,46 @@ from tqdm import tqdm
 
 from aslip.training.run import write_text
 from aslip.walking import markdown
-from benchmarks.faults.files import damaged, strangers
+from benchmarks.faults.files import damaged_files, hidden_programs
 from benchmarks.faults.kinds import KINDS
 from benchmarks.faults.runs import (
+    bad_settings,
+    bit_flips,
     checkpoint_cost,
-    cuts,
-    flips,
     full_disks,
     kills,
-    losses,
-    raises,
-    settings,
-    workers,
+    lost_checkpoints,
+    simulation_errors,
+    truncations,
+    worker_kills,
 )
-from benchmarks.faults.simulations import bad_numbers, steps
+from benchmarks.faults.simulations import bad_numbers, random_steps
 
 Inject = Callable[[int, np.random.Generator, Path], int]
-"""Function that injects a number of faults, with a folder for files; returns the survived ones."""
+"""Fault injector: (number of faults, generator, scratch folder) -> number survived."""
 
 
 def main(config: Config) -> dict[str, dict[str, int]]:
-    """Inject all faults, print and write the table; returns it, by fault."""
+    """Inject all faults, print the table and write it; returns it, by fault."""
     torch.set_num_threads(1)
-    # MuJoCo warns of every simulation that diverges
+    # silence MuJoCo's warning about each diverged simulation
     logging.getLogger("absl").setLevel(logging.ERROR)
     faults: dict[str, tuple[int, Inject]] = {
-        "bad number in a simulation's state": (config.numbers, bad_numbers),
-        "simulation raises in training": (config.raises, raises),
+        "NaN, infinity or huge value in a simulation's state": (config.bad_numbers, bad_numbers),
+        "exception in a training's simulation": (config.simulation_errors, simulation_errors),
         "training killed": (config.kills, kills),
-        "collector process killed": (config.workers, workers),
-        "newest checkpoint truncated": (config.cuts, cuts),
-        "bit of the newest checkpoint flipped": (config.flips, flips),
-        "all checkpoints truncated": (config.losses, losses),
+        "collector process killed": (config.worker_kills, worker_kills),
+        "newest checkpoint truncated": (config.truncations, truncations),
+        "bit of the newest checkpoint flipped": (config.bit_flips, bit_flips),
+        "all checkpoints truncated": (config.lost_checkpoints, lost_checkpoints),
         "disk full": (config.full_disks, full_disks),
-        "program in a file": (config.strangers, strangers),
-        **{f"damaged {kind}": (config.files, partial(damaged, kind)) for kind in KINDS},
-        "setting of wrong type or range": (config.settings, settings),
-        "policy steps of random actions": (config.steps, steps),
+        "hidden program in a file": (config.hidden_programs, hidden_programs),
+        **{
+            f"damaged {kind} file": (config.damaged_files, partial(damaged_files, kind))
+            for kind in KINDS
+        },
+        "setting of a wrong type or out of range": (config.bad_settings, bad_settings),
+        "policy step with random actions": (config.random_steps, random_steps),
     }
     table: dict[str, dict[str, int]] = {}
     numbers: dict[str, Any] = {"seed": config.seed, "faults": table}
@@ -108,8 +111,8 @@ def main(config: Config) -> dict[str, dict[str, int]]:
             if count:
                 rng = np.random.default_rng([config.seed, i])
                 table[name] = {"injected": count, "survived": inject(count, rng, folder)}
-        if config.robots:
-            numbers["checkpoint"] = checkpoint_cost(folder, config.robots)
+        if config.timed_robots:
+            numbers["checkpoint"] = checkpoint_cost(folder, config.timed_robots)
     rows = [[name, str(n["injected"]), str(n["survived"])] for name, n in table.items()]
     print(markdown(["fault", "injected", "survived"], rows))
     config.report.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""ZIP archives taken apart, put together, and with programs hidden inside."""
+"""ZIP archives: reading, writing, and forging with a hidden program inside."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ import torch
 from aslip.files.archive import SUMS, sums
 
 
-def unzipped(data: bytes) -> dict[str, bytes]:
-    """Read the entries of an archive."""
+def read_zip(data: bytes) -> dict[str, bytes]:
+    """Entries of an archive, by name."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         return {name: archive.read(name) for name in archive.namelist()}
 
 
-def zipped(parts: Mapping[str, bytes]) -> bytes:
-    """Write an archive of entries."""
+def write_zip(parts: Mapping[str, bytes]) -> bytes:
+    """Archive of entries, as bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name, content in parts.items():
@@ -30,14 +30,14 @@ def zipped(parts: Mapping[str, bytes]) -> bytes:
     return buffer.getvalue()
 
 
-def forged(parts: Mapping[str, bytes]) -> bytes:
-    """Write an archive of entries with their present hashes."""
+def forge_archive(parts: Mapping[str, bytes]) -> bytes:
+    """Archive of entries with hashes that match them."""
     rest = {name: content for name, content in parts.items() if name != SUMS}
-    return zipped({**rest, SUMS: sums(rest)})
+    return write_zip({**rest, SUMS: sums(rest)})
 
 
 class Program:
-    """Object whose unpickling runs code that creates a file."""
+    """Object that creates a file when it is unpickled."""
 
     def __init__(self, mark: Path) -> None:
         self.mark = mark
@@ -47,9 +47,9 @@ class Program:
 
 
 def programs(data: bytes, program: Program) -> Iterator[bytes]:
-    """Hide a program in an archive in several ways, with right hashes.
+    """Hide a program in an archive, in each of eight ways, with matching hashes.
 
-    It replaces all arrays, one array, or all text, or stands beside them under names that NumPy,
+    The program replaces all arrays, one array or all text, or is added under names that NumPy,
     TorchRL and TensorDict unpickle.
     """
     saved, objects = io.BytesIO(), io.BytesIO()
@@ -59,17 +59,19 @@ def programs(data: bytes, program: Program) -> Iterator[bytes]:
     np.save(objects, array, allow_pickle=True)
     pickled = pickle.dumps({"data": program})
 
-    parts = unzipped(data)
+    parts = read_zip(data)
     arrays = [name for name in parts if name.endswith(".npy")]
     for changed in (arrays, arrays[:1]):
         for content in (objects.getvalue(), pickled, saved.getvalue()):
-            yield forged({**parts, **dict.fromkeys(changed, content)})
+            yield forge_archive({**parts, **dict.fromkeys(changed, content)})
     texts = [name for name in parts if name.endswith(".json")]
-    yield forged({**parts, **dict.fromkeys(texts, pickled)})
+    yield forge_archive({**parts, **dict.fromkeys(texts, pickled)})
     folders = {name.rpartition("/")[0] for name in parts}
     beside = {
         "state.pt": saved.getvalue(),
         "other.pickle": pickled,
         "extra.npy": objects.getvalue(),
     }
-    yield forged({**parts, **{f"{f}/{name}": c for f in folders for name, c in beside.items()}})
+    yield forge_archive(
+        {**parts, **{f"{f}/{name}": c for f in folders for name, c in beside.items()}}
+    )

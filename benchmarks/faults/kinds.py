@@ -1,4 +1,4 @@
-"""Kinds of files, for tests and faults: how one is written, read, and compared.
+"""Kinds of files for tests and fault injection: writing, reading and comparison.
 
 To add a kind, add a `Kind` to `KINDS`.
 """
@@ -22,9 +22,9 @@ from aslip.library.table import ARRAYS
 from aslip.policy import CARD, PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
 from aslip.rom import SampledMotion
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint
-from benchmarks.faults.archives import forged, unzipped
+from benchmarks.faults.archives import forge_archive, read_zip
 from benchmarks.faults.logs import FORGED_LOGS, load_log, write_log
-from benchmarks.faults.trainings import Holder, same
+from benchmarks.faults.trainings import Holder, identical
 
 
 @dataclass(frozen=True)
@@ -36,36 +36,36 @@ class Kind:
     suffix: str
     """End of a file's name, with the dot."""
     write: Callable[[Path], None]
-    """Write a whole file, the same content every time; replaces a file that is there."""
+    """Write an intact file with fixed content, replacing an existing one."""
     load: Callable[[Path], Any]
-    """Everything that a file says; raises an `AslipError` if the file is damaged."""
-    same: Callable[[Any, Any], bool] = same
-    """Whether two contents are equal, bit for bit."""
+    """Content of a file; raises an `AslipError` if the file is damaged."""
+    identical: Callable[[Any, Any], bool] = identical
+    """Comparison of two contents, bit for bit."""
     archive: bool = True
-    """Whether it is a ZIP archive."""
+    """Whether files of the kind are ZIP archives."""
     makes_folders: bool = False
-    """Whether it is written into a folder that does not exist, too."""
+    """Whether `write` creates a missing folder."""
     damages: Mapping[str, Callable[[bytes, np.random.Generator], bytes]] = field(
         default_factory=dict
     )
-    """Ways to damage it that no other kind has, by name."""
+    """Damage particular to the kind, by name."""
 
 
-def _finite(content: Any) -> Any:
-    """The content.
+def _require_finite(content: Any) -> Any:
+    """Return the content if all its tensors are finite.
 
     Raises:
-        ArithmeticError: a tensor in it is not finite.
+        ArithmeticError: a tensor is not finite.
     """
     if isinstance(content, torch.Tensor) and not content.isfinite().all():
         raise ArithmeticError("loaded numbers are not finite")
     if isinstance(content, Mapping):
         content = dict(content)
         for item in content.values():
-            _finite(item)
+            _require_finite(item)
     if isinstance(content, list | tuple):
         for item in content:
-            _finite(item)
+            _require_finite(item)
     return content
 
 
@@ -82,12 +82,12 @@ def _load_policy(path: Path) -> Any:
     actor = aslip.load_policy(path)
     observation = torch.linspace(-1, 1, 64).expand(2, -1)
     action = actor(TensorDict(observation=observation, batch_size=2))["action"]
-    return {"card": read_card(path), "weights": _finite(actor.state_dict()), "act": action}
+    return {"card": read_card(path), "weights": _require_finite(actor.state_dict()), "act": action}
 
 
-def _other_sizes(data: bytes, rng: np.random.Generator) -> bytes:
-    """Claim another network in the card, of up to 10^18 weights; hashes are right."""
-    parts = unzipped(data)
+def _forge_sizes(data: bytes, rng: np.random.Generator) -> bytes:
+    """Change the network in the card, up to 10^18 weights, with matching hashes."""
+    parts = read_zip(data)
     card = json.loads(parts[CARD])
     widths = [10 ** int(rng.integers(0, 10)) for _ in range(int(rng.integers(4)))]
     card["shape"] |= [
@@ -97,7 +97,7 @@ def _other_sizes(data: bytes, rng: np.random.Generator) -> bytes:
         {"hidden": [1] * 10 ** int(rng.integers(1, 6))},
     ][int(rng.integers(4))]
     card["shape"]["symmetric"] = bool(rng.integers(2))
-    return forged({**parts, CARD: as_json(card)})
+    return forge_archive({**parts, CARD: as_json(card)})
 
 
 def _write_library(path: Path) -> None:
@@ -114,12 +114,12 @@ def _load_library(path: Path) -> Any:
     point = torch.full((1, 1), 0.7)
     stored: Any = library.motions
     arrays = [motion.to_arrays() for motion in stored]
-    return _finite(
+    return _require_finite(
         {
             "table": [_tensor(getattr(library.table, name)) for name in ARRAYS],
             "axes": [_tensor(axis) for axis in library.table.axes],
             "torque_jumps": library.table.torque_jumps,
-            "motions": [{k: _content(v) for k, v in motion.items()} for motion in arrays],
+            "motions": [{k: _comparable(v) for k, v in motion.items()} for motion in arrays],
             "reference": library.lookup(point, point).motor_position,
             "start": library.initial_state(point, point),
             "made_by": library.made_by,
@@ -127,8 +127,8 @@ def _load_library(path: Path) -> Any:
     )
 
 
-def _content(array: np.ndarray) -> Any:
-    """An array to be compared: text as such."""
+def _comparable(array: np.ndarray) -> Any:
+    """Tensor of an array, or its text."""
     return str(array) if array.dtype.kind == "U" else _tensor(array)
 
 
@@ -161,7 +161,7 @@ KINDS: dict[str, Kind] = {
             ".zip",
             _write_policy,
             _load_policy,
-            damages={"forged sizes": _other_sizes},
+            damages={"forged sizes": _forge_sizes},
         ),
         Kind("library", ".npz", _write_library, _load_library),
         Kind("checkpoint", ".zip", _write_checkpoint, _load_checkpoint),

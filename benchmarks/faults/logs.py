@@ -1,4 +1,4 @@
-"""Logs for tests and faults: a short one, all that can be read from one, and forged ones."""
+"""Logs for tests and fault injection: writing, reading, forging."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from aslip.log.frozen_model import MODEL_FILE, SETTINGS_FILE
 from aslip.log.writer import HASH_KEY, METADATA, add_metadata, open_writer
 
 _STEPS = 36
-_TRUE: dict[str, Series] = {}
-"""Messages of the whole log, which is loaded first."""
+_WRITTEN: dict[str, Series] = {}
+"""Messages of the intact log, which is loaded first."""
 
 
 def write_log(path: Path) -> None:
-    """Log one fall; replaces a file that is there.
+    """Log one fall, replacing an existing file.
 
     Raises:
-        OSError: the file cannot be written, of which the recorder would only warn; what could be
-            recovered of it is deleted.
+        OSError: the file cannot be written (the recorder would only warn); the partial file is
+            deleted.
     """
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
-            _fall(path)
+            _log_fall(path)
     except (ConfigurationError, RuntimeWarning) as error:
         path.with_name(path.name + ".part").unlink(missing_ok=True)
         raise OSError(str(error)) from error
 
 
-def _fall(path: Path) -> None:
+def _log_fall(path: Path) -> None:
     library = GaitLibrary.load()
     recorder = partial(Recorder, path, library=library, overwrite=True)
     env = aslip.make_env(stack={**default_stack(library), "recorder": recorder}, num_threads=1)
@@ -59,11 +59,11 @@ def _fall(path: Path) -> None:
 
 
 def load_log(path: Path) -> Any:
-    """Everything that `read` and `replay` return but the date of writing.
+    """Everything that `read` and `replay` return, except for the date of writing.
 
     Raises:
         FileDamagedError: the log is damaged.
-        ValueError: `recover` saved other messages than were written.
+        ValueError: `recover` saved a message that was never written.
     """
     recovered = path.with_name("recovered.mcap")
     saved = None
@@ -73,51 +73,53 @@ def load_log(path: Path) -> Any:
     try:
         log = read(path)
     except FileDamagedError:
-        _require_some(saved, _TRUE)
+        _require_some(saved, _WRITTEN)
         raise
-    _TRUE.update(log.series if not _TRUE else {})
+    _WRITTEN.update(log.series if not _WRITTEN else {})
     _require_some(saved, log.series)
     series = {topic: {"time": s.time, **s.columns} for topic, s in log.series.items()}
     arrays = {t: {k: v.tolist() for k, v in columns.items()} for t, columns in series.items()}
     check(path)
     metadata = {key: text for key, text in log.metadata.items() if key != "started_utc"}
     content = {"metadata": metadata, "end": log.end, "files": log.attachments}
-    return {**content, "series": arrays, "replay": _replayed(log)}
+    return {**content, "series": arrays, "replay": _replay_results(log)}
 
 
 def _require_some(saved: Recording | None, written: Mapping[str, Series]) -> None:
-    """Raise ValueError if a recovered log has a message that was not written."""
+    """Raise a ValueError if a recovered log has a message that was never written."""
     for topic, series in saved.series.items() if saved and written else ():
         true = written[topic]
         for name, column in {"time": series.time, **series.columns}.items():
             whole = true.time if name == "time" else true[name]
             if not set(map(repr, column.tolist())) <= set(map(repr, whole.tolist())):
-                raise ValueError(f"{topic} {name} was recovered otherwise than it was written")
+                raise ValueError(
+                    f"{topic} {name} was recovered with values that were never written"
+                )
 
 
-def _replayed(log: Recording) -> dict[str, Any]:
-    """Columns that a replay computes."""
+def _replay_results(log: Recording) -> dict[str, Any]:
+    """Results of a replay, as lists."""
     result = replay(log, strict=False)
     arrays = (result.state_time, result.drift, result.qpos, result.qvel)
     return {"steps": result.steps, "doubts": result.doubts, "path": [a.tolist() for a in arrays]}
 
 
-# ----------------------------------------------------------- taken apart, put together
+# ----------------------------------------------------------- records
 
 
-def taken_apart(data: bytes) -> list[McapRecord]:
-    """Metadata, attachments, schemas, channels and messages of a whole log."""
+def read_records(data: bytes) -> list[McapRecord]:
+    """Metadata, attachments, schemas, channels and messages of an intact log."""
     kinds, records = (Metadata, Attachment, Schema, Channel, Message), []
     for record in StreamReader(BytesIO(data)).records:
-        if isinstance(record, DataEnd):  # what follows is a summary of the rest
+        if isinstance(record, DataEnd):  # followed by the summary only
             break
         if isinstance(record, kinds):
             records.append(record)
     return records
 
 
-def put_together(records: Sequence[McapRecord]) -> bytes:
-    """A log of records, whose checksums are right; hashes of attachments are not touched."""
+def write_records(records: Sequence[McapRecord]) -> bytes:
+    """Log of records, with matching checksums; hashes of attachments stay as they are."""
     file = BytesIO()
     writer, schemas, channels = open_writer(file), {0: 0}, {}
     for record in records:
@@ -138,44 +140,44 @@ def put_together(records: Sequence[McapRecord]) -> bytes:
     return file.getvalue()
 
 
-def with_hashes(records: Sequence[McapRecord]) -> list[McapRecord]:
-    """Records whose metadata have the hashes of the attachments among them."""
+def update_hashes(records: Sequence[McapRecord]) -> list[McapRecord]:
+    """Records with the attachments' hashes updated in the metadata."""
     files = [record for record in records if isinstance(record, Attachment)]
     hashes = {HASH_KEY + file.name: hashlib.sha256(file.data).hexdigest() for file in files}
 
-    def signed(record: McapRecord) -> McapRecord:
+    def with_hashes(record: McapRecord) -> McapRecord:
         if not isinstance(record, Metadata) or record.name != METADATA:
             return record
         return replace(record, metadata={**record.metadata, **hashes})
 
-    return [signed(record) for record in records]
+    return [with_hashes(record) for record in records]
 
 
-# ----------------------------------------------------------------- forged ones
+# ----------------------------------------------------------------- forging
 
 Damage = Callable[[bytes, np.random.Generator], bytes]
 _NUMBERS = (0.0, -1.0, 0.5, 1.0, 7.0, 9.0, 1e3, 1e9, -1e300, 2.0**31, np.nan, np.inf)
 _WORDS = ("0", "-1", "0.5", "7", "33", "true", '"yes"', "1e9", "1e-9", "NaN", "[1]", "9" * 50)
-# bytes before the numbers of a message, which say how it is encoded
+# bytes of a message's header, which names the encoding
 _ENCAPSULATION = 4
-# numbers of a state before the first motor's commands: episode, step, a length; time, positions and
-# velocities. From one motor to the next: one for users, the newest command's place, times, commands
+# numbers of a state before the first motor's buffer: episode, step, length; time, qpos, qvel;
+# numbers of a motor's buffer: user value, index of the newest command, times, commands
 _BEFORE_COMMANDS, _PER_MOTOR, _MOTORS = 3 + 1 + 35 + 32, 2 + 2 * 8, 10
 
 
-def _forged(change: Callable[[list[McapRecord], np.random.Generator], None]) -> Damage:
-    """Damage to the records of a log, whose checksums and hashes are then right."""
+def _forge(change: Callable[[list[McapRecord], np.random.Generator], None]) -> Damage:
+    """Damage to the records of a log, with matching checksums and hashes."""
 
     def damage(data: bytes, rng: np.random.Generator) -> bytes:
-        records = taken_apart(data)
+        records = read_records(data)
         change(records, rng)
-        return put_together(with_hashes(records))
+        return write_records(update_hashes(records))
 
     return damage
 
 
-def _numbers_of(topic: str, places: Sequence[int] | None = None) -> Damage:
-    """Put another number in a place of one message of a topic, or of all."""
+def _forge_number(topic: str, places: Sequence[int] | None = None) -> Damage:
+    """Replace one number in one message of a topic, or in all."""
 
     def change(records: list[McapRecord], rng: np.random.Generator) -> None:
         channel = next(r.id for r in records if isinstance(r, Channel) and r.topic == topic)
@@ -189,7 +191,7 @@ def _numbers_of(topic: str, places: Sequence[int] | None = None) -> Damage:
             data[start : start + 8] = np.float64(value).tobytes()
             records[i] = replace(_message(records[i]), data=bytes(data))
 
-    return _forged(change)
+    return _forge(change)
 
 
 def _message(record: McapRecord) -> Message:
@@ -197,28 +199,30 @@ def _message(record: McapRecord) -> Message:
     return record
 
 
-def _one(kind: type[McapRecord], change: Callable[[Any, np.random.Generator], Any]) -> Damage:
-    """Change one record of a kind."""
+def _forge_record(
+    kind: type[McapRecord], change: Callable[[Any, np.random.Generator], Any]
+) -> Damage:
+    """Change one record of a class."""
 
     def damage(records: list[McapRecord], rng: np.random.Generator) -> None:
         i = int(rng.choice([i for i, record in enumerate(records) if isinstance(record, kind)]))
         records[i] = change(records[i], rng)
 
-    return _forged(damage)
+    return _forge(damage)
 
 
-def _other_byte(data: bytes, rng: np.random.Generator) -> bytes:
+def _replace_byte(data: bytes, rng: np.random.Generator) -> bytes:
     place = int(rng.integers(len(data)))
     return data[:place] + rng.bytes(1) + data[place + 1 :]
 
 
-def _other_time(message: Message, rng: np.random.Generator) -> Message:
+def _replace_time(message: Message, rng: np.random.Generator) -> Message:
     times = [0, 1, message.log_time + 10**6, 10**9, 2**62, 2**64 - 1]
     time = times[int(rng.integers(len(times)))]
     return replace(message, log_time=time, publish_time=time)
 
 
-def _other_file(name: str, change: Callable[[str, np.random.Generator], str]) -> Damage:
+def _forge_attachment(name: str, change: Callable[[str, np.random.Generator], str]) -> Damage:
     """Change the text of an attachment."""
 
     def damage(records: list[McapRecord], rng: np.random.Generator) -> None:
@@ -227,10 +231,10 @@ def _other_file(name: str, change: Callable[[str, np.random.Generator], str]) ->
                 text = change(bytes(record.data).decode(), rng)
                 records[i] = replace(record, data=text.encode())
 
-    return _forged(damage)
+    return _forge(damage)
 
 
-def _other_setting(text: str, rng: np.random.Generator) -> str:
+def _replace_setting(text: str, rng: np.random.Generator) -> str:
     settings = json.loads(text)
     name = str(rng.choice([*settings, "gravity"]))
     words = {key: json.dumps(value) for key, value in settings.items()}
@@ -238,8 +242,8 @@ def _other_setting(text: str, rng: np.random.Generator) -> str:
     return "{" + ", ".join(f'"{key}": {word}' for key, word in words.items()) + "}"
 
 
-def _other_number(text: str, rng: np.random.Generator) -> str:
-    """Put another number in the place of one of an attribute."""
+def _replace_number(text: str, rng: np.random.Generator) -> str:
+    """Replace or scale a number of an XML attribute."""
     found = list(re.finditer(r'(?<=[" ])-?[\d.]+(?=[" ])', text))
     one = found[int(rng.integers(len(found)))]
     factor = float(rng.choice([0, -1, 1e-9, 0.5, 2, 5, 9, 1e3, 1e30]))
@@ -248,16 +252,20 @@ def _other_number(text: str, rng: np.random.Generator) -> str:
 
 
 FORGED_LOGS: dict[str, Damage] = {
-    "forged state": _numbers_of("/state"),
-    "forged place of commands": _numbers_of(
+    "forged state": _forge_number("/state"),
+    "forged index of commands": _forge_number(
         "/state", [_BEFORE_COMMANDS + 1 + motor * _PER_MOTOR for motor in range(_MOTORS)]
     ),
-    "forged dynamics": _numbers_of("/dynamics"),
-    "forged step": _numbers_of("/step"),
-    "forged message": _one(Message, lambda m, rng: replace(m, data=_other_byte(m.data, rng))),
-    "forged time": _one(Message, _other_time),
-    "forged definition": _one(Schema, lambda s, rng: replace(s, data=_other_byte(s.data, rng))),
-    "forged settings": _other_file(SETTINGS_FILE, _other_setting),
-    "forged model": _other_file(MODEL_FILE, _other_number),
+    "forged dynamics": _forge_number("/dynamics"),
+    "forged step": _forge_number("/step"),
+    "forged message": _forge_record(
+        Message, lambda m, rng: replace(m, data=_replace_byte(m.data, rng))
+    ),
+    "forged time": _forge_record(Message, _replace_time),
+    "forged definition": _forge_record(
+        Schema, lambda s, rng: replace(s, data=_replace_byte(s.data, rng))
+    ),
+    "forged settings": _forge_attachment(SETTINGS_FILE, _replace_setting),
+    "forged model": _forge_attachment(MODEL_FILE, _replace_number),
 }
-"""Damage to a log's content that is itself in order: what a stranger may have written."""
+"""Damage to a log's content with matching checksums and hashes, as an attacker could do."""

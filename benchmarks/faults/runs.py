@@ -30,11 +30,11 @@ from benchmarks.common import Holder, checkpoint_times, quiet
 from benchmarks.faults.trainings import (
     PATIENCE,
     TINY,
-    killed,
-    resumed,
-    same,
+    identical,
+    kill_training,
+    reference_result,
+    resume_training,
     train,
-    undisturbed,
 )
 from recipes import ppo_aslip
 
@@ -44,11 +44,11 @@ _COMPONENTS = ("actor", "critic", "optimizer", "rng", "collector")
 # ------------------------------------------------------------------ errors and kills
 
 
-class Raising(Transform):
-    """Raise an error in one policy step.
+class RaiseError(Transform):
+    """Raise an exception in one policy step.
 
     Args:
-        step: number of policy steps before it.
+        step: number of policy steps before the exception.
     """
 
     def __init__(self, step: int) -> None:
@@ -59,12 +59,12 @@ class Raising(Transform):
         del tensordict
         self._left -= 1
         if self._left < 0:
-            raise RuntimeError("a simulation raises")
+            raise RuntimeError("error in a simulation")
         return next_tensordict
 
 
 def faulty_collector(make_transform: Callable[[], Transform]) -> Callable[..., LocalCollector]:
-    """Function that makes a collector on robots with one more transform."""
+    """Make a `make_collector` whose environments have one more transform."""
 
     def make_collector(make_env: Any, actor: Any, **settings: Any) -> LocalCollector:
         def make_faulty_env(**keywords: Any) -> Any:
@@ -77,37 +77,38 @@ def faulty_collector(make_transform: Callable[[], Transform]) -> Callable[..., L
     return make_collector
 
 
-def raises(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: a clear error, nothing half-written; resumed, it equals the undisturbed run."""
-    expected, survived = undisturbed(folder), 0
+def simulation_errors(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: a clear error, no partial file, and the resumed run equals the reference."""
+    expected, survived = reference_result(folder), 0
     for i in range(count):
-        # any policy step but those of the first two batches
+        # any policy step after the first two batches
         step = int(rng.integers(16, 16 + 7 * 8))
         config, error = replace(TINY, out=folder / f"raises-{i}"), ""
         try:
-            train(config, make_collector=faulty_collector(partial(Raising, step)))
+            train(config, make_collector=faulty_collector(partial(RaiseError, step)))
         except TrainingStoppedError as stop:
             error = str(stop)
-        clear = "RuntimeError: a simulation raises" in error and "--resume" in error
-        survived += clear and not _unfinished_files(config.out) and resumed(config) == expected
+        clear = "RuntimeError: error in a simulation" in error and "--resume" in error
+        survived += (
+            clear and not _unfinished_files(config.out) and resume_training(config) == expected
+        )
     return survived
 
 
 def kills(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: resumed after SIGKILL, the run equals the undisturbed one."""
-    expected, survived = undisturbed(folder), 0
+    """Survived: the run resumed after SIGKILL equals the reference."""
+    expected, survived = reference_result(folder), 0
     for i in range(count):
         config = replace(TINY, out=folder / f"kills-{i}")
-        killed(config.out, int(rng.integers(8)), float(rng.uniform(0, 0.3)))
-        survived += resumed(config) == expected
+        kill_training(config.out, int(rng.integers(8)), float(rng.uniform(0, 0.3)))
+        survived += resume_training(config) == expected
     return survived
 
 
-def workers(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: the collector ends with an error, within a minute, and leaves no process.
+def worker_kills(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: the collector stops with an error within a minute and leaves no process.
 
-    Recipes collect in their own process, others may use TorchRL's collectors in several. The error
-    names the process that failed, or, on a slow machine, another that was about to be ended.
+    Recipes collect in their own process; users may choose TorchRL's collectors with several.
     """
     del folder
     survived = 0
@@ -141,20 +142,20 @@ def _has_ended(process: Any) -> bool:
     try:
         process.join(PATIENCE)
         return not process.is_alive()
-    except ValueError:  # closed, which only ended processes can be
+    except ValueError:  # only ended processes can be closed
         return True
 
 
 def _unfinished_files(out: Path) -> list[Path]:
-    """Temporary files of a run."""
+    """Temporary files in a run folder."""
     return [*out.rglob("*.part"), *(out / "checkpoints").glob(".*")]
 
 
 # ----------------------------------------------------------------------- checkpoints
 
 
-def cuts(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: the previous checkpoint is loaded, and a warning names the file."""
+def truncations(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: the previous checkpoint is loaded and a warning names the truncated file."""
 
     def cut(data: bytes) -> bytes:
         return data[: int(rng.integers(len(data)))]
@@ -162,19 +163,19 @@ def cuts(count: int, rng: np.random.Generator, folder: Path) -> int:
     return sum(_falls_back(folder, cut) for _ in range(count))
 
 
-def flips(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: as for `cuts`; or the bit is outside the content, which loads unchanged."""
+def bit_flips(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: as for `truncations`, or the bit is outside the content, which loads unchanged."""
 
     def flip(data: bytes) -> bytes:
-        spoilt = bytearray(data)
-        spoilt[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
-        return bytes(spoilt)
+        damaged = bytearray(data)
+        damaged[int(rng.integers(len(data)))] ^= 1 << int(rng.integers(8))
+        return bytes(damaged)
 
     return sum(_falls_back(folder, flip, harmless=True) for _ in range(count))
 
 
-def losses(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: an error names the folder and every file, and the files are still there."""
+def lost_checkpoints(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: an error names the folder and every file, and no file is deleted."""
     survived = 0
     for _ in range(count):
         out, config, components = copy_run(folder)
@@ -191,9 +192,9 @@ def losses(count: int, rng: np.random.Generator, folder: Path) -> int:
 
 
 def full_disks(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: the training warns and goes on, old files stay, the next checkpoint is whole.
+    """Survived: the training warns and continues, old files stay, the next checkpoint is intact.
 
-    A limit on the size of files stands in for the disk: the system writes up to it, and then fails.
+    A limit on file size imitates the full disk: writes fail beyond it.
     """
     survived = 0
     for _ in range(count):
@@ -229,26 +230,26 @@ def _full_disk(limit: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def _falls_back(folder: Path, spoil: Callable[[bytes], bytes], *, harmless: bool = False) -> bool:
-    """Whether a run with a spoilt newest checkpoint resumes from the previous one."""
+def _falls_back(folder: Path, damage: Callable[[bytes], bytes], *, harmless: bool = False) -> bool:
+    """Check that a run resumes from the previous checkpoint when the newest is damaged."""
     out, config, components = copy_run(folder)
     *_, before, newest = sorted((out / "checkpoints").iterdir())
     loadable = {path: _load(path, components) for path in (before, newest)}
-    newest.write_bytes(spoil(newest.read_bytes()))
+    newest.write_bytes(damage(newest.read_bytes()))
     with quiet() as messages:
         kept = TrainingRun(out, config, resume=True).restore(components)
     state = {name: holder.state for name, holder in components.items()}
     if harmless and newest.exists():
-        return same((kept, state), loadable[newest])
+        return identical((kept, state), loadable[newest])
     told = any(newest.name in line and "falling back" in line for line in messages)
     aside = not newest.exists() and newest.with_name(newest.name + ".damaged").exists()
-    return told and aside and same((kept, state), loadable[before])
+    return told and aside and identical((kept, state), loadable[before])
 
 
 def copy_run(folder: Path) -> tuple[Path, ppo_aslip.Config, dict[str, Holder]]:
-    """Copy a finished training; returns folder, settings, and holders for its states."""
-    source, out = folder / "undisturbed", folder / "copy"
-    undisturbed(folder)
+    """Copy a finished training; returns its folder, settings and state holders."""
+    source, out = folder / "reference", folder / "copy"
+    reference_result(folder)
     shutil.rmtree(out, ignore_errors=True)
     shutil.copytree(source, out)
     return out, replace(TINY, out=out), {name: Holder() for name in _COMPONENTS}
@@ -261,11 +262,11 @@ def _load(path: Path, components: Mapping[str, Holder]) -> tuple[Any, dict[str, 
 
 def _loads(path: Path, components: Mapping[str, Holder]) -> bool:
     before = {name: holder.state for name, holder in components.items()}
-    return same(_load(path, components)[1], before)
+    return identical(_load(path, components)[1], before)
 
 
 def checkpoint_cost(folder: Path, num_envs: int) -> dict[str, float]:
-    """Size of a training's checkpoint [bytes], and times to copy its states and to write it [s]."""
+    """Size of a training's checkpoint [bytes], time to copy its states and to write it [s]."""
     samples = 8 * num_envs
     config = replace(
         ppo_aslip.Config(), num_envs=num_envs, samples=samples, total_steps=3 * samples,
@@ -274,8 +275,8 @@ def checkpoint_cost(folder: Path, num_envs: int) -> dict[str, float]:
     train(config)
     cost = checkpoint_times(max((config.out / "checkpoints").iterdir()))
     tqdm.write(
-        f"a checkpoint of {num_envs} robots has {cost['bytes'] / 1e6:.1f} MB; it was copied in"
-        f" {1e3 * cost['copied_s']:.0f} ms and written in {1e3 * cost['written_s']:.0f} ms"
+        f"checkpoint of {num_envs} robots: {cost['bytes'] / 1e6:.1f} MB, copied in"
+        f" {1e3 * cost['copied_s']:.0f} ms, written in {1e3 * cost['written_s']:.0f} ms"
     )
     return {"robots": num_envs, **cost}
 
@@ -285,8 +286,8 @@ def checkpoint_cost(folder: Path, num_envs: int) -> dict[str, float]:
 _JUNK = (None, "", "8", b"8", [], [8], (), {}, {8: 8}, object(), 1j, float("nan"), float("inf"))
 
 
-def settings(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: an error names the setting."""
+def bad_settings(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: a `ConfigurationError` names the setting."""
     del folder
     survived = 0
     names = [field.name for field in fields(ppo_aslip.Config)]
@@ -301,7 +302,7 @@ def settings(count: int, rng: np.random.Generator, folder: Path) -> int:
 
 
 def bad_value(name: str, rng: np.random.Generator) -> Any:
-    """Value that a setting of the recipe may not have."""
+    """Invalid value of a setting of the recipe."""
     default = getattr(ppo_aslip.Config(), name)
     junk: list[Any] = [value for value in _JUNK if type(value) is not type(default)]
     if isinstance(default, bool):

@@ -1,4 +1,4 @@
-"""Faults of simulations: bad numbers, and actions that no policy would take."""
+"""Fault injection into simulations: bad numbers in the state, and random actions."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _BAD = (np.nan, np.inf, -np.inf, 1e300)
 
 
 def bad_numbers(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Spoil the state of every other of 2 n robots, and walk on beside an unspoilt copy.
+    """Put a bad number into the state of every other robot, next to an undamaged copy of all.
 
-    Survived: the policy's input and the reward stay finite, each number of the neighbour equals
-    that of the copy, bit for bit, and the next reset leaves nothing of it.
+    Survived: observation and reward stay finite, the neighbouring robot equals its copy bit for
+    bit, and the next reset restores a finite state.
     """
     del folder
     robots, survived = 2 * np.arange(count), np.ones(count, dtype=bool)
@@ -44,7 +44,7 @@ def bad_numbers(count: int, rng: np.random.Generator, folder: Path) -> int:
             tds[i] = step_mdp(env.step(tds[i].set("action", action)), exclude_reward=False)
         for key in ("observation", "reward"):
             survived &= torch.isfinite(tds[0][key]).all(-1).numpy()[robots]
-        survived &= ~_differing(tds[0], tds[1], robots + 1)
+        survived &= ~_differing_rows(tds[0], tds[1], robots + 1)
     both[0].reset()
     survived &= np.isfinite(both[0].base_env.states()).all(axis=1)[robots]
     for env in both:
@@ -52,8 +52,8 @@ def bad_numbers(count: int, rng: np.random.Generator, folder: Path) -> int:
     return int(survived.sum())
 
 
-def _differing(a: TensorDictBase, b: TensorDictBase, rows: np.ndarray) -> np.ndarray:
-    """Which rows differ in a bit of any entry."""
+def _differing_rows(a: TensorDictBase, b: TensorDictBase, rows: np.ndarray) -> np.ndarray:
+    """Mask of rows in which any entry differs in any bit."""
     different = np.zeros(len(rows), dtype=bool)
     for key in a.keys(True, True):
         left, right = (td.get(key)[torch.from_numpy(rows)].numpy().copy() for td in (a, b))
@@ -61,33 +61,33 @@ def _differing(a: TensorDictBase, b: TensorDictBase, rows: np.ndarray) -> np.nda
     return different
 
 
-def steps(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived are the steps of a process that lives on and whose memory does not grow."""
+def random_steps(count: int, rng: np.random.Generator, folder: Path) -> int:
+    """Survived: steps with finite output, in a process that neither crashes nor grows."""
     del folder
     code = (
         "import json, sys; from benchmarks.faults.simulations import random_walk;"
         " print(json.dumps(random_walk(int(sys.argv[1]), int(sys.argv[2]))))"
     )
     command = [sys.executable, "-c", code, str(count), str(int(rng.integers(2**31)))]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
-    if done.returncode:
+    process = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    if process.returncode:
         return 0
-    told = json.loads(done.stdout.splitlines()[-1])
+    result = json.loads(process.stdout.splitlines()[-1])
     tqdm.write(
-        f"{told['steps']} policy steps of random actions: {told['episodes']} episodes,"
-        f" {told['divergences']} divergences, {told['steps'] / told['seconds']:.0f} steps/s;"
-        f" memory {told['memory_mib']:.1f} MiB, and {told['growth_mib']:.2f} MiB more after the"
-        " first tenth"
+        f"{result['steps']} policy steps of random actions: {result['episodes']} episodes,"
+        f" {result['divergences']} divergences, {result['steps'] / result['seconds']:.0f} steps/s;"
+        f" memory {result['memory_mib']:.1f} MiB after the first tenth,"
+        f" growth {result['growth_mib']:.2f} MiB from there on"
     )
-    return told["finite"] if told["growth_mib"] < 16 else 0
+    return result["finite"] if result["growth_mib"] < 16 else 0
 
 
 def random_walk(count: int, seed: int, num_envs: int = 50) -> dict[str, float]:
-    """Steps of random actions, from hundredths of a radian to hundreds.
+    """Step robots with random actions of 0.01 to 100 rad.
 
     Returns:
-        `steps`; how many of them were `finite` in the policy's input and reward; `episodes` ended;
-        `divergences`; `seconds`; `memory_mib` after a tenth; `growth_mib` from there on.
+        Number of `steps`, of steps with `finite` observation and reward, of `episodes` ended and
+        of `divergences`; `seconds`; `memory_mib` after a tenth; `growth_mib` from there on.
     """
     torch.set_num_threads(1)
     generator = torch.Generator().manual_seed(seed)
@@ -96,7 +96,7 @@ def random_walk(count: int, seed: int, num_envs: int = 50) -> dict[str, float]:
 
 
 def _random_walk(env: StackEnv, rounds: int, generator: torch.Generator) -> dict[str, float]:
-    """The numbers of `random_walk` over so many steps of all robots."""
+    """Results of `random_walk` over a number of steps of all robots."""
     num_envs, td = env.num_envs, env.reset()
     finite, episodes, memory, start = 0, 0, 0.0, time.perf_counter()
     for k in tqdm(range(rounds), unit="step", unit_scale=num_envs, leave=False):
@@ -108,7 +108,7 @@ def _random_walk(env: StackEnv, rounds: int, generator: torch.Generator) -> dict
         finite += int(torch.isfinite(rows).all(-1).sum())
         episodes += int(after["done"].sum())
         if k == rounds // 10:
-            memory = resident()
+            memory = resident_memory()
     return {
         "steps": rounds * num_envs,
         "finite": finite,
@@ -116,12 +116,12 @@ def _random_walk(env: StackEnv, rounds: int, generator: torch.Generator) -> dict
         "divergences": env.base_env.divergences,
         "seconds": time.perf_counter() - start,
         "memory_mib": memory,
-        "growth_mib": resident() - memory,
+        "growth_mib": resident_memory() - memory,
     }
 
 
-def resident() -> float:
-    """Memory held at present [MiB]; where the system does not tell, the most ever held."""
+def resident_memory() -> float:
+    """Resident memory [MiB]; its peak on systems without `/proc`."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
     except OSError:

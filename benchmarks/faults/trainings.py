@@ -1,4 +1,4 @@
-"""Tiny trainings to disturb, and comparison of their results."""
+"""Tiny trainings for fault injection, and comparison of their results."""
 
 from __future__ import annotations
 
@@ -23,34 +23,34 @@ TINY = ppo_aslip.Config(
     num_envs=8, samples=64, total_steps=512, minibatch=32, eval_interval=400, checkpoint_minutes=0,
     eval_steps=5,
 )  # fmt: skip
-"""A training of eight updates, a checkpoint each."""
+"""Settings of a training of eight updates with a checkpoint after each."""
 
 PATIENCE = 120.0
-"""Duration after which a training that makes no progress counts as hung [s]."""
+"""Duration without progress after which a training counts as hung [s]."""
 
 
 def train(config: ppo_aslip.Config, **parts: Any) -> dict[str, Any]:
-    """Train silently, with other parts of `ppo_aslip.main` if given; returns the `fingerprint`."""
+    """Train without printing; returns the `fingerprint`. `parts` go to `ppo_aslip.main`."""
     with quiet():
         ppo_aslip.main(config, **parts)
     return fingerprint(config.out)
 
 
-def resumed(config: ppo_aslip.Config) -> dict[str, Any]:
+def resume_training(config: ppo_aslip.Config) -> dict[str, Any]:
     """Resume a training to its end; returns the `fingerprint`."""
     return train(replace(config, resume=True))
 
 
-def undisturbed(folder: Path) -> dict[str, Any]:
-    """Fingerprint of an undisturbed training, which runs once a folder."""
-    config = replace(TINY, out=folder / "undisturbed")
+def reference_result(folder: Path) -> dict[str, Any]:
+    """Fingerprint of an uninterrupted training, run once per folder."""
+    config = replace(TINY, out=folder / "reference")
     return fingerprint(config.out) if config.out.exists() else train(config)
 
 
 def fingerprint(out: Path) -> dict[str, Any]:
-    """Results of a finished run without its times: progress, last checkpoint, and policy.
+    """Progress, last checkpoint and policy of a finished run, without wall times.
 
-    Includes torch's global generator only: those of Python and NumPy are neither seeded nor used.
+    Of the random generators only torch's counts: recipes neither seed nor use Python's and NumPy's.
     """
     progress = read_progress(out)
     del progress["elapsed_s"]
@@ -60,7 +60,7 @@ def fingerprint(out: Path) -> dict[str, Any]:
     del kept["elapsed_s"]
     states = {name: crc for name, crc in _checksums(newest).items() if "rng" not in name}
     return {
-        # NaN equals NaN in text
+        # as text, in which NaN equals NaN
         "progress": json.dumps(progress),
         "kept": kept,
         "checkpoint": newest.name,
@@ -71,7 +71,7 @@ def fingerprint(out: Path) -> dict[str, Any]:
 
 
 def _checksums(path: Path) -> dict[str, int]:
-    """Checksums of an archive's arrays and trees; other entries hold times."""
+    """Checksums of an archive's arrays and trees, the entries without wall times."""
     with zipfile.ZipFile(path) as archive:
         infos = archive.infolist()
     return {i.filename: i.CRC for i in infos if i.filename.endswith((".npy", "tree.json"))}
@@ -87,17 +87,17 @@ train(replace(TINY, out=Path(sys.argv[1])))
 """
 
 
-def killed(out: Path, after: int, delay: float) -> None:
-    """Train in another process, and kill it after some updates and a delay [s].
+def kill_training(out: Path, after: int, delay: float) -> None:
+    """Train in another process and kill it after a number of updates plus a delay [s].
 
     Raises:
-        RuntimeError: the training ended, or hung, before.
+        RuntimeError: the training ended or hung before the kill.
     """
     command = [sys.executable, "-c", _VICTIM, str(out)]
     victim = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         until = time.monotonic() + PATIENCE
-        while not (out / "config.json").exists() or updates(out) < after:
+        while not (out / "config.json").exists() or count_updates(out) < after:
             if victim.poll() is not None or time.monotonic() > until:
                 raise RuntimeError(f"the training in {out} ended or hung on its own")
             time.sleep(0.005)
@@ -107,20 +107,20 @@ def killed(out: Path, after: int, delay: float) -> None:
         victim.wait()
 
 
-def updates(out: Path) -> int:
-    """Number of updates that a training has logged."""
+def count_updates(out: Path) -> int:
+    """Number of updates in a training's log."""
     try:
         return len(read_progress(out).get("step", ()))
-    except (OSError, ValueError):  # read while a row was being written
+    except (OSError, ValueError):  # a row is being written
         return 0
 
 
-def same(a: Any, b: Any) -> bool:
-    """Whether two states are equal, bit for bit."""
+def identical(a: Any, b: Any) -> bool:
+    """Compare two states bit for bit."""
     if isinstance(a, torch.Tensor):
         return a.dtype == b.dtype and torch.equal(a, b)
     if isinstance(a, Mapping):
-        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+        return a.keys() == b.keys() and all(identical(a[key], b[key]) for key in a)
     if isinstance(a, list | tuple):
-        return len(a) == len(b) and all(map(same, a, b))
+        return len(a) == len(b) and all(map(identical, a, b))
     return a == b

@@ -80,7 +80,7 @@ def test_velocity_tracking(tmp_path: Path) -> None:
     written(tmp_path, "velocity_tracking")
 
 
-def test_the_mean_of_a_uniform_motion_is_its_velocity() -> None:
+def test_mean_velocity_of_uniform_motion() -> None:
     time = CASSIE.policy_period * np.arange(1, 268)
     position = np.stack([1.5 * time, 2.0 - 0.1 * time], axis=1)
     np.testing.assert_allclose(velocity_tracking.mean_velocity(position), [1.5, -0.1], rtol=1e-12)
@@ -100,7 +100,7 @@ def test_ground_reaction(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("force", "failed"), [(None, "fell"), (np.full((4000, 2), 160.0), "did not step")]
 )
-def test_a_robot_that_does_not_walk_has_no_humps(
+def test_report_names_fall_and_standing_robot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: np.ndarray | None, failed: str
 ) -> None:
     monkeypatch.setattr(ground_reaction, "vertical_forces", lambda *_: force)
@@ -112,7 +112,7 @@ def test_a_robot_that_does_not_walk_has_no_humps(
     assert np.isnan(claims.force_claims(rows)["double hump"]).all()
 
 
-def test_a_benchmark_needs_a_policy() -> None:
+def test_refuses_empty_list_of_policies() -> None:
     with pytest.raises(ConfigurationError, match="policy"):
         Common(policy=())
 
@@ -197,13 +197,13 @@ def test_claims_on_forces() -> None:
     assert np.isnan(claims.force_claims(rows)["baseline's single hump"]).all()
 
 
-def test_a_seed_without_a_value_is_not_left_out() -> None:
+def test_missing_value_of_a_seed_gives_nan() -> None:
     assert claims.interval_over_seeds([1.0, 3.0]).mean == 2.0
     for missing in (math.nan, math.inf):
         assert math.isnan(claims.interval_over_seeds([1.0, missing]).mean)
 
 
-def test_the_cost_is_read_from_runs(tmp_path: Path) -> None:
+def test_training_costs_are_read_from_run_folders(tmp_path: Path) -> None:
     header = "step,elapsed_s,episode_length,eval_return"
     rows = ["1000000,1800,200,nan", "2000000,3600,360,310", "3000000,7200,390,nan"]
     (tmp_path / "progress.csv").write_text("\n".join([header, *rows]) + "\n")
@@ -212,7 +212,7 @@ def test_the_cost_is_read_from_runs(tmp_path: Path) -> None:
     assert claims.training_costs(["aslip"]) == {}
 
 
-def test_the_table_says_what_holds_and_what_no_longer_does(
+def test_claims_report_pass_fail_and_lost_claims(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     values = {"step frequency": 0.5, "settling": 2.0, "double hump": 0.4}
@@ -237,7 +237,7 @@ def test_the_table_says_what_holds_and_what_no_longer_does(
     assert [row["name"] for row in numbers if row["holds"]] == ["step frequency"]
 
 
-def test_intervals_are_over_seeds_where_there_are_several() -> None:
+def test_interval_over_seeds_or_values() -> None:
     several = Interval.of([np.array([1.0, 3.0]), np.array([4.0])])
     assert several.mean == 3.0
     assert several.high - several.mean == pytest.approx(12.706 * 1.0, rel=1e-3)
@@ -248,32 +248,32 @@ def test_intervals_are_over_seeds_where_there_are_several() -> None:
     assert few == Interval(3.0, 3.0, 3.0)
 
 
-def test_values_that_are_none_are_left_out_of_an_interval() -> None:
+def test_interval_ignores_nonfinite_values() -> None:
     """Values that are NaN are left out of their group; the others count."""
     some = [np.array([1.0, np.nan, 3.0]), np.array([np.nan]), np.array([4.0, np.inf])]
     assert Interval.of(some) == Interval.of([np.array([1.0, 3.0]), np.array([4.0])])
 
 
 @pytest.mark.parametrize("groups", [[np.full(20, 0.1)], [np.array([0.1])] * 3])
-def test_equal_values_have_their_value_and_no_interval(groups: list[np.ndarray]) -> None:
+def test_interval_of_equal_values_is_empty(groups: list[np.ndarray]) -> None:
     """To the last bit, or tables would show an interval."""
     assert Interval.of(groups) == Interval(0.1, 0.1, 0.1)
 
 
-def test_results_are_json_whatever_failed(tmp_path: Path) -> None:
+def test_results_are_valid_json_with_nan(tmp_path: Path) -> None:
     write_results(tmp_path, "mine", {"rows": [{"a": math.nan, "b": (1.0, -math.inf)}]}, "|")
     text = (tmp_path / "mine.json").read_text()
     assert json.loads(text, parse_constant=pytest.fail) == {"rows": [{"a": None, "b": [1.0, None]}]}
 
 
-def test_the_table_of_foot_placement_tells_of_falls() -> None:
+def test_foot_placement_table_counts_falls() -> None:
     sides = np.array([0, 1])
     good = [Placement(sides, np.full((2, 2), x), np.full(2, 0.3)) for x in (0.01, 0.03)]
     fell = Placement(sides[:1], np.full((1, 2), np.nan), np.full(1, np.nan))
     header, _, row = foot_placement.table({1.0: [*good, fell]}).splitlines()
     cells = dict(zip(header.split(" | "), row.split(" | "), strict=True))
     assert cells["survived"] == "2 of 3"
-    assert cells["std cm"] == "0.0"
+    assert cells["std [cm]"] == "0.0"
     (numbers,) = foot_placement.numbers({1.0: [*good, fell]})["rows"]
     assert (numbers["footsteps"], numbers["survived"], numbers["policies"]) == (4, 2, 3)
     assert numbers["left_x"] == pytest.approx(0.02)
@@ -284,9 +284,7 @@ def test_the_table_of_foot_placement_tells_of_falls() -> None:
 
 
 @pytest.mark.parametrize("fallen", [False, True])
-def test_likeness_of_a_seed_that_fell_is_none(
-    fallen: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_correlation_of_fallen_seed_is_nan(fallen: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(claims, "_speed_correlation", lambda walk: 1.0)
     monkeypatch.setattr(claims, "_leg_correlation", lambda walk: 1.0)
     alive = np.ones((200, 5), dtype=bool)
@@ -299,7 +297,7 @@ def test_likeness_of_a_seed_that_fell_is_none(
     assert all(np.isnan(values).tolist() == [fallen] for values in found.values())
 
 
-def test_on_the_spot_there_is_no_oscillation_to_compare(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_velocity_correlation_excludes_stepping_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """The model's forward speed is constant there, whatever the robot's does."""
     monkeypatch.setattr(claims, "_leg_correlation", lambda walk: 1.0)
     arrays: dict[str, Any] = {field.name: np.zeros((200, 5)) for field in fields(Walks)}
@@ -314,7 +312,7 @@ def test_on_the_spot_there_is_no_oscillation_to_compare(monkeypatch: pytest.Monk
     )
 
 
-def test_every_policy_has_a_curve_of_its_own(library: GaitLibrary) -> None:
+def test_ground_reaction_draws_each_policy(library: GaitLibrary) -> None:
     ones = [ground_reaction.Curve(np.full(200, x), np.full(200, 5.0)) for x in (1.0, 2.0, 3.0)]
     config = ground_reaction.Config(speeds=(1.0,))
     curves = {("ASLIP", 1.0): ones, ("single reference", 1.0): ones[:1]}

@@ -53,31 +53,31 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("made", "falling")
-def test_ground_reaction_of_a_robot_that_falls(library: GaitLibrary) -> None:
+def test_ground_reaction_closes_after_fall(library: GaitLibrary) -> None:
     config = ground_reaction.Config()
     assert ground_reaction.vertical_forces(config, library, Subject.load("aslip"), 1.0) is None
 
 
 @pytest.mark.usefixtures("made", "falling")
-def test_a_film_strip_of_a_robot_that_falls(tmp_path: Path) -> None:
+def test_film_strip_closes_after_fall(tmp_path: Path) -> None:
     with pytest.raises(Exception, match="the robot fell"):
         film_strip.main(film_strip.Config(out=tmp_path / "strip.png"))
 
 
 @pytest.mark.usefixtures("made")
 @pytest.mark.parametrize("part", [estimator.throughput, estimator.packet_time, estimator.recovery])
-def test_parts_of_the_estimators_benchmark(part: Any) -> None:
+def test_estimator_benchmark_closes_environments(part: Any) -> None:
     config = estimator.Config(repeats=1, steps=2, falls=2, num_envs=2, rounds=1)
     part(config, Subject.load("aslip"))
 
 
 @pytest.mark.usefixtures("made")
-def test_walks_of_the_estimators_benchmark() -> None:
+def test_record_estimates_closes_environment() -> None:
     estimate_errors.record_estimates(Subject.load("aslip"), steps=2, repeats=1, seed=0)
 
 
 @pytest.mark.usefixtures("made")
-def test_measures_of_memory() -> None:
+def test_memory_measurements_close_environments() -> None:
     throughput.memory_of(1)
     simulations.random_walk(4, 0, num_envs=2)
-    assert np.isfinite(simulations.resident())
+    assert np.isfinite(simulations.resident_memory())

@@ -1,4 +1,4 @@
-"""What goes wrong on purpose, a few times each; `benchmarks.faults` does it many times."""
+"""Fault injection with few faults of each kind."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from benchmarks.faults.trainings import TINY
 from recipes import ppo_aslip
 
 FEW: dict[suite.Inject, int] = {
-    simulations.bad_numbers: 20,
-    runs.raises: 1,
-    runs.cuts: 5,
-    runs.flips: 5,
-    runs.losses: 2,
+    simulations.bad_numbers: 8,
+    runs.simulation_errors: 1,
+    runs.truncations: 5,
+    runs.bit_flips: 5,
+    runs.lost_checkpoints: 2,
     runs.full_disks: 3,
-    files.strangers: 24,
-    runs.settings: 300,
-    simulations.steps: 500,
+    files.hidden_programs: 24,
+    runs.bad_settings: 300,
+    simulations.random_steps: 200,
 }
 
 
@@ -59,7 +59,7 @@ def test_faults_are_survived(inject: suite.Inject, folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("inject", [runs.kills, runs.workers], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("inject", [runs.kills, runs.worker_kills], ids=lambda f: f.__name__)
 def test_killed_processes_are_survived(inject: suite.Inject, tmp_path: Path) -> None:
     assert _survived(inject, 2, tmp_path) == 2
 
@@ -68,7 +68,7 @@ def test_damaged_files_are_survived(folder: Path) -> None:
     """One of each damage to a checkpoint; what is read of other content is told from it."""
     kind = KINDS["checkpoint"]
     count = len(files.damages(kind))
-    assert files.damaged("checkpoint", count, np.random.default_rng(0), folder) == count
+    assert files.damaged_files("checkpoint", count, np.random.default_rng(0), folder) == count
     kind.write(folder / "whole")
     whole = kind.load(folder / "whole")
     assert files.outcome(kind, folder / "whole", whole) == "same content"
@@ -86,12 +86,12 @@ def _say_nothing(*args: object, **kwargs: object) -> None:
 @pytest.mark.parametrize(
     ("inject", "count", "target"),
     [
-        (runs.settings, 100, "ppo_settings.check_types"),
-        (runs.cuts, 2, "aslip.training.run.torchrl_logger.warning"),
+        (runs.bad_settings, 100, "ppo_settings.check_types"),
+        (runs.truncations, 2, "aslip.training.run.torchrl_logger.warning"),
         (runs.full_disks, 2, "aslip.training.run.torchrl_logger.warning"),
     ],
 )
-def test_faults_that_are_not_survived_are_not_counted(
+def test_unsurvived_faults_are_not_counted(
     folder: Path, monkeypatch: pytest.MonkeyPatch, inject: suite.Inject, count: int, target: str
 ) -> None:
     monkeypatch.setattr(target, _say_nothing)
@@ -118,7 +118,7 @@ class Spoiling(Transform):
         return next_tensordict
 
 
-def test_simulations_that_diverge_do_not_stop_a_training(tmp_path: Path) -> None:
+def test_training_continues_after_divergence(tmp_path: Path) -> None:
     """NaN in one robot's state, three times: three divergences, and numbers everywhere."""
     config = replace(TINY, out=tmp_path / "run", total_steps=128)
     trainings.train(config, make_collector=runs.faulty_collector(Spoiling))
@@ -132,7 +132,7 @@ def test_simulations_that_diverge_do_not_stop_a_training(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("field", fields(ppo_aslip.Config), ids=lambda field: field.name)
-def test_a_setting_of_a_wrong_type_is_named(field: Any) -> None:
+def test_error_names_setting_of_wrong_type(field: Any) -> None:
     rng = np.random.default_rng(len(field.name))
     for _ in range(20):
         value = runs.bad_value(field.name, rng)
@@ -140,14 +140,14 @@ def test_a_setting_of_a_wrong_type_is_named(field: Any) -> None:
             replace(TINY, **{field.name: value})
 
 
-def test_settings_of_the_right_types_are_accepted() -> None:
+def test_accepts_settings_of_right_types() -> None:
     for preset in ppo_aslip.PRESETS.values():
         check_types(preset)
     check_types(replace(TINY, gamma=1, learning_rate=np.float64(1e-3), out=Path()))
 
 
 @pytest.mark.parametrize("name", ["num_envs", "seed", "num_threads", "backend", "reward_on"])
-def test_an_environment_refuses_what_is_no_setting(name: str) -> None:
+def test_make_env_refuses_invalid_settings(name: str) -> None:
     settings: dict[str, Any] = {}
     for settings[name] in (None, "", "8", b"8", [], {}, 2.5, -1, math.nan, math.inf, object()):
         with pytest.raises(AslipError, match=name):
@@ -157,23 +157,25 @@ def test_an_environment_refuses_what_is_no_setting(name: str) -> None:
 # -------------------------------------------------------------------------- tools
 
 
-def test_equal_states_are_told_from_others() -> None:
+def test_identical_compares_nested_states() -> None:
     """The comparison that the other tests rest on."""
     state = trainings.Holder({"a": (1, [2.0]), "t": np.float64(3)}).state_dict()
-    assert trainings.same(state, {"a": (1, [2.0]), "t": 3.0})
+    assert trainings.identical(state, {"a": (1, [2.0]), "t": 3.0})
     for other in ({"a": (1, [2.5]), "t": 3.0}, {"a": (1, [2.0])}, {"a": (1, []), "t": 3.0}):
-        assert not trainings.same(state, other)
+        assert not trainings.identical(state, other)
 
 
-def test_the_benchmark_prints_a_table_and_writes_numbers(
+def test_command_prints_table_and_writes_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     none: dict[str, Any] = {
         field.name: 0 for field in fields(suite.Config) if isinstance(field.default, int)
     }
-    config = suite.Config(**{**none, "numbers": 2, "settings": 5, "report": tmp_path / "f.json"})
+    config = suite.Config(
+        **{**none, "bad_numbers": 2, "bad_settings": 5, "report": tmp_path / "f.json"}
+    )
     table = suite.main(config)
-    assert table["setting of wrong type or range"] == {"injected": 5, "survived": 5}
+    assert table["setting of a wrong type or out of range"] == {"injected": 5, "survived": 5}
     assert len(table) == 2
     assert "| 5 | 5 |" in capsys.readouterr().out
     assert json.loads((tmp_path / "f.json").read_text()) == {"seed": 0, "faults": table}

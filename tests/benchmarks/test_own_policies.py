@@ -85,7 +85,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @every_policy
-def test_benchmarks_measure_a_policy_of_an_own_environment(
+def test_benchmarks_accept_custom_policy_and_environment(
     policy: TensorDictModuleBase, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From Python, with a module and `make_env`; reports carry the name of its class."""
@@ -126,15 +126,13 @@ def test_benchmarks_keep_what_a_partial_drops_and_replaces() -> None:
 
 
 @every_policy
-def test_logs_of_a_policy_of_an_own_environment_replay(
-    policy: TensorDictModuleBase, tmp_path: Path
-) -> None:
+def test_logs_of_custom_environment_replay(policy: TensorDictModuleBase, tmp_path: Path) -> None:
     subject = Subject.load(policy, make_own_env)
     config = black_box.Config(replays=1, report=tmp_path / "report.json")
     assert black_box.replays(config, subject, tmp_path)["equal"] == 1
 
 
-def test_a_recurrent_policy_is_told_its_first_step_and_keeps_its_state() -> None:
+def test_recurrent_policy_gets_is_init_and_keeps_state() -> None:
     subject = Subject.load(POLICIES["gru"], make_own_env)
     with closing(subject.env(1)) as env, torch.no_grad():
         td = env.rollout(5, subject.policy)

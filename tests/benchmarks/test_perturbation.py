@@ -40,9 +40,7 @@ def _config(**settings: Any) -> Config:
     return Config(**(small | settings))
 
 
-def test_the_benchmark_measures_draws_and_reports(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_perturbation_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without its motors' strength a robot falls, with it not; so under a push of 240 N s."""
     config = _config(
         out=tmp_path, directions=4, bisections=2, largest=480.0, motor_strength=(0.0, 1.0)
@@ -60,7 +58,7 @@ def test_the_benchmark_measures_draws_and_reports(
     assert (tmp_path / "perturbation.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_bisection_closes_in_from_below() -> None:
+def test_bisection_converges_from_below() -> None:
     """Where every push is survived, on the end of the range."""
     config = _config(bisections=3, largest=1.6, after=0.3)
     survived = measure_pushes(config, SHIPPED, BAR)
@@ -88,7 +86,9 @@ def _measured(
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.4, -2.0])
-def test_directions_are_seen_from_the_robot(monkeypatch: pytest.MonkeyPatch, yaw: float) -> None:
+def test_push_directions_are_relative_to_heading(
+    monkeypatch: pytest.MonkeyPatch, yaw: float
+) -> None:
     """Forward, left, back and right of where it has turned, from one and the same state."""
     config = _config(directions=4, bisections=2, largest=8.0)
     _, done = _measured(monkeypatch, config, yaw, [True] * 4)
@@ -100,7 +100,7 @@ def test_directions_are_seen_from_the_robot(monkeypatch: pytest.MonkeyPatch, yaw
         np.testing.assert_allclose(impulses, expected, atol=1e-5)
 
 
-def test_who_falls_without_a_push_survives_none(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_fall_without_push_gives_zero_impulse(monkeypatch: pytest.MonkeyPatch) -> None:
     config = _config(directions=2, bisections=3, largest=8.0)
     survived, _ = _measured(monkeypatch, config, 0.0, [True, False])
     assert survived.ravel().tolist() == [7.0, 0.0]
@@ -115,7 +115,7 @@ def test_pushes_begin_at_their_phase() -> None:
     np.testing.assert_allclose((difference + 0.5) % 1 - 0.5, 0, atol=1e-5)
 
 
-def test_walks_repeat_from_where_they_are_put_back() -> None:
+def test_walks_from_restored_states_repeat() -> None:
     """Bit for bit without noise, pushed in between or not; and pushes push where they should."""
     config = _config(truth=True)
     actor, env = SHIPPED.policy, SHIPPED.walking_env(config, 2)
@@ -133,7 +133,7 @@ def test_walks_repeat_from_where_they_are_put_back() -> None:
     assert pushed[1, 0] < first[1, 0] - 0.05
 
 
-def test_each_robot_of_a_sweep_has_its_value(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_each_robot_of_a_sweep_has_its_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
     """In SI units, and all others the default."""
     config = _config(slope_deg=(-9.0, 0.0, 9.0), torque_delay_ms=(5.0,), payload=(2.0,), episodes=2)
     seen = {}
@@ -152,7 +152,7 @@ def test_each_robot_of_a_sweep_has_its_value(monkeypatch: pytest.MonkeyPatch) ->
         assert all(seen[other][i] == others[other] for other in others.keys() - {name})
 
 
-def test_policies_and_speeds_are_counted_together() -> None:
+def test_sweep_rows_pool_policies_and_speeds() -> None:
     config = _config(payload=(0.0, 5.0), speeds=(0.0, 1.0), episodes=1)
     sweeps = [np.array([True, True, True, False]), np.array([True, False, False, False])]
     rows = sweep_rows(config, sweeps)
@@ -170,7 +170,7 @@ def test_wilsons_interval(successes: int, low: float, high: float) -> None:
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-4)
 
 
-def test_wilsons_interval_holds_the_share() -> None:
+def test_wilsons_interval_contains_the_share() -> None:
     """To the last bit, for all that draw it."""
     for count in range(1, 80):
         for successes in range(count + 1):
@@ -187,6 +187,6 @@ def test_wilsons_interval_holds_the_share() -> None:
         ({"after": -1.0}, r"after.*got -1\.0"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], message: str) -> None:
+def test_refuses_invalid_settings(settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         Config(**settings)

@@ -54,7 +54,7 @@ def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) 
         ("single_reference", SINGLE_REFERENCE_TABLE, "reference/motor_position"),
     ],
 )
-def test_the_contract_is_that_of_the_stack(
+def test_card_lists_interface_of_stack(
     tmp_path: Path, stack: str, table: tuple, baseline: str
 ) -> None:
     text = _card(_saved(tmp_path / "run", stack, table), tmp_path / "assets")
@@ -71,7 +71,7 @@ def test_the_contract_is_that_of_the_stack(
     assert "| left_knee | 96 | 9.6 | 195.2 |" in text
 
 
-def test_a_training_says_how_it_was_made(tmp_path: Path) -> None:
+def test_card_lists_training(tmp_path: Path) -> None:
     config = TINY.__class__(**{**vars(TINY), "out": tmp_path / "run", "total_steps": 64})
     train(config)
     text = _card(config.out, tmp_path / "assets")
@@ -86,14 +86,14 @@ def test_a_training_says_how_it_was_made(tmp_path: Path) -> None:
     aslip.load_policy(tmp_path / "assets" / "mine.zip")
 
 
-def test_what_is_no_run_is_not_shipped(tmp_path: Path) -> None:
+def test_refuses_missing_run_and_invalid_name(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="neither a file"):
         _card(tmp_path / "nothing", tmp_path / "assets")
     with pytest.raises(ConfigurationError, match=r"\.\./mine"):
         Config(tmp_path, "../mine")
 
 
-def test_limits_are_the_worst_that_was_measured() -> None:
+def test_limits_are_worst_measurements() -> None:
     cells = [{"phase": 0.0, "mean": 9.0}, {"phase": 0.5, "mean": 4.0}]
     sweep = {"parameter": "payload", "by_speed": {}}
     numbers = {
@@ -116,7 +116,7 @@ def test_limits_are_the_worst_that_was_measured() -> None:
     assert "slope [deg]: none from -3 to 3." in text
 
 
-def test_policy_and_card_do_not_say_where_the_run_lay(tmp_path: Path) -> None:
+def test_run_folder_is_removed_from_shipped_policy(tmp_path: Path) -> None:
     command = "python recipes/ppo_aslip.py --out ../runs/mine --seed 3 --resume"
     folder = _saved(tmp_path / "run", "aslip", OBSERVATION_TABLE, {"command": command})
     text = _card(folder, tmp_path / "assets")
@@ -130,7 +130,7 @@ def test_policy_and_card_do_not_say_where_the_run_lay(tmp_path: Path) -> None:
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
 
 
-def test_the_card_says_what_it_was_trained_on() -> None:
+def test_card_lists_training_conditions() -> None:
     made: dict[str, dict] = {"settings": {}}
     assert "level ground" in policy_card.training_conditions({"made_by": made})
     made["transforms"] = {"training/dynamics": "RandomDynamics()"}

@@ -24,14 +24,14 @@ from recipes import gait_library, ppo_aslip
 
 
 @pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])
-def test_what_a_user_can_mend_is_told_in_one_line(kind: type[Exception]) -> None:
+def test_user_errors_are_one_line(kind: type[Exception]) -> None:
     with pytest.raises(SystemExit, match="error: no such thing"), one_line_errors():
         raise kind("no such thing")
     with pytest.raises(ZeroDivisionError), one_line_errors():
         raise ZeroDivisionError
 
 
-def test_every_script_tells_it_so() -> None:
+def test_every_script_uses_one_line_errors() -> None:
     root = Path(__file__).parents[2]
     scripts = [p.read_text() for d in ("recipes", "benchmarks") for p in (root / d).rglob("*.py")]
     programs = [text for text in scripts if "if __name__ ==" in text]
@@ -39,9 +39,7 @@ def test_every_script_tells_it_so() -> None:
     assert all("with one_line_errors():" in text for text in programs)
 
 
-def test_a_library_of_other_speeds_can_be_built(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_builds_library_of_other_speeds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = gait_library.Config(
         out=tmp_path / "mine.npz", speeds=(0.5, 0.75), samples=32, pictures=tmp_path
     )
@@ -56,7 +54,7 @@ def test_a_library_of_other_speeds_can_be_built(
     assert " 0.8025 " in table
 
 
-def test_the_shipped_library_is_not_replaced_by_another() -> None:
+def test_refuses_to_replace_shipped_library() -> None:
     with pytest.raises(ConfigurationError, match=r"give another file with --out"):
         gait_library.Config(speeds=(0.5, 1.0))
 
@@ -68,7 +66,7 @@ def test_a_library_of_impossible_speeds_leaves_no_file(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
+def test_throughput_reports_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
     config = throughput.Config(
         num_envs=(2, 3), num_threads=(1,), rounds=1, robot_steps=1, single=2, updates=False
     )
@@ -78,7 +76,7 @@ def test_throughput_is_reported_for_every_candidate(capsys: pytest.CaptureFixtur
     assert all(row.endswith("% |") for row in rows)
 
 
-def test_collectors_are_measured_side_by_side(capsys: pytest.CaptureFixture[str]) -> None:
+def test_collectors_report(capsys: pytest.CaptureFixture[str]) -> None:
     config = collectors.Config(kinds=("single", "distributed"), num_envs=4, samples=8, rounds=2)
     collectors.main(config)
     *_, one, other = capsys.readouterr().out.splitlines()
@@ -87,7 +85,7 @@ def test_collectors_are_measured_side_by_side(capsys: pytest.CaptureFixture[str]
     assert float(other.split("|")[3].strip(" %")) > 0
 
 
-def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_throughput_reports_learning_and_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ppo_aslip, "PRESETS", {"default": TINY})
     config = throughput.Config(num_envs=(2,), rounds=2)
     row = throughput.update_table(config).splitlines()[-1]
@@ -99,9 +97,7 @@ def test_shares_of_updates_and_memory_are_reported(monkeypatch: pytest.MonkeyPat
     assert 0.1 < float(throughput.memory_table(config).splitlines()[-1].split("|")[2]) < 8
 
 
-def test_the_estimator_is_measured_and_drawn(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_estimator_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     config = estimator.Config(
         steps=12,
         repeats=1,
@@ -143,7 +139,7 @@ def curves_config(out: Path, **settings: Any) -> learning_curves.Config:
     return learning_curves.Config(out=out, picture=out / "curves.png", **settings)
 
 
-def test_learning_curves_are_reported_from_what_there_is(
+def test_learning_curves_report_existing_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     curves_of(tmp_path / "truth-0", walks_at=230)
@@ -160,7 +156,7 @@ def test_learning_curves_are_reported_from_what_there_is(
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_record_of_learning_curves_grows_over_machines_and_days(
+def test_record_accumulates_finished_runs(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here, there, record = tmp_path / "here", tmp_path / "there", tmp_path / "curves.csv"
@@ -193,7 +189,7 @@ def test_a_record_of_learning_curves_grows_over_machines_and_days(
     assert not list((tmp_path / "nothing").glob("default-*"))
 
 
-def test_a_longer_run_takes_the_place_of_a_recorded_one(tmp_path: Path) -> None:
+def test_longer_run_replaces_recorded_one(tmp_path: Path) -> None:
     record = tmp_path / "curves.csv"
     settings = {"variants": ("default",), "seeds": (0,), "record": record}
     for steps in (600, 900, 700):
@@ -203,9 +199,7 @@ def test_a_longer_run_takes_the_place_of_a_recorded_one(tmp_path: Path) -> None:
     assert learning_curves.read_record(record)["default", 0].steps == 900_000
 
 
-def test_what_others_record_during_a_training_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_record_keeps_concurrent_additions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     record = tmp_path / "curves.csv"
     settings = {"variants": ("default",), "record": record}
 
@@ -221,7 +215,7 @@ def test_what_others_record_during_a_training_stays(
 
 
 @pytest.mark.parametrize("begun", [False, True])
-def test_a_training_that_was_begun_is_resumed(
+def test_started_training_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
 ) -> None:
     """Also one that was killed before its first checkpoint, and has a curve."""
@@ -236,30 +230,30 @@ def test_a_training_that_was_begun_is_resumed(
     assert [command[-1] == "--resume" for command in commands] == [begun]
 
 
-def test_a_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_repeated_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     curves_of(tmp_path / "default-4", walks_at=300)
     learning_curves.main(curves_config(tmp_path, variants=("default",), seeds=(4, 4)))
     assert capsys.readouterr().out.count("| default |") == 1
 
 
-def test_trainings_at_once_are_one_or_more(tmp_path: Path) -> None:
+def test_refuses_zero_jobs(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="jobs must be 1 or more, got 0"):
         learning_curves.Config(jobs=0)
 
 
-def test_progress_without_what_is_reported_is_named(tmp_path: Path) -> None:
+def test_error_names_progress_with_missing_columns(tmp_path: Path) -> None:
     (tmp_path / "default-0").mkdir()
     (tmp_path / "default-0" / "progress.csv").write_text("step,elapsed_s\n100,1\n")
     with pytest.raises(FileDamagedError, match=r"default-0.*lacks.*episode_length"):
         learning_curves.main(curves_config(tmp_path))
 
 
-def test_no_learning_curves_are_not_an_empty_table(tmp_path: Path) -> None:
+def test_refuses_empty_report(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="there is no run"):
         learning_curves.main(curves_config(tmp_path))
 
 
-def test_a_damaged_record_of_learning_curves_is_named(tmp_path: Path) -> None:
+def test_error_names_damaged_record(tmp_path: Path) -> None:
     record = tmp_path / "curves.csv"
     for damage in ("variant,seed,commit,step\n", "default,0,abc,1\n", "default,zero,abc,1,1,1\n"):
         header = f"variant,seed,commit,{','.join(learning_curves.COLUMNS)}\n"
@@ -274,7 +268,7 @@ def test_a_damaged_record_of_learning_curves_is_named(tmp_path: Path) -> None:
         assert record.read_text() == text
 
 
-def test_logs_are_measured_killed_cut_and_replayed(
+def test_black_box_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(black_box, "_EPISODE", 40)
@@ -308,7 +302,7 @@ def test_a_film_strip_of_a_fall_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_learning_curves_train_what_is_missing_and_resume(tmp_path: Path) -> None:
+def test_learning_curves_train_missing_runs_and_resume(tmp_path: Path) -> None:
     settings = {"out": tmp_path, "seeds": (0,), "jobs": 2, "picture": tmp_path / "curves.png"}
     for steps in (5120, 10240):
         learning_curves.main(learning_curves.Config(total_steps=steps, **settings))

@@ -19,7 +19,7 @@ import torch
 from aslip.errors import AslipError, FileDamagedError
 from aslip.files.archive import SUMS
 from aslip.files.writing import commit, replacing
-from benchmarks.faults.archives import Program, forged, programs, unzipped, zipped
+from benchmarks.faults.archives import Program, forge_archive, programs, read_zip, write_zip
 from benchmarks.faults.files import damages
 from benchmarks.faults.kinds import KINDS, Kind
 
@@ -48,7 +48,7 @@ def _step(kind: Kind) -> int:
 
 @every_kind
 def test_intact_files_load_twice_with_the_same_content(kind: Kind, path: Path) -> None:
-    assert kind.same(kind.load(path), kind.load(path))
+    assert kind.identical(kind.load(path), kind.load(path))
 
 
 @every_kind
@@ -65,7 +65,7 @@ def _survives(kind: Kind, path: Path, data: bytes, whole: Any) -> str:
     """Empty string if data is refused or loads with the intact content, else the outcome."""
     path.write_bytes(data)
     try:
-        return "" if kind.same(kind.load(path), whole) else "other content"
+        return "" if kind.identical(kind.load(path), whole) else "other content"
     except AslipError as error:
         return "" if path.name in str(error) else f"a message without the file: {error}"
     except Exception as error:
@@ -112,7 +112,11 @@ def test_files_of_another_format_are_refused(kind: Kind, path: Path, content: by
 def test_files_of_another_kind_are_refused(kind: Kind, path: Path, tmp_path: Path) -> None:
     foreign = io.BytesIO()
     np.save(foreign, np.zeros(3))
-    contents = [foreign.getvalue(), zipped({"readme.txt": b"none"}), forged({"a.npy": b""})]
+    contents = [
+        foreign.getvalue(),
+        write_zip({"readme.txt": b"none"}),
+        forge_archive({"a.npy": b""}),
+    ]
     for other in (other for other in KINDS.values() if other is not kind):
         other.write(tmp_path / f"other{other.suffix}")
         contents.append((tmp_path / f"other{other.suffix}").read_bytes())
@@ -161,19 +165,19 @@ def _saved(program: Program) -> bytes:
 @every_archive
 def test_archives_with_changed_removed_or_added_entries_are_refused(kind: Kind, path: Path) -> None:
     """The checksums of the ZIP file are valid."""
-    parts = unzipped(path.read_bytes())
+    parts = read_zip(path.read_bytes())
     rng = np.random.default_rng(0)
     names = sorted(parts.keys() - {SUMS})
     for name in rng.choice(names, min(12, len(names)), replace=False).tolist():
         spoilt = bytearray(parts[name])
         spoilt[-1 - len(spoilt) // 3] ^= 4
         for content in (bytes(spoilt), parts[name][:-1], b""):
-            path.write_bytes(zipped({**parts, name: content}))
+            path.write_bytes(write_zip({**parts, name: content}))
             with pytest.raises(FileDamagedError, match="SHA-256"):
                 kind.load(path)
         without = {other: content for other, content in parts.items() if other != name}
         for others in (without, {**parts, f"{name}.npy": parts[name]}, {**parts, SUMS: b""}):
-            path.write_bytes(zipped(others))
+            path.write_bytes(write_zip(others))
             with pytest.raises(FileDamagedError, match="SHA-256"):
                 kind.load(path)
 
@@ -181,7 +185,7 @@ def test_archives_with_changed_removed_or_added_entries_are_refused(kind: Kind, 
 @every_archive
 @pytest.mark.parametrize("name", ["", "aslip policy 99", "aslip gait library 1"])
 def test_other_versions_are_refused(kind: Kind, path: Path, name: str) -> None:
-    path.write_bytes(forged({**unzipped(path.read_bytes()), "format": name.encode()}))
+    path.write_bytes(forge_archive({**read_zip(path.read_bytes()), "format": name.encode()}))
     with pytest.raises(FileDamagedError, match=f"its format is {name!r}, not 'aslip "):
         kind.load(path)
 
@@ -189,8 +193,8 @@ def test_other_versions_are_refused(kind: Kind, path: Path, name: str) -> None:
 @every_archive
 def test_files_without_hashes_are_refused(kind: Kind, path: Path) -> None:
     """Archives of earlier versions had no hashes."""
-    parts = unzipped(path.read_bytes())
-    path.write_bytes(zipped({name: parts[name] for name in parts if name != SUMS}))
+    parts = read_zip(path.read_bytes())
+    path.write_bytes(write_zip({name: parts[name] for name in parts if name != SUMS}))
     with pytest.raises(
         FileDamagedError, match=f"{SUMS} is missing, as in files of earlier versions"
     ):
@@ -208,7 +212,7 @@ def test_entries_of_equal_names_are_refused(kind: Kind, path: Path) -> None:
 
 @every_archive
 def test_decompression_bombs_are_refused(kind: Kind, path: Path) -> None:
-    parts = unzipped(path.read_bytes())
+    parts = read_zip(path.read_bytes())
     largest = max(parts, key=lambda name: len(parts[name]))
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in {**parts, largest: bytes(30 * len(path.read_bytes() or b"x"))}.items():
@@ -220,12 +224,12 @@ def test_decompression_bombs_are_refused(kind: Kind, path: Path) -> None:
 @every_archive
 def test_huge_shapes_are_refused_before_memory_is_allocated(kind: Kind, path: Path) -> None:
     """The hashes are valid."""
-    parts = unzipped(path.read_bytes())
+    parts = read_zip(path.read_bytes())
     name = next(name for name in parts if name.endswith(".npy"))
     buffer = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**15,)}
     np.lib.format.write_array_header_1_0(buffer, header)
-    path.write_bytes(forged({**parts, name: buffer.getvalue() + bytes(64)}))
+    path.write_bytes(forge_archive({**parts, name: buffer.getvalue() + bytes(64)}))
     with pytest.raises(FileDamagedError, match="has 64 bytes, expected"):
         kind.load(path)
 
@@ -261,7 +265,7 @@ def test_writing_replaces_the_file(kind: Kind, path: Path) -> None:
     whole = kind.load(path)
     path.write_bytes(b"what was there")
     kind.write(path)
-    assert kind.same(kind.load(path), whole)
+    assert kind.identical(kind.load(path), whole)
     assert list(path.parent.iterdir()) == [path]
 
 

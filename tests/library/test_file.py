@@ -13,7 +13,7 @@ from aslip.files.archive import npy
 from aslip.library import GaitLibrary, pendulum_library
 from aslip.library.table import ARRAYS
 from aslip.rom import SampledMotion
-from benchmarks.faults.archives import forged, unzipped
+from benchmarks.faults.archives import forge_archive, read_zip
 
 
 def _assert_same(loaded: GaitLibrary, library: GaitLibrary) -> None:
@@ -98,27 +98,27 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_library_with_a_missing_entry_is_refused(file: Path, name: str) -> None:
     """Also with correct hashes."""
-    parts = unzipped(file.read_bytes())
+    parts = read_zip(file.read_bytes())
     del parts[name]
-    file.write_bytes(forged(parts))
+    file.write_bytes(forge_archive(parts))
     with pytest.raises(FileDamagedError, match=r"gaits\.npz.*rebuild it"):
         GaitLibrary.load(file)
 
 
 @pytest.mark.parametrize("text", [b"{", b"3", b"[1, 2]"])
 def test_unreadable_origin_is_refused(file: Path, text: bytes) -> None:
-    file.write_bytes(forged({**unzipped(file.read_bytes()), "made_by.json": text}))
+    file.write_bytes(forge_archive({**read_zip(file.read_bytes()), "made_by.json": text}))
     with pytest.raises(FileDamagedError, match=r"gaits\.npz.*rebuild it"):
         GaitLibrary.load(file)
 
 
 @pytest.mark.parametrize("name", ["table/qpos", "motion00/control", "motion01/cost"])
 def test_non_finite_numbers_are_refused(file: Path, name: str) -> None:
-    parts = unzipped(file.read_bytes())
+    parts = read_zip(file.read_bytes())
     with np.load(file) as archive:
         changed = archive[name].copy()
     changed[changed.ndim * (0,)] = np.inf
-    file.write_bytes(forged({**parts, f"{name}.npy": npy(changed)}))
+    file.write_bytes(forge_archive({**parts, f"{name}.npy": npy(changed)}))
     with pytest.raises(FileDamagedError, match=f"{name}' has non-finite entries"):
         GaitLibrary.load(file)
 

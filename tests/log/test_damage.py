@@ -17,7 +17,7 @@ from aslip.errors import AssetError, FileDamagedError
 from aslip.log import Recording, check, read, recover, replay
 from aslip.log.messages import FORMAT
 from aslip.log.writer import METADATA, add_metadata, open_writer
-from benchmarks.faults.logs import put_together, taken_apart
+from benchmarks.faults.logs import read_records, write_records
 from tests.log.helpers import Alter, assert_subset
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -28,14 +28,14 @@ def _rewritten(
 ) -> Path:
     """Rewrite the log with other attachments or metadata, otherwise intact."""
     records = []
-    for record in taken_apart(log.read_bytes()):
+    for record in read_records(log.read_bytes()):
         if isinstance(record, Metadata) and record.name == METADATA:
             record = replace(record, metadata=metadata or record.metadata)
         if isinstance(record, Attachment) and record.name == alter:
             record = replace(record, data=record.data.replace(b"9.81", b"9.80") + b" ")
         if not isinstance(record, Attachment) or record.name != drop:
             records.append(record)
-    out.write_bytes(put_together(records))
+    out.write_bytes(write_records(records))
     return out
 
 
@@ -173,13 +173,13 @@ def test_chunk_of_excessive_size_is_skipped(
     log: Path, whole: Recording, tmp_path: Path, content: bytes
 ) -> None:
     """It would decompress to thousands of times its size, or is too large itself."""
-    records = taken_apart(log.read_bytes())
+    records = read_records(log.read_bytes())
     first = next(i for i, record in enumerate(records) if isinstance(record, Message))
     bomb = records[first]
     assert isinstance(bomb, Message)
     records[first] = replace(bomb, data=content)
     path = tmp_path / "bomb.mcap"
-    path.write_bytes(put_together(records))
+    path.write_bytes(write_records(records))
     assert any("it would decompress to" in problem for problem in check(path))
     with pytest.raises(FileDamagedError, match=r"bomb\.mcap"):
         read(path)
@@ -191,7 +191,7 @@ def test_chunk_of_excessive_size_is_skipped(
 @pytest.mark.parametrize("count", ["7", "100000", "99999999999", "9" * 5000])
 def test_schema_with_forged_array_sizes_is_refused(log: Path, tmp_path: Path, count: str) -> None:
     """Small and huge array sizes."""
-    records = taken_apart(log.read_bytes())
+    records = read_records(log.read_bytes())
     at = next(i for i, r in enumerate(records) if isinstance(r, Schema) and "Sensors" in r.name)
     schema = records[at]
     assert isinstance(schema, Schema)
@@ -199,7 +199,7 @@ def test_schema_with_forged_array_sizes_is_refused(log: Path, tmp_path: Path, co
     assert found
     records[at] = replace(schema, data=data)
     path = tmp_path / "sizes.mcap"
-    path.write_bytes(put_together(records))
+    path.write_bytes(write_records(records))
     assert check(path)
     with pytest.raises(FileDamagedError, match=r"sizes\.mcap"):
         read(path)

@@ -33,7 +33,7 @@ from aslip.policy import (
     read_card,
     save_policy,
 )
-from benchmarks.faults.archives import forged, unzipped
+from benchmarks.faults.archives import forge_archive, read_zip
 from tests.helpers import MakeEnv
 
 
@@ -46,7 +46,7 @@ def _observations(num: int, seed: int = 0) -> torch.Tensor:
 # -------------------------------------------------------------- normaliser
 
 
-def test_statistics_equal_numpys_over_several_updates() -> None:
+def test_normalizer_statistics_equal_numpy() -> None:
     normalizer = RunningNormalizer(64)
     batches = [_observations(num, seed) for seed, num in enumerate((1, 7, 500, 2, 64))]
     for batch in batches:
@@ -69,7 +69,7 @@ def test_batch_dimensions_do_not_matter() -> None:
     torch.testing.assert_close(flat(values).reshape(3, 20, 64), shaped(values.reshape(3, 20, 64)))
 
 
-def test_a_constant_input_is_zero_and_harms_nothing() -> None:
+def test_constant_input_is_normalised_to_zero() -> None:
     normalizer = RunningNormalizer(3)
     values = torch.tensor([[0.95, 0.0, -1234.567]]).expand(1000, 3)
     for _ in range(5):
@@ -81,7 +81,7 @@ def test_a_constant_input_is_zero_and_harms_nothing() -> None:
     assert far.abs().max() <= 10
 
 
-def test_a_constant_input_that_moves_a_little_stays_little() -> None:
+def test_constant_input_is_not_scaled() -> None:
     normalizer = RunningNormalizer(2)
     values = torch.stack([torch.full((1000,), 0.95), torch.randn(1000)], dim=-1)
     normalizer.update(values)
@@ -95,7 +95,7 @@ def test_a_constant_input_that_moves_a_little_stays_little() -> None:
 @pytest.mark.parametrize(
     ("name", "constant"), [("aslip", [56, 62]), ("robust", [56, 62]), ("single_reference", [])]
 )
-def test_an_entry_that_was_constant_in_training_has_no_power(
+def test_action_is_insensitive_to_entry_constant_in_training(
     name: str, constant: list[int]
 ) -> None:
     """A reference whose feet move sideways by 1 mm/s must not turn the actions of a policy."""
@@ -109,12 +109,12 @@ def test_an_entry_that_was_constant_in_training_has_no_power(
     assert ((action - action[0]).abs() < 1e-2).all()
 
 
-def test_before_any_update_inputs_pass_through() -> None:
+def test_new_normalizer_is_identity() -> None:
     values = torch.randn(5, 64).clamp(-3, 3)
     torch.testing.assert_close(RunningNormalizer(64)(values), values, rtol=0, atol=0)
 
 
-def test_the_normaliser_is_not_trained() -> None:
+def test_normalizer_has_no_parameters() -> None:
     assert list(RunningNormalizer(64).parameters()) == []
 
 
@@ -174,12 +174,12 @@ def test_training_starts_near_the_reference() -> None:
     assert 0 < action.abs().max() < 0.05
 
 
-def test_the_critic_gives_one_value() -> None:
+def test_critic_output_shape() -> None:
     critic = make_critic(RunningNormalizer(64))
     assert critic(_input())["state_value"].shape == (20, 1)
 
 
-def test_actor_and_critic_share_the_normaliser_and_nothing_else() -> None:
+def test_actor_and_critic_share_only_the_normalizer() -> None:
     normalizer = RunningNormalizer(64)
     actor, critic = make_actor(normalizer), make_critic(normalizer)
     assert sum(module is normalizer for module in actor.modules()) == 1
@@ -187,7 +187,7 @@ def test_actor_and_critic_share_the_normaliser_and_nothing_else() -> None:
     assert not {id(p) for p in actor.parameters()} & {id(p) for p in critic.parameters()}
 
 
-def test_an_action_does_not_depend_on_the_rest_of_the_batch(
+def test_action_is_independent_of_batch(
     actor: ProbabilisticActor,
 ) -> None:
     together = actor(_input())["action"]
@@ -217,12 +217,12 @@ def test_a_loaded_policy_gives_the_same_actions_bit_for_bit(
         assert torch.allclose(loaded(_input())["scale"], torch.tensor(math.exp(-2)))
 
 
-def test_a_policy_is_found_in_the_folder_of_its_run(file: Path) -> None:
+def test_loads_policy_from_run_folder(file: Path) -> None:
     for where in (file.parent, str(file), str(file.parent)):
         aslip.load_policy(where)
 
 
-def test_another_shape_is_rebuilt_from_the_file(tmp_path: Path) -> None:
+def test_file_restores_shape(tmp_path: Path) -> None:
     shape = PolicyShape(hidden=(32, 16), std=0.5)
     actor = make_actor(RunningNormalizer(64), shape)
     save_policy(tmp_path / "policy.zip", actor, shape)
@@ -231,13 +231,13 @@ def test_another_shape_is_rebuilt_from_the_file(tmp_path: Path) -> None:
     torch.testing.assert_close(loaded(_input())["scale"], torch.full((20, 10), 0.5))
 
 
-def test_a_loaded_policy_drives_the_environment(make: MakeEnv, file: Path) -> None:
+def test_loaded_policy_runs_in_environment(make: MakeEnv, file: Path) -> None:
     env = make(num_envs=2)
     data = env.rollout(3, aslip.load_policy(file), break_when_any_done=False)
     assert torch.isfinite(data["action"]).all()
 
 
-def test_an_unknown_name_is_refused(tmp_path: Path) -> None:
+def test_refuses_unknown_policy_name(tmp_path: Path) -> None:
     for name in ("no_such_policy", tmp_path, str(tmp_path / "gone.zip")):
         with pytest.raises(AssetError, match="neither a file, nor the folder of a run"):
             aslip.load_policy(name)
@@ -254,18 +254,18 @@ def test_an_unknown_name_is_refused(tmp_path: Path) -> None:
         None,
     ],
 )
-def test_a_card_that_makes_no_network_is_refused(file: Path, change: dict | None) -> None:
-    parts = unzipped(file.read_bytes())
+def test_refuses_invalid_card(file: Path, change: dict | None) -> None:
+    parts = read_zip(file.read_bytes())
     card = json.loads(parts[CARD])
     card["shape"] = None if change is None else card["shape"] | change
-    file.write_bytes(forged({**parts, CARD: as_json(card)}))
+    file.write_bytes(forge_archive({**parts, CARD: as_json(card)}))
     with pytest.raises(FileDamagedError, match=r"policy\.zip"):
         aslip.load_policy(file)
     with pytest.raises(FileDamagedError, match=r"policy\.zip"):
         policy_stack(file)
 
 
-def test_a_policy_for_another_observation_is_refused(
+def test_refuses_policy_for_another_observation(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("aslip.policy.file.OBSERVATION_TABLE", (("estimate", "height"), "new"))
@@ -283,29 +283,25 @@ def test_a_policy_for_another_observation_is_refused(
         ({"hidden": [256]}, "'module.0.module.1.4.bias' is unexpected"),
     ],
 )
-def test_a_card_of_another_network_is_refused_before_it_is_made(
-    file: Path, shape: dict, message: str
-) -> None:
-    parts = unzipped(file.read_bytes())
+def test_refuses_oversized_network_before_allocation(file: Path, shape: dict, message: str) -> None:
+    parts = read_zip(file.read_bytes())
     card = json.loads(parts[CARD])
     card["shape"] |= shape
-    file.write_bytes(forged({**parts, CARD: as_json(card)}))
+    file.write_bytes(forge_archive({**parts, CARD: as_json(card)}))
     with pytest.raises(FileDamagedError, match=message):
         aslip.load_policy(file)
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
-def test_weights_that_are_not_finite_are_neither_written_nor_read(
-    actor: ProbabilisticActor, file: Path, number: float
-) -> None:
-    parts, before = unzipped(file.read_bytes()), file.read_bytes()
+def test_refuses_nonfinite_weights(actor: ProbabilisticActor, file: Path, number: float) -> None:
+    parts, before = read_zip(file.read_bytes()), file.read_bytes()
     name = next(name for name, value in actor.named_parameters() if value.ndim == 2)
     weights = actor.state_dict()[name]
     weights[3, 4] = number
     with pytest.raises(ConfigurationError, match=rf"{name}' is not finite"):
         save_policy(file, actor, PolicyShape())
     assert file.read_bytes() == before
-    file.write_bytes(forged({**parts, f"weights/{name}.npy": npy(weights.numpy())}))
+    file.write_bytes(forge_archive({**parts, f"weights/{name}.npy": npy(weights.numpy())}))
     with pytest.raises(FileDamagedError, match=rf"{name}' is not finite"):
         aslip.load_policy(file)
 
@@ -331,10 +327,10 @@ def _other_activation() -> nn.Module:
         (lambda: make_actor(RunningNormalizer(64)), PolicyShape(hidden=(256,)), "is unexp"),
         (lambda: make_actor(RunningNormalizer(64)), PolicyShape(symmetric=True), "is unexp"),
         (lambda: make_actor(RunningNormalizer(64)).double(), PolicyShape(), "is float64"),
-        (_other_activation, PolicyShape(), "it acts otherwise"),
+        (_other_activation, PolicyShape(), "actions differ"),
     ],
 )
-def test_an_actor_that_could_not_be_loaded_is_not_saved(
+def test_refuses_to_save_unloadable_actor(
     file: Path, make_one: Any, shape: PolicyShape, message: str
 ) -> None:
     before = file.read_bytes()
@@ -355,7 +351,7 @@ def test_saving_draws_no_random_numbers(actor: ProbabilisticActor, tmp_path: Pat
     "wrong",
     [{"observation_size": 0}, {"hidden": (256, 2.5)}, {"std": 0.0}, {"std": math.nan}],
 )
-def test_a_shape_of_no_policy_is_refused(wrong: dict[str, Any]) -> None:
+def test_refuses_invalid_shape(wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError, match=next(iter(wrong))):
         PolicyShape(**wrong)
 
@@ -372,23 +368,23 @@ def test_rollouts_carry_no_graph(make: MakeEnv) -> None:
     assert not data["next", "last_action"].requires_grad
 
 
-def test_a_policy_of_a_stack_without_a_name_is_said_to_be_one(tmp_path: Path) -> None:
+def test_policy_of_unnamed_stack_has_no_stack_name(tmp_path: Path) -> None:
     shape = PolicyShape(64)
     path = tmp_path / "own.zip"
     save_policy(path, make_actor(RunningNormalizer(64), shape), shape, stack=None)
-    with pytest.raises(ConfigurationError, match="a stack of its own"):
+    with pytest.raises(ConfigurationError, match="an unnamed stack"):
         policy_stack(path)
     assert aslip.load_policy(path)
 
 
-def test_a_policy_says_when_it_is_shown_something_else(make: MakeEnv) -> None:
+def test_error_names_observation_sizes(make: MakeEnv) -> None:
     with pytest.raises(ShapeError, match="reads 64 numbers, the observation has 49"):
         make(stack="single_reference").rollout(2, aslip.load_policy("aslip"))
     with pytest.raises(ShapeError, match="reads 49 numbers, the observation has 64"):
         make().rollout(2, aslip.load_policy("single_reference"))
 
 
-def test_a_symmetric_policy_must_know_all_that_it_observes() -> None:
+def test_symmetric_policy_refuses_stacked_frames() -> None:
     """Frames stacked by another transform, for one."""
     shape = PolicyShape(192, symmetric=True)
     for make_net in (make_actor, make_critic):
@@ -397,7 +393,7 @@ def test_a_symmetric_policy_must_know_all_that_it_observes() -> None:
     make_actor(RunningNormalizer(192), PolicyShape(192))
 
 
-def test_a_misspelt_policy_is_answered_with_the_nearest() -> None:
+def test_error_suggests_nearest_policy_name() -> None:
     with pytest.raises(AssetError, match=r"did you mean 'aslip'.*'robust'"):
         aslip.load_policy("asslip")
 
@@ -414,7 +410,7 @@ def make_tanh_actor(
     return gaussian_actor(TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"]))
 
 
-def test_own_networks_load_with_the_function_that_the_caller_trusts(tmp_path: Path) -> None:
+def test_custom_network_loads_with_given_function(tmp_path: Path) -> None:
     actor = make_tanh_actor(RunningNormalizer(64), PolicyShape())
     path = tmp_path / "policy.zip"
     with pytest.raises(ConfigurationError, match=r"what 'mlp' makes.*network="):
@@ -429,9 +425,9 @@ def test_own_networks_load_with_the_function_that_the_caller_trusts(tmp_path: Pa
         aslip.load_policy(path, make_actor)
 
 
-def test_a_file_cannot_name_code_to_import(file: Path) -> None:
-    parts = unzipped(file.read_bytes())
+def test_card_cannot_import_code(file: Path) -> None:
+    parts = read_zip(file.read_bytes())
     card = json.loads(parts[CARD]) | {"network": "os.system"}
-    file.write_bytes(forged({**parts, CARD: as_json(card)}))
+    file.write_bytes(forge_archive({**parts, CARD: as_json(card)}))
     with pytest.raises(ConfigurationError, match=r"'os\.system', which is not imported"):
         aslip.load_policy(file)

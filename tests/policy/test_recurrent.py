@@ -39,7 +39,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "policy.zip"
 
 
-def test_memory_lasts_for_an_episode(make: MakeEnv, file: Path) -> None:
+def test_hidden_state_lasts_one_episode(make: MakeEnv, file: Path) -> None:
     policy = aslip.load_policy(file)
     assert read_card(file)["network"] == "gru"
     env = add_memory(make(num_envs=3), policy)
@@ -60,7 +60,7 @@ def test_memory_lasts_for_an_episode(make: MakeEnv, file: Path) -> None:
     torch.testing.assert_close(again["loc"], data["loc"], rtol=1e-4, atol=1e-5)
 
 
-def test_recurrent_policies_walk_wherever_others_do(make: MakeEnv, file: Path) -> None:
+def test_recurrent_policy_walks_and_evaluates(make: MakeEnv, file: Path) -> None:
     walker = Walker(file)
     found = [walker.step()["action"].clone() for _ in range(4)]
     policy = aslip.load_policy(file)
@@ -70,13 +70,13 @@ def test_recurrent_policies_walk_wherever_others_do(make: MakeEnv, file: Path) -
     assert result.steps == 4
 
 
-def test_other_policies_change_no_environment(make: MakeEnv) -> None:
+def test_add_memory_ignores_feedforward_policy(make: MakeEnv) -> None:
     env = make()
     names = env.transform_names
     assert add_memory(env, make_actor(RunningNormalizer(64))).transform_names == names
 
 
 @pytest.mark.parametrize("shape", [PolicyShape(symmetric=True), PolicyShape(hidden=())])
-def test_shapes_without_a_recurrent_network_are_refused(shape: PolicyShape) -> None:
+def test_recurrent_actor_refuses_symmetry_and_no_hidden_layer(shape: PolicyShape) -> None:
     with pytest.raises(ConfigurationError, match="recurrent policy"):
         make_recurrent_actor(RunningNormalizer(64), shape)

@@ -13,7 +13,7 @@ from aslip.policy.symmetry import Symmetrised, action_mirror, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
 
 
-def test_mirroring_twice_changes_nothing() -> None:
+def test_mirror_is_its_own_inverse() -> None:
     for mirror, size in ((observation_mirror(), 64), (action_mirror(), 10)):
         values = torch.randn(3, size)
         assert not torch.equal(mirror(values), values)
@@ -49,12 +49,12 @@ def test_mirrored_actions_lead_to_mirrored_observations(library: GaitLibrary) ->
         td = after
 
 
-def test_an_entry_without_a_mirror_image_is_refused() -> None:
+def test_refuses_entry_without_mirror_image() -> None:
     with pytest.raises(UnknownNameError, match="temperature"):
         observation_mirror([("estimate", "temperature")])
 
 
-def test_a_symmetrised_net_mirrors_its_answers() -> None:
+def test_symmetrised_network_is_equivariant() -> None:
     inputs, outputs = observation_mirror(), action_mirror()
     net = torch.nn.Sequential(torch.nn.Linear(64, 32), torch.nn.ReLU(), torch.nn.Linear(32, 10))
     values = torch.randn(5, 3, 64)
@@ -89,12 +89,12 @@ def test_entries_of_two_sources_may_have_the_same_name() -> None:
         ([("reference", "left_foot_position")], "right_foot_position.* missing"),
     ],
 )
-def test_tables_without_a_mirror_image_are_refused(table: list[Any], message: str) -> None:
+def test_refuses_table_without_mirror_image(table: list[Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         observation_mirror(table)
 
 
-def test_an_observation_of_another_size_is_told_of() -> None:
+def test_refuses_observation_of_another_size() -> None:
     with pytest.raises(ShapeError, match="reads 64 numbers, the observation has 49"):
         observation_mirror()(torch.zeros(49))
 
@@ -104,7 +104,7 @@ def test_rates_and_accelerations_have_mirror_images() -> None:
     assert image[8:14].tolist() == [-8.0, 9.0, -10.0, 11.0, -12.0, 13.0]
 
 
-def test_signs_of_own_entries_can_be_given() -> None:
+def test_mirror_signs_of_custom_entries() -> None:
     """Actions have the mirror image of motors."""
     table = ["last_action", "left_load", "right_load"]
     loads = {"left_load": (1.0, -1.0), "right_load": (1.0, -1.0)}

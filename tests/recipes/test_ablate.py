@@ -9,7 +9,8 @@ import ablate
 import pytest
 import torch
 from ablate import VARIANTS
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
+from torchrl.envs.transforms import Transform
 
 import aslip
 from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
@@ -52,15 +53,26 @@ def test_a_term_that_is_off_is_still_reported(term: str) -> None:
     torch.testing.assert_close(rollout["next", "reward"], expected)
 
 
+class MotorTargets(Transform):
+    """Record the motor targets that the base environment receives."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.received: list[torch.Tensor] = []
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self.received.append(tensordict["motor_target"].clone())
+        return tensordict
+
+
 def test_without_a_delta_actions_are_from_the_standing_pose() -> None:
     env = env_of("no_delta")
     td = env.reset()
     assert torch.equal(td["baseline", "motor_position"][0], td["baseline", "motor_position"][1])
-    aimed = []
-    forward = env.base_env._advance
-    env.base_env._advance = lambda *a, **k: (aimed.append(a), forward(*a, **k))[1]
+    targets = MotorTargets()
+    env.insert_transform(0, targets)  # next to the base environment
     env.step(td.set("action", torch.full((2, 10), 0.25)))
-    target = torch.as_tensor(aimed[0][0]).float()
+    (target,) = targets.received
     torch.testing.assert_close(target, td["baseline", "motor_position"] + 0.25)
 
 

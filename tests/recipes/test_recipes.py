@@ -305,7 +305,7 @@ def test_own_observations_train_symmetrically_and_walk_where_they_are_observed(
     ppo_aslip.main(replace(TINY, out=tmp_path, total_steps=64), make_env, network=signs)
     Walker(tmp_path, make_env(num_threads=1)).step()
     Walker(tmp_path, make_env(num_threads=1, drop=["noise"])).step()
-    with pytest.raises(ConfigurationError, match="a stack of its own"):
+    with pytest.raises(ConfigurationError, match="an unnamed stack"):
         Walker(tmp_path)
     with pytest.raises(ConfigurationError, match=r"has \['reference/motor_position', 'own'\]"):
         Walker(tmp_path, aslip.make_env(num_threads=1))

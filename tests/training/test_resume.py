@@ -25,7 +25,15 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import TrainingRun
 from aslip.transforms import TrueState
-from benchmarks.faults.trainings import TINY, Holder, killed, resumed, same, train, updates
+from benchmarks.faults.trainings import (
+    TINY,
+    Holder,
+    count_updates,
+    identical,
+    kill_training,
+    resume_training,
+    train,
+)
 from recipes import ppo_aslip
 from tests.helpers import MakeEnv, differing
 
@@ -124,8 +132,8 @@ def test_a_snapshot_stays_what_it_was(make: MakeEnv) -> None:
     before = deepcopy(kept)
     _batches(collector, 1)
     torch.nn.init.constant_(net.weight, 3.0)
-    assert same(kept, before)
-    assert [n for n, state in snapshot(components).items() if same(state, kept[n])] == []
+    assert identical(kept, before)
+    assert [n for n, state in snapshot(components).items() if identical(state, kept[n])] == []
 
 
 def test_robots_keep_their_dynamics(make: MakeEnv) -> None:
@@ -173,7 +181,7 @@ def test_a_state_is_read_as_it_was_written(tmp_path: Path) -> None:
     holder = Holder()
     save_checkpoint(tmp_path / "file", {"state": state, "empty": {}}, {"step": 3})
     assert load_checkpoint(tmp_path / "file", {"state": holder}) == {"step": 3}
-    assert same(holder.state, state)
+    assert identical(holder.state, state)
     assert type(holder.state["nested"]) is tuple
 
 
@@ -198,9 +206,9 @@ def test_a_training_killed_at_a_random_moment_goes_on(
     """SIGKILL, which nothing can catch, somewhere in the first half."""
     config = replace(TINY, out=tmp_path / "run")
     entropy = int.from_bytes(os.urandom(2), "little")
-    killed(config.out, entropy % 4, 0.3 * entropy / 2**16)
-    before = updates(config.out)
-    assert resumed(config) == undisturbed, f"killed by {entropy} after {before} updates"
+    kill_training(config.out, entropy % 4, 0.3 * entropy / 2**16)
+    before = count_updates(config.out)
+    assert resume_training(config) == undisturbed, f"killed by {entropy} after {before} updates"
 
 
 def _interrupt() -> None:
@@ -240,7 +248,7 @@ def test_a_training_stopped_in_the_middle_of_an_update_goes_on(
     assert not (config.out / "policy.zip").exists()
     newest = max((config.out / "checkpoints").iterdir())
     assert newest.name == "checkpoint-000000000256.zip"
-    assert resumed(config) == undisturbed
+    assert resume_training(config) == undisturbed
 
 
 @pytest.fixture(scope="module")
@@ -258,7 +266,7 @@ def test_a_training_stopped_before_its_first_checkpoint_begins_anew(
 ) -> None:
     config = replace(two_updates[0], out=tmp_path / "run")
     TrainingRun(config.out, config, resume=False).log(64, {"value": 1.0})
-    assert resumed(config) == two_updates[1]
+    assert resume_training(config) == two_updates[1]
 
 
 def test_a_finished_training_can_be_resumed_to_no_effect(
@@ -268,5 +276,5 @@ def test_a_finished_training_can_be_resumed_to_no_effect(
     config, before = two_updates
     summary = (config.out / "summary.md").read_text().rpartition("\n\n")[0]
     assert "of 21 speeds" in summary
-    assert resumed(config) == before
+    assert resume_training(config) == before
     assert (config.out / "summary.md").read_text().rpartition("\n\n")[0] == summary

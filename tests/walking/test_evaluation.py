@@ -21,7 +21,7 @@ from tests.helpers import MakeEnv, limp
 SPEEDS = [0.0, 1.0, 2.0]
 
 
-def test_walks_equal_plain_episodes(make: MakeEnv) -> None:
+def test_evaluation_equals_single_robot_rollouts(make: MakeEnv) -> None:
     """Steps, return, distance and terms, of each robot until its own end."""
     results = evaluate(limp(), make(num_envs=3), SPEEDS, num_steps=40)
     for i, (speed, result) in enumerate(zip(SPEEDS, results, strict=True)):
@@ -53,12 +53,12 @@ def test_walks_equal_plain_episodes(make: MakeEnv) -> None:
     assert len({result.steps for result in results}) > 1  # they do not end together
 
 
-def test_another_number_of_robots_is_refused(make: MakeEnv) -> None:
-    with pytest.raises(ConfigurationError, match="3 speeds need an environment of as many robots"):
+def test_refuses_environment_with_another_number_of_robots(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match="one robot for each of the 3 speeds, got 2"):
         evaluate(limp(), make(num_envs=2), SPEEDS)
 
 
-def test_a_stack_without_terms_can_be_evaluated(make: MakeEnv) -> None:
+def test_evaluates_stack_without_reward_terms(make: MakeEnv) -> None:
     """Rewards are the experiment's business."""
     terms = ["com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"]
     env = make(num_envs=3, drop=[*terms, "reward", "low_reward"])
@@ -67,15 +67,13 @@ def test_a_stack_without_terms_can_be_evaluated(make: MakeEnv) -> None:
     assert "of 3 speeds 3 survived" in walk_table(results)
 
 
-def test_the_table_marks_who_fell(make: MakeEnv) -> None:
+def test_table_marks_falls(make: MakeEnv) -> None:
     results = evaluate(limp(), make(num_envs=3), SPEEDS, num_steps=40)
     table = walk_table(results)
     assert table.count(" fell |") == sum(not result.survived for result in results) > 0
 
 
-def test_a_speed_is_kept_though_the_environment_would_change_it(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
+def test_evaluation_suspends_command_changes(make: MakeEnv, library: GaitLibrary) -> None:
     policy, speeds = aslip.load_policy("aslip"), [0.0, 1.0, 2.0]
     restless = SpeedCommand(library, interval=0.06)
     found = [
@@ -86,13 +84,13 @@ def test_a_speed_is_kept_though_the_environment_would_change_it(
     assert restless.interval == 0.06
 
 
-def test_the_table_does_not_round_speeds_to_others() -> None:
+def test_table_keeps_two_digits_of_speed() -> None:
     result = WalkResult(0.25, 400, True, 1.0, 0.2, 0.0, 1.0, {})
     assert "| 0.25 |" in walk_table([result])
     assert "| 1.0 |" in walk_table([replace(result, speed=1.0)])
 
 
-def test_survived_on_feet_and_tracked_are_three_results() -> None:
+def test_survived_on_feet_and_tracked_are_independent() -> None:
     walk = WalkResult(1.0, 400, True, 300.0, 1.1, 0.0, 0.99, {})
     still = WalkResult(2.0, 400, True, 200.0, 0.0, 0.0, 1.0, {})
     leaning, fallen = replace(walk, weight_ratio=0.8), replace(walk, survived=False)
@@ -108,14 +106,16 @@ def test_survived_on_feet_and_tracked_are_three_results() -> None:
 
 
 @pytest.mark.parametrize("mean", [0.79, 1.21, float("nan")])
-def test_a_speed_off_by_more_than_the_tolerance_is_not_tracked(mean: float) -> None:
+def test_speed_beyond_tolerance_is_not_tracked(mean: float) -> None:
     assert not tracks_command(1.0, mean)
     assert tracks_command(1.0, 0.81)
     assert tracks_command(1.0, 1.19)
 
 
 @pytest.mark.parametrize("changes", [{"mass": 0.85}, {"payload": 6.0}, {"slope": 0.1}])
-def test_weight_is_that_of_the_robot_as_it_is(make: MakeEnv, changes: dict[str, float]) -> None:
+def test_weight_ratio_uses_simulated_mass_and_payload(
+    make: MakeEnv, changes: dict[str, float]
+) -> None:
     """Who is lighter and walks well is on its feet."""
     env = make(num_envs=2, drop=EPISODE_ENDS)
     env.base_env.set_dynamics(changes, np.array([1]))
@@ -125,6 +125,6 @@ def test_weight_is_that_of_the_robot_as_it_is(make: MakeEnv, changes: dict[str, 
 
 
 @pytest.mark.parametrize("steps", [0, -1, 2.5, True])
-def test_walks_of_no_steps_are_refused(make: MakeEnv, steps: Any) -> None:
+def test_refuses_invalid_number_of_steps(make: MakeEnv, steps: Any) -> None:
     with pytest.raises(ConfigurationError, match=f"num_steps must be .* 1 or more, got {steps}"):
         evaluate(limp(), make(), [1.0], num_steps=steps)

@@ -36,14 +36,14 @@ def logged(library: GaitLibrary, tmp_path_factory: pytest.TempPathFactory) -> tu
     return walk, path
 
 
-def test_a_log_gives_the_same_walk(logged: tuple[Walks, Path]) -> None:
+def test_log_reproduces_recorded_walk(logged: tuple[Walks, Path]) -> None:
     walk, path = logged
     read_back = read_walk(read(path))
     for name, values in vars(walk).items():
         np.testing.assert_array_equal(getattr(read_back, name), values, err_msg=name)
 
 
-def test_a_log_of_a_fall_gives_the_same_walk(library: GaitLibrary, tmp_path: Path) -> None:
+def test_log_reproduces_recorded_fall(library: GaitLibrary, tmp_path: Path) -> None:
     """Also where a step after the divergence went well again."""
     policy, path, count = aslip.load_policy("aslip"), tmp_path / "fall.mcap", 0
 
@@ -64,7 +64,7 @@ def test_a_log_of_a_fall_gives_the_same_walk(library: GaitLibrary, tmp_path: Pat
         np.testing.assert_array_equal(getattr(read_back, name), values, err_msg=name)
 
 
-def test_rows_are_instants_a_policy_step_apart(logged: tuple[Walks, Path]) -> None:
+def test_rows_are_one_policy_step_apart(logged: tuple[Walks, Path]) -> None:
     walk = logged[0]
     velocity = np.diff(walk.pelvis_position[:, 0], axis=0) / CASSIE.policy_period
     middle = (walk.pelvis_velocity[1:, 0] + walk.pelvis_velocity[:-1, 0]) / 2
@@ -75,7 +75,7 @@ def test_rows_are_instants_a_policy_step_apart(logged: tuple[Walks, Path]) -> No
     assert (walk.body_position[:, 0, 2:] + walk.body_to_foot[:, 0, :, 2] > -2e-3).all()
 
 
-def test_what_comes_after_a_fall_is_no_number(make: MakeEnv) -> None:
+def test_rows_after_fall_are_nan(make: MakeEnv) -> None:
     """One robot does nothing sensible, the other walks; the fallen one stays in the record."""
     policy = aslip.load_policy("aslip")
 
@@ -94,7 +94,7 @@ def test_what_comes_after_a_fall_is_no_number(make: MakeEnv) -> None:
     assert np.isfinite(walks.ground_force[:, 0]).all()
 
 
-def test_without_the_truth_walks_are_as_the_estimator_has_them(make: MakeEnv) -> None:
+def test_walks_without_truth_use_the_estimate(make: MakeEnv) -> None:
     policy = aslip.load_policy("aslip")
     true, estimated = (
         record_walks(policy, make(reward_on="estimate", drop=[*EPISODE_ENDS, *more]), _command(0.5))
@@ -108,13 +108,13 @@ def test_without_the_truth_walks_are_as_the_estimator_has_them(make: MakeEnv) ->
         record_walks(policy, make(keep=["observation"]), _command(0.5))
 
 
-def test_a_part_of_one_walk_can_be_taken(logged: tuple[Walks, Path]) -> None:
+def test_slice_of_one_walk(logged: tuple[Walks, Path]) -> None:
     part = logged[0].one(0, 5, 15)
     assert part.command.shape == (10, 1)
     np.testing.assert_array_equal(part.foot_position, logged[0].foot_position[5:15])
 
 
-def test_commands_that_are_none_are_refused(make: MakeEnv) -> None:
+def test_refuses_invalid_commands(make: MakeEnv) -> None:
     env, policy = make(num_envs=2), aslip.load_policy("aslip")
     with pytest.raises(ShapeError, match=r"\(m, 2\)"):
         record_walks(policy, env, _command(0.5))
@@ -124,7 +124,7 @@ def test_commands_that_are_none_are_refused(make: MakeEnv) -> None:
         record_walks(policy, env, _command(0.5, np.nan))
 
 
-def test_arrays_must_fit_together(logged: tuple[Walks, Path]) -> None:
+def test_refuses_arrays_of_different_lengths(logged: tuple[Walks, Path]) -> None:
     arrays = dict(vars(logged[0]))
     arrays["reward"] = arrays["reward"][:-1]
     with pytest.raises(ShapeError, match="reward"):

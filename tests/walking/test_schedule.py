@@ -9,7 +9,7 @@ from aslip.robot import CASSIE
 from aslip.walking import Push, Schedule, policy_steps
 
 
-def test_a_schedule_holds_each_speed_until_the_next() -> None:
+def test_schedule_holds_each_speed_until_the_next() -> None:
     schedule = Schedule.parse("0:0.0,4:1.0,8:0.5")
     assert schedule == Schedule((0.0, 4.0, 8.0), (0.0, 1.0, 0.5))
     times = [0, 3.97, 4.0, 4 - 1e-9, 7.99, 8.0, 100]
@@ -20,25 +20,25 @@ def test_a_schedule_holds_each_speed_until_the_next() -> None:
 @pytest.mark.parametrize(
     "text", ["", "a", "0:1,", "1:0.5", "0:1,0:2", "0:1,3:1,2:1", "0:nan", "0:1:2"]
 )
-def test_a_schedule_that_is_none_is_refused(text: str) -> None:
+def test_refuses_invalid_schedule(text: str) -> None:
     with pytest.raises(ConfigurationError, match=r"schedule|times"):
         Schedule.parse(text)
 
 
 @pytest.mark.parametrize("steps", range(1, 60))
-def test_a_time_of_whole_policy_steps_takes_no_step_more(steps: int) -> None:
+def test_policy_steps_tolerate_rounding(steps: int) -> None:
     """However it is rounded; a little longer takes one more."""
     for time in (steps * CASSIE.policy_period, float(f"{steps * 0.03:.2f}")):
         assert policy_steps(time) == steps
     assert policy_steps(steps * CASSIE.policy_period + 1e-4) == steps + 1
 
 
-def test_pushes_are_read() -> None:
+def test_parses_push() -> None:
     assert Push.parse("2:0,60,-5") == Push(2.0, (0.0, 60.0, -5.0))
     assert Push.parse("2:0,60,-5:0.3") == Push(2.0, (0.0, 60.0, -5.0), 0.3)
 
 
 @pytest.mark.parametrize("text", ["", "1", "1:2", "1:1,2", "1:1,2,3:0", "1:1,2,nan", "1:1,2,3:1:1"])
-def test_a_push_that_cannot_be_read_is_refused(text: str) -> None:
+def test_refuses_invalid_push(text: str) -> None:
     with pytest.raises(ConfigurationError, match="push is"):
         Push.parse(text)

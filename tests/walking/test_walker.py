@@ -33,7 +33,7 @@ def _velocity(walker: Walker) -> torch.Tensor:
     return walker.td["truth", "pelvis_velocity"][0]  # pyright: ignore
 
 
-def test_it_walks_at_the_command(walker: Walker) -> None:
+def test_walker_follows_command(walker: Walker) -> None:
     for speed in (0.5, 1.0):
         walker.command = speed
         for _ in range(60):
@@ -48,7 +48,7 @@ def test_it_walks_at_the_command(walker: Walker) -> None:
     assert not walker.fallen
 
 
-def test_a_push_lasts_its_time_and_moves_the_robot(walker: Walker) -> None:
+def test_push_has_duration_and_effect(walker: Walker) -> None:
     twin = Walker(walker.policy, library=walker.library, speed=0.5)
     walker.push((0.0, 60.0, 0.0), 0.1)  # four policy steps
     pushed = [walker.step().get("push", None) is not None for _ in range(8)]
@@ -62,7 +62,7 @@ def test_a_push_lasts_its_time_and_moves_the_robot(walker: Walker) -> None:
     assert walker.step().get("push", None) is None
 
 
-def test_a_fall_ends_it_until_it_is_reset(walker: Walker) -> None:
+def test_fallen_walker_needs_reset(walker: Walker) -> None:
     walker.push((0.0, 3000.0, 0.0), 0.3)
     while not walker.fallen:
         walker.step()
@@ -77,7 +77,7 @@ def test_a_fall_ends_it_until_it_is_reset(walker: Walker) -> None:
     assert not walker.fallen
 
 
-def test_policies_can_be_changed_on_the_way(walker: Walker) -> None:
+def test_policy_can_change_during_walk(walker: Walker) -> None:
     shipped = walker.policy
     actions = []
     for policy in (shipped, lambda td: td.set("action", torch.zeros(1, 10)), "aslip"):
@@ -89,7 +89,7 @@ def test_policies_can_be_changed_on_the_way(walker: Walker) -> None:
     assert actions[2] > 0
 
 
-def test_it_walks_on_for_longer_than_an_episode(walker: Walker) -> None:
+def test_walk_outlasts_episode_limit(walker: Walker) -> None:
     walker.reset(0.5)
     for _ in range(MAX_EPISODE_STEPS + 1):
         walker.step()
@@ -97,13 +97,13 @@ def test_it_walks_on_for_longer_than_an_episode(walker: Walker) -> None:
     assert walker.time == pytest.approx((MAX_EPISODE_STEPS + 1) * CASSIE.policy_period)
 
 
-def test_more_than_one_robot_are_refused(library: GaitLibrary) -> None:
+def test_refuses_several_robots(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match="one robot"):
         Walker(env=aslip.make_env(num_envs=2, library=library))
 
 
 @pytest.mark.parametrize("speed", [-0.1, 2.5, float("nan")])
-def test_speeds_outside_the_library_are_refused(walker: Walker, speed: float) -> None:
+def test_refuses_speed_outside_library(walker: Walker, speed: float) -> None:
     with pytest.raises(SpeedOutOfRangeError):
         walker.command = speed
     with pytest.raises(SpeedOutOfRangeError):
@@ -115,14 +115,14 @@ def test_speeds_outside_the_library_are_refused(walker: Walker, speed: float) ->
     ("force", "duration"),
     [((1, 2), 0.1), ((0, np.nan, 0), 0.1), ((0, 1, 0), 0.0), ((0, 1, 0), np.inf)],
 )
-def test_pushes_that_are_none_are_refused(
+def test_walker_refuses_invalid_push(
     walker: Walker, force: tuple[float, ...], duration: float
 ) -> None:
     with pytest.raises(ConfigurationError, match="push"):
         walker.push(force, duration)
 
 
-def test_a_policy_of_another_stack_is_refused(tmp_path: Path) -> None:
+def test_refuses_policy_of_another_stack(tmp_path: Path) -> None:
     walker = Walker("aslip")
     other = save_other_policy(tmp_path / "other.zip")
     with pytest.raises(ConfigurationError, match=r"other.zip.*lacks \['reference/body"):

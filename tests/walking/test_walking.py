@@ -14,16 +14,16 @@ def walks(library: GaitLibrary) -> list[WalkResult]:
     return evaluate(load_policy("aslip"), env, SPEEDS)
 
 
-def test_the_shipped_policy_walks_an_episode_at_every_speed(walks: list[WalkResult]) -> None:
+def test_shipped_policy_survives_every_speed(walks: list[WalkResult]) -> None:
     assert [walk.steps for walk in walks] == [400] * len(SPEEDS)
 
 
-def test_the_floor_carries_the_robots_weight(walks: list[WalkResult]) -> None:
+def test_mean_ground_force_equals_weight(walks: list[WalkResult]) -> None:
     """Over an episode the mean ground force equals the weight within 1 %."""
     assert [walk.weight_ratio for walk in walks] == pytest.approx([1.0] * len(SPEEDS), abs=0.01)
 
 
-def test_faster_commands_make_faster_walks(walks: list[WalkResult]) -> None:
+def test_mean_speed_increases_with_command(walks: list[WalkResult]) -> None:
     speeds = [walk.mean_speed for walk in walks]
     assert speeds == sorted(speeds)
     assert speeds == pytest.approx(SPEEDS, abs=0.3)

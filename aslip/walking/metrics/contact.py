@@ -15,11 +15,11 @@ SHORTEST_CONTACT = 0.05
 """Duration below which a contact is a bounce [s]."""
 
 SHORTEST_SWING = 0.11
-"""Duration below which a time without load is part of a stance [s].
+"""Duration below which an unloaded interval belongs to a stance [s].
 
-A leg that follows the spring-mass model carries nothing for up to 0.10 s in the middle of its
-stance. The shortest swing in the authors' published forces takes 0.115 s, in our policies 0.22 s.
-Half of the expected swing is a better limit where it is known."""
+Legs of spring-mass walking are unloaded for up to 0.10 s in mid-stance. The shortest swing takes
+0.115 s in the authors' published forces and 0.22 s with our policies. Half of the expected swing is
+a better limit where it is known."""
 
 
 def stances(
@@ -30,10 +30,10 @@ def stances(
     contact: float = SHORTEST_CONTACT,
     swing: float = SHORTEST_SWING,
 ) -> np.ndarray:
-    """Find the stances of one foot that begin and end within the record.
+    """Stances of one foot that begin and end within the record.
 
-    A foot is on the ground while its vertical force exceeds a threshold. Gaps that are too short
-    for a swing are closed first, then contacts that are too short for a stance are dropped.
+    A foot is on the ground while its vertical force exceeds a threshold. Gaps shorter
+    than a swing are closed first, then contacts shorter than a stance are dropped.
 
     Args:
         force: (m,) vertical ground force [N].
@@ -72,10 +72,10 @@ def merge_short(flags: np.ndarray, off: int, on: int) -> np.ndarray:
 
 
 def touchdown_times(force: np.ndarray, period: float, swing: float = SHORTEST_SWING) -> np.ndarray:
-    """Find the instants (k,) at which one foot touches down [s], of stances within the record.
+    """(k,) touchdown times of one foot [s], of stances within the record.
 
-    The force is interpolated linearly between samples, so that a record at the policy's rate
-    resolves less than its period.
+    The force is interpolated linearly between samples, so that the resolution is finer than
+    the period.
 
     Args:
         force: (m,) vertical ground force [N].

@@ -19,7 +19,7 @@ def cost_of_transport(
 
     .. math:: \frac{\int \sum_i |\tau_i \omega_i|\,dt}{m g d}
 
-    Power counts by its absolute value: braking regains nothing. NaN without distance.
+    Negative power counts as cost, too (no recuperation). NaN without distance.
 
     Args:
         torque: (m, 10) joint torques [N m].

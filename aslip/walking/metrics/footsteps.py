@@ -1,4 +1,4 @@
-"""Footsteps, and their places by the reduced-order model (Sec. V-A)."""
+"""Footsteps, and their error against the reduced-order model (Sec. V-A)."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from aslip.errors import ShapeError
 from aslip.robot import SIDES
 from aslip.walking.metrics.contact import SHORTEST_SWING, stances
 
-# the place of a foot is its mean over this part of the middle of its stance [s]
+# duration at mid-stance over which the foot position is averaged [s]
 _MIDDLE = 0.03
 
 
 @dataclass(frozen=True)
 class Footsteps:
-    """Footsteps of both feet in the order in which they touch down, k of them."""
+    """Footsteps of both feet in order of touchdown, k of them."""
 
     side: np.ndarray
     """(k,) 0 for left, 1 for right."""
     time: np.ndarray
     """(k,) instant of touchdown [s]."""
     position: np.ndarray
-    """(k, 2) position of the foot in the middle of its stance [m, world]."""
+    """(k, 2) position of the foot at mid-stance [m, world]."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Distances of j footsteps from their ideal places."""
+    """Errors of j footsteps against their ideal positions."""
 
     side: np.ndarray
     """(j,) 0 for left, 1 for right."""
     offset: np.ndarray
-    """(j, 2) actual minus ideal place, forward and left [m]."""
+    """(j, 2) actual minus ideal position, forward and left [m]."""
     width: np.ndarray
-    """(j,) sideways distance from the footstep before [m]."""
+    """(j,) lateral distance from the previous footstep [m]."""
 
     @property
     def error(self) -> np.ndarray:
@@ -44,7 +44,7 @@ class Placement:
 
     @property
     def outward(self) -> np.ndarray:
-        """(j,) sideways offset away from the body [m]: to the left for left feet."""
+        """(j,) lateral offset away from the body [m], positive to the left for left feet."""
         return np.where(self.side == SIDES.index("left"), 1.0, -1.0) * self.offset[:, 1]
 
 
@@ -60,7 +60,7 @@ def footsteps(
         swing: shortest swing [s].
 
     Raises:
-        ShapeError: the shapes of the arrays differ from these.
+        ShapeError: an array has another shape.
     """
     if force.ndim != 2 or force.shape[1] != 2 or foot.shape[:2] != force.shape:
         raise ShapeError(
@@ -86,8 +86,8 @@ def footsteps(
 def placement(steps: Footsteps, ideal_step: np.ndarray) -> Placement:
     """Compare footsteps with the reduced-order model's.
 
-    The ideal place is the actual place of the foot before plus the step of the reduced-order model
-    at the commanded speed. Only footsteps that follow a footstep of the other foot count.
+    The ideal position is the previous footstep's actual position plus the step of the reduced-order
+    model at the commanded speed. Only footsteps after one of the other foot count.
 
     Args:
         steps: footsteps of a walk at one speed, along x.

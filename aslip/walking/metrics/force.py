@@ -61,7 +61,7 @@ def force_profile(force: np.ndarray, period: float) -> ForceProfile:
 
 
 def humps(force: np.ndarray, period: float) -> np.ndarray:
-    """Find the samples (k,) at which one stance has humps.
+    """(k,) samples of the humps of one stance.
 
     Local maxima with a prominence of at least 25 N after two passes of a moving average of 30 ms,
     which removes the impact. Outside the stance the force counts as zero.
@@ -77,7 +77,7 @@ def humps(force: np.ndarray, period: float) -> np.ndarray:
 def dip_ratio(force: np.ndarray, period: float) -> float:
     """Lowest force of a stance between its outer humps, over that of the lower hump.
 
-    0 where the foot is without load in between, 1 for a single hump.
+    0 if the foot is unloaded in between, 1 for a single hump.
 
     Args:
         force: (m,) vertical ground force of a stance [N].

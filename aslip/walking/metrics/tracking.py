@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 SETTLED = 0.1
-"""Difference from the new command up to which a speed has settled [m/s]."""
+"""Largest difference from the new command of a settled speed [m/s]."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +19,7 @@ class StepResponse:
     """Time from the change until the stride-averaged speed stays within 0.1 m/s of the command [s];
     infinite if it does not during the last stride."""
     overshoot: float
-    """Averaged speed beyond the command, in the direction of the change [m/s]."""
+    """Largest averaged speed beyond the command, in the direction of the change [m/s]."""
     steady_error: float
     """Mean speed of the last stride minus the command [m/s]."""
 
@@ -51,7 +51,7 @@ def step_response(
         period: time between samples [s].
     """
     length = max(round(stride / period), 1)
-    # trailing means, so that settling is not seen before it happens
+    # trailing means, which cannot settle before the speed does
     total = np.cumsum(np.concatenate([np.full(length, before), speed]))
     averaged = (total[length:] - total[:-length]) / length
     error = averaged - command

@@ -17,14 +17,14 @@ def square(stride: float, duty: float, offset: float, duration: float, period: f
     return np.where((time - offset) % stride / stride < duty, 400.0, 0.0)
 
 
-def test_stances_are_found_between_their_edges() -> None:
+def test_stance_edges() -> None:
     force = np.zeros(1000)
     force[200:500] = 300.0
     force[750:900] = 300.0
     np.testing.assert_array_equal(stances(force, PERIOD), [[200, 500], [750, 900]])
 
 
-def test_stances_that_touch_the_ends_of_the_record_do_not_count() -> None:
+def test_incomplete_stances_do_not_count() -> None:
     force = np.full(2000, 300.0)
     force[300:600] = force[1000:1250] = 0.0
     np.testing.assert_array_equal(stances(force, PERIOD), [[600, 1000]])
@@ -32,7 +32,7 @@ def test_stances_that_touch_the_ends_of_the_record_do_not_count() -> None:
     assert stances(np.full(100, 300.0), PERIOD).shape == (0, 2)
 
 
-def test_bounces_are_closed_and_blips_dropped() -> None:
+def test_short_gaps_are_closed_and_short_contacts_dropped() -> None:
     force = np.zeros(2000)
     force[400:1000] = 300.0
     force[420:450] = 0.0  # a bounce of 15 ms on landing
@@ -41,7 +41,7 @@ def test_bounces_are_closed_and_blips_dropped() -> None:
     assert len(stances(force, PERIOD, contact=0.0, swing=0.0)) == 3
 
 
-def test_a_leg_without_load_in_the_middle_of_its_stance_has_not_swung() -> None:
+def test_unloaded_mid_stance_is_one_stance() -> None:
     """As the spring-mass model's at slow speeds."""
     force = np.zeros(3000)
     force[400:1400] = 300.0
@@ -51,7 +51,7 @@ def test_a_leg_without_load_in_the_middle_of_its_stance_has_not_swung() -> None:
     assert len(stances(force, PERIOD, swing=0.05)) == 3
 
 
-def test_light_touches_do_not_count() -> None:
+def test_force_below_threshold_is_no_contact() -> None:
     force = np.zeros(1000)
     force[200:500] = 15.0
     assert len(stances(force, PERIOD)) == 0
@@ -59,7 +59,7 @@ def test_light_touches_do_not_count() -> None:
 
 
 @pytest.mark.parametrize("value", [True, False])
-def test_short_runs_take_the_value_around_them(value: bool) -> None:
+def test_merge_short_fills_short_runs(value: bool) -> None:
     flags = np.array([1, 1, 1, 0, 1, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0], dtype=bool) == value
     merged = merge_short(flags, 2, 2)
     expected = np.array([1] * 7 + [0] * 8, dtype=bool) == value
@@ -69,30 +69,30 @@ def test_short_runs_take_the_value_around_them(value: bool) -> None:
 
 @pytest.mark.parametrize("period", [0.0005, 0.03])
 @pytest.mark.parametrize("stride", [0.8, 0.7646])
-def test_step_frequency_is_two_a_stride(period: float, stride: float) -> None:
+def test_step_frequency_is_two_per_stride(period: float, stride: float) -> None:
     left, right = (square(stride, 0.62, offset, 20.0, period) for offset in (0.1, 0.1 + stride / 2))
     assert step_frequency(left, right, period) == pytest.approx(2 / stride, rel=2e-3)
 
 
-def test_step_frequency_of_a_limping_walk_is_its_mean() -> None:
+def test_step_frequency_of_uneven_gait_is_its_mean() -> None:
     left, right = (square(0.8, 0.5, offset, 20.0, PERIOD) for offset in (0.0, 0.3))
     assert step_frequency(left, right, PERIOD) == pytest.approx(2.5, rel=1e-3)
     assert np.isnan(step_frequency(np.zeros(100), np.zeros(100), PERIOD))
 
 
 @pytest.mark.parametrize("duty", [0.5, 0.62, 0.84])
-def test_duty_is_the_share_on_the_ground(duty: float) -> None:
+def test_duty_factor_is_stance_share_of_stride(duty: float) -> None:
     assert duty_factor(square(0.8, duty, 0.1, 8.0, PERIOD), PERIOD) == pytest.approx(duty, abs=2e-3)
     assert np.isnan(duty_factor(np.zeros(100), PERIOD))
 
 
-def test_touchdowns_lie_between_samples() -> None:
+def test_touchdown_times_are_interpolated() -> None:
     force = np.zeros(100)
     force[50:80] = 100.0  # crosses 20 N a fifth of the way
     np.testing.assert_allclose(touchdown_times(force, 0.03), [(49 + 0.2) * 0.03])
 
 
-def test_signals_that_are_none_are_refused() -> None:
+def test_refuses_invalid_force() -> None:
     with pytest.raises(ShapeError, match=r"\(4, 2\)"):
         stances(np.zeros((4, 2)), PERIOD)
     with pytest.raises(ConfigurationError, match="sample 3"):
@@ -101,7 +101,7 @@ def test_signals_that_are_none_are_refused() -> None:
         stances(np.zeros(4), 0.0)
 
 
-def test_a_leg_without_load_in_mid_stance_has_not_swung() -> None:
+def test_longest_unloaded_mid_stance_needs_longer_swing() -> None:
     """As in spring-mass walking: 0.12 s without load in each stance, where swings take 0.3 s."""
     stance = np.concatenate([np.full(400, 300.0), np.zeros(240), np.full(400, 300.0)])
     left = np.tile(np.concatenate([stance, np.zeros(600)]), 6)
@@ -112,7 +112,7 @@ def test_a_leg_without_load_in_mid_stance_has_not_swung() -> None:
     assert duty_factor(left, PERIOD, swing=0.15) == pytest.approx(1040 / 1640, abs=1e-3)
 
 
-def test_duty_is_of_the_stride_that_its_stance_begins() -> None:
+def test_duty_factor_divides_by_following_stride() -> None:
     force = np.zeros(3000)
     force[200:400] = force[1000:1300] = 300.0
     assert duty_factor(force, 0.0005) == pytest.approx(200 / 800)

@@ -33,7 +33,7 @@ def walk(
     return force, foot
 
 
-def test_footsteps_are_where_feet_stand_in_their_order() -> None:
+def test_footsteps_in_order_of_touchdown() -> None:
     steps = footsteps(*walk(0.4, 0.2), PERIOD)
     assert (np.diff(steps.side) != 0).all()
     np.testing.assert_allclose(np.diff(steps.position[:, 0]), 0.4, atol=1e-9)
@@ -41,7 +41,7 @@ def test_footsteps_are_where_feet_stand_in_their_order() -> None:
     np.testing.assert_allclose(np.diff(steps.time), STRIDE / 2, atol=PERIOD)
 
 
-def test_a_sliding_foot_is_where_it_is_in_the_middle_of_its_stance() -> None:
+def test_sliding_foot_is_located_at_mid_stance() -> None:
     steps = footsteps(*walk(0.4, 0.2, slip=0.2), PERIOD)
     np.testing.assert_allclose(np.diff(steps.position[:, 0]), 0.4, atol=0.2 * PERIOD)
     still = footsteps(*walk(0.4, 0.2), PERIOD)
@@ -49,7 +49,7 @@ def test_a_sliding_foot_is_where_it_is_in_the_middle_of_its_stance() -> None:
 
 
 @pytest.mark.parametrize(("short", "wide"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.03), (-0.02, 0.04)])
-def test_errors_are_actual_minus_ideal(short: float, wide: float) -> None:
+def test_placement_error_is_actual_minus_ideal(short: float, wide: float) -> None:
     steps = footsteps(*walk(0.4 - short, 0.2 + wide), PERIOD)
     found = placement(steps, np.array([[0.4, 0.2], [0.4, -0.2]]))
     assert len(found.error) == len(steps.side) - 1
@@ -59,7 +59,7 @@ def test_errors_are_actual_minus_ideal(short: float, wide: float) -> None:
     np.testing.assert_allclose(found.error, np.hypot(short, wide), atol=1e-9)
 
 
-def test_each_foot_has_its_own_ideal_step() -> None:
+def test_feet_have_separate_ideal_steps() -> None:
     """As in a curve, or when one leg is behind."""
     steps = Footsteps(
         np.array([0, 1, 0]), np.arange(3.0), np.array([[0, 0.1], [0.3, -0.1], [1, 0.1]])
@@ -68,13 +68,13 @@ def test_each_foot_has_its_own_ideal_step() -> None:
     np.testing.assert_allclose(found.offset, 0.0, atol=1e-12)
 
 
-def test_two_stances_of_one_foot_in_a_row_are_no_step() -> None:
+def test_consecutive_stances_of_one_foot_are_no_step() -> None:
     side = np.array([0, 1, 1, 0])
     steps = Footsteps(side, np.arange(4.0), np.zeros((4, 2)))
     assert placement(steps, np.zeros((2, 2))).side.tolist() == [1, 0]
 
 
-def test_the_published_errors_statistics_follow_from_their_steps() -> None:
+def test_published_error_follows_from_published_offsets() -> None:
     """Mean foot biases of the paper's data at 1.0 m/s give its mean error (9.2 cm)."""
     bias = np.array([[-0.104, 0.022], [-0.069, -0.037]])
     found = Placement(np.array([0, 1]), bias, np.zeros(2))
@@ -82,14 +82,14 @@ def test_the_published_errors_statistics_follow_from_their_steps() -> None:
     np.testing.assert_allclose(found.outward, [0.022, 0.037])
 
 
-def test_arrays_that_do_not_fit_are_refused() -> None:
+def test_refuses_arrays_of_wrong_shape() -> None:
     with pytest.raises(ShapeError, match=r"\(5, 3\)"):
         footsteps(np.zeros((5, 3)), np.zeros((5, 2, 3)), PERIOD)
     with pytest.raises(ShapeError):
         footsteps(np.zeros((5, 2)), np.zeros((4, 2, 3)), PERIOD)
 
 
-def test_a_robot_that_stands_has_no_footsteps() -> None:
+def test_standing_robot_has_no_footsteps() -> None:
     steps = footsteps(np.full((50, 2), 160.0), np.zeros((50, 2, 3)), PERIOD)
     assert len(steps.side) == 0
     assert len(placement(steps, np.zeros((2, 2))).error) == 0

@@ -18,7 +18,7 @@ def stance(first: float, second: float, dip: float, duration: float = 0.6) -> np
     return PchipInterpolator([0, 0.2, 0.5, 0.8, 1], [0, first, dip, second, 0])(time)
 
 
-def test_two_humps_and_the_dip_between_them() -> None:
+def test_two_humps_and_dip_ratio() -> None:
     force = stance(300.0, 260.0, 91.0)
     np.testing.assert_allclose(humps(force, PERIOD) * PERIOD, [0.12, 0.48], atol=0.01)
     # smoothing takes a little off
@@ -32,7 +32,7 @@ def test_one_hump_has_no_dip() -> None:
         assert dip_ratio(force, PERIOD) == 1.0
 
 
-def test_ripples_and_impacts_are_no_humps() -> None:
+def test_ripples_and_impacts_are_not_humps() -> None:
     time = np.linspace(0, 1, 1000)
     force = 380 * np.sin(np.pi * time) ** 0.5
     rippled = force + 10 * np.sin(2 * np.pi * 8 * time)
@@ -42,7 +42,7 @@ def test_ripples_and_impacts_are_no_humps() -> None:
     assert len(humps(struck, PERIOD)) == 1
 
 
-def test_a_profile_is_the_mean_over_stances() -> None:
+def test_force_profile_is_mean_over_stances() -> None:
     swing = np.zeros(400)
     record = np.concatenate([swing, stance(300, 260, 91), swing, stance(320, 280, 100), swing])
     profile = force_profile(record, PERIOD)
@@ -57,9 +57,7 @@ def test_a_profile_is_the_mean_over_stances() -> None:
 
 
 @pytest.mark.parametrize("speed", [0, 10])
-def test_the_reduced_order_model_has_two_humps_of_the_published_height(
-    library: GaitLibrary, speed: int
-) -> None:
+def test_model_humps_have_published_height(library: GaitLibrary, speed: int) -> None:
     """433 and 429 N at 0 m/s, 442 and 441 at 1 m/s, and nothing in between."""
     gait = library.gaits[speed]
     time = np.arange(0, gait.stride, PERIOD)
@@ -75,7 +73,7 @@ def test_the_reduced_order_model_has_two_humps_of_the_published_height(
     np.testing.assert_allclose(heights, sorted(published), atol=1.0)
 
 
-def test_strides_are_averaged_at_the_same_phase() -> None:
+def test_strides_are_averaged_at_equal_phase() -> None:
     """Of two strides of different length, the same curve."""
     curves = [np.sin(2 * np.pi * np.arange(n) / n) for n in (800, 1000)]
     mean, std = mean_over_strides(np.concatenate([*curves, [0.0]]), np.array([0, 800, 1800]), 100)

@@ -24,14 +24,14 @@ STRIDE = 0.8
 TIME = np.arange(0, 4, PERIOD)
 
 
-def test_a_strides_oscillation_averages_out() -> None:
+def test_stride_average_removes_oscillation() -> None:
     swing = 0.9 + 0.1 * np.sin(2 * np.pi * TIME / (27 * PERIOD))
     averaged = stride_average(swing, 27 * PERIOD, PERIOD)
     np.testing.assert_allclose(averaged[20:-20], 0.9, atol=1e-12)
 
 
 @pytest.mark.parametrize("constant", [0.2, 0.4])
-def test_settling_of_a_first_order_lag_is_known(constant: float) -> None:
+def test_settling_time_of_first_order_lag(constant: float) -> None:
     """It comes within 0.1 m/s of a step of 1 m/s after ln 10 time constants."""
     speed = 1 - np.exp(-(TIME + PERIOD) / constant)
     answer = step_response(speed, 0.0, 1.0, PERIOD, PERIOD)
@@ -44,7 +44,7 @@ def test_settling_of_a_first_order_lag_is_known(constant: float) -> None:
     assert down.overshoot == 0.0
 
 
-def test_overshoot_is_measured_in_the_direction_of_the_change() -> None:
+def test_overshoot_is_in_direction_of_change() -> None:
     speed = 1 + 0.3 * np.exp(-TIME) * np.sin(5 * TIME)
     up = step_response(speed, 0.0, 1.0, PERIOD, PERIOD)
     assert up.overshoot == pytest.approx((speed - 1).max(), abs=1e-9)
@@ -52,19 +52,19 @@ def test_overshoot_is_measured_in_the_direction_of_the_change() -> None:
     assert down.overshoot == pytest.approx((1 - speed).max(), abs=1e-9)
 
 
-def test_the_oscillation_of_a_stride_does_not_unsettle() -> None:
+def test_stride_oscillation_does_not_prevent_settling() -> None:
     speed = 1 + 0.3 * np.sin(2 * np.pi * TIME / STRIDE)
     assert step_response(speed, 1.0, 1.0, STRIDE, PERIOD).settling_time == 0.0
     assert step_response(speed, 1.0, 1.0, PERIOD, PERIOD).settling_time > 3.0
 
 
-def test_what_never_arrives_never_settles() -> None:
+def test_speed_off_command_never_settles() -> None:
     answer = step_response(np.full(100, 0.7), 0.0, 1.0, STRIDE, PERIOD)
     assert answer.settling_time == math.inf
     assert answer.steady_error == pytest.approx(-0.3)
 
 
-def test_what_arrives_less_than_a_stride_before_the_end_has_not_settled() -> None:
+def test_settling_needs_a_whole_stride() -> None:
     """It may be an oscillation on its way through."""
     length = 27
     # the mean over 27 samples is within 0.1 m/s once 25 of them are at the command
@@ -78,7 +78,7 @@ def test_root_mean_square_is_over_time() -> None:
     np.testing.assert_allclose(root_mean_square(np.array([[3.0, 0], [4, 0]])), [np.sqrt(12.5), 0])
 
 
-def test_legs_that_move_alike_correlate() -> None:
+def test_leg_length_correlation() -> None:
     model = 0.9 + 0.05 * np.stack([np.sin(8 * TIME), np.cos(8 * TIME)], axis=1)
     assert leg_length_correlation(2 * model + 0.1, model) == pytest.approx(1.0)
     assert leg_length_correlation(-model, model) == pytest.approx(-1.0)
@@ -86,7 +86,7 @@ def test_legs_that_move_alike_correlate() -> None:
     assert math.isnan(leg_length_correlation(np.ones_like(model), model))
 
 
-def test_spikes_are_ranges_around_touchdowns() -> None:
+def test_touchdown_spike_is_range_around_touchdowns() -> None:
     speed = np.ones(100)
     speed[30:32] += 0.2
     speed[60] -= 0.4
@@ -95,7 +95,7 @@ def test_spikes_are_ranges_around_touchdowns() -> None:
     assert math.isnan(touchdown_spike(speed, np.array([1, 99]), 2))  # not in the record
 
 
-def test_cost_of_transport_is_work_over_weight_and_way() -> None:
+def test_cost_of_transport_is_work_over_weight_and_distance() -> None:
     torque, velocity = np.zeros((100, 10)), np.zeros((100, 10))
     torque[:, 3], velocity[:, 3] = 50.0, 2.0
     torque[:, 8], velocity[:, 8] = 10.0, -1.0  # brakes: counts as well
@@ -105,7 +105,7 @@ def test_cost_of_transport_is_work_over_weight_and_way() -> None:
     assert math.isnan(cost_of_transport(torque, velocity, 0.0, PERIOD))
 
 
-def test_cost_of_transport_is_by_the_weight_that_is_carried() -> None:
+def test_cost_of_transport_uses_given_mass() -> None:
     torque, velocity = np.full((10, 10), 2.0), np.ones((10, 10))
     bare, loaded = (
         cost_of_transport(torque, velocity, 1.0, PERIOD, mass=mass)
@@ -115,7 +115,7 @@ def test_cost_of_transport_is_by_the_weight_that_is_carried() -> None:
     assert cost_of_transport(torque, velocity, 1.0, PERIOD) == bare
 
 
-def test_roughness_is_the_change_between_actions() -> None:
+def test_action_roughness() -> None:
     action = np.zeros((5, 10))
     action[1::2, :4] = 0.5
     assert action_roughness(action) == pytest.approx(1.0)
