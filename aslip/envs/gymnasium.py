@@ -29,7 +29,7 @@ except ImportError as error:
     raise ImportError("Gymnasium is missing; pip install 'aslip[gym]'") from error
 
 from aslip.envs.make import make_env
-from aslip.envs.stack_env import StackEnv
+from aslip.envs.stack_env import StackEnv, check_seed
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
@@ -116,7 +116,8 @@ class GymVectorEnv(VectorEnv):
     """N robots in one batch for Gymnasium.
 
     A robot whose episode ends is reset in the same step: its observation is the first of the new
-    episode, and `info["final_obs"]` and `info["final_info"]` describe the last step of the old one.
+    episode, as is its `info`, and `info["final_obs"]` and `info["final_info"]` describe the last
+    step of the old one.
 
     Args:
         num_envs: number of robots.
@@ -145,7 +146,7 @@ class GymVectorEnv(VectorEnv):
         options: Info | None = None,
     ) -> tuple[np.ndarray, Info]:
         """Start an episode of every robot; see `GymEnv.reset`."""
-        super().reset(seed=seed)
+        super().reset(seed=None if seed is None else check_seed(seed))
         self._state = _reset(self.env, seed, options)
         return _observation(self._state), _info(self._state)
 
@@ -155,7 +156,7 @@ class GymVectorEnv(VectorEnv):
         """Run one policy step, 30 ms, of every robot."""
         after, self._state = self.env.step_and_maybe_reset(_act(self._state, actions))
         reward, terminated, truncated = _outcome(after["next"])
-        info = _info(after["next"])
+        info = _info(self._state)
         if (ended := terminated | truncated).any():
             last, final = _observation(after["next"]), np.full(self.num_envs, None, dtype=object)
             for robot in np.flatnonzero(ended):
@@ -276,7 +277,9 @@ def _configuration(state: TensorDictBase) -> np.ndarray:
     """
     qpos = state.get(("truth", "qpos"), None)
     if qpos is None:
-        raise ConfigurationError("render needs a simulated robot and a reset before")
+        raise ConfigurationError(
+            'render needs a simulated robot, a reset before, and `keep` without or with "truth"'
+        )
     return qpos[0].numpy()
 
 

@@ -28,7 +28,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
 
-from aslip.envs import SimulatedEnv, StackEnv
+from aslip.envs import RobotEnv, SimulatedEnv, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.sim.dynamics import longest_delay
@@ -101,8 +101,10 @@ def _set_carrier(collector: Collector, carrier: TensorDictBase, state: Mapping[s
         collector._traj_pool.load_state_dict(state["traj_pool"])
 
 
-def _robots(env: SimulatedEnv) -> dict[str, Any]:
-    """States and dynamics of an environment's robots."""
+def _robots(env: RobotEnv) -> dict[str, Any]:
+    """States and dynamics of an environment's robots; nothing of robots that are no simulation."""
+    if not isinstance(env, SimulatedEnv):
+        return {}
     return {
         "states": torch.from_numpy(env.states()),
         "dynamics": {name: torch.from_numpy(values) for name, values in env.dynamics.items()},
@@ -112,12 +114,18 @@ def _robots(env: SimulatedEnv) -> dict[str, Any]:
     }
 
 
-def _set_robots(env: SimulatedEnv, robots: Mapping[str, Any]) -> None:
-    """Write what `_robots` returned.
+def _set_robots(env: RobotEnv, robots: Mapping[str, Any]) -> None:
+    """Write what `_robots` returned; robots that are no simulation stay where they are.
 
     Raises:
         ConfigurationError: it is of other robots.
     """
+    if isinstance(env, SimulatedEnv) != bool(robots):
+        raise ConfigurationError(
+            "the state is of other robots: some are a simulation, some are not"
+        )
+    if not isinstance(env, SimulatedEnv):
+        return
     if robots["memory"] > longest_delay(env.model):
         delay = min(robots["memory"], DYNAMICS["torque_delay"].high)
         env.set_dynamics({"torque_delay": delay})

@@ -90,7 +90,8 @@ class Progress:
                 hook.remove()
             if data is None:
                 return
-            self._divergences += int(data["next", "truth", "diverged"].sum())
+            diverged = data.get(("next", "truth", "diverged"), None)  # only simulations diverge
+            self._divergences += 0 if diverged is None else int(diverged.sum())
             bar.set_description("learning")
             yield data
             # a batch that trained nothing does not count

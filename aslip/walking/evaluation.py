@@ -25,13 +25,14 @@ TRACKING_TOLERANCE: Final = 0.2
 # least share of the weight on the feet, and allowance for a change of the vertical velocity
 _ON_FEET, _BOB = 0.95, 0.5  # [-], [m/s]
 _POSITION = ("true_odometry", "pelvis_position")
+_FORCE = ("truth", "ground_force")
 _RECORDED: Final[list[NestedKey]] = [
     _POSITION,
     ("next", *_POSITION),
     ("next", "done"),
     ("next", "terminated"),
     ("next", "reward"),
-    ("next", "truth", "ground_force"),
+    ("next", *_FORCE),
     ("next", "reward_terms"),
 ]
 
@@ -110,8 +111,8 @@ def evaluate(
         num_steps: largest number of policy steps of a walk, 1 or more.
 
     Raises:
-        ConfigurationError: the environment has another number of robots, or `num_steps` is not a
-            whole number of 1 or more.
+        ConfigurationError: the environment has another number of robots or lacks their truth, or
+            `num_steps` is not a whole number of 1 or more.
     """
     if not isinstance(num_steps, Integral) or isinstance(num_steps, bool) or num_steps < 1:
         raise ConfigurationError(
@@ -120,6 +121,12 @@ def evaluate(
     if env.num_envs != len(speeds):
         raise ConfigurationError(
             f"env must have one robot for each of the {len(speeds)} speeds, got {env.num_envs}"
+        )
+    known = env.observation_spec.keys(True, True)
+    if missing := [key for key in (_POSITION, _FORCE) if key not in known]:
+        raise ConfigurationError(
+            f"an evaluation needs the entries {missing}, which simulated robots have and `keep`"
+            " must not hide"
         )
     command = np.tile(np.asarray(speeds, dtype=np.float32), (num_steps, 1))
     rows = record(policy, env, command, _RECORDED, until_all_ended=True)
@@ -145,7 +152,7 @@ def _results(rows: TensorDict, speeds: Sequence[float], weight: Any) -> list[Wal
     steps = walking.sum(0).float()
     totals = {name: _sum(t, walking) for name, t in after.get("reward_terms", TensorDict()).items()}
     total = _sum(after["reward"], walking)
-    force = _sum(after["truth", "ground_force"][..., 2].sum(-1, keepdim=True), walking)
+    force = _sum(after[_FORCE][..., 2].sum(-1, keepdim=True), walking)
     last = walking.sum(0) - 1, torch.arange(len(speeds))
     position, start = after[_POSITION][last], rows[_POSITION][0]
     fell = (after["terminated"][..., 0] & walking).any(0)

@@ -108,7 +108,7 @@ def test_pictures_show_the_robot_move(one: GymEnv) -> None:
 
 
 def test_robots_are_reset_in_the_step_that_ends_their_episode(four: GymVectorEnv) -> None:
-    first, _ = four.reset(seed=1)
+    first, _ = four.reset(seed=1, options={"command": 0.2})
     assert four.observation_space.contains(first)
     actions = np.zeros((4, 10), dtype=np.float32)
     actions[2] = np.nan
@@ -119,6 +119,9 @@ def test_robots_are_reset_in_the_step_that_ends_their_episode(four: GymVectorEnv
     assert info["final_obs"][0] is None
     assert not np.array_equal(info["final_obs"][2], observation[2])
     assert info["final_info"]["reward_terms"]["com_vel"].shape == (4,)
+    # the new episode has a command of its own
+    np.testing.assert_array_equal(info["final_info"]["command"], np.float32(0.2))
+    assert (info["command"] == np.float32(0.2)).tolist() == [True, True, False, True]
 
 
 def test_vector_steps_equal_the_steps_of_the_stack(four: GymVectorEnv) -> None:

@@ -16,6 +16,7 @@ import aslip
 from aslip.envs import BatchEnv, RobotEnv, StackEnv, default_stack, robot_stack
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE
+from aslip.training.collectors import LocalCollector
 from tests.helpers import differing
 
 STEPS = 30
@@ -153,3 +154,19 @@ def test_simulator_as_base_equals_the_backend() -> None:
     ours = by_name.rollout(3)
     torch.manual_seed(0)
     assert not differing(ours, as_base.rollout(3))
+
+
+def test_collector_on_replayed_robots_saves_and_loads(log: Mapping[str, np.ndarray]) -> None:
+    """Robots that are no simulation begin a new episode; all else is resumed."""
+
+    def make(**settings: int) -> StackEnv:
+        del settings
+        return aslip.make_env(base=ReplayedRobot(log), stack=robot_stack())
+
+    policy = cast("torch.nn.Module", aslip.load_policy("aslip"))
+    first, second = (LocalCollector(make, policy, num_envs=2, samples=8) for _ in range(2))
+    next(iter(first))
+    second.load_state_dict(first.state_dict())
+    assert next(iter(second)).numel() == 8
+    first.shutdown()
+    second.shutdown()

@@ -58,6 +58,11 @@ def test_refuses_environment_with_another_number_of_robots(make: MakeEnv) -> Non
         evaluate(limp(), make(num_envs=2), SPEEDS)
 
 
+def test_refuses_environment_that_hides_the_truth(make: MakeEnv) -> None:
+    with pytest.raises(ConfigurationError, match=r"truth.*keep"):
+        evaluate(limp(), make(num_envs=len(SPEEDS), keep=["observation"]), SPEEDS)
+
+
 def test_evaluates_stack_without_reward_terms(make: MakeEnv) -> None:
     """Rewards are the experiment's business."""
     terms = ["com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"]
