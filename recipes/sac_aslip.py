@@ -78,7 +78,8 @@ def make_critic(normalizer: RunningNormalizer, shape: PolicyShape) -> TensorDict
     """Value of an observation and an action; its layers are normalised against overestimation."""
     inputs = shape.observation_size + shape.action_size
     mlp = MLP(inputs, 1, norm_class=nn.LayerNorm, norm_kwargs={"normalized_shape": _CELLS}, **_MLP)
-    normalise = TensorDictModule(normalizer, in_keys=["observation"], out_keys=["normalised"])
+    # a function, because the loss copies modules, and a copy of the normaliser would never learn
+    normalise = TensorDictModule(lambda seen: normalizer(seen), ["observation"], ["normalised"])
     return TensorDictSequential([normalise, ValueOperator(mlp, in_keys=["normalised", "action"])])
 
 
