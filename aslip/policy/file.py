@@ -175,12 +175,17 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
             " trust it"
         )
     table = [unravel_key(tuple(name.split("/"))) for name in names]
+
+    def make(function: MakeActor) -> ProbabilisticActor:
+        return function(RunningNormalizer(shape.observation_size), shape, table)
+
+    # not in the try block: a mistake in the caller's function is no damage of the file
+    actor = None if network is None else make(network)
     try:
         weights = _weights(entries)
-        if network is None:
-            network = _NETWORKS[card["network"]]
+        if actor is None:
             _check_count(weights, shape)
-        actor = network(RunningNormalizer(shape.observation_size), shape, table)
+            actor = make(_NETWORKS[card["network"]])
         if odd := _differences(actor, weights):
             raise ValueError("; ".join(odd))
     except Exception as error:  # an untrusted card may fail in many ways

@@ -425,6 +425,14 @@ def test_custom_network_loads_with_given_function(tmp_path: Path) -> None:
         aslip.load_policy(path, make_actor)
 
 
+def test_mistake_in_own_network_function_is_no_damage_of_the_file(file: Path) -> None:
+    def fails(*arguments: Any) -> ProbabilisticActor:
+        raise TypeError(f"own mistake with {len(arguments)} arguments")
+
+    with pytest.raises(TypeError, match="own mistake with 3 arguments"):
+        aslip.load_policy(file, fails)
+
+
 def test_card_cannot_import_code(file: Path) -> None:
     parts = read_zip(file.read_bytes())
     card = json.loads(parts[CARD]) | {"network": "os.system"}
