@@ -57,7 +57,8 @@ from aslip.transforms import ActionDelta
 _LIMIT = 0.4  # largest action [rad]
 _CELLS = 128
 _MLP = {"depth": 2, "num_cells": _CELLS, "activation_class": nn.ReLU}
-_AFTER = [("next", name) for name in ("observation", "reward", "done", "terminated")]
+_AFTER = ("observation", "reward", "done", "terminated")
+STORED = ["observation", "action", *(("next", name) for name in _AFTER)]
 
 
 def make_actor(normalizer: RunningNormalizer, shape: PolicyShape, *_: object) -> ProbabilisticActor:
@@ -106,7 +107,7 @@ def main(config: Config) -> None:
     with tqdm(total=config.total_steps, unit="step") as bar, collector:
         for data in collector:
             normalizer.update(data["observation"])
-            buffer.extend(data.reshape(-1).select("observation", "action", *_AFTER))
+            buffer.extend(data.reshape(-1).select(*STORED))
             for _ in range(config.updates):
                 losses = loss(buffer.sample())
                 optimizer.zero_grad()

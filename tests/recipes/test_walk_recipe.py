@@ -90,8 +90,12 @@ def test_fall_ends_the_walk_with_a_complete_log(
         ({"command": "4:1.0"}, ConfigurationError, "from 0"),
         ({"push": ("1",)}, ConfigurationError, "push is"),
         ({"duration": -1.0}, ConfigurationError, "duration"),
-        ({"push": ("9:0,5,0",), "duration": 2.0}, ConfigurationError, "from 0 to 2 s.* at 9 s"),
-        ({"push": ("-1:0,5,0",)}, ConfigurationError, "no push at -1 s"),
+        (
+            {"push": ("9:0,5,0",), "duration": 2.0},
+            ConfigurationError,
+            "push at 9 s is outside the walk, from 0 to 2 s",
+        ),
+        ({"push": ("-1:0,5,0",)}, ConfigurationError, "push at -1 s is outside the walk"),
         (
             {"push": ("1.05:0,5,0", "1:5,0,0")},
             ConfigurationError,
