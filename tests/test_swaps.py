@@ -35,7 +35,7 @@ from aslip.envs import (
     insert_before,
     policy_interface,
     robot_stack,
-)  # fmt: skip
+)
 from aslip.errors import ConfigurationError
 from aslip.policy import (
     MakeActor,
@@ -255,10 +255,9 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """A benchmark of a second in place of a minute."""
-    monkeypatch.setattr(velocity_tracking, "_HOLD", 0.15)  # a touchdown of the model at the least
-    for name in ("_BEFORE", "_AFTER", "_SETTLE", "_WALK"):
-        monkeypatch.setattr(velocity_tracking, name, 0.09)
-    monkeypatch.setattr(velocity_tracking, "_TRANSIENT", 0.03)
+    times = {"_HOLD": 0.15, "_TRANSIENT": 0.03}  # held for a touchdown of the model at the least
+    for name in ("_HOLD", "_TRANSIENT", "_BEFORE", "_AFTER", "_SETTLE", "_WALK"):
+        monkeypatch.setattr(velocity_tracking, name, times.get(name, 0.09))
 
 
 def _rollout(make_env: MakeEnv, policy: Any, steps: int = 12) -> Any:
@@ -277,8 +276,7 @@ def test_an_example_trains_saves_loads_walks_and_is_measured(
 ) -> None:
     folder, make_env = trained(train)
     policy = aslip.load_policy(folder, network)
-    for key, value in policy.state_dict().items():
-        assert value.isfinite().all(), key
+    assert all(value.isfinite().all() for value in policy.state_dict().values())
     with closing(make_env()) as env:
         walker = Walker(policy if network else folder, env)
         assert walker.step()["next", "reward"].isfinite().all()
@@ -336,11 +334,10 @@ def test_torques_reach_the_motors(trained: Trained) -> None:
 
 def test_sac_acts_within_its_bounds(trained: Trained) -> None:
     policy = aslip.load_policy(trained(train_with_sac)[0], sac_aslip.make_actor)
-    with torch.no_grad():
-        for parameter in policy.parameters():
-            parameter.mul_(1000)
-    action = policy(TensorDict(observation=torch.randn(50, 64), batch_size=50))["action"]
-    assert action.abs().max() == pytest.approx(0.4, abs=1e-3)
+    for parameter in policy.parameters():
+        parameter.mul_(1000)
+    observation = TensorDict(observation=torch.randn(50, 64), batch_size=50)
+    assert policy(observation)["action"].abs().max() == pytest.approx(0.4, abs=1e-3)
 
 
 def test_a_motion_of_ones_own_guides_the_policy(trained: Trained) -> None:
