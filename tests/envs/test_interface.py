@@ -265,7 +265,7 @@ print(function_text(partial(bound({}), scale=3), lambda value: getattr(value, "_
 print(function_text(bound(object()), lambda value: type(value).__name__))
 """
     texts = set()
-    for seed in "123":
+    for seed in "12":
         environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)}
         command = [sys.executable, "-c", code]
         texts.add(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)

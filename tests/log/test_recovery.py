@@ -23,7 +23,8 @@ def test_flipped_bit_costs_one_chunk(
     assert summary is not None
     indexes = summary.chunk_indexes
     assert len(indexes) >= 4
-    for i, index in enumerate(indexes):
+    for i in (0, len(indexes) // 2, len(indexes) - 1):
+        index = indexes[i]
         place = index.chunk_start_offset + index.chunk_length // 2
         path = altered(lambda data, at=place: data.__setitem__(at, data[at] ^ 1))
         saved = recover(path, tmp_path / f"{i}.mcap")

@@ -42,9 +42,8 @@ _KINDS: dict[str, Any] = {
     "ray": RayCollectors,
 }
 
-needs_ray = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="Ray is not installed"
-)
+without_ray = importlib.util.find_spec("ray") is None
+needs_ray = pytest.mark.skipif(without_ray, reason="Ray is not installed")
 
 
 @dataclass
@@ -104,7 +103,9 @@ def ray() -> Iterator[tuple[list[TensorDict], list[float]]]:
     assert not importlib.import_module("ray").is_initialized()
 
 
-@pytest.mark.parametrize("kind", ["distributed", pytest.param("ray", marks=needs_ray)])
+@pytest.mark.parametrize(
+    "kind", ["distributed", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
+)
 class TestOtherProcesses:
     @pytest.fixture
     def collected(
@@ -171,6 +172,7 @@ class TestOtherProcesses:
 
 
 @needs_ray
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_batches(distributed: Any, ray: Any) -> None:
     """Bit for bit, whoever runs the processes."""
     for one, other in zip(distributed[0], ray[0], strict=True):
@@ -253,7 +255,9 @@ def _session(leader: int) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-@pytest.mark.parametrize("kind", ["distributed", pytest.param("ray", marks=needs_ray)])
+@pytest.mark.parametrize(
+    "kind", ["distributed", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
+)
 def test_however_a_training_ends_so_do_its_processes(
     tmp_path: Path, kind: str, number: signal.Signals
 ) -> None:
