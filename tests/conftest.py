@@ -21,6 +21,14 @@ from tests.helpers import MakeEnv
 
 # the machine is shared, and no test gains from more
 torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> None:
+    """PyTorch's threads, which change the last bits, whatever the tests before have set."""
+    torch.set_num_threads(1)
+
+
 # the background jobs of a shell ignore Ctrl-C, and so would what tests start and interrupt
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

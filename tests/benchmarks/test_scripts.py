@@ -76,6 +76,7 @@ def test_throughput_reports_every_candidate(capsys: pytest.CaptureFixture[str]) 
     assert all(row.endswith("% |") for row in rows)
 
 
+@pytest.mark.slow
 def test_collectors_report(capsys: pytest.CaptureFixture[str]) -> None:
     config = collectors.Config(kinds=("single", "distributed"), num_envs=4, samples=8, rounds=2)
     collectors.main(config)
@@ -85,6 +86,7 @@ def test_collectors_report(capsys: pytest.CaptureFixture[str]) -> None:
     assert float(other.split("|")[3].strip(" %")) > 0
 
 
+@pytest.mark.slow
 def test_throughput_reports_learning_and_memory(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ppo_aslip, "PRESETS", {"default": TINY})
     config = throughput.Config(num_envs=(2,), rounds=2)
@@ -268,6 +270,7 @@ def test_error_names_damaged_record(tmp_path: Path) -> None:
         assert record.read_text() == text
 
 
+@pytest.mark.slow
 def test_black_box_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
