@@ -296,7 +296,7 @@ def test_the_readme_names_the_versions_of_python_that_can_be_installed() -> None
 
 
 def test_the_newcomers_table_has_twenty_rows() -> None:
-    """What each row names exists, by the tests of paths and objects above."""
+    """Paths and objects of the rows are checked by the tests above."""
     text = (DOCS / "architecture.md").read_text()
     table = re.search(r"^## Where is \.\.\.\?\n(.*?)^## ", text, flags=re.DOTALL | re.MULTILINE)
     assert table is not None

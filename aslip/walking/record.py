@@ -249,7 +249,7 @@ def _place(env: StackEnv) -> str:
     """Group of entries that tell where an environment's robots are.
 
     Raises:
-        ConfigurationError: there is none.
+        ConfigurationError: the environment has no odometry, true or estimated.
     """
     for place in _PLACES:
         if place in env.observation_spec:

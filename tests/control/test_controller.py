@@ -66,7 +66,7 @@ def make_rollout_env(name: str, num: int) -> StackEnv:
 def walk(
     env: StackEnv, policy: TensorDictModuleBase, controller: Controller, steps: int
 ) -> Iterator[tuple[TensorDictBase, TensorDictBase]]:
-    """What an environment and a controller had at each step, and the controller's memory.
+    """Record entries of an environment and a controller at each step, and the controller's memory.
 
     Commands and headings change, and robots that fall begin again.
     """

@@ -226,7 +226,7 @@ def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str)
 
 
 def test_presets_choose_their_environments() -> None:
-    """What training has and evaluation has not."""
+    """Staggered ends belong to training alone; commands change as the preset says."""
     found = {}
     for name in PRESETS:
         made = environments(name)
