@@ -118,7 +118,9 @@ class WalkingProblem:
         landed_length, standing_length = length[0, points - 1 : -1], length[1, :-1]
         height = state[2, :-1]
         self._require("leg force, landing leg", landing, landing >= 0)
-        self._require("leg force, standing leg", standing, standing >= 0)
+        # the other leg carries nothing in single stance
+        least = np.repeat([[p.min_stance_force, 0.0]], points - 1, axis=1)
+        self._require("leg force, standing leg", standing, standing >= least)
         for name, value in (("landing leg", landed_length), ("standing leg", standing_length)):
             bounded = opti.bounded(p.min_leg_length, value, p.max_leg_length)
             self._require(f"leg length, {name}", value, bounded)

@@ -69,6 +69,12 @@ class SlipParameters:
     """Longest stance leg [m] (published gaits)."""
     min_body_height: float = 0.800
     """Lowest body height [m] (published gaits: active from 1.6 m/s on)."""
+    min_stance_force: float = 0.0
+    """Least force of the leg in single stance, as a share of body weight.
+
+    The published gaits have no such bound: up to 1.7 m/s the force vanishes in mid-stance, and a
+    robot that follows them lets go of the floor.
+    """
     max_speed: float = 2.4
     """Largest mean speed of a gait [m/s]; the paper's library ends at 2 m/s.
 
@@ -79,7 +85,12 @@ class SlipParameters:
         """Check that values are positive and finite and bounds in order."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if not (math.isfinite(value) and value > 0.0):
+            if field.name == "min_stance_force":
+                if not 0.0 <= value < 1.0:
+                    raise ConfigurationError(
+                        f"min_stance_force must be at least 0 and below 1 body weight, got {value}"
+                    )
+            elif not (math.isfinite(value) and value > 0.0):
                 raise ConfigurationError(f"{field.name} must be positive and finite, got {value}")
         for name in ("double_stance", "leg_length"):
             low, high = getattr(self, f"min_{name}"), getattr(self, f"max_{name}")

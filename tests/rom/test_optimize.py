@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aslip.errors import GaitOptimizationError, ShapeError, SpeedOutOfRangeError
-from aslip.rom import SlipParameters, optimize_gait, optimize_gaits
+from aslip.rom import Mode, SlipParameters, optimize_gait, optimize_gaits
 
 from .test_gait import ARRAYS
 
@@ -55,6 +55,17 @@ def test_mean_objective_prefers_longer_strides_than_the_integral(gait):
     assert integral.cost < gait.cost
     assert integral.cost / integral.stride > gait.cost / gait.stride
     assert integral.stride < gait.stride
+
+
+def test_least_stance_force_keeps_the_standing_leg_loaded(gait):
+    """A bound of 15 % body weight costs 3 % more effort and lowers the largest force by 6 %."""
+    loaded = optimize_gait(1.0, parameters=SlipParameters(min_stance_force=0.15))
+    standing = loaded.leg_force[loaded.mode == Mode.LEFT, 0]
+    assert standing.min() == pytest.approx(0.15 * loaded.parameters.weight, abs=1e-6)
+    assert gait.leg_force[gait.mode == Mode.LEFT, 0].min() == pytest.approx(0.0, abs=1e-6)
+    more_effort = loaded.certificate.cost / gait.certificate.cost - 1.0
+    assert more_effort == pytest.approx(0.033, abs=2e-3)
+    assert loaded.leg_force.max() / gait.leg_force.max() == pytest.approx(0.942, abs=2e-3)
 
 
 def test_solver_is_silent(capfd):

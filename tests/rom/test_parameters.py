@@ -27,3 +27,9 @@ def test_parameters_must_be_positive_and_finite(value):
 def test_lower_bounds_must_be_below_upper_bounds():
     with pytest.raises(ConfigurationError, match="max_leg_length"):
         SlipParameters(max_leg_length=0.5)
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.0, math.nan, math.inf])
+def test_least_stance_force_must_be_a_share_of_body_weight(value):
+    with pytest.raises(ConfigurationError, match=r"min_stance_force .* below 1 body weight"):
+        SlipParameters(min_stance_force=value)
