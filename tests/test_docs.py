@@ -6,7 +6,6 @@ import contextlib
 import importlib
 import linecache
 import re
-import shlex
 import shutil
 import tomllib
 from pathlib import Path
@@ -19,10 +18,8 @@ import aslip
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
 from aslip.training.command_line import command_line, preset_command_line
+from tests.pages import DOCS, PAGES, ROOT, blocks, commands, links, page_name, prose, sections
 
-ROOT = Path(__file__).parent.parent
-DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 LARGEST_README = 9000
 """Bytes."""
 
@@ -34,18 +31,7 @@ _FOREIGN = {"pip", "ray", "rerun", "plotjuggler"}
 _PRESETS_OF = {"recipes.ppo_aslip": "PRESETS", "recipes.ppo_cluster": "CLUSTER_PRESETS"}
 
 
-def _name(page: Path) -> str:
-    return str(page.relative_to(ROOT))
-
-
-every_page = pytest.mark.parametrize("page", PAGES, ids=_name)
-
-
-def _blocks(page: Path, language: str) -> list[tuple[int, str]]:
-    """First line number and content of each block of code."""
-    text = page.read_text()
-    found = re.finditer(rf"^```{language}\n(.*?)^```$", text, flags=re.DOTALL | re.MULTILINE)
-    return [(text[: match.start(1)].count("\n"), match[1]) for match in found]
+every_page = pytest.mark.parametrize("page", PAGES, ids=page_name)
 
 
 # ------------------------------------------------------------------------ Python
@@ -54,7 +40,7 @@ def _blocks(page: Path, language: str) -> list[tuple[int, str]]:
 def _program(page: Path) -> str:
     """All Python blocks of a page, on the lines that they have there."""
     lines: list[str] = []
-    for start, code in _blocks(page, "python"):
+    for start, code in blocks(page.read_text(), "python"):
         lines += [""] * (start - len(lines)) + code.splitlines()
     return "\n".join(lines) + "\n"
 
@@ -79,14 +65,21 @@ def _record(path: Path) -> None:
         env.rollout(4, aslip.load_policy("aslip"))
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if _blocks(page, "python")], ids=_name)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page.read_text(), "python")], ids=page_name
+)
 def test_the_python_blocks_of_a_page_run_in_order(page: Path, folder: Path) -> None:
     code = _program(page)
     if "walk.mcap" in code and "Recorder(" not in code:
         _record(folder / "walk.mcap")
     code = _small(code)
-    linecache.cache[_name(page)] = (len(code), None, code.splitlines(keepends=True), _name(page))
-    exec(compile(code, _name(page), "exec"), {"__name__": "__docs__"})
+    linecache.cache[page_name(page)] = (
+        len(code),
+        None,
+        code.splitlines(keepends=True),
+        page_name(page),
+    )
+    exec(compile(code, page_name(page), "exec"), {"__name__": "__docs__"})
 
 
 def test_settings_that_the_tests_replace_are_on_the_pages() -> None:
@@ -99,33 +92,10 @@ def test_snippets_outside_of_a_checkout_import_the_package_only(page: Path) -> N
     """The wheel has neither recipes nor benchmarks; a page that imports them says so."""
     for line in _program(page).splitlines():
         if re.match(r"(from|import) (recipes|benchmarks)\b", line):
-            assert "checkout" in page.read_text(), f"{_name(page)}: {line}"
+            assert "checkout" in page.read_text(), f"{page_name(page)}: {line}"
 
 
 # ------------------------------------------------------------------------- shell
-
-
-def _commands(page: Path) -> list[list[str]]:
-    """Words of each command in blocks of shell, without comments and environment variables."""
-    found = []
-    for _, block in _blocks(page, "bash"):
-        for line in block.replace("\\\n", " ").splitlines():
-            for command in re.split(r"\s&&\s", _braces(line)):
-                words = shlex.split(command, comments=True)
-                while words and re.match(r"[A-Z_]+=", words[0]):
-                    words.pop(0)
-                if words:
-                    found.append(words)
-    return found
-
-
-def _braces(line: str) -> str:
-    """Expand the first `{a,b}` of a line, as a shell does."""
-    return re.sub(
-        r"(\S*)\{([\w,]+)\}",
-        lambda match: " ".join(match[1] + item for item in match[2].split(",")),
-        line,
-    )
 
 
 def _options(arguments: list[str]) -> list[str]:
@@ -133,10 +103,12 @@ def _options(arguments: list[str]) -> list[str]:
     return [word for word in arguments if word != "--resume"]
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if _commands(page)], ids=_name)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if commands(page.read_text())], ids=page_name
+)
 def test_the_commands_of_a_page_name_programs_with_such_options(page: Path) -> None:
     """Settings are parsed and checked; nothing is trained or measured."""
-    for words in _commands(page):
+    for words in commands(page.read_text()):
         if words[0] not in _FOREIGN and words[1:3] != ["-m", "pytest"]:
             assert words[0] == "python", words
             _check_arguments(words)
@@ -178,7 +150,7 @@ def test_commands_of_logs_work_on_a_log(folder: Path) -> None:
     """Those of the page, in its order."""
     _record(folder / "walk.mcap")
     ran = 0
-    for words in _commands(DOCS / "logs.md"):
+    for words in commands((DOCS / "logs.md").read_text()):
         if words[1:3] == ["-m", "aslip.log"]:
             if words[-1].endswith(".part"):
                 shutil.copy("walk.mcap", words[-1])
@@ -190,7 +162,7 @@ def test_commands_of_logs_work_on_a_log(folder: Path) -> None:
 def test_every_policy_that_commands_name_ships_or_is_trained() -> None:
     """Some command of the pages makes it."""
     made, named = {"runs/ppo_aslip", "runs/learning_curves"}, set()
-    for words in (words for page in PAGES for words in _commands(page)):
+    for words in (words for page in PAGES for words in commands(page.read_text())):
         for i, word in enumerate(words):
             if word == "--out":
                 made.add(words[i + 1])
@@ -212,27 +184,14 @@ def test_every_policy_that_commands_name_ships_or_is_trained() -> None:
 # ------------------------------------------------------------------- links, names
 
 
-def _links(page: Path) -> list[str]:
-    """Targets of links and pictures, those of the web left out."""
-    return re.findall(r"\]\((?!https?:)([^)\s]+)\)", _prose(page))
-
-
-def _prose(page: Path) -> str:
-    """A page without its blocks of code."""
-    return re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
-
-
 def _anchors(page: Path) -> set[str]:
-    """Anchors of the headings of a page, as GitHub makes them."""
-    headings = re.findall(r"^#+ (.*)$", _prose(page), flags=re.MULTILINE)
-    kept = (re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings)
-    return {heading.replace(" ", "-") for heading in kept}
+    return {section.anchor for section in sections(page.read_text())}
 
 
 @every_page
 def test_every_link_leads_somewhere(page: Path) -> None:
     wrong = []
-    for link in _links(page):
+    for link in links(page.read_text()):
         target, _, anchor = link.partition("#")
         file = (page.parent / target).resolve() if target else page
         if not file.exists() or (anchor and anchor not in _anchors(file)):
@@ -244,14 +203,14 @@ def test_every_link_leads_somewhere(page: Path) -> None:
 def test_every_named_path_exists(page: Path) -> None:
     """Paths of the repository in backticks, also those of a test or class in a file."""
     rooms = "aslip|recipes|benchmarks|tests|assets|docs"
-    paths = re.findall(rf"`((?:{rooms})/[\w./-]*)", _prose(page))
+    paths = re.findall(rf"`((?:{rooms})/[\w./-]*)", prose(page.read_text()))
     assert [path for path in paths if not (ROOT / path).exists()] == []
 
 
 @every_page
 def test_every_named_object_exists(page: Path) -> None:
     """Dotted names of the package in backticks."""
-    for name in re.findall(r"`((?:aslip|benchmarks)(?:\.\w+)+)", _prose(page)):
+    for name in re.findall(r"`((?:aslip|benchmarks)(?:\.\w+)+)", prose(page.read_text())):
         found, parts = None, name.split(".")
         for i in range(len(parts), 0, -1):
             with contextlib.suppress(ModuleNotFoundError):
@@ -263,7 +222,7 @@ def test_every_named_object_exists(page: Path) -> None:
 
 
 def test_the_index_lists_every_page() -> None:
-    listed = {link for link in _links(DOCS / "index.md") if link.endswith(".md")}
+    listed = {link for link in links((DOCS / "index.md").read_text()) if link.endswith(".md")}
     assert {page.name for page in DOCS.glob("*.md")} - listed == {"index.md"}
 
 
