@@ -7,7 +7,8 @@ A push is a horizontal force on the pelvis. Bisection finds the largest impulse 
 directions and phases side by side, each from a state of the same steady walk. Survival need not be
 monotonic in the impulse: the result is one boundary between survival and fall. Direction 0 is
 forward, 90 degrees is left; phase 0 is left lift-off. By symmetry, a push to the left should act
-like a push to the right half a stride later.
+like a push to the right half a stride later. Mean and range over phases describe all phases of the
+grid; with several policies, intervals are over policies.
 
 Sweeps change one parameter of robot or floor at a time, see `aslip.sim.DYNAMICS`, and count walks
 without a fall over commanded speeds. Wilson's interval assumes that speeds are random draws and
@@ -273,11 +274,14 @@ def stride_of(env: StackEnv, speed: float) -> float:
 
 
 def push_rows(config: Config, pushes: list[np.ndarray]) -> list[dict[str, Any]]:
-    """Rows of impulses, one for each direction: over all phases, and at each phase."""
+    """Rows of impulses, one for each direction: mean over all phases, and at each phase.
+
+    Phases are a full grid and no sample, so that intervals are over policies only.
+    """
     return [
         {
             "direction_deg": 360 * i / config.directions,
-            **vars(Interval.of([found[i].ravel() for found in pushes])),
+            **vars(Interval.of([found[i].mean(keepdims=True) for found in pushes])),
             "phases": [
                 {"phase": j / config.phases, **vars(Interval.of([found[i, j] for found in pushes]))}
                 for j in range(config.phases)
@@ -288,7 +292,7 @@ def push_rows(config: Config, pushes: list[np.ndarray]) -> list[dict[str, Any]]:
 
 
 def push_table(numbers: dict[str, Any]) -> str:
-    """Table of impulses, a row for each direction."""
+    """Table of impulses, a row for each direction: mean and range over phases."""
     rows = []
     for row in numbers["pushes"]:
         extremes = [pick(row["phases"], key=lambda cell: cell["mean"]) for pick in (min, max)]
@@ -299,7 +303,7 @@ def push_table(numbers: dict[str, Any]) -> str:
                 *(f"{Interval.of_row(cell).text(1)} at {cell['phase']:.3g}" for cell in extremes),
             ]
         )
-    header = ["push", "impulse [N s]", "minimum, at phase", "maximum, at phase"]
+    header = ["push", "mean over phases [N s]", "minimum, at phase", "maximum, at phase"]
     return markdown(header, rows) if rows else ""
 
 

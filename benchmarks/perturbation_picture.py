@@ -62,11 +62,11 @@ def _draw_polar(axes: PolarAxes, impulse: np.ndarray, sides: Mapping[float, str]
     directions, phases = impulse.shape
     angle = 2 * np.pi * np.arange(directions + 1) / directions
     closed = np.concatenate([impulse, impulse[:1]])
-    axes.fill(angle, closed.min(axis=1), color="0.85", label="every phase")
+    axes.fill(angle, closed.min(axis=1), color="0.85", label="survived at\nevery phase")
     for j in range(phases):
         color = mpl.colormaps[_CYCLIC](j / phases)
         axes.plot(angle, closed[:, j], color=color, lw=1.2, label=f"{j / phases:.3g}")
-    axes.plot(angle, closed.mean(axis=1), "k", lw=2.5, label="mean")
+    axes.plot(angle, closed.mean(axis=1), "k", lw=2.5, label="mean over\nphases")
     axes.set_theta_zero_location("N")
     axes.set_thetagrids(list(sides), list(sides.values()))
     axes.set_ylim(0, None)

@@ -23,6 +23,8 @@ from benchmarks.perturbation import (
     main,
     measure_pushes,
     measure_sweeps,
+    push_rows,
+    push_table,
     settle,
     sweep_rows,
     trials,
@@ -158,6 +160,25 @@ def test_sweep_rows_pool_policies_and_speeds() -> None:
     rows = sweep_rows(config, sweeps)
     assert [(row["mean"], row["trials"]) for row in rows] == [(0.75, 4), (0.25, 4)]
     assert rows[0]["by_speed"] == {"0.0": 1.0, "1.0": 0.5}
+
+
+def _pushes(*impulses: float) -> np.ndarray:
+    """One direction and two phases with two repeats each."""
+    return np.repeat(np.array(impulses), 2).reshape(1, 2, 2)
+
+
+def test_pushes_have_mean_and_range_over_phases_and_intervals_over_policies() -> None:
+    config = _config(directions=1, phases=2, repeats=2)
+    (row,) = push_rows(config, [_pushes(20.0, 40.0)])
+    assert (row["mean"], row["low"], row["high"]) == (30.0, 30.0, 30.0)
+    table = push_table({"pushes": [row]})
+    assert table.splitlines()[-1] == "| forward | 30.0 | 20.0 at 0 | 40.0 at 0.5 |"
+    (row,) = push_rows(config, [_pushes(20.0, 40.0), _pushes(22.0, 42.0)])
+    # Student's interval of 30 and 32 N s
+    half = 12.706 * math.sqrt(2.0) / math.sqrt(2.0)
+    assert (row["mean"], row["low"], row["high"]) == pytest.approx(
+        (31.0, 31 - half, 31 + half), 1e-3
+    )
 
 
 @pytest.mark.parametrize(
