@@ -1,8 +1,8 @@
 """Everything that varies between experiments, as TorchRL transforms.
 
-Each reads and writes documented keys of the tensordict; none holds state of an episode, so partial
-resets, several processes and replay need no care. Those that draw random numbers own a generator
-and follow `env.set_seed`.
+Each transform reads and writes documented keys of the tensordict. State of an episode is in the
+tensordict, not in the transform, so partial resets, worker processes and replay just work.
+Transforms that draw random numbers own a generator, which `env.set_seed` seeds.
 """
 
 from aslip.robot import NoiseLevel

@@ -1,4 +1,4 @@
-"""Motor targets from the policy's action, and the action before."""
+"""Motor targets from the policy's action, and the action of the last policy step."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 
 
 class ActionDelta(SeededTransform):
-    r"""Add the policy's action to a baseline, the reference's motor angles: :math:`\hat a + a`.
+    r"""Add the policy's action to a baseline: motor targets :math:`\hat a + a` (Sec. III-B).
 
-    (Sec. III-B.) The delta is unbounded, unscaled and unfiltered, as in the paper. To act on
-    another baseline, such as the targets of `Feedforward`, name its key. A robot whose action is
-    not finite counts as diverged: no motor could take it.
+    The action is neither clipped, scaled nor filtered, as in the paper. The default baseline is the
+    reference's motor angles; `baseline_key` names another one, such as the targets of
+    `Feedforward`. A robot whose action is not finite counts as diverged.
 
-    The action spec is bounded all the same, for algorithms that scale their actions to it and for
-    random actions. The bound describes and never clips: what a policy sends is what is added. The
-    shipped policies walk with deltas of up to 0.95 rad (aslip) and 1.21 rad (robust).
+    The action spec has bounds nevertheless: algorithms that squash their actions, and random
+    actions, need them. The shipped policies walk with actions of up to 0.95 rad (aslip) and
+    1.21 rad (robust).
 
     Args:
-        baseline_key: key of the angles (n, m) that the action is added to [rad].
-        limit: bound of the action spec, to either side, for all motors or for each of them [rad].
+        baseline_key: key of the angles (n, m) to which the action is added [rad].
+        limit: bound +- `limit` of the action spec, one for all motors or one for each [rad].
         in_keys_inv: key of the motor targets (n, m), which the robot takes [rad].
         out_keys_inv: key of the action (n, m), which the policy gives [rad].
 
     Raises:
-        ConfigurationError: `limit` is not a finite number above 0, or m of them (raised when added
-            to a stack).
+        ConfigurationError: a limit is not a finite number above 0, or (raised when added to a
+            stack) there is neither one limit nor one for each motor.
     """
 
     num_in_keys, num_out_keys = 1, 0
@@ -60,7 +60,7 @@ class ActionDelta(SeededTransform):
         return tensordict.set(self.in_keys_inv[0], add_delta(baseline, action))
 
     def transform_action_spec(self, action_spec: Composite) -> Composite:
-        """Offer the action in place of the motor targets."""
+        """Replace the motor targets by the action."""
         (target,), (action,) = self.in_keys_inv, self.out_keys_inv
         shape = action_spec[target].shape
         if isinstance(self.limit, tuple) and len(self.limit) != shape[-1]:
@@ -77,7 +77,7 @@ def add_delta(baseline: Tensor, action: Tensor) -> Tensor:
     """Motor targets (*b, m): baseline plus action; NaN where the action is not finite [rad].
 
     Raises:
-        ShapeError: the action has another shape than the baseline.
+        ShapeError: the action and the baseline differ in shape.
     """
     if action.shape != baseline.shape:
         raise ShapeError(
@@ -105,11 +105,11 @@ def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:
 
 
 class LastAction(SeededTransform):
-    """Write the action of the step before; zero after a reset.
+    """Write the action of the last policy step; zero after a reset.
 
     Args:
         in_keys: key of the action (n, m).
-        out_keys: key of the action before (n, m).
+        out_keys: key of the last action (n, m).
     """
 
     num_in_keys, num_out_keys = 1, 1
@@ -135,7 +135,7 @@ class LastAction(SeededTransform):
         return next_tensordict.set(self.out_keys[0], tensordict[self.in_keys[0]].detach())
 
     def _action_size(self) -> int:
-        """Length of the action of the environment that this belongs to."""
+        """Length of the environment's action."""
         parent = self.parent
         if parent is None:
             raise RuntimeError("LastAction needs an environment; add it to one first")
@@ -143,6 +143,6 @@ class LastAction(SeededTransform):
         return parent.full_action_spec[self.in_keys[0]].shape[-1]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the action before."""
+        """Add the last action."""
         self._size = self._action_size()
         return extend_spec(observation_spec, {self.out_keys[0]: self._size})

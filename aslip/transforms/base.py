@@ -17,22 +17,22 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 
 
 class SeededTransform(Transform):
-    """Base class of transforms that act at resets, too, and follow `env.set_seed`.
+    """Base class of transforms that act at steps and resets and are seeded by `env.set_seed`.
 
-    Override `_call` for entries that follow from others of the same instant: TorchRL runs it on
-    steps only, this class at resets as well. Override `_step` and `_reset` for entries that follow
-    from the step before. Entries of an episode belong into the tensordict, not into the transform,
-    so that partial resets, several processes and replay need no care.
+    Override `_call` to compute entries from others of the same time: TorchRL runs it at steps only,
+    this class also at resets. Override `_step` and `_reset` to compute entries from those of the
+    previous step. Keep the state of an episode in the tensordict, not in the transform; then
+    partial resets, worker processes and replay just work.
 
-    Without an environment, `transform(tensordict)`, as in a replay buffer or a model, a `_call`
-    acts on the tensordict, and a `_step` from it on its `"next"`.
+    Without an environment, as in a replay buffer or a model, `transform(tensordict)` applies
+    `_call` to the tensordict, or `_step` to the tensordict and its `"next"`.
 
     Args:
-        in_keys: entries that it reads.
-        out_keys: entries that it writes.
+        in_keys: entries that the transform reads.
+        out_keys: entries that the transform writes.
 
     Raises:
-        ConfigurationError: the keys are a string, or not as many as the class reads and writes.
+        ConfigurationError: the keys are a string, or their number is not that of the class.
     """
 
     num_in_keys: ClassVar[int | None] = None
@@ -85,25 +85,25 @@ class SeededTransform(Transform):
         return self._call(tensordict_reset)
 
     def transform_output_spec(self, output_spec: Composite) -> Composite:
-        """Write into the specs, which are the environment's copy already.
+        """Write into the specs, which are already a copy of the environment's.
 
-        TorchRL's own copies the specs of all keys once more for each transform.
+        TorchRL's method copies the specs of all keys again for each transform.
 
         Raises:
-            UnknownNameError: `transform_observation_spec` and its like leave out a key of
-                `out_keys`.
+            UnknownNameError: a key of `out_keys` is in no spec: `transform_observation_spec`, or
+                the method of another spec, does not add it.
         """
         specs = self._transform_specs(output_spec, ("observation", "reward", "done"))
         for key in self.out_keys:
             if all(spec.get(key, None) is None for spec in specs):
                 raise UnknownNameError(
-                    f"{type(self).__name__} writes {key!r}, which its specs leave out; add it in"
+                    f"{type(self).__name__} writes {key!r}, but its specs lack it; add it in"
                     " transform_observation_spec"
                 )
         return output_spec
 
     def transform_input_spec(self, input_spec: Composite) -> Composite:
-        """Write into the specs, which are the environment's copy already."""
+        """Write into the specs, which are already a copy of the environment's."""
         self._transform_specs(input_spec, ("state", "action"))
         return input_spec
 
@@ -118,18 +118,18 @@ class SeededTransform(Transform):
     ) -> TensorDictBase:
         """Put `draw` into the request for a reset, unless the caller chose a value.
 
-        A request with a `_reset` mask is a tensordict of the episode that ends: its values are old,
-        not chosen.
+        A request with a `_reset` mask holds the values of the previous episode, not choices of the
+        caller.
         """
         if tensordict.get(key, None) is None or "_reset" in tensordict:
             tensordict.set(key, draw)
         return tensordict
 
     def _request(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        """Request for a reset; an empty one to reset all robots to whatever is drawn."""
+        """Request for a reset; if the caller made none, an empty one, which chooses no values."""
         if tensordict is not None:
             return tensordict
-        # slow, TorchRL builds the environment below anew: StackEnv never comes here
+        # slow: TorchRL rebuilds the base environment (StackEnv always passes a request)
         parent = self.parent
         if parent is None:
             raise RuntimeError(f"{type(self).__name__} needs an environment; add it to one first")
@@ -139,7 +139,7 @@ class SeededTransform(Transform):
 def check_number(
     name: str, value: Any, low: float = -math.inf, high: float = math.inf, what: str = ""
 ) -> float:
-    """Setting as a float, checked to be a finite number from `low` to `high`.
+    """Check that a setting is a finite number from `low` to `high`, and return it as a float.
 
     Args:
         name: name of the setting, for the message.
@@ -174,7 +174,7 @@ def require_keys(transform: Transform, spec: TensorSpec, keys: Sequence[NestedKe
     """Check that a spec has all entries that a transform reads.
 
     Raises:
-        UnknownNameError: a key is missing; the message lists the keys there are.
+        UnknownNameError: a key is missing; the message lists the existing keys.
     """
     assert isinstance(spec, Composite)
     available = set(spec.keys(True, True))
@@ -191,7 +191,7 @@ def checked_column(tensordict: TensorDictBase, key: NestedKey) -> torch.Tensor:
     """Entry (*b, 1) that a caller may have written, in single precision.
 
     Raises:
-        ShapeError: the entry is not one number a robot.
+        ShapeError: the entry does not have one number per robot.
         ConfigurationError: a number is not finite.
     """
     value = torch.as_tensor(tensordict[key])

@@ -26,25 +26,24 @@ from aslip.transforms.base import (
 
 
 class SpeedCommand(SeededTransform):
-    """Draw the commanded forward speed at each reset, and, on request, at random times after it.
+    """Draw the commanded forward speed at each reset, and at random times if `interval` is finite.
 
-    To command from outside, write `td["command"]` between steps, or pass it to `env.reset`. The
-    speed must be within the library's range, else `SpeedOutOfRangeError` is raised. It acts on the
-    reference that the policy sees next, and on rewards from the step after; the phase goes on. In a
-    reset of some robots only, with a `_reset` mask, theirs are drawn anew. For another distribution
-    override `draw`.
+    To set the command yourself, write `td["command"]` between steps, or pass it to `env.reset`. A
+    new command changes the next reference that the policy sees, and the rewards from the step
+    after; the phase does not jump. A partial reset (with a `_reset` mask) draws new commands for
+    the reset robots only. Override `draw` for another distribution.
 
     Args:
-        library: gaits, which bound the speeds.
+        library: gaits; its slowest and fastest gait bound the command.
         speeds: speeds to draw from [m/s]; all gaits of the library by default ("a reference
             trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
-        interval: mean time between changes within an episode [s], at any policy step with the same
-            probability; infinite in the paper, where a speed is kept for an episode.
+        interval: mean time between changes within an episode [s]; each policy step has the same
+            probability of a change. Infinite in the paper: the speed is constant in an episode.
         out_keys: key of the command (n, 1) [m/s].
         period: duration of a policy step [s].
 
     Raises:
-        SpeedOutOfRangeError: a speed is outside the library.
+        SpeedOutOfRangeError: a speed, or later a command, is outside the library's range.
         ConfigurationError: `speeds` is empty, or `interval` is shorter than a policy step.
     """
 
@@ -64,7 +63,7 @@ class SpeedCommand(SeededTransform):
         number = isinstance(interval, Real) and not isinstance(interval, bool)
         if not number or not interval >= period:
             raise ConfigurationError(
-                f"interval must be a policy step, {period} s, or more, got {interval!r}"
+                f"interval must be at least one policy step, {period} s, got {interval!r}"
             )
         self.interval, self._period = interval, period
         self.library = library
@@ -101,14 +100,14 @@ class SpeedCommand(SeededTransform):
     def _checked(self, tensordict: TensorDictBase) -> Tensor:
         """Command within the range of the library."""
         command = checked_column(tensordict, self.out_keys[0])
-        # bounds rounded as the command is
+        # the bounds are in single precision, as the command is
         outside = (command < self._bounds[0]) | (command > self._bounds[1])
         if outside.any():
             self.library.check_speed(float(command[outside][0]))
         return command
 
     def draw(self, shape: tuple[int, ...]) -> Tensor:
-        """Random speeds [m/s] of a shape, by `self.generator`, so that seeds reach them."""
+        """Random speeds [m/s] of the given shape, drawn by `self.generator`, which is seeded."""
         return self.speeds[torch.randint(len(self.speeds), shape, generator=self.generator)]
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -121,15 +120,15 @@ class SpeedCommand(SeededTransform):
 
 
 class PhaseClock(SeededTransform):
-    r"""Advance the stride fraction in [0, 1) by time, from a random one at each reset.
+    r"""Advance the phase, the stride fraction in [0, 1), by time; draw it at each reset.
 
     .. math:: \phi \leftarrow (\phi + \Delta t / T(v)) \bmod 1
 
-    Public code counts whole samples and so plays the stride 12 to 16 % too fast; sampling by time
-    keeps step length, frequency and speed consistent. A change of command keeps the phase.
+    The public code counts whole samples and so plays the stride 12 to 16 % too fast; sampling by
+    time keeps step length, frequency and speed consistent. A change of command keeps the phase.
 
     Args:
-        library: gaits, which have the duration T of a stride at speed v.
+        library: gaits, which give the stride duration T at speed v.
         in_keys: key of the command (n, 1) [m/s].
         out_keys: key of the phase (n, 1).
         period: duration of a policy step [s].
@@ -164,7 +163,7 @@ class PhaseClock(SeededTransform):
         return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        # a caller may have written either, command also as integers
+        # a caller may have overwritten both, the command even with integers
         keys = (*self.in_keys, *self.out_keys)
         command, phase = (checked_column(tensordict, key) for key in keys)
         following = advance_phase(self.library, phase, command, self._period)
@@ -185,7 +184,7 @@ def advance_phase(
     """Stride fraction (*b, 1) a policy step later.
 
     Args:
-        library: gaits, which have the duration of a stride.
+        library: gaits, which give the stride duration.
         phase: (*b, 1) stride fraction.
         command: (*b, 1) forward speed [m/s].
         period: duration of a policy step [s].

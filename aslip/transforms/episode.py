@@ -19,11 +19,12 @@ from aslip.transforms.base import SeededTransform, check_number
 class FirstStep(SeededTransform):
     """Mark the first step of each episode, `is_init` (n, 1) bool.
 
-    Recurrent policies forget by it, and TorchRL's collectors ask for it whatever the policy. As
-    TorchRL's `InitTracker`, without asking for the specs of the whole stack.
+    Recurrent policies reset their hidden state by it, and TorchRL's collectors require it for any
+    policy. It does what TorchRL's `InitTracker` does, but is faster to add to an environment:
+    `InitTracker` computes the specs of the whole stack again.
 
     Args:
-        out_keys: key of the mark.
+        out_keys: key of the flag (n, 1).
     """
 
     num_in_keys, num_out_keys = 0, 1
@@ -46,14 +47,14 @@ class FirstStep(SeededTransform):
         return tensordict.set(self.out_keys[0], torch.full((*tensordict.batch_size, 1), first))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the mark."""
+        """Add the flag."""
         shape = torch.Size((*observation_spec.shape, 1))
         observation_spec[self.out_keys[0]] = Binary(shape=shape, dtype=torch.bool)
         return observation_spec
 
 
 class _Termination(SeededTransform):
-    """End an episode, without bootstrap, where a condition holds after a step."""
+    """Terminate an episode, so that no value is bootstrapped, if a condition holds after a step."""
 
     num_in_keys = 1
 
@@ -61,7 +62,7 @@ class _Termination(SeededTransform):
         super().__init__(in_keys=in_keys, out_keys=out_keys)
 
     def _over(self, value: Tensor) -> Tensor:
-        """End (*b, 1) bool of the episodes with this value."""
+        """Flag (*b, 1) bool of episodes that end with this value."""
         raise NotImplementedError
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
@@ -79,13 +80,14 @@ class _Termination(SeededTransform):
 
 
 class LowReward(_Termination):
-    """End an episode when the reward of a step is below a threshold.
+    """Terminate an episode when the reward of a step is below a threshold.
 
-    With terms left out the largest possible reward shrinks, the threshold does not: give another
-    one along with other weights.
+    The threshold does not adapt to the weights: leaving reward terms out lowers the largest
+    possible reward, so choose a new threshold together with new weights.
 
     Args:
-        threshold: least reward that goes on, "less than 0.3" ends in the paper (Sec. IV-B).
+        threshold: least reward with which an episode continues; in the paper, a reward "less than
+            0.3" ends it (Sec. IV-B).
         in_keys: key of the reward (n, 1).
         out_keys: keys of the flags (n, 1) to set.
 
@@ -104,16 +106,16 @@ class LowReward(_Termination):
         self.threshold = check_number("threshold", threshold)
 
     def _over(self, value: Tensor) -> Tensor:
-        # a reward that is not a number is low, too
+        # NaN counts as low
         return ~(value >= self.threshold)
 
 
 class Fall(_Termination):
-    """End an episode when the pelvis is too low.
+    """Terminate an episode when the pelvis is too low.
 
-    Paper: the reward threshold "encapsulates when the robot falls to the ground", and no height is
-    given. Public code ends below 0.4 m as well. We do, so that ablations of the reward do not
-    learn from robots on the floor; with the full reward the threshold acts first.
+    The paper gives no height: its reward threshold "encapsulates when the robot falls to the
+    ground". The public code also ends episodes below 0.4 m. We do so too, so that ablations of the
+    reward do not learn from robots on the floor; with the full reward the threshold acts first.
 
     Args:
         height: least height of the pelvis above the floor [m].
@@ -139,18 +141,18 @@ class Fall(_Termination):
 
 
 class StaggeredEnds(SeededTransform):
-    """End the first episodes of robots at different times, so that they do not stay in step.
+    """Truncate the first episodes at random times, so that robots do not reset all at once.
 
-    When all robots are reset at once, each draws from 1 to `max_steps` policy steps after which its
-    episode is truncated. Episodes after that are as long as the rest of the stack lets them be.
-    TorchRL's `RandomTruncationTransform` does so, too, but neither follows `env.set_seed` nor
-    travels in the tensordict, as resuming bit for bit needs.
+    A reset of all robots draws for each the policy step, from 1 to `max_steps`, after which its
+    episode is truncated. Later episodes are not affected. TorchRL's `RandomTruncationTransform`
+    does the same, but neither follows `env.set_seed` nor keeps its count in the tensordict; bitwise
+    resuming needs both.
 
-    `stagger` (n, 1) counts the steps that are left, and is 0 where no end is set: in a step with 1
-    the episode is cut short. Must come after the `StepCounter`.
+    `stagger` (n, 1) counts the remaining steps down: the step that starts with 1 is truncated, and
+    0 means that no truncation is due. Must come after the `StepCounter`.
 
     Args:
-        max_steps: longest first episode [policy steps].
+        max_steps: length of the longest first episode [policy steps].
         in_keys: keys of the flags (n, 1) to set.
         out_keys: key of the count (n, 1).
 
@@ -159,7 +161,7 @@ class StaggeredEnds(SeededTransform):
     """
 
     num_out_keys = 1
-    needs_env = "it draws ends of episodes at resets"
+    needs_env = "it draws the lengths of episodes at resets"
 
     def __init__(
         self,

@@ -56,11 +56,11 @@ ODOMETRY_SIZES: Final = MappingProxyType(
         "right_foot_orientation": 4,
     }
 )
-"""Entries of `("odometry", ...)`: estimated places of pelvis and soles, by the names of
+"""Entries of `("odometry", ...)`: estimated poses of pelvis and soles, with the names of
 `("truth", ...)`, in the heading frame: z up against gravity, also on a slope, x along the robot's
 heading. Heights are above the ground below the robot. Distances along the ground count from the
-start, and drift; the policy does not see them, but rewards can be given on them. Perfect odometry
-is `("true_odometry", ...)`, see `HeadingFrame`."""
+start, and drift; the policy does not see them, but rewards can use them. `HeadingFrame` writes
+perfect odometry as `("true_odometry", ...)`."""
 
 # keys of the entries of a perfect estimate
 _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
@@ -88,7 +88,7 @@ class _Estimator(SeededTransform):
 
 
 class TrueState(_Estimator):
-    """Write the truth in place of an estimate, as a perfect estimator would.
+    """Write the truth as the estimate, as a perfect estimator would.
 
     Reads `("truth", ...)` and `("true_odometry", ...)`, so it must come after `HeadingFrame`.
 
@@ -115,10 +115,10 @@ class TrueState(_Estimator):
 class EstimatedState(_Estimator):
     """Estimate the state from the packets of the sensors; see `aslip.estimation`.
 
-    The estimator's memory between steps travels as `("estimator", "memory")`, doubles. Faults of a
-    step's packets are `("estimator", "faults")` (n, 4) bool, in the order of
-    `aslip.estimation.FAULTS`; loaded feet are `("estimator", "contact")` (n, 2). A robot that is
-    reset is estimated afresh from its first packets.
+    Writes further entries: `("estimator", "memory")`, the estimator's state between steps in double
+    precision; `("estimator", "faults")` (n, 4) bool, faults of the packets in the order of
+    `aslip.estimation.FAULTS`; `("estimator", "contact")` (n, 2), loaded feet. After a reset the
+    estimate starts afresh from the robot's first packets.
 
     Args:
         estimator: state estimator, whose robot gives the sizes of the entries.
@@ -201,7 +201,7 @@ class EstimatedState(_Estimator):
 
 
 def estimate_entries(tracking: Tracking, estimate: Estimate) -> dict[str, dict[str, torch.Tensor]]:
-    """Entries of an estimate in a tensordict, by the groups that `EstimatedState` writes."""
+    """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes."""
     odometry = {
         "pelvis_position": estimate.position,
         "pelvis_orientation": estimate.orientation,

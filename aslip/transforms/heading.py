@@ -1,4 +1,4 @@
-"""Heading frame: the place of the start, and the direction that is straight ahead."""
+"""Heading frame: origin at the start of the episode, x axis straight ahead, z axis up."""
 
 from __future__ import annotations
 
@@ -17,34 +17,35 @@ from aslip.transforms.estimate import ODOMETRY_SIZES
 from aslip.transforms.rotation import conjugate, multiply, rotate_inverse, upper_hemisphere, yaw
 
 _BODIES = ("pelvis", *(f"{side}_foot" for side in SIDES))
-# the reference's body sways about its line by 0.02 m: a start this close to it is on it [m]
+# starts within this distance of the world's origin count as starts at it [m]: the reference's
+# body sways about its line by 0.02 m
 _SWAY: Final = 0.05
 
 
 class HeadingFrame(SeededTransform):
-    """Write heading and perfect odometry, the truth in the robot's heading frame.
+    """Write the heading and perfect odometry: the truth in the robot's heading frame.
 
-    Entries of `("true_odometry", ...)` have the names and the frame of `("odometry", ...)`, see
-    `ODOMETRY_SIZES`: z is up against gravity, x along the robot's heading. Rewards and metrics read
-    them in place of `("truth", ...)`, whose axes are the world's, so that a robot may start
-    anywhere and turned by any angle.
+    `("true_odometry", ...)` has the names and the frame of `("odometry", ...)`, see
+    `ODOMETRY_SIZES`: z is up (against gravity), x along the robot's heading. `("truth", ...)` is in
+    the world frame. Rewards and metrics read `true_odometry` instead, so a robot may start at any
+    place and yaw.
 
-    The heading is a yaw against gravity, `heading` (n, 1) [rad], that the robot takes for straight
-    ahead; it turns no robot. Pass it to a reset, `env.reset(TensorDict(heading=...))`, or write
-    `td["heading"]` between steps to change it. By default, and in a reset of some robots only, with
-    a `_reset` mask, it is the true yaw of the pelvis at the reset.
+    `heading` (n, 1) [rad] is the yaw that counts as straight ahead; setting it does not turn the
+    robot. Pass it to a reset, `env.reset(TensorDict(heading=...))`, or write `td["heading"]`
+    between steps. By default it is the true yaw of the pelvis at the reset, as it always is after a
+    partial reset (with a `_reset` mask).
 
-    `("true_odometry", "origin")` (n, 3) [m, world] is on the floor below the place of the start, or
-    at the world's origin where the pelvis starts within 0.05 m of it: the reference sways by
-    0.02 m about its line.
+    `("true_odometry", "origin")` (n, 3) [m, world] is the point on the floor below the start, or
+    the world's origin if the pelvis starts within 0.05 m of it: the reference sways by 0.02 m about
+    its line.
 
     Args:
-        truth_key: key of the truth, of which the entries of `ODOMETRY_SIZES` and `slope` are read.
+        truth_key: key of the truth; the entries of `ODOMETRY_SIZES` and `slope` are read.
         out_keys: keys of heading and perfect odometry.
     """
 
     num_out_keys = 2
-    needs_env = "headings are those of robots at their resets"
+    needs_env = "it reads the headings of robots at resets"
 
     def __init__(
         self,
@@ -62,7 +63,7 @@ class HeadingFrame(SeededTransform):
     ) -> TensorDictBase:
         truth = cast("Mapping[str, Tensor]", tensordict_reset[self._truth_key])
         key = self.out_keys[0]
-        # with a mask of robots to reset the entry is old, not chosen
+        # with a `_reset` mask, the entry is left over from the episode before, not chosen
         chosen = "_reset" not in tensordict and tensordict.get(key, None) is not None
         heading = checked_column(tensordict, key) if chosen else true_heading(truth)
         return self._written(tensordict_reset, heading, start_of(truth))
@@ -90,24 +91,24 @@ class HeadingFrame(SeededTransform):
 
 
 def true_heading(truth: Mapping[str, Tensor]) -> Tensor:
-    """(*b, 1) yaw of the pelvis against gravity [rad], as a perfect IMU would say."""
+    """(*b, 1) yaw of the pelvis about the vertical [rad], as a perfect IMU would measure it."""
     upright = _to_world(truth["slope"], torch.zeros_like(truth["slope"]))
     return yaw(_seen_from(upright, truth["pelvis_orientation"]))
 
 
 def start_of(truth: Mapping[str, Tensor]) -> Tensor:
-    """(*b, 3) origin [m, world] of robots that start here; see `HeadingFrame`."""
+    """(*b, 3) origin [m, world] of robots that start with this truth; see `HeadingFrame`."""
     x, y, z = truth["pelvis_position"].split(1, dim=-1)
     near = torch.hypot(x, y) < _SWAY
     x, y = (torch.where(near, 0.0, part) for part in (x, y))
-    # straight below is along gravity
+    # the floor is met along gravity
     return torch.cat([x - truth["slope"].tan() * z, y, torch.zeros_like(z)], dim=-1)
 
 
 def in_heading_frame(
     truth: Mapping[str, Tensor], heading: Tensor, origin: Tensor
 ) -> dict[str, Tensor]:
-    """Pelvis and feet as odometry would have them if it were perfect.
+    """Pelvis and feet as perfect odometry would give them.
 
     Args:
         truth: entries of `ODOMETRY_SIZES` [world], and `slope`, (*b, k) each.
@@ -115,8 +116,8 @@ def in_heading_frame(
         origin: (*b, 3) [m, world].
 
     Returns:
-        The entries of `ODOMETRY_SIZES`, heights above the ground straight below the pelvis. Bit for
-        bit those of `truth` if heading, slope and origin are zero.
+        The entries of `ODOMETRY_SIZES`; heights are above the ground straight below the pelvis. If
+        heading, slope and origin are zero, they equal those of `truth` bit for bit.
     """
     to_world = _to_world(truth["slope"], heading).unsqueeze(-2)
     places = [truth[f"{body}_position"] - origin for body in _BODIES]
@@ -124,7 +125,7 @@ def in_heading_frame(
     *places, velocity = rotate_inverse(to_world, vectors).unbind(-2)
     orientations = torch.stack([truth[f"{body}_orientation"] for body in _BODIES], dim=-2)
     turned = _seen_from(to_world, orientations)
-    # on a slope a robot rises with the ground below it
+    # on a slope, heights count from the ground below the robot
     height = truth["pelvis_position"][..., 2:] / truth["slope"].cos()
     lift = torch.nn.functional.pad(height - places[0][..., 2:], (2, 0))
     entries = {"pelvis_velocity": velocity}
@@ -135,7 +136,7 @@ def in_heading_frame(
 
 
 def _to_world(slope: Tensor, heading: Tensor) -> Tensor:
-    """(*b, 4) heading frame to world, wxyz, of (*b, 1) slopes of the floor and headings [rad]."""
+    """Quaternion (*b, 4) wxyz, heading frame to world, from floor slope and heading [rad]."""
     tilt, turn = slope / 2, heading / 2
     cosine, sine = turn.cos(), turn.sin()
     return torch.cat(
@@ -150,5 +151,5 @@ def _to_world(slope: Tensor, heading: Tensor) -> Tensor:
 
 
 def _seen_from(frame: Tensor, orientation: Tensor) -> Tensor:
-    """Orientations (*b, 4) relative to frames (*b, 4), both to the world; w >= 0."""
+    """Orientations (*b, 4) relative to frames (*b, 4), both given to world; w >= 0."""
     return upper_hemisphere(multiply(conjugate(frame), orientation))

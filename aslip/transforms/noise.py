@@ -25,19 +25,19 @@ _BIAS_KEYS = tuple(("sensor_bias", name) for name in CASSIE.noise_channels)
 class ObservationNoise(SeededTransform):
     r"""Add noise to the packets `("sensors", name)`, each (n, W, k).
 
-    Every packet errs by its own white noise and by a bias that is one for the W packets of a policy
-    step. The bias is drawn at each reset and drifts from step to step (Ornstein-Uhlenbeck, exact
-    over the policy period):
+    Every packet has its own white noise; the W packets of a policy step share a bias. The bias is
+    drawn at each reset and drifts from step to step (Ornstein-Uhlenbeck process, exact over the
+    policy period):
 
     .. math:: b \leftarrow e^{-\Delta t / \tau}\,b + \sigma_b \sqrt{1 - e^{-2 \Delta t / \tau}}\,\xi
 
-    It travels in the tensordict as `("sensor_bias", name)` (n, k), in the sensor's unit. The
-    orientation is turned by a rotation vector in the pelvis frame, k = 3 [rad], and stays a unit
-    quaternion with w >= 0. Sensors of zero level stay as they are, to the bit, and the draws of one
-    sensor do not depend on the levels of others. NaN stays NaN, in its packet.
+    The tensordict holds the bias as `("sensor_bias", name)` (n, k), in the sensor's unit. Noise on
+    the orientation is a rotation vector in the pelvis frame, k = 3 [rad]; the result is a unit
+    quaternion with w >= 0. Sensors of zero level stay bit-equal, and the draws of one sensor do not
+    depend on the levels of others. NaN stays NaN and does not spread to other packets.
 
-    Must come before the transforms that read the packets. It reads the bias before the step, so a
-    caller who makes up a tensordict must carry it on.
+    Must come before the transforms that read the packets. A step reads the bias of the previous
+    step, so a caller who builds tensordicts by hand must copy it.
 
     Args:
         levels: sensor -> level, in place of `Robot.sensor_noise`.
@@ -47,11 +47,11 @@ class ObservationNoise(SeededTransform):
 
     Raises:
         UnknownNameError: a level is for a sensor that the robot lacks.
-        ConfigurationError: a level has not one value a channel, `scale` is negative or not finite,
+        ConfigurationError: a level lacks one value per channel, `scale` is negative or not finite,
             or `bias_time` is not positive.
     """
 
-    needs_env = "biases are drawn at resets and follow robots from there"
+    needs_env = "it draws biases at resets, and each robot keeps its own"
     _reads: ClassVar[Sequence[NestedKey]] = _SENSOR_KEYS
 
     def __init__(
@@ -70,7 +70,7 @@ class ObservationNoise(SeededTransform):
         self.levels = dict(CASSIE.sensor_noise) | _checked(levels or {})
         self._decay = math.exp(-period / bias_time)
         self._renewal = math.sqrt(-math.expm1(-2 * period / bias_time))
-        # settings, which no checkpoint holds
+        # settings, so not stored in checkpoints
         self._levels: dict[str, tuple[Tensor, Tensor]] = {}
         for sensor, channels in CASSIE.noise_channels.items():
             white, bias = (
@@ -81,10 +81,10 @@ class ObservationNoise(SeededTransform):
                 self._levels[sensor] = white, bias
 
     def set_seed(self, seed: int) -> None:
-        """Restart the random numbers, separate ones for each sensor, for resets and for steps.
+        """Seed the generators: one for each sensor at resets, and one for each sensor at steps.
 
-        The draws of a sensor must not depend on the levels of another, nor the draws of a step on
-        whether another robot was reset before it.
+        So the draws of a sensor do not depend on the levels of another, and those of a step do not
+        depend on whether another robot was reset before.
         """
         super().set_seed(seed)
         seeds = torch.randint(2**62, (2, len(CASSIE.noise_channels)), generator=self.generator)
@@ -113,7 +113,7 @@ class ObservationNoise(SeededTransform):
         return tensordict_reset
 
     def _begin(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Draw the biases of robots, and make their packets noisy."""
+        """Draw biases, and make the packets noisy."""
         for sensor, channels in CASSIE.noise_channels.items():
             drawn = torch.zeros(*tensordict.batch_size, channels, dtype=torch.float32)
             if sensor in self._levels:
@@ -133,7 +133,7 @@ class ObservationNoise(SeededTransform):
     def _spoil(
         self, tensordict: TensorDictBase, generators: Mapping[str, torch.Generator]
     ) -> TensorDictBase:
-        """Add the biases there are, and white noise, to the packets."""
+        """Add the given biases and white noise to the packets."""
         for sensor, (white, _) in self._levels.items():
             packets = cast("Tensor", tensordict["sensors", sensor])
             shape = (*packets.shape[:-1], len(white))
@@ -158,7 +158,7 @@ class ObservationNoise(SeededTransform):
 
 
 def _checked(levels: Mapping[str, NoiseLevel]) -> dict[str, NoiseLevel]:
-    """Levels by sensors there are, with as many values as these have channels."""
+    """Levels by sensor, checked: known sensors, with one value or one for each channel."""
     for sensor, level in levels.items():
         if sensor not in CASSIE.noise_channels:
             raise UnknownNameError.among("sensor", sensor, CASSIE.noise_channels)
@@ -180,11 +180,11 @@ def _normal(shape: Sequence[int], generator: torch.Generator) -> Tensor:
 
 
 def _row(value: float | tuple[float, ...], channels: int) -> Tensor:
-    """(channels,) of one value or all."""
+    """(channels,) values, of one for all channels or one for each."""
     return torch.tensor(value, dtype=torch.float32).expand(channels)
 
 
 def _turned(quaternion: Tensor, rotation: Tensor) -> Tensor:
-    """Orientations (*b, 4) followed by rotation vectors (*b, 3) [rad] in their own frame."""
+    """Orientations (*b, 4), rotated by vectors (*b, 3) [rad] in their own frames."""
     turned = multiply(quaternion, from_vector(rotation))
     return upper_hemisphere(torch.nn.functional.normalize(turned, dim=-1))

@@ -39,7 +39,7 @@ SINGLE_REFERENCE_TABLE: Final[tuple[NestedKey, ...]] = (
 
 
 class AssembleObservation(SeededTransform):
-    """Join entries into one, by default estimate and reference into `observation`.
+    """Concatenate entries, by default estimate and reference into `observation`.
 
     | index | entry | unit, frame |
     |---|---|---|
@@ -59,12 +59,12 @@ class AssembleObservation(SeededTransform):
     | 58-60 | right foot position from the body | m |
     | 61-63 | right foot velocity over ground | m/s |
 
-    There is neither command nor clock: speed and phase enter through the reference alone. The
-    reference's feet do not move sideways: entries 56 and 62 are always zero.
+    It has neither command nor clock: speed and phase enter through the reference alone. The
+    reference's feet do not move sideways, so elements 56 and 62 are always zero.
 
     Args:
-        in_keys: keys of the entries to join (n, k), another table for another policy input.
-        out_keys: key of the joined entry.
+        in_keys: keys of the entries (n, k) in order; give others for another policy input.
+        out_keys: key of the concatenated entry.
     """
 
     num_out_keys = 1
@@ -81,12 +81,12 @@ class AssembleObservation(SeededTransform):
         return next_tensordict.set(self.out_keys[0], join_entries(next_tensordict, self.in_keys))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the joined entry."""
+        """Add the concatenated entry."""
         require_keys(self, observation_spec, self.in_keys)
         size = sum(observation_spec[key].shape[-1] for key in self.in_keys)
         return extend_spec(observation_spec, {self.out_keys[0]: size})
 
 
 def join_entries(tensordict: TensorDictBase, keys: Sequence[NestedKey]) -> Tensor:
-    """Entries (*b, k) of a tensordict, one after the other, (*b, sum of k)."""
+    """Entries (*b, k) of a tensordict, concatenated to (*b, sum of k)."""
     return torch.cat([cast("Tensor", tensordict[key]) for key in keys], dim=-1)

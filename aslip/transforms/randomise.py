@@ -1,4 +1,4 @@
-"""Domain randomisation: dynamics and sensor noise drawn anew for each episode."""
+"""Domain randomisation: dynamics and sensor noise drawn for each episode."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ DYNAMICS_RANGES: Final = MappingProxyType(
         "sensor_noise": (0.5, 1.5),
     }
 )
-"""Parameter of `aslip.sim.DYNAMICS` -> least and greatest value, for Cassie on its way to hardware.
+"""Parameter of `aslip.sim.DYNAMICS` -> least and greatest value, for policies meant for hardware.
 
-`apex` is the public code behind Siekmann et al. 2020 and 2021, and the origin of the paper's. Xie
-et al. 2019 took policies to Cassie without any domain randomisation."""
+`apex` is the public code of Siekmann et al. 2020 and 2021, on which the paper's code is based. Xie
+et al. 2019 transferred policies to Cassie without domain randomisation."""
 
-# drawn aside, so that they leave the draws of all others as they were without them
+# drawn from a copy of the generator, so that they do not change the draws of the others
 _GAINS = ("pd_stiffness", "pd_damping")
 
 _FACTOR_KEY = ("dynamics", "sensor_noise")
@@ -52,14 +52,14 @@ _FACTOR_KEY = ("dynamics", "sensor_noise")
 class RandomDynamics(SeededTransform):
     """Draw parameters of each robot's dynamics at each of its resets, uniformly within ranges.
 
-    They are written as `("dynamics", name)` (n, 1) at resets and steps, for logs and for critics
-    with privileged input; single precision. The draws of a parameter do not depend on the ranges of
-    others. Parameters without a range stay as they are in the environment.
+    Writes them as `("dynamics", name)` (n, 1) in single precision at resets and steps, for logs and
+    for critics with privileged input. The draws of a parameter do not depend on the ranges of
+    others. Parameters without a range keep the environment's values.
 
-    To choose instead, pass `("dynamics", name)` to `env.reset`, also for parameters without a
-    range. In a reset of some robots only, with a `_reset` mask, theirs are drawn anew.
+    To choose a value, pass `("dynamics", name)` to `env.reset`; the parameter needs no range. A
+    partial reset (with a `_reset` mask) draws new values for the reset robots only.
 
-    No stack has it by default; `aslip.envs.randomise_stack` puts it and `RandomNoise` into one.
+    No stack has it by default; `aslip.envs.randomise_stack` adds it and `RandomNoise`.
 
     Args:
         ranges: parameter -> least and greatest value.
@@ -124,22 +124,22 @@ class RandomDynamics(SeededTransform):
 
 
 def _draw(shape: torch.Size, names: Sequence[str], generator: torch.Generator) -> dict[str, Tensor]:
-    """A column of numbers from 0 to 1 for each name."""
+    """Column of uniform random numbers from 0 to 1 for each name."""
     numbers = torch.rand((*shape, len(names)), generator=generator, dtype=torch.float32)
     return dict(zip(names, numbers.split(1, dim=-1), strict=True))
 
 
 def _aside(generator: torch.Generator) -> torch.Generator:
-    """Generator that follows from another one's state and leaves that as it is."""
+    """Generator seeded by the state of another generator, which does not change."""
     seed = torch.randint(2**62, (), generator=generator.clone_state())
     return torch.Generator().manual_seed(int(seed))
 
 
 class RandomNoise(ObservationNoise):
-    """Add noise as `ObservationNoise`, times each robot's `("dynamics", "sensor_noise")`.
+    """Add the noise of `ObservationNoise`, scaled by each robot's `("dynamics", "sensor_noise")`.
 
     Must come after `RandomDynamics`, which draws that factor. `("sensor_bias", name)` is the bias
-    before it is multiplied.
+    before scaling.
     """
 
     _reads = (*ObservationNoise._reads, _FACTOR_KEY)

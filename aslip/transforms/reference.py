@@ -28,22 +28,23 @@ InitialVelocity = Literal["reference", "rest"]
 class ReferenceInjection(SeededTransform):
     """Write the motion of a gait library as `("reference", ...)` and `("goal", ...)`.
 
-    Both are of the present command. Body and feet of the reference are those of the present phase.
-    Motor angles, rates and torques are those of the end of the coming policy step, where the PD
-    loops are to arrive; the paper does not say which instant it means, and its public code does the
-    same.
+    Both follow the current command, but differ in time:
 
-    Body and feet of the goal are those of the end of the coming policy step, too: a policy that
-    sees the reference is rewarded for reaching the goal, whatever is commanded in the meantime.
-    Reward terms therefore read the goal among their `root_keys`. While the command is constant the
-    goal is the next reference, bit for bit.
+    - reference, body and feet: at the current phase;
+    - reference, motor angles, rates and torques: at the end of the coming policy step, when the PD
+      loops should reach them. The paper does not name the instant; its public code does the same.
+    - goal, body and feet: at the end of the coming policy step.
 
-    A planner may take the place of this transform. It must write the fields of
-    `aslip.library.Reference` under both keys, the goal without those of the motors.
+    The policy sees the reference and is rewarded for reaching the goal, even if the command changes
+    during the step; so reward terms list the goal in `root_keys`. While the command is constant,
+    the goal equals the next reference bit for bit.
+
+    A planner may replace this transform. It must write the fields of `aslip.library.Reference`
+    under both keys; the goal needs no motor fields.
 
     Args:
         library: gaits.
-        motor_lead: lead of the motors' entries, in policy steps.
+        motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
         in_keys: keys of command (n, 1) [m/s] and phase (n, 1).
         out_keys: keys of reference and goal.
         period: duration of a policy step [s].
@@ -78,7 +79,7 @@ class ReferenceInjection(SeededTransform):
         return next_tensordict
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the fields of `aslip.library.Reference`, and of the goal."""
+        """Add the fields of reference and goal."""
         require_keys(self, observation_spec, self.in_keys)
         start = torch.zeros(1)
         found = reference_and_goal(self.library, start, start, motor_lead=self.motor_lead)
@@ -103,11 +104,11 @@ def reference_and_goal(
         library: gaits.
         command: (*b, 1) forward speed [m/s].
         phase: (*b, 1) stride fraction.
-        motor_lead: lead of the motors' entries, in policy steps.
+        motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
         period: duration of a policy step [s].
     """
     stride = library.stride(command)
-    # one lookup for all instants costs half of two
+    # one lookup for all instants takes half the time of two lookups
     leads = list(dict.fromkeys([0.0, 1.0, motor_lead]))
     phases = torch.stack([phase + lead * period / stride for lead in leads])
     found = library.lookup(phases, command.expand_as(phases))
@@ -120,7 +121,7 @@ def reference_and_goal(
 def feedforward_target(
     reference: Mapping[str, Tensor], stiffness: Tensor, damping: Tensor
 ) -> Tensor:
-    """Angles (*b, m) to aim PD loops of these gains (m,) at, to follow a reference [rad]."""
+    """Targets (*b, m) [rad] with which PD loops of these gains (m,) follow the reference."""
     position, velocity, torque = (
         reference[f"motor_{name}"] for name in ("position", "velocity", "torque")
     )
@@ -132,14 +133,15 @@ class Feedforward(SeededTransform):
 
     .. math:: \hat a = \hat q + K_p^{-1} (\hat\tau + K_d \dot{\hat q})
 
-    The loops' velocity target is zero and their stiffness finite: aimed at the reference's angles,
-    as in the paper, they lag 0.1 s behind and give way by 0.7 rad at the knee under the robot's
-    weight, which a policy first has to learn. The reduced-order model knows the load of each leg.
+    With the reference's motor angles as targets, as in the paper, the legs lag 0.1 s behind, since
+    the loops' velocity target is zero, and the knee yields by 0.7 rad under the robot's weight. A
+    policy would first have to learn to correct both. The torques :math:`\hat\tau` come from the leg
+    forces of the reduced-order model.
 
     Args:
         stiffness: (m,) gains K_p of the PD loops [N m/rad].
         damping: (m,) gains K_d [N m s/rad].
-        in_keys: key of the reference, of which motor positions, velocities and torques are read.
+        in_keys: key of the reference; its motor positions, velocities and torques are read.
         out_keys: key of the targets (n, m) [rad].
     """
 
@@ -171,10 +173,11 @@ class Feedforward(SeededTransform):
 
 
 class ReferenceDistance(SeededTransform):
-    """Write the distance that the reference has gone since the reset [m].
+    """Write the distance that the reference has walked since the reset [m].
 
-    The reference's own x is the deviation from uniform motion; added to this it is a place in the
-    world. Must come after `ReferenceInjection`, which writes all of reference and goal.
+    The x of the reference is its deviation from uniform motion; the distance plus this x is its
+    position in the world. Must come after `ReferenceInjection`, which replaces the groups
+    `reference` and `goal`.
 
     Args:
         in_keys: key of the command (n, 1) [m/s].
@@ -226,14 +229,14 @@ class ReferenceStart(SeededTransform):
     """Start each episode on the reference, at the drawn phase and command.
 
     To start elsewhere, pass `("initial", "qpos")`, `("initial", "qvel")` or both to `env.reset`.
-    In a reset of some robots only, with a `_reset` mask, these start on the reference.
+    A partial reset (with a `_reset` mask) always starts the reset robots on the reference.
 
     Must come before `SpeedCommand` and `PhaseClock` in the stack: TorchRL prepares resets from the
     last transform to the first.
 
-    Paper: the robot "is set to a random starting position in the trajectory's walk cycle"; of its
-    velocity it says nothing. Public code means to start at rest. Started at rest the policy learns
-    to stand still, so we start with the velocities that belong to the position.
+    Paper: the robot "is set to a random starting position in the trajectory's walk cycle", without
+    a word on its velocity. The public code intends a start at rest. Policies that start at rest
+    learn to stand still, so our episodes start with the reference's velocities.
 
     Args:
         library: gaits.
@@ -265,9 +268,9 @@ class ReferenceStart(SeededTransform):
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         if tensordict is None or any(tensordict.get(key, None) is None for key in self.in_keys):
             raise ConfigurationError(
-                f"ReferenceStart found no {' and '.join(map(str, self.in_keys))}: it must stand"
-                " before SpeedCommand and PhaseClock in the stack, and transforms in their place"
-                " must write these entries in `_reset_env_preprocess`, as they do"
+                f"ReferenceStart found no {' and '.join(map(str, self.in_keys))}: put it before"
+                " SpeedCommand and PhaseClock in the stack; transforms that replace these must"
+                " write the entries in `_reset_env_preprocess`"
             )
         command, phase = (cast("Tensor", tensordict[key]) for key in self.in_keys)
         qpos, qvel = self.library.initial_state(phase, command)

@@ -21,12 +21,13 @@ class RewardTerm(SeededTransform):
 
     The term is `("reward_terms", name)` (n, 1), zero after a reset. The functions of the paper's
     terms are in `aslip.transforms.rewards`. A step raises `ShapeError` if the function does not
-    give one number a robot.
+    return one number per robot.
 
-    A term with memory, such as the time since a foot last touched the ground, is a transform of its
-    own: a `SeededTransform` that writes its memory and `("reward_terms", name)` in `_step` and
-    `_reset`, both declared in `transform_observation_spec`. TorchRL counts terms among the
-    observations: entries of reward specs are rewards to its transforms, and many take one only.
+    Write a term with memory, such as the time since a foot last touched the ground, as a
+    `SeededTransform` of its own: write the memory and `("reward_terms", name)` in `_step` and
+    `_reset`, and declare both in `transform_observation_spec`. Terms are in the observation spec
+    because TorchRL takes each entry of the reward spec for a reward, and many of its transforms
+    accept only one.
 
     Args:
         name: name of the term.
@@ -34,8 +35,8 @@ class RewardTerm(SeededTransform):
         next_keys: entries after the step that the function reads.
         root_keys: entries before the step, and the action, that it reads; these come last.
             `("goal", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
-        diverged_key: key of the flag (n, 1) of robots whose simulation diverged in the step. These
-            were put back on their feet, and earn nothing. None for an environment without.
+        diverged_key: key of the flag (n, 1) of robots whose simulation diverged in the step, which
+            get zero; None if the environment has no such flag.
     """
 
     num_out_keys = 1
@@ -80,7 +81,7 @@ class RewardTerm(SeededTransform):
             )
         value = value.float()
         if self._diverged_key is not None:
-            # an action that is not finite, which made a robot diverge, must not become a reward
+            # a non-finite action makes a robot diverge, and must not make the reward non-finite
             value = torch.where(next_tensordict[self._diverged_key], 0.0, value)
         return next_tensordict.set(self.out_keys[0], value)
 
@@ -109,7 +110,7 @@ class WeightedReward(SeededTransform):
 
     Raises:
         ConfigurationError: a weight is not finite.
-        UnknownNameError: there are no terms, or one has no weight (raised when added to a stack).
+        UnknownNameError: the stack has no terms, or one has no weight (raised when added to it).
     """
 
     num_in_keys, num_out_keys = 1, 1
@@ -161,10 +162,10 @@ class WeightedReward(SeededTransform):
 
 
 class EpisodeSum(SeededTransform):
-    """Sum up the rewards since the reset.
+    """Sum the rewards since the reset.
 
-    As TorchRL's `RewardSum`, which computes the specs of the whole stack again, twice, to find the
-    shape of a reward: half the time it takes to make an environment.
+    It does what TorchRL's `RewardSum` does, but making an environment takes half as long:
+    `RewardSum` computes the specs of the whole stack twice to find the shape of a reward.
 
     Args:
         in_keys: key of the reward (n, 1).

@@ -1,7 +1,7 @@
 r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B).
 
-Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as the
-paper prints them; the public code sums absolute values per axis for velocity and feet. Shapes:
+Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the
+paper; the public code sums absolute values per axis for velocity and feet. Shapes:
 (*b, k) in, (*b, 1) out.
 """
 
@@ -73,7 +73,7 @@ def foot_pos(
 def straight_diff(pelvis_position: Tensor) -> Tensor:
     r""":math:`\exp(-|y|)`: "the lateral robot position being close to zero".
 
-    The public code has a dead zone of 5 cm, the paper has none; nor have we.
+    As in the paper, there is no dead zone; the public code has one of 5 cm.
 
     Args:
         pelvis_position: (*b, 3) [m, world].
@@ -84,11 +84,10 @@ def straight_diff(pelvis_position: Tensor) -> Tensor:
 def foot_orient(left_foot_orientation: Tensor, right_foot_orientation: Tensor) -> Tensor:
     r""":math:`\exp(-\|q_l - q^*\| - \|q_r - q^*\|)`: "forward pointing toes", feet level.
 
-    :math:`q^*` is the identity: sole level, toes along the world's x. The paper gives no formula;
-    this is the form of its public code with the quaternions' signs made equal (10 degrees cost
-    0.087 a foot). As nothing else rewards it, this term also keeps the robot's heading. Without a
-    motor for its roll a foot leans with its leg, by 0.04 rad on the reference, so 0.96 is the
-    largest value there.
+    :math:`q^*` is the identity: sole level, toes along the world's x. The paper gives no formula.
+    This is the formula of its public code, with the signs of the quaternions made equal (10 degrees
+    cost 0.087 per foot). It is the only term that rewards the robot's heading. Feet have no roll
+    motor and lean with the leg, by 0.04 rad on the reference, so the term is at most 0.96 there.
 
     Args:
         left_foot_orientation: (*b, 4) wxyz, sole to world.
@@ -100,7 +99,7 @@ def foot_orient(left_foot_orientation: Tensor, right_foot_orientation: Tensor) -
 
 
 def action_diff(action: Tensor, last_action: Tensor) -> Tensor:
-    r""":math:`\exp(-\|a_t - a_{t-1}\|)` of the deltas [rad]; `last_action` is zero after a reset.
+    r""":math:`\exp(-\|a_t - a_{t-1}\|)` of the actions; `last_action` is zero after a reset.
 
     Args:
         action: (*b, 10) [rad].
@@ -114,6 +113,6 @@ def _norm(vector: Tensor) -> Tensor:
 
 
 def _from_identity(quaternion: Tensor) -> Tensor:
-    """Distance (*b, 1) of rotations (*b, 4) from the identity, whatever the quaternion's sign."""
+    """Distance (*b, 1) of quaternions (*b, 4) from the identity; their signs do not matter."""
     w, vector = quaternion[..., :1].abs(), quaternion[..., 1:]
     return _norm(torch.cat([w - 1, vector], dim=-1))

@@ -1,6 +1,6 @@
 """Batched rotations in torch: unit quaternions (*b, 4) are wxyz, vectors are (*b, 3).
 
-An orientation turns vectors written in a body's axes into those of the world.
+An orientation maps vectors from the body frame to the world frame.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from torch import Tensor
 
 
 def rotate_inverse(quaternion: Tensor, vector: Tensor) -> Tensor:
-    """Vectors (*b, 3) of the world in the axes of bodies with `quaternion` (*b, 4) to the world."""
+    """World vectors (*b, 3), expressed in the frames of bodies with orientation `quaternion`."""
     w, u = quaternion[..., :1], -quaternion[..., 1:]
     t = 2.0 * torch.linalg.cross(u, vector)
     return vector + w * t + torch.linalg.cross(u, t)
 
 
 def multiply(first: Tensor, second: Tensor) -> Tensor:
-    """Product (*b, 4) of quaternions: the second rotation, then the first."""
+    """Product (*b, 4) of quaternions; it rotates by the second factor first."""
     w, u = first[..., :1], first[..., 1:]
     s, v = second[..., :1], second[..., 1:]
     scalar = w * s - (u * v).sum(-1, keepdim=True)
@@ -27,7 +27,7 @@ def multiply(first: Tensor, second: Tensor) -> Tensor:
 
 
 def upper_hemisphere(quaternion: Tensor) -> Tensor:
-    """Representation with w >= 0 of the same rotations (*b, 4)."""
+    """Equivalent quaternions (*b, 4) with w >= 0."""
     return torch.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
@@ -44,7 +44,7 @@ def from_vector(rotation: Tensor) -> Tensor:
 
 
 def yaw(quaternion: Tensor) -> Tensor:
-    """Heading (*b, 1) of the x axis of bodies with `quaternion` (*b, 4) to the world [rad].
+    """Yaw (*b, 1) of the x axis of bodies with orientation `quaternion` (*b, 4) [rad].
 
     The x axis must not be vertical.
     """

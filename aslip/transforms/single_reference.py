@@ -1,8 +1,8 @@
 r"""Rewards of the single-reference method of Xie et al. 2018, the paper's baseline (Sec. V).
 
 The robot imitates one walking motion in joint space at every speed; only the path of the pelvis
-follows the command. Our motion is that of a linear inverted pendulum (`aslip.rom.pendulum`), in
-place of the recorded one. Shapes: (*b, k) in, (*b, 1) out.
+follows the command. We use the motion of a linear inverted pendulum (`aslip.rom.pendulum`) instead
+of the recorded one. Shapes: (*b, k) in, (*b, 1) out.
 """
 
 from __future__ import annotations
@@ -23,14 +23,15 @@ SINGLE_REFERENCE_WEIGHTS: Final = MappingProxyType(
 """Weights of the baseline's reward; they sum to one."""
 
 SHIN_COMPLIANCE: Final = -3.27e-4
-"""Deflection of a shin's leaf spring for each newton on the foot [rad/N]: slope of a line through
-deflection and vertical force of robots that walk (correlation 0.97)."""
+"""Deflection of a shin's leaf spring per newton on the foot [rad/N]: slope of a line fitted to
+deflection and vertical force of walking robots (correlation 0.97)."""
 
 KNEELING_HEIGHT: Final = 0.75
-"""Height of the pelvis below which the robot has sunk to its shins [m], and the episode ends.
+"""Height of the pelvis below which the episode ends [m], as the robot is on its shins.
 
-Public code ends it by the height of the tarsi. Without, slow walking is learned on the knees: at
-0 to 0.4 m/s, after 1.5 million policy steps, with the pelvis at 0.65 m instead of 0.87 or more."""
+The public code limits the height of the tarsi instead. Without a limit, policies learn to walk
+slowly on their knees: after 1.5 million policy steps, at 0 to 0.4 m/s, the pelvis is at 0.65 m
+instead of 0.87 m or more."""
 
 # weights of hip roll, hip yaw, hip pitch, knee and foot of both legs
 _JOINT_WEIGHTS: Final = torch.tensor([0.15, 0.15, 0.1, 0.05, 0.05] * 2)
@@ -55,7 +56,7 @@ def pelvis(pelvis_position: Tensor, body_position: Tensor, distance: Tensor) -> 
     Args:
         pelvis_position: (*b, 3) [m, world].
         body_position: (*b, 3) of the reference; x is the deviation from uniform motion [m].
-        distance: (*b, 1) uniform motion since the start [m], of `ReferenceDistance`.
+        distance: (*b, 1) uniform motion since the start [m], from `ReferenceDistance`.
     """
     x, rest = body_position[..., :1] + distance, body_position[..., 1:]
     return torch.exp(-_square(pelvis_position - torch.cat([x, rest], dim=-1)))
@@ -73,8 +74,8 @@ def upright(pelvis_orientation: Tensor) -> Tensor:
 def springs(qpos: Tensor, left_foot_velocity: Tensor, right_foot_velocity: Tensor) -> Tensor:
     r""":math:`\exp(-1000 \sum_i (s_i - \hat s_i)^2)` over both shins' leaf springs.
 
-    The pendulum has no springs: those of its stance legs are assumed to carry its weight, each a
-    half in double support.
+    The pendulum has no springs. Target deflections assume that the stance legs carry its weight,
+    half each in double support.
 
     Args:
         qpos: (*b, 35).
@@ -90,7 +91,7 @@ def springs(qpos: Tensor, left_foot_velocity: Tensor, right_foot_velocity: Tenso
 
 @functools.cache
 def _motors_and_shins() -> tuple[list[int], list[int]]:
-    """Places of the ten motor joints and the two shins in `qpos`."""
+    """Indices of the ten motor joints and the two shins in `qpos`."""
     model = load_model()
     shins = [int(model.joint(f"{side}_shin").qposadr[0]) for side in SIDES]
     return CASSIE.indices.motor_qpos.tolist(), shins

@@ -1,4 +1,4 @@
-"""Environment of robots that only sense."""
+"""Environment of robots with sensors and no motors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 
 
 class SensingEnv(EnvBase):
-    """N robots at rest, each with its own readings, which never change.
+    """N robots at rest, each with its own constant readings.
 
     Args:
         clean: packets `("sensors", name)` of the robots.

@@ -1,4 +1,4 @@
-"""The policy's delta becomes a target, and is remembered."""
+"""The policy's action becomes a motor target, and is stored as the last action."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.helpers import MakeEnv
 
 
 def _spy(env: StackEnv) -> list[np.ndarray]:
-    """Everything the backend is asked to track from now on."""
+    """List of the motor targets that the backend gets from now on."""
     targets: list[np.ndarray] = []
     advance = env.base_env._advance
 
@@ -31,7 +31,7 @@ def _spy(env: StackEnv) -> list[np.ndarray]:
 
 
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
-def test_the_target_is_the_reference_plus_the_delta(make: MakeEnv, backend: str) -> None:
+def test_the_target_is_the_reference_plus_the_action(make: MakeEnv, backend: str) -> None:
     env = make(backend, num_envs=2)
     targets = _spy(env)
     td = env.reset()
@@ -45,7 +45,7 @@ def test_the_target_is_the_reference_plus_the_delta(make: MakeEnv, backend: str)
     assert len(targets) == 2
 
 
-def test_the_delta_has_no_bound(make: MakeEnv) -> None:
+def test_actions_are_not_clipped(make: MakeEnv) -> None:
     """Sec. IV-B, "the output is unbounded": no clipping between policy and PD loop."""
     env = make(drop=["low_reward"])
     targets = _spy(env)
@@ -55,7 +55,7 @@ def test_the_delta_has_no_bound(make: MakeEnv) -> None:
     np.testing.assert_allclose(targets[0], (reference + 7.5).numpy(), rtol=1e-6)
 
 
-def test_the_spec_states_a_bound_that_can_be_chosen(make: MakeEnv) -> None:
+def test_the_bound_of_the_action_spec_can_be_chosen(make: MakeEnv) -> None:
     env = make(num_envs=2)
     assert isinstance(env.action_spec, Bounded)
     assert env.action_spec.shape == (2, 10)
@@ -68,12 +68,12 @@ def test_the_spec_states_a_bound_that_can_be_chosen(make: MakeEnv) -> None:
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf, "x", None, []])
-def test_a_bound_that_is_no_positive_number_is_refused(limit: Any) -> None:
+def test_a_bound_must_be_a_positive_number(limit: Any) -> None:
     with pytest.raises(ConfigurationError, match="limit must be a finite number above 0"):
         ActionDelta(limit=limit)
 
 
-def test_as_many_bounds_as_motors_are_asked_for(make: MakeEnv) -> None:
+def test_the_number_of_bounds_is_one_or_that_of_the_motors(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match="limit must be one number or 10 of them"):
         make(replace={"action": ActionDelta(limit=[1.0] * 9)})
 
@@ -86,12 +86,12 @@ def test_another_baseline_can_be_named(make: MakeEnv) -> None:
     np.testing.assert_array_equal(targets[0], td["truth", "motor_position"].double().numpy())
 
 
-def test_a_baseline_that_nothing_writes_is_refused(make: MakeEnv) -> None:
+def test_an_unknown_baseline_is_refused(make: MakeEnv) -> None:
     with pytest.raises(UnknownNameError, match="standing_pose"):
         make(replace={"action": ActionDelta("standing_pose")})
 
 
-def test_without_the_delta_the_action_is_the_target(make: MakeEnv) -> None:
+def test_without_action_delta_the_action_is_the_target(make: MakeEnv) -> None:
     env = make(drop=["action", "action_diff", "last_action"])
     assert env.action_keys == ["motor_target"]
     check_env_specs(env)
@@ -105,7 +105,7 @@ def test_actions_of_another_shape_are_refused(make: MakeEnv, shape: tuple[int, .
         env.step(td.set("action", torch.zeros(shape)))
 
 
-def test_the_last_action_is_the_previous_delta_and_zero_at_first(make: MakeEnv) -> None:
+def test_the_last_action_is_the_previous_one_and_zero_after_a_reset(make: MakeEnv) -> None:
     env = make(num_envs=2, drop=["low_reward"])
     td = env.reset()
     assert (td["last_action"] == 0).all()
@@ -116,8 +116,8 @@ def test_the_last_action_is_the_previous_delta_and_zero_at_first(make: MakeEnv) 
     assert (env.reset()["last_action"] == 0).all()
 
 
-def test_the_first_action_is_compared_with_no_delta(make: MakeEnv) -> None:
-    """Not with absolute angles, nor with an action of the episode before."""
+def test_the_first_action_is_compared_with_zero(make: MakeEnv) -> None:
+    """The last action at a reset is zero: no absolute angles, no action of the previous episode."""
     env = make(num_envs=2, drop=["low_reward"])
     td = env.reset()
     td = env.step(td.set("action", torch.full((2, 10), 0.9)))["next"]
@@ -130,9 +130,7 @@ def test_the_first_action_is_compared_with_no_delta(make: MakeEnv) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_an_action_that_is_not_finite_is_a_divergence_of_one_robot(
-    make: MakeEnv, value: float
-) -> None:
+def test_a_non_finite_action_makes_only_its_robot_diverge(make: MakeEnv, value: float) -> None:
     env = make(num_envs=3)
     td = env.reset()
     for _ in range(2):

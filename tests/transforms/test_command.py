@@ -1,4 +1,4 @@
-"""Command and clock: drawn at resets, held and advanced between, settable from outside."""
+"""Command and clock: drawn at resets, held or advanced at steps, settable by callers."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _still(td: TensorDictBase) -> TensorDictBase:
 
 
 def _end_some(td: TensorDictBase, rows: list[int]) -> TensorDictBase:
-    """The tensordict as if some episodes had just ended."""
+    """Tensordict in which some episodes have just ended."""
     td = td.clone()
     for key in ("done", "terminated"):
         td[key][rows] = True
@@ -43,7 +43,7 @@ def _walk(env: StackEnv, td: TensorDictBase, steps: int) -> TensorDictBase:
 
 
 def test_commands_are_speeds_of_the_library(make: MakeEnv, library: GaitLibrary) -> None:
-    """All 21 of them, about as often as one another."""
+    """All 21 speeds are drawn about equally often."""
     command = make(num_envs=420).reset()["command"]
     values, counts = command.unique(return_counts=True)
     torch.testing.assert_close(values, torch.tensor(library.speeds.copy()).float())
@@ -51,22 +51,22 @@ def test_commands_are_speeds_of_the_library(make: MakeEnv, library: GaitLibrary)
     assert counts.max() <= 45
 
 
-def test_commands_change_now_and_then(make: MakeEnv, library: GaitLibrary) -> None:
-    """As often as the interval says, to any speed, and one robot's without another's."""
+def test_commands_change_at_random_times(make: MakeEnv, library: GaitLibrary) -> None:
+    """Changes have the mean interval, reach every speed and are independent across robots."""
     interval = 10 * CASSIE.policy_period
     command = SpeedCommand(library, [0.5, 1.0, 1.5], interval)
     env = make(num_envs=50, replace={"command": command}, drop=["fall", "low_reward"])
     walk = env.rollout(40, break_when_any_done=False)
     before, after = walk["command"][..., 0], walk["next", "command"][..., 0]
     assert set(after.unique().tolist()) == {0.5, 1.0, 1.5}
-    # a draw is the old speed a third of the time
+    # one in three draws repeats the old speed
     share = float((before != after).float().mean())
     assert share == pytest.approx(0.1 * 2 / 3, abs=0.02)
     held = (before == after).float().mean(1)
     assert held.unique().numel() > 5
 
 
-def test_commands_change_alike_with_the_same_seed(make: MakeEnv, library: GaitLibrary) -> None:
+def test_changes_of_the_command_follow_the_seed(make: MakeEnv, library: GaitLibrary) -> None:
     walks = []
     for seed in (3, 3, 4):
         command = SpeedCommand(library, interval=0.3)
@@ -78,7 +78,7 @@ def test_commands_change_alike_with_the_same_seed(make: MakeEnv, library: GaitLi
 
 
 @pytest.mark.parametrize("interval", [0.0, -1.0, 0.01, float("nan")])
-def test_an_interval_is_a_policy_step_or_more(library: GaitLibrary, interval: float) -> None:
+def test_the_interval_is_at_least_a_policy_step(library: GaitLibrary, interval: float) -> None:
     with pytest.raises(ConfigurationError, match=f"interval.*{interval}"):
         SpeedCommand(library, interval=interval)
 
@@ -101,7 +101,7 @@ def test_speeds_outside_the_library_are_refused(library: GaitLibrary) -> None:
         SpeedCommand(library, speeds=[1.0, 2.1])
 
 
-def test_no_speeds_are_refused(library: GaitLibrary) -> None:
+def test_an_empty_list_of_speeds_is_refused(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match="speeds is empty"):
         SpeedCommand(library, speeds=[])
 
@@ -113,7 +113,7 @@ def test_no_speeds_are_refused(library: GaitLibrary) -> None:
 def test_the_clock_advances_by_time_and_wraps(
     make: MakeEnv, library: GaitLibrary, speed: float
 ) -> None:
-    """0.03 s of a stride a step, whatever the speed."""
+    """A step advances the stride by 0.03 s at any speed."""
     env = make()
     td = env.reset(_start(speed, 0.95))
     stride = library.stride(torch.tensor([[speed]]))
@@ -123,10 +123,10 @@ def test_the_clock_advances_by_time_and_wraps(
         phases.append(td["phase"].item())
     expected = [(0.95 + k * CASSIE.policy_period / stride.item()) % 1 for k in range(5)]
     assert phases == pytest.approx(expected, abs=1e-6)
-    assert min(phases) < 0.2  # it did wrap
+    assert min(phases) < 0.2  # the phase has wrapped
 
 
-def test_phase_and_command_are_what_the_caller_asked_for(make: MakeEnv) -> None:
+def test_a_caller_can_set_phase_and_command(make: MakeEnv) -> None:
     env = make(num_envs=3)
     start = TensorDict(
         command=torch.tensor([[0.1], [0.85], [2.0]]),
@@ -142,13 +142,11 @@ def test_phase_and_command_are_what_the_caller_asked_for(make: MakeEnv) -> None:
 
 
 def test_a_phase_outside_the_stride_is_wrapped(make: MakeEnv) -> None:
-    """The phase is a fraction in [0, 1), also where a caller counts on."""
+    """The phase is a fraction in [0, 1), even if a caller passes 1 or more."""
     assert make().reset(_start(1.0, 1.25))["phase"].item() == pytest.approx(0.25)
 
 
-def test_changing_the_command_between_steps_keeps_the_phase(
-    make: MakeEnv, library: GaitLibrary
-) -> None:
+def test_a_change_of_command_keeps_the_phase(make: MakeEnv, library: GaitLibrary) -> None:
     """The new speed acts on the next policy step: its stride, then its reference."""
     env = make()
     td = _walk(env, env.reset(_start(0.5, 0.1)), 2)
@@ -168,7 +166,7 @@ def test_changing_the_command_between_steps_keeps_the_phase(
 
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
 def test_a_partial_reset_leaves_the_other_rows_alone(make: MakeEnv, backend: str) -> None:
-    """Command, phase, reference, estimate, true state, counters: all of it."""
+    """Command, phase, reference, estimate, true state and counters stay as they were."""
     env = make(backend, num_envs=4, drop=["low_reward"])
     td = env.reset(_start(0.8, 0.3, 4))
     for k in range(3):
@@ -192,7 +190,7 @@ def test_a_partial_reset_leaves_the_other_rows_alone(make: MakeEnv, backend: str
     ):
         assert (reset[key][new] != td[key][new]).any(dim=-1).all(), key
     assert not reset["done"].any()
-    # the simulator agrees with what it reported
+    # the simulator's state equals the reported one
     following = env.step(_still(reset.clone()))["next"]
     unbroken = make(backend, num_envs=4, drop=["low_reward"])
     other = unbroken.reset(_start(0.8, 0.3, 4))
@@ -204,7 +202,7 @@ def test_a_partial_reset_leaves_the_other_rows_alone(make: MakeEnv, backend: str
     )
 
 
-def test_a_partial_reset_draws_anew_each_time(make: MakeEnv) -> None:
+def test_each_partial_reset_draws_new_values(make: MakeEnv) -> None:
     env = make(num_envs=2)
     td = env.reset()
     phases = set()
@@ -215,14 +213,14 @@ def test_a_partial_reset_draws_anew_each_time(make: MakeEnv) -> None:
 
 
 def test_the_initial_state_is_not_left_in_the_tensordict(make: MakeEnv) -> None:
-    """It is a request to the backend, not something that travels on."""
+    """The initial state is a request to the backend, not an entry of the episode."""
     request = _start(0.7, 0.2)
     for td in (make().reset(request), make().reset(), request):
         assert "initial" not in set(td.keys())
 
 
-def test_rows_named_for_a_reset_are_drawn_anew(make: MakeEnv) -> None:
-    """TorchRL's idiom hands the whole old tensordict back, mask added: what it holds is old."""
+def test_a_reset_mask_draws_new_values_for_its_rows(make: MakeEnv) -> None:
+    """TorchRL passes the old tensordict with a mask, so its values are stale."""
     env = make(num_envs=2)
     td = env.reset(_start(0.55, 0.1, 2))
     td["_reset"] = torch.tensor([[False], [True]])
@@ -234,7 +232,7 @@ def test_rows_named_for_a_reset_are_drawn_anew(make: MakeEnv) -> None:
 
 
 @pytest.mark.parametrize("key", ["command", "phase"])
-def test_a_command_that_is_no_number_is_refused(make: MakeEnv, key: str) -> None:
+def test_a_command_that_is_not_finite_is_refused(make: MakeEnv, key: str) -> None:
     env = make(num_envs=2)
     start = _start(0.5, 0.1, 2)
     start[key] = torch.tensor([[0.5], [torch.nan]])

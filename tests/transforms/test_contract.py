@@ -35,13 +35,13 @@ ONLY_INSIDE = {
     transforms.PhaseClock: "writes the request of the robots' own reset",
     transforms.ReferenceStart: "writes the request of the robots' own reset",
     transforms.RandomDynamics: "writes the request of the robots' own reset",
-    transforms.StaggeredEnds: "tells resets of all robots at once from others",
+    transforms.StaggeredEnds: "distinguishes resets of all robots from partial resets",
     transforms.ObservationNoise: "changes packets before the estimator reads them",
     transforms.RandomNoise: "changes packets before the estimator reads them",
     transforms.EstimatedState: "estimates robots along one axis of the batch",
-    transforms.ActionDelta: "hides the motor targets of the environment below",
+    transforms.ActionDelta: "hides the motor targets of the base environment",
 }
-"""Transforms that cannot stand around a batch of environments, and why."""
+"""Transforms that cannot wrap a batch of environments, and why."""
 
 
 def make_env(seed: int = 0) -> StackEnv:
@@ -56,7 +56,7 @@ def make_env(seed: int = 0) -> StackEnv:
         distance=transforms.ReferenceDistance,
         truth=partial(transforms.TrueState, out_keys=("true_estimate", "copied_odometry")),
     )
-    # both noises must stand before the estimator
+    # both kinds of noise must come before the estimator
     noise = stack.pop("random_noise")
     stack = insert_before(stack, "estimator", random_noise=noise)
     stack = insert_before(stack, "episode_sum", stagger=partial(transforms.StaggeredEnds, 9))
@@ -90,7 +90,7 @@ def of_class(env: StackEnv, kind: type[SeededTransform]) -> SeededTransform:
 
 
 def check_recomputed(found: TensorDictBase, recorded: TensorDictBase, kind: type) -> None:
-    """Check that a transform wrote again, to the bit, the entries that it had written."""
+    """Check that a transform recomputes its own entries bit for bit."""
     transform = kind.__name__
     expected = leaves(recorded)
     wrote = {key: value for key, value in leaves(found).items() if key in expected}
@@ -100,7 +100,7 @@ def check_recomputed(found: TensorDictBase, recorded: TensorDictBase, kind: type
 
 
 def without_outputs(recorded: TensorDictBase, transform: Transform) -> TensorDictBase:
-    """Transitions that lack an entry that the transform writes, where it does not read it, too."""
+    """Transitions without the entries that the transform writes, except those that it reads."""
     step = type(transform)._step is not Transform._step
     keys = [key for key in transform.out_keys if key not in {"terminated", "done"}]
     own = [("next", *((key,) if isinstance(key, str) else key)) if step else key for key in keys]
@@ -109,7 +109,7 @@ def without_outputs(recorded: TensorDictBase, transform: Transform) -> TensorDic
     return recorded.exclude(*own).clone()
 
 
-def test_the_environment_has_every_public_transform(env: StackEnv) -> None:
+def test_every_public_transform_is_tested(env: StackEnv) -> None:
     assert {type(t) for t in env.transforms if isinstance(t, SeededTransform)} == PUBLIC
 
 
@@ -119,9 +119,9 @@ def test_single_environment(env: StackEnv) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_inside_and_around_several_environments(env: StackEnv) -> None:
-    """Entries written around are those written inside; processes change nothing, to the bit."""
+    """Entries are bit-equal inside and around environments, serial or parallel."""
     rollouts = []
-    # forked, for imports in each process take most of the test's time
+    # forked: imports in each process would take most of the test's time
     processes = partial(ParallelEnv, mp_start_method="fork")
     for kind in (SerialEnv, processes):
         batch = kind(2, [partial(make_env, seed) for seed in (0, 1)])
@@ -135,7 +135,7 @@ def test_inside_and_around_several_environments(env: StackEnv) -> None:
     serial, parallel = rollouts
     assert serial.batch_size == (2, NUM, 4)
     partly = serial["next", "done"].sum(1) == 1
-    assert partly.any(), "no robot goes on while another is reset"
+    assert partly.any(), "no robot continues while another is reset"
     assert leaves(parallel).keys() == leaves(serial).keys()
     for key, value in leaves(serial).items():
         assert torch.equal(leaves(parallel)[key], value), key
@@ -145,7 +145,7 @@ def test_inside_and_around_several_environments(env: StackEnv) -> None:
 
 
 def _around(env: StackEnv) -> list[SeededTransform]:
-    """Transforms that can stand around a batch of environments."""
+    """Transforms that can wrap a batch of environments."""
     return [
         transform.clone()
         for transform in env.transforms
@@ -194,7 +194,7 @@ def test_a_transform_that_needs_an_environment_says_why(
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)
 def test_inverse(env: StackEnv, recorded: TensorDictBase, kind: type[SeededTransform]) -> None:
-    """Actions become motor targets in one transform; the others leave them alone."""
+    """One transform turns actions into motor targets; the others do not change actions."""
     found = of_class(env, kind).inv(recorded.clone())
     if kind is transforms.ActionDelta:
         expected = recorded["reference", "motor_target"] + recorded["action"]
@@ -203,14 +203,14 @@ def test_inverse(env: StackEnv, recorded: TensorDictBase, kind: type[SeededTrans
     assert torch.equal(found["action"], recorded["action"])
 
 
-def test_keys_are_checked_where_a_transform_is_made() -> None:
+def test_keys_are_checked_when_a_transform_is_made() -> None:
     with pytest.raises(aslip.errors.ConfigurationError, match="out_keys of ClockInput must be 2"):
         transforms.ClockInput(out_keys=["sine"])
     with pytest.raises(aslip.errors.ConfigurationError, match="must be a list of keys, got 'a'"):
         transforms.ClockInput(in_keys="a")
 
 
-def test_nested_keys_take_the_place_of_the_defaults() -> None:
+def test_nested_keys_can_replace_the_default_keys() -> None:
     clock = transforms.ClockInput(in_keys=[("mine", "phase")], out_keys=["sine", ("a", "cosine")])
     found = clock(TensorDict(mine=TensorDict(phase=torch.full((3, 1), 0.25)), batch_size=3))
     assert found["sine"].allclose(torch.ones(3, 1))

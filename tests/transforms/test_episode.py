@@ -1,4 +1,4 @@
-"""First episodes of a training end at different times; all others are whole."""
+"""First episodes end at different times; later episodes have full length."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LIMIT = 12
 
 
 def _env(num_envs: int = 24, seed: int = 0) -> StackEnv:
-    """Robots that never fall, in a training."""
+    """Environment of robots that never fall."""
     return make_training_env(
         aslip.make_env,
         num_envs=num_envs,
@@ -32,7 +32,7 @@ def _env(num_envs: int = 24, seed: int = 0) -> StackEnv:
 
 
 def _walk(env: StackEnv, steps: int) -> list[TensorDictBase]:
-    """Outcomes of steps, in which robots are reset where their episodes end."""
+    """Results of steps; robots are reset when their episodes end."""
     outcomes, td = [], env.reset()
     for _ in range(steps):
         td["action"] = torch.zeros(*td.batch_size, 10)
@@ -41,8 +41,8 @@ def _walk(env: StackEnv, steps: int) -> list[TensorDictBase]:
     return outcomes
 
 
-def test_robots_that_never_fall_do_not_stay_in_step() -> None:
-    """At the end of one limit they are all over the episode."""
+def test_robots_that_never_fall_are_reset_at_different_times() -> None:
+    """After the longest first episode, their step counts cover the whole episode."""
     ages = _walk(_env(), LIMIT + 3)[-1]["step_count"]
     assert len(ages.unique()) > LIMIT / 2
     assert ages.unique(return_counts=True)[1].max() < 12
@@ -60,7 +60,7 @@ def test_only_the_first_episode_is_cut_short() -> None:
     assert {length for each in lengths for length in each[1:]} == {LIMIT}
 
 
-def test_what_is_left_counts_down_to_zero_and_stays_there() -> None:
+def test_the_count_of_remaining_steps_stops_at_zero() -> None:
     env = _env()
     env.set_seed(0)
     left = env.reset()["stagger"]
@@ -77,8 +77,8 @@ def test_ends_follow_the_seed() -> None:
     assert found[0].max() <= LIMIT
 
 
-def test_other_draws_are_what_they_are_without(make: MakeEnv) -> None:
-    """Commands, phases and noise of an environment do not depend on it."""
+def test_staggered_ends_do_not_change_other_draws(make: MakeEnv) -> None:
+    """`StaggeredEnds` does not change commands, phases and noise."""
     plain = make(num_envs=24, drop=["fall", "low_reward"]).reset()
     staggered = _env().reset()
     for key in ("command", "phase", "observation"):
@@ -87,6 +87,6 @@ def test_other_draws_are_what_they_are_without(make: MakeEnv) -> None:
 
 
 @pytest.mark.parametrize("steps", [0, -3, 2.5, float("nan"), True, "9"])
-def test_a_limit_that_is_none_is_refused(steps: Any) -> None:
+def test_an_invalid_number_of_steps_is_refused(steps: Any) -> None:
     with pytest.raises(ConfigurationError, match="max_steps must be a whole number of 1 or more"):
         StaggeredEnds(steps)

@@ -1,4 +1,4 @@
-"""Robots that start anywhere, turned by any angle, walk as straight as others."""
+"""Robots that start at any place and yaw walk as straight as those that start at the origin."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ DEGREES = (0.0, 57.0, 90.0, 172.0, -135.0)
 ANGLES = torch.deg2rad(torch.tensor(DEGREES, dtype=torch.float64))[:, None]
 NUM = len(DEGREES)
 SPEED = 0.5
-# the code that knew one heading fell within these from 57 degrees on
+# steps within which robots without `HeadingFrame` fell from 57 degrees on
 STEPS = 100
 
 
 def _about_z(angle: Tensor) -> Rotation:
-    """Turns by (n, 1) angles."""
+    """Quaternions of rotations by (n, 1) angles about z."""
     return Rotation.from_rotvec(angle.numpy() * [0.0, 0.0, 1.0])
 
 
 class TurnedStart(ReferenceStart):
-    """The usual start, turned about the world's origin and moved."""
+    """Start on the reference, rotated about the world's origin and moved."""
 
     def __init__(
         self,
@@ -102,8 +102,8 @@ def test_robots_that_start_turned_walk_as_straight_as_others(
         assert result.terms["foot_orient"] > 0.85, degrees
 
 
-def test_turned_robots_are_rewarded_and_see_what_others_do(library: aslip.GaitLibrary) -> None:
-    """Alike but for rounding, as long as that has not grown."""
+def test_turned_robots_get_the_same_rewards_and_observations(library: aslip.GaitLibrary) -> None:
+    """Differences are rounding errors, in the steps before these grow."""
     env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
     policy, td = aslip.load_policy("aslip"), env.reset(_start())
     entries = [("odometry", name) for name in ODOMETRY_SIZES]
@@ -117,7 +117,7 @@ def test_turned_robots_are_rewarded_and_see_what_others_do(library: aslip.GaitLi
         td = step_mdp(td)
 
 
-def test_the_reference_backend_knows_headings_too(library: aslip.GaitLibrary) -> None:
+def test_turned_robots_walk_on_the_reference_backend(library: aslip.GaitLibrary) -> None:
     env = _turned(
         library,
         backend="dm_control",
@@ -130,7 +130,7 @@ def test_the_reference_backend_knows_headings_too(library: aslip.GaitLibrary) ->
 
 
 @pytest.mark.parametrize("policy", ["robust", "single_reference"])
-def test_other_policies_walk_turned_too(library: aslip.GaitLibrary, policy: str) -> None:
+def test_turned_robots_walk_with_other_policies(library: aslip.GaitLibrary, policy: str) -> None:
     stack = "aslip" if policy == "robust" else policy
     gaits = library if policy == "robust" else GaitLibrary.load("single_reference")
     env = _turned(library, stack=stack, replace={"start": TurnedStart(gaits)})
@@ -142,7 +142,7 @@ def test_other_policies_walk_turned_too(library: aslip.GaitLibrary, policy: str)
             assert term == pytest.approx(straight.terms[name], abs=0.05), name
 
 
-def test_rewards_on_the_estimate_know_headings_too(library: aslip.GaitLibrary) -> None:
+def test_rewards_of_the_estimate_are_in_the_heading_frame(library: aslip.GaitLibrary) -> None:
     env = _turned(library, reward_on="estimate", drop=(*EPISODE_ENDS, "noise"))
     results = evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
     for result in results:
@@ -158,8 +158,10 @@ def test_metrics_are_along_the_heading(library: aslip.GaitLibrary) -> None:
     assert (walks.foot_position[:, :, 0, 1] > walks.foot_position[:, :, 1, 1]).all()
 
 
-def test_an_estimator_that_gets_packets_alone_knows_its_heading(library: aslip.GaitLibrary) -> None:
-    """By default that of its first packet."""
+def test_an_estimator_without_a_given_heading_takes_it_from_the_packets(
+    library: aslip.GaitLibrary,
+) -> None:
+    """By default, its heading is the yaw of its first packet."""
     env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
     policy, td, estimator = aslip.load_policy("aslip"), env.reset(_start()), StateEstimator()
 
@@ -182,10 +184,10 @@ def test_an_estimator_that_gets_packets_alone_knows_its_heading(library: aslip.G
         )
 
 
-# ------------------------------------------------------------------- who tells the heading
+# --------------------------------------------------------------------- setting the heading
 
 
-def test_the_heading_is_carried_and_can_be_told(library: aslip.GaitLibrary) -> None:
+def test_the_heading_is_kept_and_can_be_set(library: aslip.GaitLibrary) -> None:
     env = _turned(library)
     policy = aslip.load_policy("aslip")
     td = env.reset(_start())
@@ -198,7 +200,7 @@ def test_the_heading_is_carried_and_can_be_told(library: aslip.GaitLibrary) -> N
         yaw = _yaw(cast("Tensor", td["estimate", "orientation"]))
         torch.testing.assert_close(yaw, torch.full((NUM, 1), -0.3), atol=0.05, rtol=0)
         td = step_mdp(env.step(policy(td)))
-    # who turns is told so between steps
+    # a caller changes the heading between steps
     td["heading"] = told - 0.3
     td = step_mdp(env.step(policy(td)))
     turned = _yaw(cast("Tensor", td["estimate", "orientation"]))
@@ -206,12 +208,12 @@ def test_the_heading_is_carried_and_can_be_told(library: aslip.GaitLibrary) -> N
 
 
 def _yaw(quaternion: Tensor) -> Tensor:
-    """(n, 1) yaw of (n, 4) orientations."""
+    """Yaw (n, 1) of orientations (n, 4)."""
     angles = Rotation.from_quat(quaternion.numpy(), scalar_first=True).as_euler("ZYX")
     return torch.from_numpy(angles[:, :1]).float()
 
 
-def test_a_reset_of_some_robots_finds_out_their_heading(library: aslip.GaitLibrary) -> None:
+def test_a_partial_reset_takes_the_true_heading(library: aslip.GaitLibrary) -> None:
     env = _turned(library)
     td = env.reset(_start(heading=torch.full((NUM, 1), 0.1)))
     td["_reset"] = torch.tensor([[False], [True], [False], [True], [False]])
@@ -221,7 +223,7 @@ def test_a_reset_of_some_robots_finds_out_their_heading(library: aslip.GaitLibra
     torch.testing.assert_close(td["heading"], expected, atol=1e-6, rtol=0)
 
 
-def test_headings_that_are_wrong_are_refused(library: aslip.GaitLibrary) -> None:
+def test_invalid_headings_are_refused(library: aslip.GaitLibrary) -> None:
     env = _turned(library)
     with pytest.raises(ConfigurationError, match="heading must be finite"):
         env.reset(_start(heading=torch.full((NUM, 1), math.nan)))
@@ -249,7 +251,7 @@ def _truth(generator: torch.Generator, num: int = 6) -> dict[str, Tensor]:
     return values | {"slope": torch.zeros(num, 1, dtype=torch.float64)}
 
 
-def test_without_heading_slope_and_way_truth_stays_as_it_is_to_the_bit() -> None:
+def test_with_zero_heading_slope_and_origin_odometry_is_the_truth_bit_for_bit() -> None:
     truth = {name: value.float() for name, value in _truth(torch.Generator()).items()}
     zero = torch.zeros(6, 1)
     entries = in_heading_frame(truth, zero, zero.expand(6, 3))
@@ -257,7 +259,7 @@ def test_without_heading_slope_and_way_truth_stays_as_it_is_to_the_bit() -> None
         assert torch.equal(entries[name], truth[name]), name
 
 
-def test_a_world_that_is_turned_and_moved_looks_the_same() -> None:
+def test_odometry_does_not_depend_on_the_pose_of_the_world_frame() -> None:
     truth = _truth(torch.Generator().manual_seed(1))
     headings, places = torch.linspace(-3, 3, 6, dtype=torch.float64)[:, None], torch.randn(6, 3)
     places[:, 2] = 0
@@ -277,7 +279,7 @@ def test_a_world_that_is_turned_and_moved_looks_the_same() -> None:
         torch.testing.assert_close(entries[name], truth[name], atol=1e-7, rtol=0)
 
 
-def test_a_robot_that_starts_elsewhere_walks_along_its_own_line(
+def test_a_robot_that_starts_elsewhere_walks_straight_from_there(
     library: aslip.GaitLibrary,
 ) -> None:
     env = _turned(library, replace={"start": TurnedStart(library, place=(5.0, -3.0))})
@@ -296,7 +298,7 @@ SLOPE = 0.1
 def test_on_a_slope_truth_and_odometry_are_in_one_frame(
     library: aslip.GaitLibrary, degrees: float
 ) -> None:
-    """A perfect estimator and the estimator agree, and so do their rewards."""
+    """The estimator agrees with a perfect one, and so do the rewards."""
     angle = torch.full((1, 1), math.radians(degrees), dtype=torch.float64)
     env = _turned(
         library,
@@ -309,7 +311,7 @@ def test_on_a_slope_truth_and_odometry_are_in_one_frame(
     for step in range(20):
         td = step_mdp(env.step(policy(td)))
         truth = perfect._call(td.clone())
-        # the first velocities are those of a foot that is taken to rest
+        # the first velocities come from a foot that is assumed to be at rest
         for name, atol in ({"velocity": 0.05, "height": 0.04} if step > 4 else {}).items():
             torch.testing.assert_close(
                 td["estimate", name], truth["estimate", name], atol=atol, rtol=0
@@ -324,8 +326,8 @@ def test_on_a_slope_truth_and_odometry_are_in_one_frame(
             )
 
 
-def test_a_flat_foot_on_a_slope_is_as_flat_as_the_slope() -> None:
-    """Its frame is against gravity; uphill is along x, downhill along -x."""
+def test_a_foot_flat_on_a_slope_has_the_slopes_pitch() -> None:
+    """The frame's z is up against gravity; uphill is along x, downhill along -x."""
     level = torch.tensor([[1.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     truth = {
         name: level if size == 4 else torch.zeros(1, 3, dtype=torch.float64)
@@ -341,7 +343,7 @@ def test_a_flat_foot_on_a_slope_is_as_flat_as_the_slope() -> None:
     np.testing.assert_allclose(pitch.as_euler("ZYX")[0], [0, -SLOPE, 0], atol=1e-12)
     expected = [[math.cos(SLOPE), 0.0, math.sin(SLOPE)]]
     np.testing.assert_allclose(seen["pelvis_velocity"], expected, atol=1e-12)
-    # straight above the origin, and above the ground there
+    # the start is straight above the origin; heights count from the ground there
     np.testing.assert_allclose(
         seen["pelvis_position"], [[0.0, 0.0, 0.9 / math.cos(SLOPE)]], atol=1e-12
     )
@@ -350,12 +352,12 @@ def test_a_flat_foot_on_a_slope_is_as_flat_as_the_slope() -> None:
 # ------------------------------------------------------------------------ symmetry
 
 
-def test_a_heading_mirrors_to_its_negative() -> None:
+def test_the_mirror_negates_the_heading() -> None:
     mirror = observation_mirror(["heading"])
     torch.testing.assert_close(mirror(torch.tensor([[0.7]])), torch.tensor([[-0.7]]))
 
 
-def test_the_frame_keeps_the_symmetry(library: aslip.GaitLibrary) -> None:
+def test_the_heading_frame_is_symmetric(library: aslip.GaitLibrary) -> None:
     """Mirrored truth and heading give mirrored odometry."""
     truth = _truth(torch.Generator().manual_seed(2))
     vector = torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64)
@@ -381,7 +383,7 @@ def test_the_frame_keeps_the_symmetry(library: aslip.GaitLibrary) -> None:
         torch.testing.assert_close(theirs[name], ours[name], atol=1e-12, rtol=0)
 
 
-def test_a_stack_without_the_frame_estimates_by_the_first_packet(
+def test_without_the_heading_frame_the_first_packet_gives_the_heading(
     library: aslip.GaitLibrary,
 ) -> None:
     terms = ("com_vel", "foot_pos", "straight_diff", "foot_orient")

@@ -1,4 +1,4 @@
-"""Sensor noise has the levels, correlations and seeds that its settings say.
+"""Sensor noise has the levels and correlations of its settings, and follows seeds.
 
 Statistics are compared within 5 standard errors of the estimate, with fixed seeds.
 """
@@ -48,7 +48,7 @@ def _next(noise: ObservationNoise, td: TensorDictBase, packets: TensorDict) -> T
 
 
 def _errors(noisy: TensorDictBase, clean: TensorDict) -> dict[str, Tensor]:
-    """Errors (n, W, k) of each sensor in double precision; a rotation vector for orientations."""
+    """Errors (n, W, k) of each sensor in double precision; rotation vectors for orientations."""
     errors = {}
     for name in CASSIE.noise_channels:
         before, after = (td["sensors", name].double() for td in (clean, noisy))
@@ -88,7 +88,7 @@ def _everywhere(white: float = 0.0, bias: float = 0.0) -> dict[str, NoiseLevel]:
 
 
 def test_every_channel_has_its_own_white_noise() -> None:
-    """Standard deviation as set, relative error 1 / sqrt(2 N); mean zero."""
+    """The standard deviation is as set (relative error 1 / sqrt(2 N)) and the mean zero."""
     levels, num = {}, 500
     for name, channels in CASSIE.noise_channels.items():
         levels[name] = NoiseLevel(white=0.01 + 0.01 * np.arange(channels))
@@ -118,7 +118,7 @@ def test_white_noise_is_independent_across_packets_channels_robots_and_steps() -
 
 
 def test_the_packets_of_a_reset_differ() -> None:
-    """The robot reads the same ten times, its sensors do not."""
+    """Noise differs among the ten packets, though the robot is in the same state."""
     clean = _clean(1, window=1)["sensors", "gyro"].expand(1, WINDOW, 3)
     packets = _clean(1)
     packets["sensors", "gyro"] = clean.clone()
@@ -129,7 +129,7 @@ def test_the_packets_of_a_reset_differ() -> None:
 # ------------------------------------------------------------------- bias
 
 
-def test_the_bias_is_one_for_a_window_and_is_reported() -> None:
+def test_the_packets_of_a_step_share_a_bias_which_is_reported() -> None:
     clean = _clean(5)
     noise = ObservationNoise(_everywhere(bias=0.2))
     td = _start(noise, clean)
@@ -141,7 +141,9 @@ def test_the_bias_is_one_for_a_window_and_is_reported() -> None:
 
 
 @pytest.mark.parametrize(("bias_time", "steps"), [(0.3, 1), (0.3, 10), (10.0, 333)])
-def test_the_bias_is_stationary_and_forgets_in_its_time(bias_time: float, steps: int) -> None:
+def test_the_bias_is_stationary_with_the_given_correlation_time(
+    bias_time: float, steps: int
+) -> None:
     """N values: std within 5 / sqrt(2 N), correlation r over t/tau within 5 (1 - r^2) / sqrt(N)."""
     num, level = 500, 0.3
     clean = _clean(num, window=1)
@@ -168,7 +170,7 @@ def test_biases_of_robots_and_channels_are_independent() -> None:
 
 
 def test_the_bias_drifts_from_the_one_in_the_tensordict() -> None:
-    """Not from anything the transform remembers: two episodes through one transform, in turns."""
+    """The transform keeps no state: it steps two episodes in alternation."""
     clean = _clean(3)
     noise = ObservationNoise(_everywhere(bias=1.0), bias_time=math.inf)
     one, other = _start(noise, clean), _start(noise, clean)
@@ -183,10 +185,10 @@ def test_the_bias_drifts_from_the_one_in_the_tensordict() -> None:
 # ------------------------------------------------------------ orientation
 
 
-def test_the_orientation_turns_by_as_much_as_asked() -> None:
+def test_errors_of_the_orientation_have_the_given_level() -> None:
     """Angles have a Maxwell distribution: mean sqrt(8/pi) s, mean square 3 s^2.
 
-    Of one angle they deviate by sqrt(3 - 8/pi) s and sqrt(6) s^2.
+    Their standard deviations are sqrt(3 - 8/pi) s and sqrt(6) s^2 for one angle.
     """
     level, clean = 0.02, _clean(1000)
     noise = ObservationNoise({"orientation": NoiseLevel(white=level)})
@@ -197,7 +199,7 @@ def test_the_orientation_turns_by_as_much_as_asked() -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_the_orientation_turns_about_axes_of_the_pelvis(axis: int) -> None:
+def test_errors_of_the_orientation_are_in_the_pelvis_frame(axis: int) -> None:
     level = np.zeros(3)
     level[axis] = 0.3
     clean = _clean(200)
@@ -208,14 +210,14 @@ def test_the_orientation_turns_about_axes_of_the_pelvis(axis: int) -> None:
     assert error[..., axis].abs().max() > 0.5
 
 
-def test_the_orientation_stays_a_unit_quaternion_of_the_upper_half() -> None:
-    """Also next to w = 0, where noise would take it to the other half."""
+def test_the_orientation_stays_a_unit_quaternion_with_w_of_0_or_more() -> None:
+    """Also near w = 0, where noise would change the sign of w."""
     clean = _clean(200)
     clean["sensors", "orientation"] = torch.tensor([1e-4, 0.6, 0.0, 0.8]).expand(200, WINDOW, 4)
     noise = ObservationNoise({"orientation": NoiseLevel(white=0.1, bias=0.1)})
     after = _start(noise, clean)["sensors", "orientation"]
     assert (after[..., 0] >= 0).all()
-    assert (after[..., 1] < 0).any()  # some did change sides
+    assert (after[..., 1] < 0).any()  # noise has changed the sign of some w
     torch.testing.assert_close(_norm(after), torch.ones(200, WINDOW), rtol=0, atol=2e-7)
 
 
@@ -225,7 +227,7 @@ def test_the_orientation_stays_a_unit_quaternion_of_the_upper_half() -> None:
 @pytest.mark.parametrize(
     "noise", [ObservationNoise(scale=0.0), ObservationNoise(SILENT), ObservationNoise(SILENT, 3.0)]
 )
-def test_without_noise_the_packets_are_the_same_to_the_bit(noise: ObservationNoise) -> None:
+def test_without_noise_the_packets_are_bit_equal(noise: ObservationNoise) -> None:
     clean = _clean(4)
     td = _start(noise, clean)
     for _ in range(2):
@@ -235,8 +237,8 @@ def test_without_noise_the_packets_are_the_same_to_the_bit(noise: ObservationNoi
         td = _next(noise, td, clean)
 
 
-def test_channels_without_noise_are_the_same_to_the_bit() -> None:
-    """By default the motors and the encoders of the feet."""
+def test_channels_without_noise_are_bit_equal() -> None:
+    """By default, motors and foot encoders have no noise."""
     clean = _clean(4)
     noisy = _start(ObservationNoise(), clean)
     changed = {name: noisy["sensors", name] != clean["sensors", name] for name in SIZES}
@@ -248,7 +250,7 @@ def test_channels_without_noise_are_the_same_to_the_bit() -> None:
         assert changed[name].any(-1).all(), name
 
 
-def test_an_orientation_without_noise_is_not_even_normalised() -> None:
+def test_an_orientation_without_noise_is_not_normalised_again() -> None:
     clean = _clean(4)
     clean["sensors", "orientation"] *= 1.001
     noise = ObservationNoise({**_everywhere(0.1, 0.1), "orientation": NoiseLevel()})
@@ -302,7 +304,7 @@ def test_the_same_seed_gives_the_same_noise() -> None:
     noise, other = ObservationNoise(), ObservationNoise()
     noise.set_seed(3)
     other.set_seed(3)
-    torch.manual_seed(1)  # of no concern to the transform
+    torch.manual_seed(1)  # the transform must not depend on it
     first = _two_steps(noise)
     assert not differing(first, _two_steps(other))
     assert differing(first, _two_steps(other))
@@ -327,7 +329,7 @@ def _noisy_env(num: int) -> TransformedEnv:
     return TransformedEnv(SensingEnv(_clean(num)), ObservationNoise(_everywhere(0.1, 0.1)))
 
 
-def test_specs_are_torchrls() -> None:
+def test_noise_passes_torchrls_check_of_specs() -> None:
     env = _noisy_env(3)
     check_env_specs(env)
     spec = env.observation_spec["sensor_bias"]
@@ -345,8 +347,8 @@ def test_an_environment_that_lacks_a_sensor_is_refused() -> None:
         _ = env.observation_spec
 
 
-def test_the_bias_travels_through_a_rollout() -> None:
-    """Steps of it are small: sqrt(1 - exp(-2 dt/tau)), 0.08 of the level with the default time."""
+def test_the_bias_drifts_through_a_rollout() -> None:
+    """Its steps are small: sqrt(1 - exp(-2 dt/tau)), 0.08 of the level by default."""
     steps = 20
     env = _noisy_env(200)
     bias = _bias(env.rollout(steps)["next"]).double() / 0.1  # (n, steps, 41)
@@ -357,7 +359,7 @@ def test_the_bias_travels_through_a_rollout() -> None:
 
 @pytest.mark.parametrize("explicit", [False, True])
 def test_a_partial_reset_draws_for_the_rows_that_are_reset_only(explicit: bool) -> None:
-    """Both ways TorchRL has: by `done`, and by a `_reset` mask in the old tensordict."""
+    """TorchRL has two ways: `done`, and a `_reset` mask in the old tensordict."""
     env = _noisy_env(4)
     td = env.step(env.reset().set("action", torch.zeros(4, 1)))["next"]
     old = td.clone()
@@ -369,9 +371,9 @@ def test_a_partial_reset_draws_for_the_rows_that_are_reset_only(explicit: bool) 
         after = env.maybe_reset(td)
     for key, value in leaves(old.select("sensors", "sensor_bias")).items():
         assert torch.equal(after[key][kept], value[kept]), key
-        # level 0.1: no draw comes close to the one before in all channels
+        # at level 0.1, no draw is close to the previous one in all channels
         assert _norm((after[key][new] - value[new]).flatten(1)).min() > 1e-2, key
-    # what is kept goes on from where it was, and the rest from what was drawn
+    # kept biases drift on from their old values, the others from the drawn ones
     following = env.step(after.clone().set("action", torch.zeros(4, 1)))["next"]
     change = (_bias(following) - _bias(after)).std() / 0.1
     assert change == pytest.approx(math.sqrt(-math.expm1(-2 * CASSIE.policy_period / 10)), rel=0.3)

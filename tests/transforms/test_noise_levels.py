@@ -16,7 +16,7 @@ from aslip.sim.sensors import JOINT_VELOCITY_FILTER
 from aslip.transforms import NoiseLevel, ObservationNoise
 
 
-def test_default_levels_are_those_of_the_public_simulator_and_ours() -> None:
+def test_default_white_noise_is_that_of_the_public_simulator() -> None:
     """White noise from the model file of the public simulator, where it declares any."""
     assert CASSIE.sensor_noise["joint_position"].white == (2e-4, 2e-4, 0.0, 2e-4, 2e-4, 0.0)
     assert CASSIE.sensor_noise["gyro"] == NoiseLevel(white=5e-4, bias=1e-3)
@@ -35,7 +35,7 @@ def test_noise_of_joint_velocities_is_that_of_the_filtered_encoders() -> None:
     filtered = np.asarray(lfilter(*JOINT_VELOCITY_FILTER, noise, axis=0))[1000:]
     np.testing.assert_allclose(rate, filtered.std(0), rtol=0.01)
     packets = filtered[:: CASSIE.packet_substeps, 0]
-    # white enough to be drawn anew for every packet
+    # white enough for independent draws per packet
     assert abs(np.corrcoef(packets[1:], packets[:-1])[0, 1]) < 0.1
 
 

@@ -16,7 +16,7 @@ from aslip.transforms import (
 )
 from tests.helpers import MakeEnv
 
-# first index of each entry, as the docstring of AssembleObservation has it
+# first index of each entry, as in the docstring of AssembleObservation
 STARTS = {
     ("estimate", "height"): 0,
     ("estimate", "orientation"): 1,
@@ -82,7 +82,7 @@ def test_the_perfect_estimate_is_the_truth(make: MakeEnv) -> None:
 
 
 def test_no_element_of_the_observation_is_constant(make: MakeEnv) -> None:
-    """But for the lateral foot velocities: the model's feet swing straight ahead."""
+    """Except for the lateral foot velocities: the model's feet swing straight ahead."""
     env = make(num_envs=4)
     data = env.rollout(25, break_when_any_done=False)
     spread = data["observation"].reshape(-1, 64).std(dim=0)
@@ -90,7 +90,7 @@ def test_no_element_of_the_observation_is_constant(make: MakeEnv) -> None:
     assert (spread[[i for i in range(64) if i not in CONSTANT]] > 1e-4).all()
 
 
-def test_another_input_can_be_assembled(make: MakeEnv) -> None:
+def test_other_entries_can_be_assembled(make: MakeEnv) -> None:
     keys = ["command", ("estimate", "velocity"), "last_action"]
     stack_order = {"observation": AssembleObservation(["command", ("estimate", "velocity")])}
     env = make(num_envs=2, replace=stack_order)
@@ -98,7 +98,7 @@ def test_another_input_can_be_assembled(make: MakeEnv) -> None:
     assert td["observation"].shape == (2, 4)
     torch.testing.assert_close(td["observation"][:, :1], td["command"])
     check_env_specs(env)
-    # what comes later in the stack cannot be read
+    # a transform cannot read what comes later in the stack
     with pytest.raises(UnknownNameError, match="last_action"):
         make(replace={"observation": AssembleObservation(keys)})
 

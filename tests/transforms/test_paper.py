@@ -1,4 +1,4 @@
-"""Every number of the paper that the code holds, against the sentence that gives it.
+"""Numbers of the paper in the code, each next to the sentence that it comes from.
 
 Green et al. 2021, "Learning Spring Mass Locomotion: Guiding Policies with a Reduced-Order Model".
 """
@@ -130,7 +130,7 @@ def test_episodes_end_below_a_reward_of_0_3() -> None:
 
 
 def test_ppo_hyper_parameters() -> None:
-    """Table II, and no more than the paper has."""
+    """Table II; the preset adds nothing that is not in the paper."""
     config = PRESETS["paper"]
     assert config.learning_rate == 1e-4
     assert config.adam_epsilon == 1e-5

@@ -1,4 +1,4 @@
-"""Robots differ as much as they are told to, from reset to reset, and not otherwise."""
+"""Dynamics and noise of robots vary within the given ranges, and only at resets."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.helpers import MakeEnv, differing
 
 BACKENDS = ("batch", "dm_control")
 Ranges = Mapping[str, tuple[float, float]]
-# everything there is, at its default
+# all parameters, at their defaults
 NOMINAL: Ranges = {
     name: (value, value)
     for name, value in (
@@ -39,7 +39,7 @@ def _stack(
 
 
 def _rollout(env: StackEnv, steps: int, seed: int = 0) -> Any:
-    """Under deltas of its own, with resets in between."""
+    """Rollout with random actions and automatic resets."""
     generator = torch.Generator().manual_seed(seed)
 
     def act(td: TensorDictBase) -> TensorDictBase:
@@ -56,7 +56,7 @@ def _dynamics(td: TensorDictBase) -> dict[str, torch.Tensor]:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_ranges_of_no_width_are_the_default_environment(
+def test_ranges_of_zero_width_at_the_defaults_change_nothing(
     make: MakeEnv, library: GaitLibrary, backend: str
 ) -> None:
     """Bit for bit, through falls and resets."""
@@ -72,10 +72,10 @@ def test_ranges_of_no_width_are_the_default_environment(
 
 
 @pytest.mark.parametrize("ranges", [{"joint_damping": (1.0, 1.0)}, {"floor_friction": (0.6, 0.6)}])
-def test_the_friction_of_an_environment_is_kept(
+def test_the_given_friction_of_an_environment_is_kept(
     make: MakeEnv, library: GaitLibrary, ranges: Ranges
 ) -> None:
-    """Also if it is drawn in single precision, which does not have it."""
+    """Also if it is drawn in single precision, which cannot represent it exactly."""
     env = make(num_envs=1, stack=_stack(library, ranges), floor_friction=0.6)
     env.reset()
     assert env.base_env.dynamics["floor_friction"].tolist() == [0.6]
@@ -92,7 +92,7 @@ def test_nothing_is_drawn_by_default(make: MakeEnv) -> None:
 
 
 def test_draws_fill_their_ranges(make: MakeEnv, library: GaitLibrary) -> None:
-    """Means and correlations within 5 standard errors, and reaching every third of the range."""
+    """Means and correlations are within 5 standard errors; draws reach every third of the range."""
     num = 64
     td = make(num_envs=num, stack=_stack(library, DYNAMICS_RANGES)).reset()
     assert set(_dynamics(td)) == set(DYNAMICS_RANGES)
@@ -108,7 +108,9 @@ def test_draws_fill_their_ranges(make: MakeEnv, library: GaitLibrary) -> None:
     assert (correlation - torch.eye(len(correlation))).abs().max() < 5 / math.sqrt(num)
 
 
-def test_what_is_reported_is_what_the_robots_have(make: MakeEnv, library: GaitLibrary) -> None:
+def test_reported_parameters_are_those_of_the_simulation(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
     env = make(num_envs=4, stack=_stack(library, DYNAMICS_RANGES))
     td = env.reset()
     for name, values in env.base_env.dynamics.items():
@@ -121,7 +123,7 @@ def test_what_is_reported_is_what_the_robots_have(make: MakeEnv, library: GaitLi
 
 
 def test_the_same_seed_draws_the_same(make: MakeEnv, library: GaitLibrary) -> None:
-    """Whatever else the stack has, or is drawn."""
+    """Draws do not depend on other transforms or on other ranges."""
     friction = {"floor_friction": DYNAMICS_RANGES["floor_friction"]}
     several, alone = _stack(library, DYNAMICS_RANGES), _stack(library, friction)
 
@@ -138,8 +140,10 @@ def test_the_same_seed_draws_the_same(make: MakeEnv, library: GaitLibrary) -> No
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_only_robots_that_reset_change(make: MakeEnv, library: GaitLibrary, backend: str) -> None:
-    """And until then they keep theirs, also under a longer delay that only one has."""
+def test_only_reset_robots_get_new_parameters(
+    make: MakeEnv, library: GaitLibrary, backend: str
+) -> None:
+    """Until then, robots keep their values, even if only one has a longer delay."""
     env = make(
         backend, num_envs=3, stack=_stack(library, {**DYNAMICS_RANGES, "torque_delay": (0.0, 0.02)})
     )
@@ -157,7 +161,7 @@ def test_only_robots_that_reset_change(make: MakeEnv, library: GaitLibrary, back
 
 
 def test_backends_are_equal_bit_for_bit(make: MakeEnv, library: GaitLibrary) -> None:
-    """Also for robots that differ."""
+    """Also with different dynamics for each robot."""
     ranges = {**DYNAMICS_RANGES, "payload": (0.0, 5.0), "torque_delay": (0.0, 0.01)}
     rollouts = [
         _rollout(make(backend, num_envs=2, stack=_stack(library, ranges, RandomNoise)), 25)
@@ -167,8 +171,8 @@ def test_backends_are_equal_bit_for_bit(make: MakeEnv, library: GaitLibrary) -> 
     assert differing(*rollouts) == []
 
 
-def test_a_caller_may_choose(make: MakeEnv, library: GaitLibrary) -> None:
-    """In a reset of all robots; those that fall later are drawn."""
+def test_a_caller_can_choose_parameters(make: MakeEnv, library: GaitLibrary) -> None:
+    """A reset of all robots takes chosen values; later resets draw."""
     env = make(num_envs=2, stack=_stack(library, {"mass": (0.9, 1.1), "slope": (0.0, 0.0)}))
     chosen = TensorDict(mass=torch.tensor([[0.5], [1.5]]), batch_size=2)
     td = env.reset(TensorDict(dynamics=chosen, batch_size=2))
@@ -209,12 +213,12 @@ def test_stacks_work_in_a_serial_env(make: MakeEnv, library: GaitLibrary) -> Non
         ({"sensor_noise": (math.nan, 1.0)}, r"sensor_noise.*nan"),
     ],
 )
-def test_ranges_that_make_no_sense_are_refused(ranges: Ranges, message: str) -> None:
+def test_invalid_ranges_are_refused(ranges: Ranges, message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         RandomDynamics(ranges)
 
 
-def test_unknown_parameters_are_named() -> None:
+def test_an_unknown_parameter_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'joint_damping'"):
         RandomDynamics({"joint_dampng": (1.0, 2.0)})
 
@@ -230,7 +234,7 @@ def test_a_chosen_value_out_of_limits_is_refused(make: MakeEnv, library: GaitLib
 
 
 def _errors(env: StackEnv, clean: StackEnv, steps: int) -> torch.Tensor:
-    """(n, steps + 1) mean error of the gyro, of robots that do the same in both."""
+    """Mean error (n, steps + 1) of the gyro, from the same rollout with and without noise."""
     rollouts = [_rollout(each, steps) for each in (env, clean)]
     packets = [
         torch.cat([r["sensors", "gyro"], r["next", "sensors", "gyro"][:, -1:]], 1) for r in rollouts
@@ -239,7 +243,7 @@ def _errors(env: StackEnv, clean: StackEnv, steps: int) -> torch.Tensor:
 
 
 def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> None:
-    """Exactly twice the error at a factor of two, none at zero; with one seed all else is equal."""
+    """With the same seed, a factor of two doubles the error exactly, and zero removes it."""
     settings: dict[str, Any] = {"num_envs": 1, "seed": 4, "drop": ["low_reward"]}
     clean = make(**settings, replace={"noise": lambda: ObservationNoise(scale=0)})
     errors = {}
@@ -252,7 +256,9 @@ def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> No
     assert not errors[0.0].any()
 
 
-def test_the_attitude_errs_by_the_factor(make: MakeEnv, library: GaitLibrary) -> None:
+def test_the_error_of_the_attitude_is_scaled_by_the_factor(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
     env = make(num_envs=2, stack=_stack(library, {"sensor_noise": (0.0, 100.0)}, RandomNoise))
     chosen = TensorDict(sensor_noise=torch.tensor([[0.0], [100.0]]), batch_size=2)
     start = {"phase": torch.zeros(2, 1), "command": torch.zeros(2, 1), "dynamics": chosen}
@@ -263,8 +269,8 @@ def test_the_attitude_errs_by_the_factor(make: MakeEnv, library: GaitLibrary) ->
     assert cosine[1].min() < 1 - 1e-4
 
 
-def test_a_robot_that_resets_alone_gets_its_own_noise(make: MakeEnv, library: GaitLibrary) -> None:
-    """Its error over that of a factor of one is the factor it has drawn."""
+def test_a_partial_reset_draws_a_noise_factor(make: MakeEnv, library: GaitLibrary) -> None:
+    """Its error is the drawn factor times the error at a factor of one."""
     packets = []
     for noise in (RandomNoise, ObservationNoise, lambda: ObservationNoise(scale=0)):
         env = make(num_envs=3, stack=_stack(library, {"sensor_noise": (0.5, 50.0)}, noise))

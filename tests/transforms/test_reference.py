@@ -1,4 +1,4 @@
-"""The reference that is written, and starting on it."""
+"""Entries of the reference, feedforward, and starts on the reference."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from tests.helpers import MakeEnv
 
 @pytest.mark.parametrize("when", ["reset", "step"])
 @pytest.mark.parametrize("lead", [1.0, 0.0, 0.5])
-def test_the_reference_is_the_librarys(
+def test_the_reference_is_that_of_the_library(
     make: MakeEnv, library: GaitLibrary, when: str, lead: float
 ) -> None:
-    """Body and feet of now; motor angles where the PD loops are to arrive."""
+    """Body and feet are at the current phase, motor angles at the end of the policy step."""
     env = make(num_envs=16, replace={"reference": ReferenceInjection(library, motor_lead=lead)})
     td = env.reset()
     if when == "step":
@@ -44,7 +44,7 @@ def test_the_reference_is_the_librarys(
     assert same == (lead == 0)
 
 
-def test_feedforward_aims_where_the_loops_exert_what_the_model_does(make: MakeEnv) -> None:
+def test_feedforward_gives_the_torque_of_the_model(make: MakeEnv) -> None:
     """A PD loop at the reference's angle and rate gives the reference's torque."""
     for when in ("reset", "step"):
         env = make(num_envs=16)
@@ -65,7 +65,7 @@ def test_feedforward_needs_a_reference(make: MakeEnv) -> None:
 
 
 def test_a_robot_without_a_policy_stays_up_longer_with_feedforward(make: MakeEnv) -> None:
-    """One step after the other, it carries its weight on the reduced-order model's forces."""
+    """Feedforward torques from the reduced-order model's forces carry its weight."""
     steps = {}
     for stack in ("aslip", "paper"):
         env = make(num_envs=1, stack=stack, drop=["noise"])
@@ -98,7 +98,7 @@ def test_without_a_start_the_robot_stands(make: MakeEnv) -> None:
     assert (td["truth", "qvel"] == 0).all()
 
 
-def test_another_start_is_refused(library: GaitLibrary) -> None:
+def test_an_unknown_initial_velocity_is_refused(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match="velocity must be one of"):
         ReferenceStart(library, "walking")  # pyright: ignore[reportArgumentType]
 
@@ -107,14 +107,16 @@ def test_a_start_after_the_command_is_refused(library: GaitLibrary) -> None:
     """Resets are prepared from the last transform to the first."""
     order = [SpeedCommand(library), PhaseClock(library), ReferenceStart(library)]
     env = TransformedEnv(BatchEnv(1, num_threads=1), Compose(*order))
-    with pytest.raises(ConfigurationError, match="must stand before SpeedCommand"):
+    with pytest.raises(ConfigurationError, match="put it before SpeedCommand"):
         env.reset()
 
 
 @pytest.mark.parametrize(
     ("transform", "key"), [("clock", "phase"), ("command", "command"), ("reference", "reference")]
 )
-def test_a_missing_source_is_named(make: MakeEnv, transform: str, key: str) -> None:
+def test_dropping_a_needed_transform_names_the_missing_entry(
+    make: MakeEnv, transform: str, key: str
+) -> None:
     with pytest.raises(UnknownNameError, match=key):
         make(drop=[transform])
 

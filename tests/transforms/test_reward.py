@@ -1,4 +1,4 @@
-"""Terms, their weighted sum, and the ends of episodes."""
+"""Reward terms, their weighted sum, and ends of episodes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _step(env, action: Tensor | None = None):
     return env.step(td.set("action", torch.zeros(*td.batch_size, 10) if action is None else action))
 
 
-def test_terms_are_the_pure_functions_of_what_the_step_shows(make: MakeEnv) -> None:
+def test_terms_are_the_pure_functions_of_their_entries(make: MakeEnv) -> None:
     env = make(num_envs=4)
     data = _step(env, torch.full((4, 10), 0.05))
     truth, reference = data["next", "truth"], data["next", "reference"]
@@ -72,7 +72,7 @@ def test_the_reward_is_the_weighted_sum(make: MakeEnv) -> None:
 
 
 def test_on_the_reference_the_reward_is_nearly_full(make: MakeEnv) -> None:
-    """After one step from the reference at rest feet, velocity and heading are still close."""
+    """One step after a start at rest, feet, velocity and heading are close to the reference."""
     terms = _step(make(num_envs=16))["next", "reward_terms"]
     assert terms["action_diff"].min() == 1
     assert terms["straight_diff"].min() > 0.95
@@ -91,7 +91,7 @@ def test_each_term_can_be_left_out(make: MakeEnv, name: str) -> None:
     check_env_specs(env)
 
 
-def test_a_term_of_weight_zero_is_still_shown(make: MakeEnv) -> None:
+def test_a_term_of_weight_zero_is_still_logged(make: MakeEnv) -> None:
     weights = {**rewards.PAPER_WEIGHTS, "com_vel": 0.0}
     data = _step(make(replace={"reward": WeightedReward(weights)}))
     terms = data["next", "reward_terms"]
@@ -100,7 +100,7 @@ def test_a_term_of_weight_zero_is_still_shown(make: MakeEnv) -> None:
     torch.testing.assert_close(rest, _step(make())["next", "reward"])
 
 
-def test_a_term_of_ones_own_joins_the_sum(make: MakeEnv, library: GaitLibrary) -> None:
+def test_a_custom_term_is_added_to_the_sum(make: MakeEnv, library: GaitLibrary) -> None:
     stack = {}
     for name, factory in default_stack(library).items():
         if name == "reward":
@@ -140,20 +140,20 @@ def test_a_negative_weight_is_a_penalty() -> None:
     assert torch.equal(found, torch.full((2, 1), 1 - 1e-5))
 
 
-def test_a_term_that_reads_what_nothing_writes_is_refused(make: MakeEnv) -> None:
+def test_a_term_that_reads_a_missing_entry_is_refused(make: MakeEnv) -> None:
     term = RewardTerm("com_vel", lambda x: x, [("truth", "pelvis_speed")])
     with pytest.raises(UnknownNameError, match="pelvis_speed"):
         make(replace={"com_vel": term})
 
 
-def test_dropping_what_a_term_reads_is_refused(make: MakeEnv) -> None:
-    """`action_diff` reads `last_action` of the step before."""
+def test_dropping_an_entry_that_a_term_reads_is_refused(make: MakeEnv) -> None:
+    """`action_diff` reads `last_action` before the step."""
     with pytest.raises(UnknownNameError, match="last_action"):
         make(drop=["last_action"])
 
 
 def test_a_sum_before_its_terms_is_refused(make: MakeEnv, library: GaitLibrary) -> None:
-    """Not a reward that is silently zero."""
+    """Otherwise the reward would silently be zero."""
     stack = default_stack(library)
     order = ["reward", *(name for name in stack if name != "reward")]
     with pytest.raises(UnknownNameError):
@@ -172,7 +172,7 @@ def _constant(value: float) -> RewardTerm:
     [(0.0, True), (0.29, True), (0.31, False), (1.0, False), (float("nan"), True)],
 )
 def test_a_low_reward_ends_the_episode(make: MakeEnv, value: float, ends: bool) -> None:
-    """Below 0.3, or not a number, is terminated; it is no time limit."""
+    """A reward below 0.3, or NaN, terminates; it does not truncate."""
     names = [name for name in TERMS if name != "com_vel"]
     env = make(
         num_envs=2,
@@ -184,7 +184,7 @@ def test_a_low_reward_ends_the_episode(make: MakeEnv, value: float, ends: bool) 
         assert after[key][:, 0].tolist() == [expected] * 2, key
 
 
-def test_the_threshold_itself_goes_on(make: MakeEnv) -> None:
+def test_a_reward_equal_to_the_threshold_does_not_end_the_episode(make: MakeEnv) -> None:
     """Sec. IV-B: "less than 0.3"."""
     settings = {
         "com_vel": _constant(0.5),
@@ -195,7 +195,7 @@ def test_the_threshold_itself_goes_on(make: MakeEnv) -> None:
     assert not _step(make(drop=names, replace=settings))["next", "done"].any()
 
 
-def test_without_the_threshold_a_low_reward_goes_on(make: MakeEnv) -> None:
+def test_without_the_threshold_a_low_reward_does_not_end_the_episode(make: MakeEnv) -> None:
     names = [name for name in TERMS if name != "com_vel"]
     settings = {"com_vel": _constant(0.0), "reward": WeightedReward({"com_vel": 1.0})}
     after = _step(make(drop=[*names, "low_reward"], replace=settings))["next"]
@@ -231,7 +231,7 @@ def test_the_sum_of_an_episode_is_that_of_its_rewards(make: MakeEnv) -> None:
     torch.testing.assert_close(data["next", "episode_reward"], expected)
 
 
-def test_the_sum_is_that_of_torchrl_through_resets_of_some_robots(make: MakeEnv) -> None:
+def test_the_sum_equals_torchrls_through_partial_resets(make: MakeEnv) -> None:
     env = make(num_envs=3, replace={"low_reward": LowReward(0.7)})
     env.append_transform(RewardSum(in_keys=["reward"], out_keys=["other_sum"]))
     generator = torch.Generator().manual_seed(0)
@@ -241,7 +241,7 @@ def test_the_sum_is_that_of_torchrl_through_resets_of_some_robots(make: MakeEnv)
         break_when_any_done=False,
     )
     done = data["next", "done"][..., 0]
-    assert (done.any(0) & ~done.all(0)).any()  # some robots began again while others went on
+    assert (done.any(0) & ~done.all(0)).any()  # some robots were reset while others continued
     for level in (data, data["next"]):
         assert torch.equal(level["episode_reward"], level["other_sum"])
 
@@ -249,7 +249,7 @@ def test_the_sum_is_that_of_torchrl_through_resets_of_some_robots(make: MakeEnv)
 @pytest.mark.parametrize(
     "function", [lambda v: v.abs().sum(-1), lambda v: v.abs().mean(), lambda v: v.abs()]
 )
-def test_a_term_that_is_not_one_number_a_robot_is_named(make: MakeEnv, function: Any) -> None:
+def test_a_term_of_the_wrong_shape_is_named(make: MakeEnv, function: Any) -> None:
     term = RewardTerm("com_vel", function, [("truth", "pelvis_velocity")])
     env = make(num_envs=3, replace={"com_vel": term})
     with pytest.raises(ShapeError, match=r"'com_vel' must have shape \(3, 1\).*keepdim"):
@@ -261,7 +261,7 @@ def test_a_term_that_is_not_one_number_a_robot_is_named(make: MakeEnv, function:
 
 @pytest.mark.parametrize("stack", ["aslip", "paper", "single_reference"])
 def test_a_command_from_outside_is_not_rewarded_before_the_policy_sees_it(stack: str) -> None:
-    """The step in which it is written is judged as if it had not been."""
+    """The reward of the step in which it is written follows the old command."""
     found = []
     for command in (None, 2.0):
         env = aslip.make_env(num_envs=2, num_threads=1, stack=stack)
@@ -273,7 +273,7 @@ def test_a_command_from_outside_is_not_rewarded_before_the_policy_sees_it(stack:
     for name, term in found[0]["reward_terms"].items():
         torch.testing.assert_close(found[1]["reward_terms", name], term, rtol=0, atol=0)
     body = [td["reference", "body_velocity"][..., 0] for td in found]
-    assert (body[1] - body[0]).min() > 1.5  # the policy sees it next
+    assert (body[1] - body[0]).min() > 1.5  # the policy sees the new command
 
 
 def test_a_drawn_command_is_rewarded_from_the_next_step_on(

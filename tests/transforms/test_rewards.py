@@ -1,4 +1,4 @@
-"""The reward terms against values computed by hand, and their symmetries."""
+"""Reward terms against values computed by hand, and their symmetries."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _about(axis: tuple[float, float, float], angle: float) -> Tensor:
 
 
 def _random(seed: int, num: int = 500) -> dict[str, Tensor]:
-    """Inputs of all terms, of all sizes from tiny to huge."""
+    """Inputs of all terms, from tiny to huge."""
     generator = torch.Generator().manual_seed(seed)
 
     def draw(size: int) -> Tensor:
@@ -51,14 +51,14 @@ def _terms(x: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 def test_com_vel_is_the_euclidean_distance() -> None:
-    """Errors of 0.3 and 0.4 m/s along two axes are 0.5 m/s, not 0.7."""
+    """Errors of 0.3 and 0.4 m/s along two axes have the norm 0.5 m/s, not 0.7."""
     reward = rewards.com_vel(LEVEL, torch.tensor([1.3, 0.4, 0.0]), torch.tensor([1.0, 0.0, 0.0]))
     assert reward.shape == (1,)
     assert reward.item() == pytest.approx(math.exp(-0.5))
 
 
 def test_com_vel_is_compared_in_the_pelvis_frame() -> None:
-    """Facing left and walking left is walking forward; facing ahead it is walking sideways."""
+    """A robot that faces left and moves left walks forward; facing ahead, it walks sideways."""
     left, forward = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([1.0, 0.0, 0.0])
     facing_left = _about((0, 0, 1), math.pi / 2)
     assert rewards.com_vel(facing_left, left, forward).item() == pytest.approx(1.0)
@@ -110,7 +110,7 @@ def test_every_term_is_between_zero_and_one(seed: int) -> None:
     for name, reward in _terms(_random(seed)).items():
         assert reward.shape == (500, 1), name
         assert ((reward >= 0) & (reward <= 1)).all(), name
-        assert reward.max() > 0.5, name  # the draw reaches good states
+        assert reward.max() > 0.5, name  # some drawn states are good
         assert reward.min() < 0.1, name
 
 
@@ -122,7 +122,7 @@ def test_terms_take_any_leading_shape() -> None:
 
 
 def _turned(x: dict[str, Tensor], angle: float, names: tuple[str, ...]) -> dict[str, Tensor]:
-    """The whole robot turned about the world's z axis."""
+    """Inputs with the whole robot rotated about the world's z axis."""
     yaw = _about((0, 0, 1), angle).expand(500, 4)
     turned = dict(x)
     turned["orientation"] = multiply(yaw, x["orientation"])
@@ -154,14 +154,14 @@ def test_foot_pos_does_not_depend_on_the_place_or_the_tilt() -> None:
 
 
 def _mirrored(x: dict[str, Tensor]) -> dict[str, Tensor]:
-    """Everything seen in a mirror along y = 0, legs swapped."""
+    """Inputs mirrored at the plane y = 0, with the legs swapped."""
     flip, turn = torch.tensor([1.0, -1, 1]), torch.tensor([1.0, -1, 1, -1])
     swap = {"left": "right", "right": "left", "left_ref": "right_ref", "right_ref": "left_ref"}
     swap |= {"left_q": "right_q", "right_q": "left_q"}
     mirrored = {}
     for name, value in x.items():
         source = x[swap.get(name, name)]
-        if value.shape[-1] == 10:  # hip roll and yaw turn round
+        if value.shape[-1] == 10:  # hip roll and yaw change sign
             signs = torch.tensor([-1.0, -1, 1, 1, 1])
             mirrored[name] = torch.cat([signs * source[:, 5:], signs * source[:, :5]], dim=-1)
         else:
@@ -170,7 +170,7 @@ def _mirrored(x: dict[str, Tensor]) -> dict[str, Tensor]:
 
 
 @pytest.mark.parametrize("name", list(rewards.PAPER_WEIGHTS))
-def test_every_term_is_the_same_in_the_mirror(name: str) -> None:
+def test_every_term_is_mirror_symmetric(name: str) -> None:
     x = _random(6)
     torch.testing.assert_close(_terms(_mirrored(x))[name], _terms(x)[name], atol=2e-5, rtol=1e-3)
 

@@ -1,4 +1,4 @@
-"""Rotations in torch against SciPy's."""
+"""Rotations in torch equal SciPy's."""
 
 from __future__ import annotations
 

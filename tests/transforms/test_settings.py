@@ -1,4 +1,4 @@
-"""Transforms refuse settings that are none, and commands and phases from outside likewise."""
+"""Transforms reject invalid settings, and invalid commands and phases from callers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_numbers(library: GaitLibrary, value: Any) -> None:
 
 
 @pytest.mark.parametrize("value", ["x", None, True], ids=repr)
-def test_times_which_may_be_infinite(library: GaitLibrary, value: Any) -> None:
+def test_times_that_may_be_infinite(library: GaitLibrary, value: Any) -> None:
     with pytest.raises(ConfigurationError, match=f"interval must be .*{value!r}"):
         SpeedCommand(library, interval=value)
     with pytest.raises(ConfigurationError, match=f"bias_time must be .*{value!r}"):
