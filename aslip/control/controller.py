@@ -28,23 +28,23 @@ from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
 from aslip.transforms.reference import feedforward_target, reference_and_goal
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
-"""Packets of n robots, oldest first: entries (n, w, k) of `Robot.packet_sizes`, or
-all of them joined to (n, w, p); one packet of one robot without the leading axes."""
+"""Packets of n robots, oldest first: entries (n, w, k) with the names of `Robot.packet_sizes`, or
+all entries concatenated to (n, w, p). One packet of one robot has no leading axes."""
 
 
-# groups of entries that each step writes anew
+# groups of entries that each step overwrites
 _FRESH = ("estimate", "odometry", "estimator", "reference", "goal", "clock")
 
 
 @dataclass(frozen=True)
 class ControllerState:
-    """Memory of a `Controller` between policy steps; a value, which no step changes."""
+    """State of a `Controller` between policy steps; immutable, a step returns a new one."""
 
     tensordict: TensorDictBase
-    """Entries (n,) that the policy saw, wrote and will read, by the keys of an environment's
-    tensordict: `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and
-    faults), `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`,
-    `motor_target`, and what a recurrent policy remembers."""
+    """Inputs and outputs (n,) of the policy, with the keys of an environment's tensordict:
+    `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and faults),
+    `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`, `motor_target`,
+    and the hidden state of a recurrent policy."""
 
     @property
     def motor_target(self) -> Tensor:
@@ -53,11 +53,11 @@ class ControllerState:
 
 
 class Controller:
-    """Motor targets of n robots from their sensor packets, at every policy step.
+    """Compute motor targets of n robots from their sensor packets, at every policy step.
 
     Estimator, clock, reference, observation, policy and feedforward are those of the training
-    stacks: fed with the packets that the estimator of a stack saw, it gives the same motor targets,
-    bit for bit. As on a robot:
+    stacks: from the packets of a rollout, the controller computes the motor targets of that rollout
+    bit for bit. The control loop of a robot:
 
         controller = Controller("aslip", GaitLibrary.load())
         state = controller.start(packets, command=0.5)
@@ -65,20 +65,21 @@ class Controller:
             drive(state.motor_target)
             state, target = controller.step(state, packets, command=0.5)
 
-    A step takes all packets since the step before. Lost packets are NaN, or None where all are
-    lost; bad readings are recognised and bridged (`aslip.estimation`). Speeds beyond the library
-    are those of its nearest gait.
+    A step takes all packets since the previous step. Fill lost packets with NaN, or pass None if
+    all are lost; the estimator detects bad readings and bridges them (`aslip.estimation`). Speeds
+    beyond the library are clipped to its range.
 
     Args:
-        policy: name of a shipped policy, file of one, or a module that maps `observation`, or any
+        policy: name of a shipped policy, a policy file, or a module that maps `observation`, or any
             key of `ControllerState.tensordict`, to `action`.
         library: the gaits.
         observation: keys of the observation's entries in order; by default those in the policy's
             file, or `OBSERVATION_TABLE`.
-        baseline: key of the angles that the action is added to; by default that in the policy's
+        baseline: key of the angles to which the action is added; by default that in the policy's
             file, or `("reference", "motor_target")`.
-        estimator: state estimator; its robot gives packets, gains and the policy period.
-        motor_lead: lead of the motors' references, in policy steps; see `ReferenceInjection`.
+        estimator: state estimator; its robot defines packets, gains and the policy period.
+        motor_lead: time by which the motor references are ahead of the phase, in policy steps; see
+            `ReferenceInjection`.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
@@ -125,14 +126,14 @@ class Controller:
         phase: float | Tensor = 0.0,
         heading: ArrayLike | None = None,
     ) -> ControllerState:
-        """Begin with robots whose lower foot rests on the ground; choose the first targets.
+        """Start with robots whose lower foot rests on the ground; compute the first targets.
 
         Args:
-            packets: packets, of which the last of each robot counts.
+            packets: packets; only the last of each robot is used.
             command: forward speed [m/s], one or (n, 1).
             phase: stride fraction to begin at, one or (n, 1).
-            heading: yaw that is straight ahead, in the frame of the IMU's attitude [rad], one or
-                (n, 1); by default that of the packets.
+            heading: yaw that counts as straight ahead, in the frame of the IMU's attitude [rad],
+                one or (n, 1); by default the yaw in the packets.
 
         Raises:
             ShapeError, UnknownNameError: packets, command, phase or heading have the wrong shape,
@@ -159,14 +160,15 @@ class Controller:
         """Advance by a policy step.
 
         Args:
-            state: state that `start`, or the step before, returned.
+            state: state that `start` or the previous step returned.
             packets: packets since then, oldest first; None if all are lost.
-            command: forward speed from the last policy step on [m/s], one or (n, 1): clock and
-                reference follow it as they do when a caller writes `command` between the steps of
-                an environment. By default the command stays.
-            heading: new yaw that is straight ahead [rad], one or (n, 1). By default it stays.
-            restart: (n, 1) bool, robots that start anew with these packets, as an environment's
-                robots do after a reset.
+            command: new forward speed [m/s], one or (n, 1). It counts from the last policy step on,
+                as when a caller writes `command` between the steps of an environment. By default
+                the command does not change.
+            heading: new yaw that counts as straight ahead [rad], one or (n, 1). By default it does
+                not change.
+            restart: (n, 1) bool, robots that restart with these packets, as after a reset of an
+                environment.
             phase: stride fraction at which robots restart, one or (n, 1).
 
         Returns:
@@ -243,7 +245,7 @@ class Controller:
         return ControllerState(present.set("motor_target", add_delta(baseline, action)))
 
     def _rows(self, packets: Packets | None, num: int = 1) -> np.ndarray:
-        """Packets (n, w, p), however they are written; NaN if `num` robots lost theirs."""
+        """Packets (n, w, p) from any accepted form; NaN for `num` robots if all are lost."""
         robot = self.estimator.robot
         if packets is None:
             return np.full((num, 1, robot.packet_size), np.nan)
@@ -260,13 +262,13 @@ class Controller:
 
 
 def _completed(begun: TensorDict, like: TensorDictBase) -> TensorDictBase:
-    """Entries of robots that begin; zeros where only others have entries."""
+    """Entries of restarting robots; zeros for entries that only the other robots have."""
     zeros = like[: len(begun)].clone().zero_()
     return zeros.update(begun)
 
 
 def _column(name: str, value: float | Tensor, num: int) -> Tensor:
-    """Column (num, 1) in single precision, from one number for all robots or one for each.
+    """Column (num, 1) in single precision, from one number for all robots or one per robot.
 
     Raises:
         ShapeError: `value` is neither one number nor (num, 1).

@@ -64,9 +64,9 @@ def save_policy(
         path: path of the file; an existing one is replaced atomically.
         actor: the policy.
         shape: its shape.
-        made_by: settings and versions of the training, of JSON types.
+        made_by: settings and versions of the training, as JSON types.
         network: function that made the actor.
-        stack: name of its stack, one of `aslip.envs.STACKS`; None for another.
+        stack: name of its stack, one of `aslip.envs.STACKS`; None for a stack of your own.
         observation: keys of the observation's entries, in order.
         baseline: key of the angles to which the action is added; None for another kind of action.
 
@@ -77,7 +77,7 @@ def save_policy(
     """
     if odd := _actor_differences(actor, network, shape, observation):
         raise ConfigurationError(
-            f"the actor is not what {_network_name(network)!r} makes of {shape}:"
+            f"the actor differs from the one that {_network_name(network)!r} makes from {shape}:"
             f" {'; '.join(odd[:4])}; give the function that made it, network=..."
         )
     card = {
@@ -146,8 +146,8 @@ def _kind(tensor: Tensor) -> str:
 def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> ProbabilisticActor:
     """Load a trained policy: the environment's tensordict -> `action`, deterministic by default.
 
-    Parameters have `requires_grad=False`; change that to train further. Prepare the environment of
-    a recurrent policy with `aslip.policy.add_memory`.
+    Parameters have `requires_grad=False`; set it to True to train further. Prepare the environment
+    of a recurrent policy with `aslip.policy.add_memory`.
 
     Args:
         name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
@@ -156,8 +156,8 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: the file is truncated, altered, or not a policy.
-        ConfigurationError: a custom network is not given as `network`, or a named stack has another
-            observation in this version of the package.
+        ConfigurationError: the file has a custom network, and `network` is not given; or this
+            version of the package has another observation for the policy's named stack.
     """
     path = find_policy(name_or_path)
     entries = POLICY_FORMAT.read(path)
@@ -179,7 +179,7 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     def make(function: MakeActor) -> ProbabilisticActor:
         return function(RunningNormalizer(shape.observation_size), shape, table)
 
-    # not in the try block: a mistake in the caller's function is no damage of the file
+    # outside the try block: a mistake in the caller's function is not a damaged file
     actor = None if network is None else make(network)
     try:
         weights = _weights(entries)
@@ -224,7 +224,7 @@ def policy_stack(name_or_path: str | Path) -> str:
     Raises:
         AssetError: there is no such policy.
         FileDamagedError: the file is truncated, altered, or not a policy.
-        ConfigurationError: the policy has an unnamed stack; the message names the difference.
+        ConfigurationError: the policy's stack has no name; the message says how it differs.
     """
     card = read_card(name_or_path)
     if card["stack"] is None:
@@ -251,7 +251,7 @@ def observation_difference(has: Sequence[str], expected: Sequence[str]) -> str:
     lacks = [name for name in expected if name not in has]
     more = [name for name in has if name not in expected]
     parts = [f"its observation lacks {lacks}"] if lacks else []
-    parts += [f"its observation has {more} besides"] if more else []
+    parts += [f"its observation also has {more}"] if more else []
     return " and ".join(parts) or f"its observation has another order, {list(has)}"
 
 
@@ -260,7 +260,7 @@ def _known_observations() -> list[list[str]]:
 
 
 def find_policy(name_or_path: str | Path) -> Path:
-    """Path of a policy file: a file, in a run folder, or shipped.
+    """Path of a policy file, from a path, a run folder or the name of a shipped policy.
 
     Raises:
         AssetError: there is no such policy.
@@ -286,8 +286,8 @@ def read_card(name_or_path: str | Path) -> dict[str, Any]:
     """Card of a policy: network, interface and provenance.
 
     Returns:
-        The arguments of `save_policy`: `shape`, `made_by`, `stack`, and as text `network`,
-        `observation` and `baseline`.
+        The arguments of `save_policy`: `shape`, `made_by`, `stack`; `network`, `observation` and
+        `baseline` as text.
 
     Raises:
         AssetError: there is no such policy.
@@ -298,7 +298,7 @@ def read_card(name_or_path: str | Path) -> dict[str, Any]:
 
 
 def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
-    """Card among entries, every item of its type.
+    """Card of the archive's entries, with the types of its items checked.
 
     Raises:
         FileDamagedError: an item is missing, or of another type.

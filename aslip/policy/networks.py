@@ -4,8 +4,8 @@ Both networks are 64-256-256-k with ReLU, symmetrised on request. The actor's ou
 and its standard deviation fixed ("We choose to use fixed covariance ... the output is unbounded").
 The normaliser is part of the policy, so it travels with the weights.
 
-Every function that makes an actor takes a normaliser, a `PolicyShape` and the keys of the
-observation's entries: `make_actor`, `aslip.policy.make_recurrent_actor`, or a function of yours.
+Functions that make an actor (`make_actor`, `aslip.policy.make_recurrent_actor`, or your own) take a
+normaliser, a `PolicyShape` and the keys of the observation's entries.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class PolicyShape:
     symmetric: bool = False
     """Make the policy equivariant to the left-right mirror; not in the paper."""
     mirror_signs: Mapping[str, Sequence[float]] = field(default_factory=dict)
-    """Signs of the mirror images of your own observation entries, by name, one sign a number; see
+    """Signs of the mirror images of your own observation entries, by name, one per element; see
     `aslip.policy.observation_mirror`."""
 
     def __post_init__(self) -> None:
@@ -89,10 +89,10 @@ class PolicyShape:
 
 
 class RunningNormalizer(nn.Module):
-    """Shift and scale to zero mean and unit variance, by running statistics.
+    """Normalise to zero mean and unit variance by running statistics.
 
-    A constant input is shifted but not scaled: no weight behind it has been trained, so a small
-    deviation must stay small.
+    An input that was constant in training is shifted but not scaled: the weights behind it are
+    untrained, so a small deviation must stay small.
 
     Args:
         size: length of the input.
@@ -182,7 +182,7 @@ def make_actor(
 
 
 def action_layers(shape: PolicyShape, inputs: int, hidden: Sequence[int] | None = None) -> MLP:
-    """Multi-layer perceptron with a small initial mean action as output.
+    """Multi-layer perceptron whose output, the mean action, is small before training.
 
     Args:
         shape: sizes.
@@ -227,7 +227,7 @@ def gaussian_actor(module: TensorDictModule) -> ProbabilisticActor:
 
 
 def set_std(actor: nn.Module, std: float) -> None:
-    """Set the standard deviation of all actions [rad]; a network that learns its own keeps it."""
+    """Set the standard deviation of all actions [rad]; no effect on networks that learn it."""
     for module in actor.modules():
         if isinstance(module, AddStateIndependentNormalScale):
             with torch.no_grad():
@@ -247,7 +247,7 @@ def make_critic(
         normalizer: shared with the actor.
         shape: as the actor's.
         observation: as the actor's.
-        scale: factor on the network's output; near the magnitude of returns it speeds up learning.
+        scale: factor on the network's output; the magnitude of the returns makes learning faster.
     """
     shape = shape or PolicyShape()
     net = MLP(
@@ -282,6 +282,6 @@ class _Scale(nn.Module):
 
 
 def entry_names(table: Iterable[NestedKey]) -> list[str]:
-    """Names of an observation's entries as in a policy's card, such as "estimate/height"."""
+    """Names of an observation's entries, as written in a policy's card: "estimate/height"."""
     keys = [unravel_key(key) for key in table]
     return [key if isinstance(key, str) else "/".join(map(str, key)) for key in keys]

@@ -3,8 +3,8 @@
     env = add_memory(aslip.make_env(num_envs=8), actor)
     env.rollout(100, actor)
 
-The hidden state is the entry `memory`: the policy writes it for the next policy step, and the
-environment resets it with the robot.
+The entry `memory` is the hidden state: the policy writes it for the next policy step, and the
+environment sets it to zero when the robot is reset.
 """
 
 from __future__ import annotations
@@ -80,17 +80,17 @@ def is_recurrent(policy: Callable[..., Any]) -> bool:
 
 
 def add_memory(env: Env, policy: Callable[..., Any]) -> Env:
-    """Append the transforms that a recurrent policy needs, in place; nothing for other policies.
+    """Append the transforms that a recurrent policy needs; other policies need none.
 
     `InitTracker` marks first policy steps as `is_init`, and a `TensorDictPrimer` holds the hidden
-    state. An environment that has them already stays as it is.
+    state. An environment that already has them is not changed.
 
     Args:
-        env: environment of any stack.
+        env: environment of any stack; changed in place.
         policy: the policy; a function has no hidden state.
 
     Returns:
-        The environment.
+        The same environment.
     """
     if not is_recurrent(policy):
         return env

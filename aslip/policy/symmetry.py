@@ -17,12 +17,12 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE, mirror_name
 from aslip.transforms import OBSERVATION_TABLE
 
-# mirrored at the xz plane: vectors turn their y; axial vectors (angular velocities, the vector part
-# of a quaternion) turn their x and z
+# mirror at the xz plane: vectors flip the sign of y; axial vectors (angular velocities, the vector
+# part of a quaternion) flip the signs of x and z
 _VECTOR = (1.0, -1.0, 1.0)
 _AXIAL = (-1.0, 1.0, -1.0)
 _QUATERNION = (1.0, -1.0, 1.0, -1.0)
-# hinges about the forward and the vertical axis turn the other way on the other leg
+# joints about the forward and the vertical axis have the opposite sign on the other leg
 _TURNING = ("hip_roll", "hip_yaw")
 
 _SIGNS = {
@@ -39,7 +39,7 @@ _SIGNS = {
     "right_foot_position": _VECTOR,
     "right_foot_velocity": _VECTOR,
     "command": (1.0,),
-    # half a stride later
+    # mirroring shifts the phase by half a stride, which flips the signs of sine and cosine
     "sin": (-1.0,),
     "cos": (-1.0,),
 }
@@ -47,10 +47,10 @@ _PER_MOTOR = ("action", "last_action")
 
 
 class Mirror(nn.Module):
-    """A fixed permutation and signs of the last dimension; its own inverse.
+    """Permutation and sign changes of the last dimension; the map is its own inverse.
 
     Args:
-        names: one name an element.
+        names: name of each element.
         partners: name of the mirror partner of each element.
         signs: sign of each element.
 
@@ -102,12 +102,12 @@ def check_size(values: Tensor, size: int) -> None:
 class Symmetrised(nn.Module):
     r"""Network that is equivariant to the mirror, :math:`(f(x) + M_y f(M_x x)) / 2`.
 
-    Experience of one leg teaches the other (Abdolhosseini et al. 2019).
+    What one leg experiences also trains the other (Abdolhosseini et al. 2019).
 
     Args:
         net: the network f.
         inputs: mirror of its input.
-        outputs: mirror of its output; by default the output is invariant, as a value is.
+        outputs: mirror of its output; by default the output is invariant, as a value function is.
     """
 
     def __init__(self, net: nn.Module, inputs: Mirror, outputs: Mirror | None = None) -> None:
@@ -122,7 +122,7 @@ class Symmetrised(nn.Module):
 
 
 def action_mirror() -> Mirror:
-    """Mirror of a (*b, 10) action or of motor angles."""
+    """Mirror of an action (*b, 10) or of motor angles."""
     return Mirror(
         CASSIE.motor_names,
         [mirror_name(name) for name in CASSIE.motor_names],
@@ -136,16 +136,16 @@ def observation_mirror(
 ) -> Mirror:
     """Mirror of an observation.
 
-    An entry `left_x` becomes `right_x`. Entries that start with `motor_` or `joint_`, and `action`
-    and `last_action`, have a number for each motor or joint.
+    An entry `left_x` becomes `right_x`. `motor_*` and `joint_*`, `action` and `last_action` have
+    one element per motor or joint.
 
     Args:
         table: keys of the observation's entries, in order.
-        signs: signs of the mirror images of other entries, by name, one a number.
+        signs: signs of the mirror images of other entries, by name, one per element.
 
     Raises:
         UnknownNameError: the mirror image of an entry is unknown.
-        ConfigurationError: an entry is repeated, or one of the left lacks its partner on the right.
+        ConfigurationError: an entry is repeated, or an entry of one side lacks its partner.
     """
     names: list[str] = []
     partners: list[str] = []
@@ -154,7 +154,7 @@ def observation_mirror(
         entry = key if isinstance(key, str) else str(key[-1])
         parts, entry_signs = _entry(entry, {**_SIGNS, **(signs or {})})
         swapped = mirror_name(entry) if entry.startswith(("left_", "right_")) else entry
-        # entries of two sources may have the same name
+        # entries of different groups may have the same name
         source = "" if isinstance(key, str) else "/".join(map(str, key[:-1]))
         names += [f"{source}/{entry}/{part}" for part in parts]
         partners += [f"{source}/{swapped}/{_mirrored_part(part)}" for part in parts]

@@ -34,7 +34,7 @@ class Kind:
     name: str
     """Name in tables."""
     suffix: str
-    """End of a file's name, with the dot."""
+    """Extension of the file's name, with the dot."""
     write: Callable[[Path], None]
     """Write an intact file with fixed content, replacing an existing one."""
     load: Callable[[Path], Any]
@@ -86,7 +86,7 @@ def _load_policy(path: Path) -> Any:
 
 
 def _forge_sizes(data: bytes, rng: np.random.Generator) -> bytes:
-    """Change the network in the card, up to 10^18 weights, with matching hashes."""
+    """Damage that enlarges the network in the card, up to 10^18 weights, with matching hashes."""
     parts = read_zip(data)
     card = json.loads(parts[CARD])
     widths = [10 ** int(rng.integers(0, 10)) for _ in range(int(rng.integers(4)))]

@@ -29,15 +29,15 @@ from aslip.log.writer import HASH_KEY, METADATA, add_metadata, open_writer
 
 _STEPS = 36
 _WRITTEN: dict[str, Series] = {}
-"""Messages of the intact log, which is loaded first."""
+"""Messages of the intact log, stored when it is loaded before the damaged ones."""
 
 
 def write_log(path: Path) -> None:
     """Log one fall, replacing an existing file.
 
     Raises:
-        OSError: the file cannot be written (the recorder would only warn); the partial file is
-            deleted.
+        OSError: the file cannot be written, and the partial file is deleted. (The recorder itself
+            only warns.)
     """
     try:
         with warnings.catch_warnings():
@@ -59,7 +59,7 @@ def _log_fall(path: Path) -> None:
 
 
 def load_log(path: Path) -> Any:
-    """Everything that `read` and `replay` return, except for the date of writing.
+    """Return values of `read` and `replay`, except for the date of writing.
 
     Raises:
         FileDamagedError: the log is damaged.
@@ -119,7 +119,7 @@ def read_records(data: bytes) -> list[McapRecord]:
 
 
 def write_records(records: Sequence[McapRecord]) -> bytes:
-    """Log of records, with matching checksums; hashes of attachments stay as they are."""
+    """Write a log of records with matching checksums, and unchanged hashes of attachments."""
     file = BytesIO()
     writer, schemas, channels = open_writer(file), {0: 0}, {}
     for record in records:
@@ -160,13 +160,13 @@ _NUMBERS = (0.0, -1.0, 0.5, 1.0, 7.0, 9.0, 1e3, 1e9, -1e300, 2.0**31, np.nan, np
 _WORDS = ("0", "-1", "0.5", "7", "33", "true", '"yes"', "1e9", "1e-9", "NaN", "[1]", "9" * 50)
 # bytes of a message's header, which names the encoding
 _ENCAPSULATION = 4
-# numbers of a state before the first motor's buffer: episode, step, length; time, qpos, qvel;
-# numbers of a motor's buffer: user value, index of the newest command, times, commands
+# sizes in a state: before the first motor's buffer (episode, step, length, time; qpos; qvel), and
+# of a motor's buffer (user value, index of the newest command; times, commands)
 _BEFORE_COMMANDS, _PER_MOTOR, _MOTORS = 3 + 1 + 35 + 32, 2 + 2 * 8, 10
 
 
 def _forge(change: Callable[[list[McapRecord], np.random.Generator], None]) -> Damage:
-    """Damage to the records of a log, with matching checksums and hashes."""
+    """Damage that changes the records of a log and makes checksums and hashes match."""
 
     def damage(data: bytes, rng: np.random.Generator) -> bytes:
         records = read_records(data)
@@ -177,7 +177,7 @@ def _forge(change: Callable[[list[McapRecord], np.random.Generator], None]) -> D
 
 
 def _forge_number(topic: str, places: Sequence[int] | None = None) -> Damage:
-    """Replace one number in one message of a topic, or in all."""
+    """Damage that replaces a number in one message of a topic, or in all messages."""
 
     def change(records: list[McapRecord], rng: np.random.Generator) -> None:
         channel = next(r.id for r in records if isinstance(r, Channel) and r.topic == topic)
@@ -202,7 +202,7 @@ def _message(record: McapRecord) -> Message:
 def _forge_record(
     kind: type[McapRecord], change: Callable[[Any, np.random.Generator], Any]
 ) -> Damage:
-    """Change one record of a class."""
+    """Damage that changes one record of a class."""
 
     def damage(records: list[McapRecord], rng: np.random.Generator) -> None:
         i = int(rng.choice([i for i, record in enumerate(records) if isinstance(record, kind)]))
@@ -223,7 +223,7 @@ def _replace_time(message: Message, rng: np.random.Generator) -> Message:
 
 
 def _forge_attachment(name: str, change: Callable[[str, np.random.Generator], str]) -> Damage:
-    """Change the text of an attachment."""
+    """Damage that changes the text of an attachment."""
 
     def damage(records: list[McapRecord], rng: np.random.Generator) -> None:
         for i, record in enumerate(records):
@@ -268,4 +268,4 @@ FORGED_LOGS: dict[str, Damage] = {
     "forged settings": _forge_attachment(SETTINGS_FILE, _replace_setting),
     "forged model": _forge_attachment(MODEL_FILE, _replace_number),
 }
-"""Damage to a log's content with matching checksums and hashes, as an attacker could do."""
+"""Damage to a log's content with matching checksums and hashes, as an attacker could cause it."""

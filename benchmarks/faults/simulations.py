@@ -24,9 +24,9 @@ _BAD = (np.nan, np.inf, -np.inf, 1e300)
 
 
 def bad_numbers(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Put a bad number into the state of every other robot, next to an undamaged copy of all.
+    """Put a bad number into the state of every second robot, and compare with undamaged copies.
 
-    Survived: observation and reward stay finite, the neighbouring robot equals its copy bit for
+    Survived: observation and reward stay finite, the neighbouring robots equal their copies bit for
     bit, and the next reset restores a finite state.
     """
     del folder
@@ -53,7 +53,7 @@ def bad_numbers(count: int, rng: np.random.Generator, folder: Path) -> int:
 
 
 def _differing_rows(a: TensorDictBase, b: TensorDictBase, rows: np.ndarray) -> np.ndarray:
-    """Mask of rows in which any entry differs in any bit."""
+    """Mask of rows in which an entry differs in at least one bit."""
     different = np.zeros(len(rows), dtype=bool)
     for key in a.keys(True, True):
         left, right = (td.get(key)[torch.from_numpy(rows)].numpy().copy() for td in (a, b))
@@ -62,7 +62,10 @@ def _differing_rows(a: TensorDictBase, b: TensorDictBase, rows: np.ndarray) -> n
 
 
 def random_steps(count: int, rng: np.random.Generator, folder: Path) -> int:
-    """Survived: steps with finite output, in a process that neither crashes nor grows."""
+    """Take random actions in a process of its own.
+
+    Survived: all output is finite, and the process neither crashes nor grows.
+    """
     del folder
     code = (
         "import json, sys; from benchmarks.faults.simulations import random_walk;"
