@@ -11,8 +11,9 @@ import numpy as np
 from aslip.errors import ConfigurationError
 from aslip.library.library import GaitLibrary
 from aslip.library.table import ARRAYS, PAPER_SPEEDS, GaitTable
+from aslip.rom.arc import displacement
 from aslip.rom.gait import Gait
-from aslip.rom.motion import PHASE_SAMPLES, MotionSample, Track, displacement
+from aslip.rom.motion import PHASE_SAMPLES, MotionSample, Track
 from aslip.rom.pendulum import PendulumWalk, pendulum_walks
 
 SINGLE_REFERENCE_WALK: Final = PendulumWalk(clearance=0.15)
@@ -92,8 +93,8 @@ class StretchedWalk:
         """Sample the walk at phases (m,); velocities of the feet are not scaled."""
         sample = self.walk.sample(phase)
         factor = np.array([self.speed / self.walk.speed, 1.0, 1.0])
-        deviation = sample.body.position - displacement(self.walk, phase)
-        position = deviation * factor + displacement(self, phase)
+        deviation = sample.body.position - displacement(self.walk, phase).position
+        position = deviation * factor + displacement(self, phase).position
         moved = (position - sample.body.position)[:, None]
         return replace(
             sample,

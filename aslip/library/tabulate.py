@@ -10,7 +10,8 @@ from aslip.errors import ConfigurationError
 from aslip.ik import BodyTarget, IkSolution, Kinematics, solve, static_torque
 from aslip.library.table import FEWEST_SAMPLES, GaitTable
 from aslip.robot import CASSIE, Robot
-from aslip.rom.motion import PHASE_SAMPLES, Motion, MotionSample, displacement
+from aslip.rom.arc import displacement
+from aslip.rom.motion import PHASE_SAMPLES, Motion, MotionSample
 
 
 def tabulate(
@@ -76,7 +77,7 @@ def grid_axes(motions: Sequence[Motion]) -> tuple[np.ndarray, ...]:
 
 def _row(kinematics: Kinematics, motion: Motion, phase: np.ndarray) -> dict[str, np.ndarray]:
     """Rows of a table for one motion, by name of the array."""
-    sample, uniform = motion.sample(phase), displacement(motion, phase)
+    sample, uniform = motion.sample(phase), displacement(motion, phase).position
     _check_heading(motion)
     pose = _pose(kinematics, motion, sample)
     qpos = pose.qpos.copy()

@@ -8,8 +8,9 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from aslip.errors import FileDamagedError, ShapeError
+from aslip.rom.arc import displacement
 from aslip.rom.certificate import Certificate
-from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
+from aslip.rom.motion import Angle, MotionSample, Track, split_phase
 from aslip.rom.slip import Mode, SlipParameters, leg_force
 from aslip.rom.swing import swing_foot
 
@@ -127,7 +128,7 @@ class Gait:
             ShapeError: phase is not one-dimensional, or not finite.
         """
         strides, within = split_phase(phase)
-        time, travelled = within * self.stride, displacement(self, strides)
+        time = within * self.stride
         # the last point opens the next stride and is left out of the search
         mode = self.mode[np.searchsorted(self.time[:-1], time, side="right") - 1]
         body, velocity = self._interpolate(self.body.position, self.body.velocity, time)
@@ -141,9 +142,9 @@ class Gait:
         force = leg_force(length, length_rate, set_point, rate, self.parameters)
         in_swing = np.stack([mode == Mode.RIGHT, mode == Mode.LEFT], axis=1)
         force = np.where(in_swing, 0.0, force)
-        return GaitSample(
-            body=Track(body + travelled, velocity),
-            feet=Track(feet.position + travelled[:, None], feet.velocity),
+        sample = GaitSample(
+            body=Track(body, velocity),
+            feet=feet,
             ground_force=force[..., None] * leg / length[..., None],
             heading=Angle.zeros(len(time)),
             foot_heading=np.zeros((len(time), 2)),
@@ -152,6 +153,7 @@ class Gait:
             set_point=set_point,
             set_point_velocity=rate,
         )
+        return sample.moved(displacement(self, strides))
 
     def _interpolate(
         self, value: np.ndarray, slope: np.ndarray, time: np.ndarray

@@ -9,20 +9,22 @@ A motion is any object with a command, a stride and `sample`; it needs no base c
         def sample(self, phase: np.ndarray) -> MotionSample: ...
 
 Frame of all samples: the ground below the body's mean path, x along the heading at phase 0, y left,
-z up, ground at z = 0. A point moves on from stride to stride: phase 1.25 is phase 0.25 one stride
-further along the path.
+z up, ground at z = 0. The mean path is an arc of constant twist, straight without a yaw rate.
+Motions go on from stride to stride: phase 1.25 is phase 0.25 one stride further along the path,
+turned by yaw rate times stride.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Protocol, Self
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
+from aslip.rom.arc import Pose, displacement
 
 PHASE_SAMPLES = 128
 """Samples of a stride in a table: one every 6 ms, five per policy step."""
@@ -36,6 +38,10 @@ class Track:
     """(..., 3) [m]."""
     velocity: np.ndarray
     """(..., 3) time derivative of the position [m/s]."""
+
+    def moved(self, pose: Pose) -> Track:
+        """Track (m, ..., 3), given in the frames of m poses, in their common frame."""
+        return Track(pose.transform(self.position), pose.rotate(self.velocity))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,15 +97,26 @@ class MotionSample:
                     f" {np.shape(array)}"
                 )
 
+    def moved(self, pose: Pose) -> Self:
+        """Motion, given in the frames of m poses, in their common frame."""
+        return replace(
+            self,
+            body=self.body.moved(pose),
+            feet=self.feet.moved(pose),
+            ground_force=pose.rotate(self.ground_force),
+            heading=Angle(self.heading.angle + pose.angle, self.heading.rate),
+            foot_heading=self.foot_heading + pose.angle[:, None],
+        )
+
 
 class Motion(Protocol):
     """Periodic motion of a body and two feet: a gait, a recorded walk, a plan."""
 
     @property
     def command(self) -> np.ndarray:
-        """(c,) command that the motion obeys: mean forward speed [m/s], c = 1.
+        """(c,) command that the motion obeys, c = 1, 2 or 3.
 
-        The order of further axes is sideways speed [m/s], then yaw rate [rad/s].
+        Mean forward speed [m/s], sideways speed [m/s], yaw rate [rad/s]; what is left out is 0.
         """
         ...
 
@@ -148,18 +165,19 @@ class SampledMotion:
     def sample(self, phase: np.ndarray) -> MotionSample:
         """Motion at phases (m,)."""
         strides, within = split_phase(phase)
-        body, feet = (
-            self._track(track, within, strides) for track in (self.samples.body, self.samples.feet)
+        s, next_stride = self.samples, self._next_stride()
+        angle = self._hermite(
+            _closed(s.heading.angle, next_stride.heading.angle),
+            _closed(s.heading.rate, next_stride.heading.rate),
         )
-        heading = self.samples.heading
-        angle = self._hermite(_closed(heading.angle), _closed(heading.rate))
-        return MotionSample(
-            body=body,
-            feet=feet,
-            ground_force=self._linear(self.samples.ground_force, within),
+        sample = MotionSample(
+            body=self._track(s.body, next_stride.body, within),
+            feet=self._track(s.feet, next_stride.feet, within),
+            ground_force=_linear(s.ground_force, next_stride.ground_force, within),
             heading=Angle(angle(within), angle(within, 1) / self.stride),
-            foot_heading=self._linear(self.samples.foot_heading, within),
+            foot_heading=_linear(s.foot_heading, next_stride.foot_heading, within),
         )
+        return sample.moved(displacement(self, strides))
 
     def to_arrays(self) -> dict[str, np.ndarray]:
         """All numbers as named arrays."""
@@ -196,41 +214,27 @@ class SampledMotion:
         except KeyError as error:
             raise FileDamagedError(f"a motion needs {error}; got {sorted(arrays)}") from error
 
-    def _track(self, track: Track, within: np.ndarray, strides: np.ndarray) -> Track:
-        ahead = displacement(self, np.ones(1))[0]
-        path = self._hermite(_closed(track.position, ahead), _closed(track.velocity))
-        moved = np.multiply.outer(strides, ahead)
-        position = path(within) + moved.reshape(-1, *(1,) * (track.position.ndim - 2), 3)
-        return Track(position, path(within, 1) / self.stride)
+    def _next_stride(self) -> MotionSample:
+        """First sample of the next stride."""
+        s = self.samples
+        first = MotionSample(
+            body=Track(s.body.position[:1], s.body.velocity[:1]),
+            feet=Track(s.feet.position[:1], s.feet.velocity[:1]),
+            ground_force=s.ground_force[:1],
+            heading=Angle(s.heading.angle[:1], s.heading.rate[:1]),
+            foot_heading=s.foot_heading[:1],
+        )
+        return first.moved(displacement(self, np.ones(1)))
+
+    def _track(self, track: Track, end: Track, within: np.ndarray) -> Track:
+        path = self._hermite(
+            _closed(track.position, end.position), _closed(track.velocity, end.velocity)
+        )
+        return Track(path(within), path(within, 1) / self.stride)
 
     def _hermite(self, value: np.ndarray, rate: np.ndarray) -> CubicHermiteSpline:
         """Cubic spline over phase through m + 1 samples with given time derivatives."""
         return CubicHermiteSpline(np.linspace(0.0, 1.0, len(value)), value, self.stride * rate)
-
-    def _linear(self, values: np.ndarray, within: np.ndarray) -> np.ndarray:
-        closed, place = _closed(values), within * len(values)
-        left = np.minimum(place.astype(int), len(values) - 1)
-        weight = (place - left).reshape(-1, *(1,) * (values.ndim - 1))
-        return closed[left] + weight * (closed[left + 1] - closed[left])
-
-
-def displacement(motion: Motion, phase: np.ndarray) -> np.ndarray:
-    """Displacement (m, 3) from phase 0 to phases (m,) at the commanded velocity [m].
-
-    Raises:
-        ConfigurationError: the stride is infinite, or the command has a yaw rate.
-    """
-    command = np.asarray(motion.command, dtype=float)
-    if command.ndim != 1 or not 1 <= len(command) <= 2:
-        raise ConfigurationError(
-            "the command of a motion must be (forward speed,) or (forward, sideways speed), got"
-            f" {command.tolist()}"
-        )
-    if not 0 < motion.stride < np.inf:
-        raise ConfigurationError(f"stride must be positive and finite, got {motion.stride} s")
-    velocity = np.zeros(3)
-    velocity[: len(command)] = command
-    return np.outer(phase * motion.stride, velocity)
 
 
 def split_phase(phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -246,6 +250,14 @@ def split_phase(phase: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return strides, phase - strides
 
 
-def _closed(values: np.ndarray, ahead: np.ndarray | float = 0.0) -> np.ndarray:
+def _closed(values: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Samples of a stride, followed by the first sample of the next stride."""
-    return np.concatenate([values, values[:1] + ahead])
+    return np.concatenate([values, end])
+
+
+def _linear(values: np.ndarray, end: np.ndarray, within: np.ndarray) -> np.ndarray:
+    """Linear interpolation of m samples and the first one of the next stride."""
+    closed, place = _closed(values, end), within * len(values)
+    left = np.minimum(place.astype(int), len(values) - 1)
+    weight = (place - left).reshape(-1, *(1,) * (values.ndim - 1))
+    return closed[left] + weight * (closed[left + 1] - closed[left])

@@ -21,8 +21,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aslip.errors import ConfigurationError
+from aslip.rom.arc import displacement
 from aslip.rom.gait import Gait
-from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
+from aslip.rom.motion import Angle, MotionSample, Track, split_phase
 from aslip.rom.slip import SlipParameters
 from aslip.rom.swing import swing_foot
 
@@ -78,18 +79,18 @@ class PendulumWalk:
         carries no load.
         """
         strides, phase = split_phase(phase)
-        ahead = displacement(self, strides)
         body, feet = self._body(phase), self._feet(phase)
         second = phase >= 0.5
         carrying = np.stack([second, ~second], axis=1)[..., None]
         lever = body.position[:, None] - feet.position
-        return MotionSample(
-            body=Track(body.position + ahead, body.velocity),
-            feet=Track(feet.position + ahead[:, None], feet.velocity),
+        sample = MotionSample(
+            body=body,
+            feet=feet,
             ground_force=self.mass * self._rate**2 * lever * carrying,
             heading=Angle.zeros(len(phase)),
             foot_heading=np.zeros((len(phase), 2)),
         )
+        return sample.moved(displacement(self, strides))
 
     @property
     def _rate(self) -> float:

@@ -1,0 +1,86 @@
+"""Arcs of constant twist, the mean paths of motions, and the planar poses along them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from aslip.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from aslip.rom.motion import Motion
+
+COMMAND_SIZES = (1, 2, 3)
+"""Lengths of a command: forward speed, sideways speed [m/s], yaw rate [rad/s], in this order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Poses on the ground of m frames in one common frame."""
+
+    position: np.ndarray
+    """(m, 3) origins of the frames [m], z = 0."""
+    angle: np.ndarray
+    """(m,) angle from the common x axis to those of the frames [rad]."""
+
+    def rotate(self, vectors: np.ndarray) -> np.ndarray:
+        """Vectors (m, ..., 3), given in the m frames, in the common frame."""
+        return rotate(vectors, self.angle)
+
+    def transform(self, points: np.ndarray) -> np.ndarray:
+        """Points (m, ..., 3), given in the m frames, in the common frame."""
+        moved = self.rotate(points)
+        return moved + self.position.reshape(-1, *(1,) * (moved.ndim - 2), 3)
+
+    def inverse(self) -> Pose:
+        """Poses of the common frame in each of the m frames."""
+        return Pose(-rotate(self.position, -self.angle), -self.angle)
+
+
+def rotate(vectors: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Rotate vectors (m, ..., 3) about the vertical by angles (m,)."""
+    if not np.any(angle):
+        return vectors
+    shape = (-1, *(1,) * (vectors.ndim - 2))
+    cosine, sine = np.cos(angle).reshape(shape), np.sin(angle).reshape(shape)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=-1)
+
+
+def twist_pose(command: np.ndarray, time: np.ndarray) -> Pose:
+    r"""Poses at times (m,) [s] of a frame that moves at a constant twist from the origin.
+
+    .. math::
+        \mathbf c(t) = t\,\frac{\sin a}{a}\,\mathbf R(a) \begin{pmatrix} v_x \\ v_y \end{pmatrix},
+        \qquad a = \tfrac12 \omega t
+
+    Args:
+        command: (c,) forward speed, sideways speed [m/s], yaw rate [rad/s]; c = 1, 2 or 3.
+        time: (m,) [s], of either sign.
+    """
+    full = np.zeros(3)
+    full[: len(command)] = command
+    angle = full[2] * time
+    way = np.outer(time, [full[0], full[1], 0.0])
+    if full[2]:
+        way = rotate(np.sinc(angle / (2 * np.pi))[:, None] * way, angle / 2)
+    return Pose(way, angle)
+
+
+def displacement(motion: Motion, phase: np.ndarray) -> Pose:
+    """Pose at phases (m,) of the frame that moves at the commanded twist, seen from phase 0.
+
+    Raises:
+        ConfigurationError: the stride is infinite, or the command has not one to three numbers.
+    """
+    command = np.asarray(motion.command, dtype=float)
+    if command.ndim != 1 or len(command) not in COMMAND_SIZES:
+        raise ConfigurationError(
+            "the command of a motion must be (forward speed,), (forward, sideways speed) or"
+            f" (forward, sideways speed, yaw rate), got {command.tolist()}"
+        )
+    if not 0 < motion.stride < np.inf:
+        raise ConfigurationError(f"stride must be positive and finite, got {motion.stride} s")
+    return twist_pose(command, phase * motion.stride)
