@@ -67,6 +67,10 @@ class CollectorError(AslipError, RuntimeError):
     """Failure or end of a process that collects samples for a training."""
 
 
+class NetworkError(AslipError, OSError):
+    """Port in use, or a robot or controller that does not answer."""
+
+
 @contextmanager
 def one_line_errors() -> Iterator[None]:
     """Turn errors that the user can fix into one line and an exit status, without a traceback.

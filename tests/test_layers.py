@@ -25,6 +25,7 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "rom": set(),
     "ik": {"robot"},
     "library": {"robot", "rom", "ik"},
+    "wire": {"robot"},
     "estimation": {"robot"},
     "sim": {"robot"},
     "transforms": {"robot", "library", "estimation", "sim"},
@@ -47,6 +48,7 @@ _FOREIGN = {
     "rom": _HEAVY - {"casadi"},
     "ik": _HEAVY - {"pinocchio"},
     "library": {"mujoco", "dm_control", "torchrl"},
+    "wire": _HEAVY,
     "estimation": _HEAVY,
     "sim": _HEAVY - {"mujoco"},
     "envs": {"casadi", "pinocchio"},
@@ -185,6 +187,19 @@ def test_state_estimation_needs_numpy_and_numba_only() -> None:
     )
     assert "numba" in loaded
     assert not loaded & _HEAVY
+
+
+def test_the_wire_needs_numpy_only() -> None:
+    loaded = _loaded_after(
+        "import numpy as np\n"
+        "from aslip.wire import LOOPBACK, PD_IN, STATE_OUT, Address, Endpoint, Link\n"
+        "from aslip.wire import command_to_pd_in\n"
+        "link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)\n"
+        "with Endpoint(link, Address(LOOPBACK, 0), Address(LOOPBACK, 1)) as endpoint:\n"
+        "    endpoint.send(command_to_pd_in(np.zeros(10)))"
+    )
+    assert "numpy" in loaded
+    assert not loaded & (_HEAVY | {"numba", "scipy"})
 
 
 def test_an_unknown_public_name_lists_the_known_ones() -> None:

@@ -1,0 +1,43 @@
+"""Cassie's network protocol: packets, datagrams, conversions and UDP sockets; no simulator."""
+
+from aslip.wire.convert import (
+    MotorCommand,
+    cassie_out_to_sensors,
+    command_to_pd_in,
+    estimate_to_state_out,
+    pd_in_to_command,
+    sensors_to_cassie_out,
+    state_out_to_estimate,
+    torque_to_user_in,
+    user_in_to_torque,
+)
+from aslip.wire.endpoint import CLIENT, LOOPBACK, SIMULATOR, Address, Endpoint
+from aslip.wire.layout import Packet
+from aslip.wire.link import Counters, Header, Link
+from aslip.wire.packets import CASSIE_OUT, PACKETS, PD_IN, STATE_OUT, USER_IN
+
+__all__ = [
+    "CASSIE_OUT",
+    "CLIENT",
+    "LOOPBACK",
+    "PACKETS",
+    "PD_IN",
+    "SIMULATOR",
+    "STATE_OUT",
+    "USER_IN",
+    "Address",
+    "Counters",
+    "Endpoint",
+    "Header",
+    "Link",
+    "MotorCommand",
+    "Packet",
+    "cassie_out_to_sensors",
+    "command_to_pd_in",
+    "estimate_to_state_out",
+    "pd_in_to_command",
+    "sensors_to_cassie_out",
+    "state_out_to_estimate",
+    "torque_to_user_in",
+    "user_in_to_torque",
+]

@@ -1,0 +1,287 @@
+"""Packets of the wire from and to sensor packets, estimates, and motor targets.
+
+Leading shape b: () for one packet, (n,) or (n, w) for many. Numbers pass through single precision:
+converting there and back rounds once, and is exact for numbers in single precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from aslip.errors import ShapeError, UnknownNameError
+from aslip.robot import CASSIE, SIDES, Robot
+from aslip.robot.rotation import rotate_inverse, upper_hemisphere
+from aslip.wire.packets import CASSIE_OUT, PD_IN, STATE_OUT, USER_IN
+
+STOP_CHANNEL: Final = 8
+"""Radio channel of the emergency stop; below zero the robot stops."""
+
+_MOTORS, _JOINTS = 10, 6
+_IDENTITY = (1.0, 0.0, 0.0, 0.0)
+# entry of an estimate -> group and field of `state_out_t`
+_STATE_FIELDS = {
+    "orientation": ("pelvis", "orientation"),
+    "velocity": ("pelvis", "translational_velocity"),
+    "angular_velocity": ("pelvis", "rotational_velocity"),
+    "acceleration": ("pelvis", "translational_acceleration"),
+    "motor_position": ("motor", "position"),
+    "motor_velocity": ("motor", "velocity"),
+    "joint_position": ("joint", "position"),
+    "joint_velocity": ("joint", "velocity"),
+}
+
+
+class MotorCommand(NamedTuple):
+    """Numbers of the PD law of all motors, left leg's, then right, each (*b, 10).
+
+    The robot's torque is torque + stiffness (position - q) + damping (velocity - dq/dt).
+    """
+
+    torque: np.ndarray
+    """Feedforward at the joints [N m]."""
+    position: np.ndarray
+    """Target angles [rad]."""
+    velocity: np.ndarray
+    """Target velocities [rad/s]."""
+    stiffness: np.ndarray
+    """Position gains [N m/rad]."""
+    damping: np.ndarray
+    """Velocity gains [N m s/rad]."""
+
+
+_COMMAND_FIELDS = dict(
+    zip(MotorCommand._fields, ("torque", "p_target", "d_target", "p_gain", "d_gain"), strict=True)
+)
+
+
+def sensors_to_cassie_out(
+    sensors: Mapping[str, ArrayLike], motor_torque: ArrayLike = 0.0, *, robot: Robot = CASSIE
+) -> np.ndarray:
+    """Pack sensor packets as `cassie_out_t`.
+
+    The IMU, the radio and the encoders' calibration are marked good, the stop is released, and
+    readings that a sensor packet lacks are zero.
+
+    Args:
+        sensors: entries (*b, k) of `Robot.packet_sizes`.
+        motor_torque: torques at the joints (*b, 10) [N m].
+        robot: robot that gives gears and torque limits.
+
+    Returns:
+        (*b) records of `CASSIE_OUT`.
+
+    Raises:
+        UnknownNameError: an entry is missing.
+        ShapeError: an entry has the wrong shape.
+    """
+    entries = {name: _entry(sensors, name, size) for name, size in robot.packet_sizes.items()}
+    out = CASSIE_OUT.zeros(*entries["gyro"].shape[:-1])
+    pelvis, torque = out["pelvis"], np.asarray(motor_torque)
+    torque = np.broadcast_to(torque, (*out.shape, _MOTORS))
+    limit = robot.torque_limit * robot.gear
+    for i, side in enumerate(SIDES):
+        leg = out[f"{side}_leg"]
+        motors = slice(i * _MOTORS // 2, (i + 1) * _MOTORS // 2)
+        joints = slice(i * _JOINTS // 2, (i + 1) * _JOINTS // 2)
+        for kind in ("position", "velocity"):
+            _write(leg["drives"], kind, entries[f"motor_{kind}"][..., motors])
+            _write(leg["joints"], kind, entries[f"joint_{kind}"][..., joints])
+        _write(leg["drives"], "torque", torque[..., motors])
+        _write(leg["drives"], "torque_limit", limit[motors])
+        _write(leg["drives"], "gear_ratio", robot.gear[motors])
+    imu, radio = pelvis["vector_nav"], pelvis["radio"]
+    _write(imu, "orientation", entries["orientation"])
+    _write(imu, "angular_velocity", entries["gyro"])
+    _write(imu, "linear_acceleration", entries["accelerometer"])
+    for group, flag in ((imu, "data_good"), (out, "is_calibrated")):
+        _write(group, flag, True)
+    _release_stop(radio, "receiver_signal_good", "medulla_signal_good")
+    return out
+
+
+def cassie_out_to_sensors(records: np.ndarray) -> dict[str, np.ndarray]:
+    """Read sensor packets out of `cassie_out_t`, in single precision.
+
+    Args:
+        records: (*b) records of `CASSIE_OUT`.
+
+    Returns:
+        Entries (*b, k) of `Robot.packet_sizes`; orientations have w >= 0. Readings that the IMU
+        marks as bad are NaN.
+    """
+    legs = [records[f"{side}_leg"] for side in SIDES]
+    entries = {
+        f"{part}_{kind}": np.concatenate([leg[group][kind] for leg in legs], axis=-1)
+        for part, group in (("motor", "drives"), ("joint", "joints"))
+        for kind in ("position", "velocity")
+    }
+    imu = records["pelvis"]["vector_nav"]
+    readings = {
+        "orientation": upper_hemisphere(imu["orientation"]),
+        "gyro": imu["angular_velocity"].copy(),
+        "accelerometer": imu["linear_acceleration"].copy(),
+    }
+    bad = ~imu["data_good"]
+    for reading in readings.values():
+        reading[bad] = np.nan
+    return {**entries, **readings}
+
+
+def estimate_to_state_out(
+    estimate: Mapping[str, ArrayLike],
+    *,
+    position: ArrayLike | None = None,
+    feet: ArrayLike | None = None,
+    motor_torque: ArrayLike = 0.0,
+) -> np.ndarray:
+    """Pack estimates as `state_out_t`.
+
+    The heading frame of the estimate becomes the world of the wire, and its ground the height zero.
+    Feet are given as sole centres; the robot's own estimator sends a point 6 mm away. Their
+    orientations are the identity, as the frame on the wire is not documented; fields that nothing
+    here estimates are zero. The radio is good and the stop released.
+
+    Args:
+        estimate: entries (*b, k) of `("estimate", ...)`.
+        position: position of the pelvis (*b, 3) [m, heading frame]; its z must be the estimate's
+            height. By default it is above the origin.
+        feet: sole centres (*b, 2, 3) [m, heading frame]; needs `position`.
+        motor_torque: torques at the joints (*b, 10) [N m].
+
+    Returns:
+        (*b) records of `STATE_OUT`.
+
+    Raises:
+        UnknownNameError: an entry is missing.
+        ShapeError: an entry has the wrong shape, or `feet` come without `position`.
+    """
+    height = _entry(estimate, "height", 1)
+    out = STATE_OUT.zeros(*height.shape[:-1])
+    for name, (group, field) in _STATE_FIELDS.items():
+        _write(out[group], field, _entry(estimate, name, out.dtype[group][field].shape[0]))
+    out["pelvis"]["position"][..., 2] = height[..., 0]
+    _write(out["motor"], "torque", motor_torque)
+    for side in SIDES:
+        _write(out[f"{side}_foot"], "orientation", _IDENTITY)
+    if position is not None:
+        out["pelvis"]["position"][..., :2] = np.asarray(position)[..., :2]
+    if feet is not None:
+        if position is None:
+            raise ShapeError("feet need the position of the pelvis, too")
+        relative = np.asarray(feet) - np.asarray(position)[..., None, :]
+        turn = _entry(estimate, "orientation", 4)
+        for i, side in enumerate(SIDES):
+            _write(out[f"{side}_foot"], "position", rotate_inverse(turn, relative[..., i, :]))
+    _release_stop(out["radio"], "signal_good")
+    return out
+
+
+def state_out_to_estimate(records: np.ndarray) -> dict[str, np.ndarray]:
+    """Read estimates out of `state_out_t`, in single precision.
+
+    Args:
+        records: (*b) records of `STATE_OUT`.
+
+    Returns:
+        Entries (*b, k) of `("estimate", ...)`, with the world of the wire as heading frame;
+        orientations have w >= 0.
+    """
+    ground = records["terrain"]["height"]
+    height = (records["pelvis"]["position"][..., 2] - ground)[..., None]
+    entries = {name: records[group][f].copy() for name, (group, f) in _STATE_FIELDS.items()}
+    entries["orientation"] = upper_hemisphere(entries["orientation"])
+    return {"height": height, **entries}
+
+
+def command_to_pd_in(
+    position: ArrayLike,
+    stiffness: ArrayLike = CASSIE.stiffness,
+    damping: ArrayLike = CASSIE.damping,
+    *,
+    torque: ArrayLike = 0.0,
+    velocity: ArrayLike = 0.0,
+) -> np.ndarray:
+    """Pack motor targets and gains as `pd_in_t`; the task-space part is zero.
+
+    Args:
+        position: target angles (*b, 10) [rad].
+        stiffness: position gains [N m/rad], one for all, (10,) or (*b, 10).
+        damping: velocity gains [N m s/rad].
+        torque: feedforward at the joints [N m].
+        velocity: target velocities [rad/s].
+
+    Returns:
+        (*b) records of `PD_IN`.
+
+    Raises:
+        ShapeError: an argument has the wrong shape.
+    """
+    target = _vector("position", position, _MOTORS)
+    out = PD_IN.zeros(*target.shape[:-1])
+    command = MotorCommand(*map(np.asarray, (torque, target, velocity, stiffness, damping)))
+    for name, field in _COMMAND_FIELDS.items():
+        try:
+            rows = np.broadcast_to(getattr(command, name), target.shape)
+        except ValueError:
+            raise ShapeError(
+                f"{name} must fit motor targets {target.shape}, got {getattr(command, name).shape}"
+            ) from None
+        for side, numbers in zip(SIDES, np.split(rows, 2, axis=-1), strict=True):
+            _write(out[f"{side}_leg"]["motor_pd"], field, numbers)
+    return out
+
+
+def pd_in_to_command(records: np.ndarray) -> MotorCommand:
+    """Read motor targets and gains (*b, 10) out of `pd_in_t`, in single precision."""
+    legs = [records[f"{side}_leg"]["motor_pd"] for side in SIDES]
+    return MotorCommand(
+        *(np.concatenate([leg[f] for leg in legs], axis=-1) for f in _COMMAND_FIELDS.values())
+    )
+
+
+def torque_to_user_in(torque: ArrayLike) -> np.ndarray:
+    """Pack torques at the joints (*b, 10) [N m] as `cassie_user_in_t`.
+
+    Raises:
+        ShapeError: there are not ten torques.
+    """
+    torque = _vector("torque", torque, _MOTORS)
+    out = USER_IN.zeros(*torque.shape[:-1])
+    _write(out, "torque", torque)
+    return out
+
+
+def user_in_to_torque(records: np.ndarray) -> np.ndarray:
+    """Read torques at the joints (*b, 10) [N m] out of `cassie_user_in_t`."""
+    return records["torque"].copy()
+
+
+def _write(group: np.ndarray, field: str, values: ArrayLike) -> None:
+    """Write a field of records; the loss of precision is the wire's."""
+    group[field][...] = values
+
+
+def _release_stop(radio: np.ndarray, *flags: str) -> None:
+    """Mark a radio as heard, with the emergency stop released."""
+    for flag in flags:
+        radio[flag][...] = True
+    radio["channel"][..., STOP_CHANNEL] = 1.0
+
+
+def _entry(entries: Mapping[str, ArrayLike], name: str, size: int) -> np.ndarray:
+    """Entry (*b, size) of a mapping."""
+    if name not in entries:
+        raise UnknownNameError(f"the entry {name!r} is missing; there are {list(entries)}")
+    return _vector(name, entries[name], size)
+
+
+def _vector(name: str, values: ArrayLike, size: int) -> np.ndarray:
+    """Array (*b, size)."""
+    array = np.asarray(values)
+    if array.shape[-1:] != (size,):
+        raise ShapeError(f"{name} must have {size} numbers, got the shape {array.shape}")
+    return array

@@ -1,0 +1,218 @@
+"""UDP socket of one side: non-blocking, of several queued datagrams the newest counts."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import select
+import socket
+import time
+from types import TracebackType
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from aslip.errors import ConfigurationError, NetworkError
+from aslip.wire.link import Link
+
+LOOPBACK: Final = "127.0.0.1"
+"""Address that only programs on this machine reach."""
+
+# silence [s] after which another program may take the peer's place: the robot's PD time-out
+_SILENCE = 0.1
+# datagrams that are read at once, so that a flood cannot keep the caller waiting
+_MOST_QUEUED = 256
+
+
+class Address(NamedTuple):
+    """Address of a side."""
+
+    host: str
+    """IPv4 address."""
+    port: int
+
+    def __str__(self) -> str:
+        """Host and port, joined by a colon."""
+        return f"{self.host}:{self.port}"
+
+
+SIMULATOR: Final = Address(LOOPBACK, 25000)
+"""Address of the simulated robot."""
+CLIENT: Final = Address(LOOPBACK, 25001)
+"""Address of its client."""
+ROBOT_PORTS: Final = (25010, 25011)
+"""Ports of a real robot and of its client."""
+
+
+class Endpoint:
+    """Socket that exchanges packets with one peer.
+
+    A robot learns its peer from the first good datagram, and drops those of other programs until
+    the peer has been silent for 0.1 s; then another one may take its place. A client names its
+    peer.
+
+    Args:
+        link: kinds of packets, sequence numbers and counters.
+        local: address to listen at; port 0 lets the system choose one.
+        peer: address of the other side.
+        beyond_loopback: allow addresses of other machines. Nothing on the wire is encrypted or
+            authenticated: whoever reaches the port can move the robot.
+
+    Raises:
+        ConfigurationError: an address is not IPv4, or not of this machine unless that is allowed.
+        NetworkError: the port is in use, or the address is not this machine's.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        local: Address,
+        peer: Address | None = None,
+        *,
+        beyond_loopback: bool = False,
+    ) -> None:
+        self.link = link
+        """Sequence numbers and counters."""
+        for address in (local, *([] if peer is None else [peer])):
+            _check(address, beyond_loopback)
+        self.peer = peer
+        """Address of the other side; None until it is known."""
+        self.unsent = 0
+        """Datagrams that the system would not take."""
+        self._named = peer is not None
+        self._heard = 0.0
+        self._last: bytes | None = None
+        self._socket = _bound(local)
+
+    @property
+    def local(self) -> Address:
+        """Address at which this side listens."""
+        return Address(*self._socket.getsockname())
+
+    def __enter__(self) -> Endpoint:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait for a datagram; return False if none has come in `timeout` [s]."""
+        return bool(select.select([self._socket], [], [], timeout)[0])
+
+    def receive(self) -> np.ndarray | None:
+        """Read all queued datagrams without waiting; return the newest packet, or None."""
+        newest, accepted = None, self.link.counters.accepted
+        for _ in range(_MOST_QUEUED):
+            try:
+                datagram, sender = self._socket.recvfrom(self.link.size + 1)
+            except BlockingIOError:
+                break
+            record = self._open(datagram, Address(*sender))
+            newest = newest if record is None else record
+        self.link.counters.superseded += max(self.link.counters.accepted - accepted - 1, 0)
+        return newest
+
+    def send(self, record: np.ndarray) -> None:
+        """Send a packet to the peer.
+
+        Raises:
+            NetworkError: there is no peer yet, or no way to it.
+            ShapeError: the record is of another kind than the link sends.
+        """
+        self._last = self.link.datagram(record)
+        self.resend()
+
+    def resend(self) -> None:
+        """Send the last datagram again, with all its bytes.
+
+        Raises:
+            NetworkError: nothing has been sent, there is no peer yet, or no way to it.
+        """
+        if self._last is None or self.peer is None:
+            raise NetworkError(f"{self.local} has no peer to send to before one has sent to it")
+        try:
+            self._socket.sendto(self._last, self.peer)
+        except BlockingIOError:
+            self.unsent += 1
+        except OSError as error:
+            raise NetworkError(f"cannot send to {self.peer}: {error.strerror}") from error
+
+    def request(
+        self, record: np.ndarray, *, timeout: float = 1.0, repeat: float = 0.02
+    ) -> np.ndarray:
+        """Send a packet and wait for the answer, sending the datagram again while none comes.
+
+        A robot in lockstep answers repeated datagrams without acting on them twice.
+
+        Args:
+            record: packet.
+            timeout: longest wait [s].
+            repeat: time between repetitions [s].
+
+        Raises:
+            NetworkError: no answer in time.
+        """
+        self.send(record)
+        end = time.monotonic() + timeout
+        while time.monotonic() < end:
+            if not self.wait(repeat):
+                self.resend()
+            elif (answer := self.receive()) is not None:
+                return answer
+        raise NetworkError(f"no answer from {self.peer} within {timeout:g} s; is it running?")
+
+    def _open(self, datagram: bytes, sender: Address) -> np.ndarray | None:
+        """Check datagram and sender."""
+        if self.peer not in (None, sender):
+            silent = time.monotonic() - self._heard > _SILENCE
+            if self._named or not silent or len(datagram) != self.link.size:
+                self.link.counters.foreign += 1
+                return None
+            self.link.restart()
+            self.peer = None
+        record = self.link.open(datagram)
+        if record is not None or self.peer is not None:
+            self.peer, self._heard = sender, time.monotonic()
+        return record
+
+
+def _check(address: Address, beyond_loopback: bool) -> None:
+    """Check that an address is IPv4 and may be used."""
+    try:
+        host = ipaddress.IPv4Address(address.host)
+    except ValueError:
+        raise ConfigurationError(
+            f"an IPv4 address such as {LOOPBACK} is needed, got {address.host!r}"
+        ) from None
+    if not 0 <= address.port < 2**16:
+        raise ConfigurationError(f"a port is between 0 and 65535, got {address.port}")
+    if not (host.is_loopback or beyond_loopback):
+        raise ConfigurationError(
+            f"{address.host} is beyond this machine, and whoever reaches the port can move the"
+            f" robot; use {LOOPBACK}, or allow it with beyond_loopback"
+        )
+
+
+def _bound(local: Address) -> socket.socket:
+    """Open a non-blocking socket at an address."""
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.setblocking(False)
+    try:
+        opened.bind(local)
+    except OSError as error:
+        opened.close()
+        if error.errno == errno.EADDRINUSE:
+            raise NetworkError(
+                f"another program listens at {local}; stop it, or choose another port"
+            ) from error
+        raise NetworkError(f"cannot listen at {local}: {error.strerror}") from error
+    return opened

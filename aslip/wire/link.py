@@ -1,0 +1,162 @@
+"""Headers of datagrams: sequence numbers of both directions, and checks of what arrives.
+
+A datagram is a header of two bytes, the sender's sequence number and the number that it received
+last, followed by the packet. Numbers are signed bytes that wrap.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from aslip.wire.layout import Packet
+
+HEADER_SIZE: Final = 2
+"""Bytes of a header."""
+
+# successive late datagrams, none older than the one before, that tell a peer that started anew
+_RESTART = 3
+
+
+class Header(NamedTuple):
+    """First two bytes of a datagram; numbers are -128 to 127."""
+
+    sequence: int
+    """Number of this datagram."""
+    received: int
+    """Number that the sender received last, looped back."""
+
+    def to_bytes(self) -> bytes:
+        """Convert to two bytes."""
+        return bytes((self.sequence % 256, self.received % 256))
+
+    @classmethod
+    def from_bytes(cls, datagram: bytes) -> Header:
+        """Read the header of a datagram."""
+        return cls(wrapped(datagram[0]), wrapped(datagram[1]))
+
+
+def wrapped(number: int) -> int:
+    """Signed byte that a number, or a difference of numbers, wraps to."""
+    return (number + 128) % 256 - 128
+
+
+@dataclass
+class Counters:
+    """Counts of the datagrams that have arrived at one side."""
+
+    accepted: int = 0
+    """Read and passed on, or superseded."""
+    superseded: int = 0
+    """Accepted, but a newer one was queued behind."""
+    wrong_size: int = 0
+    """Dropped: not a header and a packet of the expected kind."""
+    not_finite: int = 0
+    """NaN or infinite number in the packet; dropped where the link refuses such packets."""
+    repeated: int = 0
+    """Dropped: all bytes are those of the newest one."""
+    late: int = 0
+    """Dropped: sent before the newest one."""
+    lost: int = 0
+    """Missing numbers between accepted datagrams; they were lost or come late."""
+    foreign: int = 0
+    """Dropped: sent by another program than the peer."""
+    restarts: int = 0
+    """Times that the peer started anew."""
+
+
+class Link:
+    """One side's sequence numbers, and its checks of datagrams.
+
+    Args:
+        sends: kind of packets to the peer.
+        receives: kind of packets from the peer.
+        refuse_not_finite: drop packets with NaN or infinite numbers. A robot must, as commands
+            are; a controller needs not, as its estimator bridges single bad readings.
+    """
+
+    def __init__(self, sends: Packet, receives: Packet, *, refuse_not_finite: bool) -> None:
+        self.sends, self.receives = sends, receives
+        self.counters = Counters()
+        """Counts of what has arrived."""
+        self.delay: int | None = None
+        """Datagrams sent since the one that the peer answered last, plus one: times the period of
+        sending, the round trip; 1 in lockstep. None before the first datagram."""
+        self.step: int | None = None
+        """Difference of the last two accepted numbers; 1 without loss."""
+        self._refuse = refuse_not_finite
+        self._sent = 0
+        self._newest: bytes | None = None
+        self._late: int | None = None
+        self._late_run = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes of an arriving datagram."""
+        return HEADER_SIZE + self.receives.size
+
+    def datagram(self, record: np.ndarray) -> bytes:
+        """Build the next datagram.
+
+        Raises:
+            ShapeError: the record is of another kind than `sends`.
+        """
+        payload = self.sends.pack(record)
+        self._sent = wrapped(self._sent + 1)
+        received = 0 if self._newest is None else Header.from_bytes(self._newest).sequence
+        return Header(self._sent, received).to_bytes() + payload
+
+    def open(self, datagram: bytes) -> np.ndarray | None:
+        """Check and count a datagram; return its packet, None if it is dropped.
+
+        A number that repeats with other content is no repetition: the public simulator repeats its
+        numbers until it receives the next command.
+        """
+        counters = self.counters
+        if len(datagram) != self.size:
+            counters.wrong_size += 1
+            return None
+        header = Header.from_bytes(datagram)
+        if not self._is_new(header, datagram):
+            return None
+        self._newest = datagram
+        self.delay = wrapped(self._sent + 1 - header.received)
+        record = self.receives.unpack(datagram[HEADER_SIZE:])
+        if not self.receives.is_finite(record):
+            counters.not_finite += 1
+            if self._refuse:
+                return None
+        counters.accepted += 1
+        return record
+
+    def restart(self) -> None:
+        """Forget the peer's numbers, as another peer takes over; keep counting."""
+        self._newest = self._late = self.delay = self.step = None
+        self.counters.restarts += 1
+
+    def _is_new(self, header: Header, datagram: bytes) -> bool:
+        """Whether a datagram is newer than the newest; counts it if not."""
+        if self._newest is None:
+            return True
+        step = wrapped(header.sequence - Header.from_bytes(self._newest).sequence)
+        if datagram == self._newest:
+            self.counters.repeated += 1
+            return False
+        if step < 0:
+            return self._has_restarted(header.sequence)
+        self._late, self.step = None, step
+        self.counters.lost += max(step - 1, 0)
+        return True
+
+    def _has_restarted(self, sequence: int) -> bool:
+        """Whether late datagrams come from a peer that counts anew; counts this one as late."""
+        in_order = self._late is not None and wrapped(sequence - self._late) >= 0
+        self._late_run = self._late_run + 1 if in_order else 1
+        self._late = sequence
+        if self._late_run < _RESTART:
+            self.counters.late += 1
+            return False
+        self.restart()
+        return True
