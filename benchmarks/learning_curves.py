@@ -1,13 +1,14 @@
-r"""Learning curves of the recipe: default, on the true state, and with the paper's settings.
+r"""Learning curves of the recipe: default, robust, true state, the paper's settings and baseline.
 
     python -m benchmarks.learning_curves                      # train missing runs, then report
     python -m benchmarks.learning_curves --jobs 2             # two runs at a time
     python -m benchmarks.learning_curves --no-train           # report existing runs
     python -m benchmarks.learning_curves --record docs/learning_curves.csv --no-train \
-        --variants default paper --seeds 0 1 2 3 4 5 6 7 8 9
+        --variants default paper baseline --seeds 10 11 12 13 14
 
-Each run is `recipes/ppo_aslip.py` in its own folder; interrupted runs resume from their last
-checkpoints. Curves show mean and range over seeds.
+Each run is `recipes/ppo_aslip.py` in its own folder, such as `runs/learning_curves/paper-10`;
+interrupted runs resume from their last checkpoints. A run made elsewhere counts when it is copied
+there, finished or not. Curves show mean and range over seeds.
 
 A record, `--record`, collects the curves of finished runs over days and machines, without their run
 folders. The report includes its runs, which are not trained again, and adds new finished runs.
@@ -22,6 +23,8 @@ from typing import Literal
 from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.training.command_line import command_line
 
+Variant = Literal["truth", "default", "robust", "paper", "baseline"]
+
 
 @dataclass(frozen=True)
 class Config:
@@ -29,7 +32,7 @@ class Config:
 
     out: Path = Path("runs/learning_curves")
     """Parent of the run folders."""
-    variants: tuple[Literal["truth", "default", "paper"], ...] = ("truth", "default")
+    variants: tuple[Variant, ...] = ("truth", "default")
     """Variants of the recipe."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
@@ -54,15 +57,13 @@ if __name__ == "__main__":
     # parsed before the slow imports below
     CONFIG = command_line(Config)
 
-import csv
-import io
 import math
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Final
 
@@ -72,76 +73,51 @@ from tqdm import tqdm
 
 from aslip.policy import POLICY_FILE, read_card
 from aslip.show.plots import save_figure
+from aslip.training.command_line import preset_command_line
 from aslip.training.progress import read_progress, steps_done
 from aslip.training.run import write_text
+from aslip.training.settings import SETTINGS_FILE, read_settings
 from aslip.walking import markdown
-from benchmarks.common import WALKING_LENGTH, Interval
+from benchmarks.common import Interval
+from benchmarks.learning_record import COLUMNS, LENGTHS, Run, Runs, read_record, write_record
+from recipes.ppo_settings import PRESETS
 
-VARIANTS: Final = MappingProxyType({"truth": ("truth",), "default": (), "paper": ("paper",)})
-"""Variant -> flags of the recipe; only `truth` observes the true state."""
-
-ROBUST_LENGTH: Final = 390
-"""Mean episode length with almost no falls, of at most 400 [policy steps]."""
-
-COLUMNS: Final = (
-    "step", "elapsed_s", "episode_length", "episode_return", "divergences",
-    "eval_return", "eval_survived",
+VARIANTS: Final = MappingProxyType(
+    {
+        "truth": ("truth",),
+        "default": (),
+        "robust": ("robust",),
+        "paper": ("paper",),
+        "baseline": (
+            "single-reference", "--last-learning-rate", "1e-4", "--last-std", str(math.exp(-2)),
+            "--fall-after", "0.6",
+        ),
+    }
 )  # fmt: skip
-"""Columns of a run's progress in the report; evaluations are NaN in rows without one."""
+"""Variant -> flags of the recipe. Only `truth` observes the true state. `baseline` is the paper's
+baseline with the learning settings of `paper`; its returns are of its own reward."""
 
-_HEADER = ["variant", "seed", "commit", *COLUMNS]
+_COLORS = {
+    "truth": "black", "default": "tab:red", "robust": "tab:orange", "paper": "tab:blue",
+    "baseline": "tab:green",
+}  # fmt: skip
 
-_COLORS = {"truth": "black", "default": "tab:red", "paper": "tab:blue"}
+_OWN_REWARD = {"baseline": " (return of its own reward)"}
 
+# settings that may differ within a variant
+_FREE = {
+    "out", "resume", "device", "total_steps", "schedule_steps", "eval_interval",
+    "checkpoint_minutes",
+}  # fmt: skip
 _RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
 _POLL = 5.0  # [s]
-_THINNED = 8  # interval of rows in a record
-
-
-@dataclass(frozen=True)
-class Run:
-    """Progress of one training."""
-
-    variant: str
-    seed: int
-    commit: str
-    """Commit of the code that finished the run; empty if unfinished or unknown."""
-    columns: dict[str, np.ndarray]
-    """Columns of the progress, by name."""
-
-    @property
-    def steps(self) -> int:
-        """Number of policy steps."""
-        return int(self.columns["step"][-1])
-
-    def after(self, length: float) -> int | None:
-        """First row with at least a mean episode length; None without one."""
-        found = np.flatnonzero(self.columns["episode_length"] >= length)
-        return int(found[0]) if len(found) else None
-
-    def evaluations(self) -> np.ndarray:
-        """Rows with an evaluation over all speeds."""
-        return np.flatnonzero(np.isfinite(self.columns["eval_return"]))
-
-    def thinned(self) -> Run:
-        """Copy with every eighth row and the rows used by the report."""
-        rows = {0, len(self.columns["step"]) - 1, *self.evaluations().tolist()}
-        rows |= set(range(0, len(self.columns["step"]), _THINNED))
-        rows |= {row for row in map(self.after, _LENGTHS) if row is not None}
-        kept = sorted(rows)
-        columns = {name: column[kept] for name, column in self.columns.items()}
-        return Run(self.variant, self.seed, self.commit, columns)
-
-
-Runs = dict[tuple[str, int], Run]
-"""(Variant, seed) -> training."""
-
-_LENGTHS = (WALKING_LENGTH, ROBUST_LENGTH)
 
 
 def main(config: Config) -> None:
     """Train missing runs, print and draw."""
     config.out.mkdir(parents=True, exist_ok=True)
+    for variant, seed in _wanted(config):
+        _check_settings(_folder(config, variant, seed), variant, seed)
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
@@ -176,6 +152,29 @@ def _wanted(config: Config) -> list[tuple[str, int]]:
 
 def _folder(config: Config, variant: str, seed: int) -> Path:
     return config.out / f"{variant}-{seed}"
+
+
+def _check_settings(folder: Path, variant: str, seed: int) -> None:
+    """Check that the run in a folder, if there is one, is of this variant and seed.
+
+    Raises:
+        ConfigurationError: a setting of learning is another.
+    """
+    if not (folder / SETTINGS_FILE).exists():
+        return
+    kept, _ = read_settings(folder)
+    flags = [*VARIANTS[variant], "--seed", str(seed)]
+    wanted = asdict(preset_command_line(PRESETS, {}, flags))
+    other = {
+        name: kept[name]
+        for name, value in wanted.items()
+        if name not in _FREE and name in kept and kept[name] != value
+    }
+    if other:
+        raise ConfigurationError(
+            f"the run in {str(folder)!r} is not {variant!r} with seed {seed}, it has {other};"
+            f" {variant!r} has { ({name: wanted[name] for name in other}) }"
+        )
 
 
 # --------------------------------------------------------------------- training
@@ -249,54 +248,13 @@ def _commit(folder: Path) -> str:
     return read_card(policy)["made_by"].get("commit") or "" if policy.exists() else ""
 
 
-def write_record(path: Path, runs: Runs) -> None:
-    """Write runs, a line for each row of their progress."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_HEADER)
-    for run in (runs[key] for key in sorted(runs)):
-        about = [run.variant, run.seed, run.commit]
-        for row in zip(*(run.columns[name] for name in COLUMNS), strict=True):
-            writer.writerow([*about, *(f"{value:.7g}" for value in row)])
-    write_text(path, text.getvalue())
-
-
-def read_record(path: Path) -> Runs:
-    """Read the runs of a record; empty without a file.
-
-    Raises:
-        FileDamagedError: the file cannot be read.
-    """
-    if not path.exists():
-        return {}
-    rows: dict[tuple[str, int], list[dict[str, str]]] = {}
-    try:
-        with path.open(newline="") as file:
-            reader = csv.DictReader(file, strict=True)
-            if reader.fieldnames != _HEADER:
-                raise ValueError(f"its columns are {reader.fieldnames}, not {_HEADER}")
-            for row in reader:
-                rows.setdefault((row["variant"], int(row["seed"])), []).append(row)
-        runs = {}
-        for (variant, seed), lines in rows.items():
-            columns = {name: np.array([float(line[name]) for line in lines]) for name in COLUMNS}
-            if not np.isfinite(columns["step"]).all():
-                raise ValueError(f"{variant}, seed {seed}, has a step that is not finite")
-            runs[variant, seed] = Run(variant, seed, lines[0]["commit"], columns)
-        return runs
-    except (csv.Error, KeyError, TypeError, ValueError) as error:
-        raise FileDamagedError(
-            f"{str(path)!r} is not a record of learning curves ({error})"
-        ) from error
-
-
 # ---------------------------------------------------------------------- reports
 
 
 def report(runs: Sequence[Run]) -> str:
     """Table of time until walking and final results, for each run and each variant's mean."""
     header = ["variant", "seed", "commit", "steps [10³]", "time [min]"]
-    header += [f"steps to length {length} [10³]" for length in _LENGTHS]
+    header += [f"steps to length {length} [10³]" for length in LENGTHS]
     header += ["final length", "final return", "evaluation return", "speeds survived [%]"]
     header += ["divergences"]
     # Student's interval may exceed 100 %
@@ -321,7 +279,7 @@ def _short(commit: str) -> str:
 def _numbers(run: Run) -> list[float]:
     """Numbers of a run's row in the report; NaN for events that did not happen."""
     columns = run.columns
-    reached = [run.after(length) for length in _LENGTHS]
+    reached = [run.after(length) for length in LENGTHS]
     evaluations = run.evaluations()
     last = evaluations[-1] if len(evaluations) else None
     numbers = [
@@ -353,7 +311,7 @@ def picture(runs: Sequence[Run]) -> Figure:
         group = [run for run in runs if run.variant == variant]
         _draw(axes, variant, group)
     for axis, label in zip(
-        axes, ("episode length", "episode return", "evaluation: return"), strict=True
+        axes, ("episode length [policy steps]", "episode return", "evaluation: return"), strict=True
     ):
         axis.set(xlabel="million policy steps", ylabel=label, ylim=(0, 400))
         axis.grid(alpha=0.3)
@@ -371,16 +329,24 @@ def _draw(axes: np.ndarray, variant: str, runs: Sequence[Run]) -> None:
         # shorter curves on top, as those of truth and default coincide
         style = {"color": _COLORS[variant], "zorder": 3 - shortest["step"][-1] / 1e8}
         marker = "o" if column == "eval_return" else ""
-        seeds = ", ".join(str(run.seed) for run in runs)
+        seeds = _seeds_text([run.seed for run in runs])
         axis.plot(
             steps / 1e6,
             values.mean(0),
             marker=marker,
             ms=3,
-            label=f"{variant}, seeds {seeds}",
+            label=f"{variant}{_OWN_REWARD.get(variant, '')}, {seeds}",
             **style,
         )
         axis.fill_between(steps / 1e6, values.min(0), values.max(0), alpha=0.25, lw=0, **style)
+
+
+def _seeds_text(seeds: Sequence[int]) -> str:
+    """Seeds of a curve, without a break as a range."""
+    first, last = min(seeds), max(seeds)
+    if len(seeds) > 2 and sorted(seeds) == [*range(first, last + 1)]:
+        return f"seeds {first} to {last}"
+    return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
 
 
 def _at(run: Run, column: str, steps: np.ndarray) -> np.ndarray:

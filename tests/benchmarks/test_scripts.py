@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from aslip.training.progress import steps_done
 from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
 from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
+from recipes.ppo_settings import PRESETS, training_settings
 
 
 @pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])
@@ -238,6 +240,51 @@ def test_repeated_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture
     assert capsys.readouterr().out.count("| default |") == 1
 
 
+def test_baseline_learns_with_the_settings_of_the_paper() -> None:
+    baseline = training_settings(PRESETS, learning_curves.VARIANTS["baseline"])
+    assert baseline.preset == "single-reference"
+    paper = asdict(PRESETS["paper"])
+    other = {name for name, value in asdict(baseline).items() if value != paper[name]}
+    assert other == {"preset", "out", "total_steps"}  # the benchmark gives the last two
+
+
+@pytest.mark.parametrize("done", [600, 300])
+def test_run_made_elsewhere_counts_once_it_is_copied(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], done: int
+) -> None:
+    """Finished or not; one of other settings does not pass for it."""
+    curves_of(tmp_path / "baseline-10", walks_at=250, steps=done)
+    flags = [*learning_curves.VARIANTS["baseline"], "--seed", "10", "--total-steps", "600000"]
+    settings = asdict(training_settings(PRESETS, [*flags, "--out", "elsewhere/single-10"]))
+    path = tmp_path / "baseline-10" / "config.json"
+    config = curves_config(
+        tmp_path, variants=("baseline",), seeds=(10,), record=tmp_path / "record.csv"
+    )
+    path.write_text(json.dumps(settings, default=str))
+    learning_curves.main(config)
+    assert f"| baseline | 10 |  | {done} |" in capsys.readouterr().out
+    assert (tmp_path / "record.csv").exists() == (done == 600)
+    for name, value in {"seed": 11, "last_std": 0.05, "preset": "paper"}.items():
+        path.write_text(json.dumps({**settings, name: value}, default=str))
+        with pytest.raises(ConfigurationError, match=rf"'baseline' with seed 10.*'{name}'"):
+            learning_curves.main(config)
+
+
+def test_picture_of_three_variants_names_their_seeds(tmp_path: Path) -> None:
+    variants, seeds = ("default", "paper", "baseline"), (10, 11, 12)
+    for variant in variants:
+        for seed in seeds[: 3 if variant == "default" else 2]:
+            curves_of(tmp_path / f"{variant}-{seed}", walks_at=200 + seed)
+    config = curves_config(tmp_path, variants=variants, seeds=seeds)
+    figure = learning_curves.picture([*learning_curves._found(config).values()])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
+        "default, seeds 10 to 12",
+        "paper, seeds 10, 11",
+        "baseline (return of its own reward), seeds 10, 11",
+    ]
+    assert len({line.get_color() for line in figure.axes[0].lines}) == 3
+
+
 def test_refuses_zero_jobs(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="jobs must be 1 or more, got 0"):
         learning_curves.Config(jobs=0)
@@ -309,5 +356,5 @@ def test_learning_curves_train_missing_runs_and_resume(tmp_path: Path) -> None:
     settings = {"out": tmp_path, "seeds": (0,), "jobs": 2, "picture": tmp_path / "curves.png"}
     for steps in (5120, 10240):
         learning_curves.main(learning_curves.Config(total_steps=steps, **settings))
-        for variant in learning_curves.VARIANTS:
+        for variant in ("truth", "default"):
             assert steps_done(tmp_path / f"{variant}-0") == steps
