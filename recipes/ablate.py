@@ -1,4 +1,4 @@
-"""Train without each part of the method, several seeds, and compare in one table.
+"""Train without each part of the method, several seeds, and compare in one table and one picture.
 
     python recipes/ablate.py                                        # all variants, three seeds
     python recipes/ablate.py --variants default no_delta --seeds 0 1 --total-steps 500000
@@ -40,7 +40,7 @@ class Config:
     num_envs: int = 256
     """Robots simulated side by side."""
     out: Path = Path("runs/ablation")
-    """Folder of all trainings, the table and the numbers."""
+    """Folder of all trainings, the table `ablation.md` and the picture `ablation.png`."""
     list: bool = False
     """List the variants and train nothing."""
 
@@ -93,6 +93,8 @@ from aslip.envs import (
 from aslip.library import pendulum_library
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
+from aslip.show.plots import compare_learning, save_figure
+from aslip.training.progress import read_progress
 from aslip.training.run import write_text
 from aslip.training.settings import SETTINGS_FILE, read_settings
 from aslip.transforms import (
@@ -200,7 +202,7 @@ VARIANTS: Mapping[str, Variant] = {
 
 
 def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, list[WalkResult]]]:
-    """Train missing variants, then print and write the table; returns the walks.
+    """Train missing variants, then write table and picture; returns the walks.
 
     Args:
         config: the settings.
@@ -227,6 +229,10 @@ def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, li
             durations.append(time.perf_counter() - start)
         found.setdefault(name, {})[seed] = results
         write_text(config.out / "ablation.md", table(found, config.total_steps) + "\n")
+        runs = {
+            key: [read_progress(config.out / f"{key}-{s}") for s in found[key]] for key in found
+        }
+        save_figure(compare_learning(runs), config.out / "ablation.png")
     print(table(found, config.total_steps))
     return found
 
@@ -286,15 +292,9 @@ def train(
     if resume:
         check_budget(folder, read_settings(folder)[0], config)
     settings = replace(
-        PRESETS["default"],
-        out=folder,
-        seed=seed,
-        total_steps=config.total_steps,
-        num_envs=config.num_envs,
-        eval_interval=_NEVER,
-        resume=resume,
-        **variant.settings,
-    )
+        PRESETS["default"], out=folder, seed=seed, total_steps=config.total_steps,
+        num_envs=config.num_envs, eval_interval=_NEVER, resume=resume, **variant.settings,
+    )  # fmt: skip
     make_env = partial(aslip.make_env, **variant.edits())
     ppo_aslip.main(settings, make_env, go_on=go_on)
     results = judge(folder, variant, seed)

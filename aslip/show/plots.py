@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
+from aslip.errors import ConfigurationError
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, RIGHT
 
@@ -117,6 +118,67 @@ def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure
     for axes in (left, right):
         axes.grid(alpha=0.3)
     return figure
+
+
+def compare_learning(groups: Mapping[str, Sequence[Mapping[str, Sequence[float]]]]) -> Figure:
+    """Figure of several trainings: mean over seeds, and range from the worst to the best seed.
+
+    A curve ends where the shortest training of its group ends. Panels without any value, such as
+    evaluations that never took place, are left out.
+
+    Args:
+        groups: name of a group, such as a variant -> columns of `progress.csv` of each seed.
+
+    Raises:
+        ConfigurationError: no training has any progress.
+    """
+    groups = {name: [run for run in runs if run.get("step")] for name, runs in groups.items()}
+    panels = [
+        (column, label)
+        for column, label in _COMPARED.items()
+        if any(np.isfinite(run[column]).any() for runs in groups.values() for run in runs)
+    ]
+    if not panels:
+        raise ConfigurationError(f"the trainings {[*groups]} have no progress yet")
+    figure = Figure(figsize=(1 + 4 * len(panels), 4), layout="constrained")
+    for axes, (column, label) in zip(
+        figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True
+    ):
+        for i, (name, runs) in enumerate(groups.items()):
+            if runs:
+                _draw_seeds(axes, f"{name} ({len(runs)})", f"C{i}", column, runs)
+        axes.set(xlabel="policy steps [million]", ylabel=label, xlim=(0, None), ylim=(0, 410))
+        axes.grid(alpha=0.3)
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(
+        handles, labels, loc="outside upper center", ncols=5, fontsize=8, title="name (seeds)"
+    )
+    return figure
+
+
+_COMPARED = {
+    "episode_length": "training episode length",
+    "episode_return": "training return",
+    "eval_return": "evaluation return",
+}
+
+
+def _draw_seeds(
+    axes: Axes, label: str, color: str, column: str, runs: Sequence[Mapping[str, Sequence[float]]]
+) -> None:
+    """Draw mean and range of a column over seeds, at the steps of the shortest run."""
+    known = [np.isfinite(run[column]) for run in runs]
+    if not all(values.any() for values in known):
+        return
+    curves = [
+        (np.asarray(run["step"])[at] / 1e6, np.asarray(run[column])[at])
+        for run, at in zip(runs, known, strict=True)
+    ]
+    steps = min((curve[0] for curve in curves), key=lambda steps: steps[-1])
+    values = np.stack([np.interp(steps, *curve) for curve in curves])
+    marker = "o" if column == "eval_return" else ""
+    axes.plot(steps, values.mean(0), marker=marker, ms=3, color=color, label=label)
+    axes.fill_between(steps, values.min(0), values.max(0), alpha=0.25, lw=0, color=color)
 
 
 def save_figure(figure: Figure, path: Path) -> None:

@@ -98,6 +98,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
     rows = (tmp_path / "ablation.md").read_text().splitlines()
     assert [row.split("|")[1].strip() for row in rows[2:4]] == ["default", "no_symmetry"]
     assert "±" in rows[2]
+    assert (tmp_path / "ablation.png").stat().st_size > 10_000
 
 
 def test_an_interrupted_training_is_no_result(

@@ -1,15 +1,17 @@
-"""Figures of gaits show their paths, modes and phases."""
+"""Figures of gaits and of trainings show what their data says."""
 
 from __future__ import annotations
 
 import itertools
 
 import numpy as np
+import pytest
 from matplotlib.patches import Rectangle
 
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.rom import Mode
-from aslip.show.plots import MODE_COLORS, gait_figure, gait_sheet
+from aslip.show.plots import MODE_COLORS, compare_learning, gait_figure, gait_sheet
 
 
 def test_paths_are_continuous_and_coloured_by_mode(library: GaitLibrary) -> None:
@@ -37,3 +39,41 @@ def test_double_stance_is_shaded(library: GaitLibrary) -> None:
         shaded = np.any([(phase >= low) & (phase < high) for low, high in edges], axis=0)
         # a sample on an edge may fall to either side
         assert np.mean(shaded != double) < 0.01
+
+
+def run(length: list[float], evaluation: list[float]) -> dict[str, list[float]]:
+    steps = [1e6 * (i + 1) for i in range(len(length))]
+    return {
+        "step": steps, "episode_length": length, "episode_return": length, "eval_return": evaluation
+    }  # fmt: skip
+
+
+def test_trainings_are_compared_by_mean_and_range_up_to_the_shortest() -> None:
+    nan = float("nan")
+    groups = {
+        "mine": [run([100.0, 200.0, 300.0], [nan, nan, 90.0]), run([300.0, 400.0], [nan, 50.0])],
+        "other": [run([10.0, 20.0, 30.0], [nan, nan, nan])],
+        "not begun": [{}],
+    }
+    figure = compare_learning(groups)
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "training episode length", "training return", "evaluation return"
+    ]  # fmt: skip
+    lengths, _, evaluations = figure.axes
+    mine, other = lengths.lines
+    np.testing.assert_array_equal(mine.get_xydata(), [[1, 200], [2, 300]])
+    np.testing.assert_array_equal(other.get_xydata(), [[1, 10], [2, 20], [3, 30]])
+    assert mine.get_color() != other.get_color()
+    (band,) = lengths.collections[0].get_paths()
+    assert (band.get_extents().ymin, band.get_extents().ymax) == (100, 400)
+    (line,) = evaluations.lines
+    np.testing.assert_array_equal(line.get_xydata(), [[2, 70]])
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["mine (2)", "other (1)"]
+
+
+def test_panels_without_values_are_left_out() -> None:
+    figure = compare_learning({"mine": [run([1.0, 2.0], [float("nan")] * 2)]})
+    assert len(figure.axes) == 2
+    with pytest.raises(ConfigurationError, match=r"mine.*no progress"):
+        compare_learning({"mine": [{}]})
