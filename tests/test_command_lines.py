@@ -157,8 +157,8 @@ def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
         told, said = process.communicate(timeout=120)
     assert process.returncode == 128 + number
     go_on = f"python {recipe} --resume --out {out}"
-    assert f"to go on: {go_on}" in told
-    assert f"to go on: {go_on}" in said
+    assert f"to continue: {go_on}" in told
+    assert f"to continue: {go_on}" in said
     assert "saved in" in said
     assert not (out / "policy.zip").exists()
     assert max(out.glob("checkpoints/*.zip")).name in said

@@ -1,4 +1,4 @@
-"""What a training resumes from, such that it goes on as if it had never stopped.
+"""Checkpoints: a resumed training equals an uninterrupted one bit for bit.
 
     components = {"actor": actor, "optimizer": optimizer, "collector": CollectorState(collector)}
     save_checkpoint(path, snapshot(components), {"step": 2048})
@@ -6,13 +6,14 @@
 
 Guarantees:
 
-- a collector's state, taken after a batch and loaded into another collector with such an
-  environment and policy, leads to the same next batch, bit for bit;
-- a checkpoint is there as a whole or not at all, and on the disk before `save_checkpoint` returns;
-- it holds JSON and arrays, nothing that is run, and every byte is checked before any is loaded.
+- The state of a collector between batches, loaded into a collector with an equal environment and
+  policy, gives the same next batch bit for bit.
+- A checkpoint is written completely or not at all, and is on the disk when `save_checkpoint`
+  returns.
+- It contains JSON and arrays, no code, and all hashes are checked before anything is loaded.
 
-Trap: what a transform remembers must be in the tensordict, in its buffers, or in generators that
-are its attributes or in dicts there. Anything else is not saved.
+Trap: state of a transform is saved only if it is in the tensordict, in buffers, or in generators
+that are attributes or in dicts that are attributes.
 """
 
 from __future__ import annotations
@@ -36,23 +37,23 @@ from aslip.sim.parameters import DYNAMICS
 
 
 class CollectorState:
-    """All that the next batch of a collector depends on, apart from global generators.
+    """State of a collector that determines its next batch, except for global generators.
 
-    The tensordict that it goes on from, simulations and sensors, dynamics, generators and buffers
-    of transforms, the policy, and the collector's own counters. To be used between batches.
+    It consists of the current tensordict, simulations and sensors, dynamics, generators and buffers
+    of transforms, the policy, and the collector's counters. Use it between batches only.
 
     Args:
-        collector: one that runs in this process, on an environment of `aslip.make_env`.
+        collector: collector in this process, with an environment of `aslip.make_env`.
     """
 
     def __init__(self, collector: Collector) -> None:
         self._collector = collector
 
     def state_dict(self) -> dict[str, Any]:
-        """The state; arrays of robots have them as their first dimension."""
+        """State; the first dimension of arrays is the robots."""
         env = self._env
         return {
-            # counters, the policy, and what transforms have registered
+            # counters, policy, and buffers of transforms
             "torchrl": self._collector.state_dict(),
             "carrier": _carrier(self._collector).to_dict(),
             "robots": _robots(env.base_env),
@@ -60,15 +61,15 @@ class CollectorState:
         }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state_dict` returned.
+        """Continue from a state that `state_dict` returned.
 
         Raises:
-            ConfigurationError: it is of another environment.
+            ConfigurationError: the state comes from a different environment.
         """
         generators = dict(_generators(self._env))
         if generators.keys() != state["generators"].keys():
             odd = sorted(generators.keys() ^ state["generators"].keys())
-            raise ConfigurationError(f"the state is of another stack, which differs in {odd}")
+            raise ConfigurationError(f"the state comes from another stack, which differs in {odd}")
         self._collector.load_state_dict(state["torchrl"])
         _set_robots(self._env.base_env, state["robots"])
         for name, generator in generators.items():
@@ -85,11 +86,11 @@ class CollectorState:
 
 
 def _carrier(collector: Collector) -> TensorDictBase:
-    """The tensordict that a collector will show to its policy next.
+    """Tensordict that the policy of a collector gets next.
 
-    TorchRL saves neither this nor simulations, and has no public way to it: its own `state_dict`
-    lets resumed collectors begin new episodes. This and `_set_carrier` are all that we use of its
-    inside.
+    TorchRL has no public access to it, and its `state_dict` lacks it, so that resumed collectors
+    begin new episodes. This function and `_set_carrier` are the only ones that use private
+    attributes of TorchRL's collectors.
     """
     return collector._carrier
 
@@ -97,32 +98,32 @@ def _carrier(collector: Collector) -> TensorDictBase:
 def _set_carrier(collector: Collector, carrier: TensorDictBase, state: Mapping[str, Any]) -> None:
     collector._carrier = carrier
     if "traj_pool" in state:
-        # loading the state has numbered new episodes
+        # undo the new episode numbers that loading the state assigned
         collector._traj_pool.load_state_dict(state["traj_pool"])
 
 
 def _robots(env: RobotEnv) -> dict[str, Any]:
-    """States and dynamics of an environment's robots; nothing of robots that are no simulation."""
+    """States and dynamics of simulated robots; empty for other robots."""
     if not isinstance(env, SimulatedEnv):
         return {}
     return {
         "states": torch.from_numpy(env.states()),
         "dynamics": {name: torch.from_numpy(values) for name, values in env.dynamics.items()},
-        # [s] longer than any present delay, if a robot once had a longer one
+        # torque delay that the model allows [s]; it stays long after a robot had a long delay
         "memory": longest_delay(env.model),
         "divergences": env.divergences,
     }
 
 
 def _set_robots(env: RobotEnv, robots: Mapping[str, Any]) -> None:
-    """Write what `_robots` returned; robots that are no simulation stay where they are.
+    """Restore the output of `_robots`; robots that are not simulated do not change.
 
     Raises:
-        ConfigurationError: it is of other robots.
+        ConfigurationError: the state comes from other robots.
     """
     if isinstance(env, SimulatedEnv) != bool(robots):
         raise ConfigurationError(
-            "the state is of other robots: some are a simulation, some are not"
+            "the state comes from other robots: only one of the two environments is simulated"
         )
     if not isinstance(env, SimulatedEnv):
         return
@@ -138,7 +139,7 @@ def _set_robots(env: RobotEnv, robots: Mapping[str, Any]) -> None:
 
 
 def _generators(env: StackEnv) -> Iterator[tuple[str, torch.Generator]]:
-    """Every generator of the transforms, by the transform's name and where it is there."""
+    """Generators of the transforms, by name of the transform and path within it."""
 
     def among(place: str, value: Any) -> Iterator[tuple[str, torch.Generator]]:
         if isinstance(value, torch.Generator):
@@ -155,29 +156,29 @@ def _generators(env: StackEnv) -> Iterator[tuple[str, torch.Generator]]:
 
 
 def snapshot(components: Mapping[str, Any]) -> dict[str, Any]:
-    """Copies of the states of what has `state_dict`, by name."""
+    """Copies of the states of components with `state_dict`, by name."""
     return {name: deepcopy(component.state_dict()) for name, component in components.items()}
 
 
 FORMAT = ArchiveFormat(
     "checkpoint",
     2,
-    advice="a training is resumed by the version of aslip that began it",
+    advice="resume a training with the version of aslip that began it",
 )
-"""Entries: `metadata.json`, and for each state its tree in JSON and its arrays."""
+"""Entries: `metadata.json`, and for each state a JSON tree and its arrays."""
 
 
 def save_checkpoint(path: Path, states: Mapping[str, Any], metadata: Mapping[str, Any]) -> None:
-    """Write states to an archive, as a whole or not at all.
+    """Write states to an archive, atomically.
 
     Args:
-        path: the file.
+        path: file to write; an existing one is replaced.
         states: name -> nested dicts, lists and tuples of tensors, numbers and strings.
-        metadata: of JSON types.
+        metadata: further data, as JSON types.
 
     Raises:
-        OSError: it could not be written; a file that was there before is as it was.
-        TypeError: a state holds something else.
+        OSError: the file cannot be written; an existing one is unchanged.
+        TypeError: a state contains an object of another type.
     """
     entries = {_METADATA: as_json(dict(metadata))}
     for name, state in states.items():
@@ -188,11 +189,11 @@ def save_checkpoint(path: Path, states: Mapping[str, Any], metadata: Mapping[str
 
 
 def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]:
-    """Load states into what has `load_state_dict`, by name; returns the metadata.
+    """Load states into components with `load_state_dict`, by name, and return the metadata.
 
     Raises:
-        FileDamagedError: the file is truncated, altered, or holds other things. Components are as
-            they were, unless a state in it does not fit its component.
+        FileDamagedError: the file is truncated, altered, or of another kind. Components are
+            unchanged, unless a state does not fit its component.
     """
     entries = FORMAT.read(path)
     try:
@@ -200,7 +201,7 @@ def load_checkpoint(path: Path, components: Mapping[str, Any]) -> dict[str, Any]
         states = {name: _state(name, entries) for name in components}
         for name, component in components.items():
             component.load_state_dict(states[name])
-    except Exception as error:  # whatever a state makes of a component that it is not of
+    except Exception as error:  # a state that does not fit its component may raise anything
         raise FORMAT.damaged(path, error) from error
     return metadata
 
@@ -217,30 +218,30 @@ def _array(name: str, index: int) -> str:
 
 
 def _state(name: str, entries: Mapping[str, bytes]) -> Any:
-    """The state of a name."""
+    """State of a component, by name."""
     if _tree(name) not in entries:
-        raise ValueError(f"it is missing the state of {name!r}")
+        raise ValueError(f"it lacks the state of {name!r}")
     return _unpacked(json.loads(entries[_tree(name)]), name, entries)
 
 
 def _packed(value: Any, arrays: list[bytes]) -> Any:
-    """A state as JSON, its tensors appended to `arrays`."""
+    """Convert a state to JSON; its tensors are appended to `arrays`."""
     if isinstance(value, Tensor):
         arrays.append(npy(value.detach().cpu().numpy()))
         return {"tensor": len(arrays) - 1}
     if isinstance(value, Mapping):
-        # keys may be numbers, which those of JSON objects cannot
+        # keys may be numbers, but those of JSON objects cannot
         return {"dict": [[key, _packed(item, arrays)] for key, item in value.items()]}
     if isinstance(value, list | tuple):
         kind = "list" if isinstance(value, list) else "tuple"
         return {kind: [_packed(item, arrays) for item in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise TypeError(f"a state may not hold a {type(value).__name__}")
+    raise TypeError(f"a state cannot contain a {type(value).__name__}")
 
 
 def _unpacked(tree: Any, name: str, entries: Mapping[str, bytes]) -> Any:
-    """The state that `_packed` made JSON of, its arrays among entries."""
+    """Convert the JSON of `_packed` back to a state; its arrays are in `entries`."""
     if not isinstance(tree, dict):
         return tree
     ((kind, content),) = tree.items()

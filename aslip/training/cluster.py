@@ -2,7 +2,7 @@
 
     with RayCollectors(make_env, actor, num_envs=256, samples=2048, num_collectors=8) as collector:
         for data in collector:
-            ...  # train the actor; the next batch is by what it is then
+            ...  # train the actor; the updated actor collects the next batch
 
 | class | robots are in | needs |
 |---|---|---|
@@ -15,25 +15,25 @@ On a cluster the package must be installed on every machine, in the same version
     ray start --address=HOST:6379               # on each of the others
     RAY_ADDRESS=HOST:6379 python recipes/ppo_cluster.py --num-collectors 8
 
-The first prints a token by `ray get-auth-token`; the others and the recipe need it where Ray asks
-for one, as `RAY_AUTH_MODE=token RAY_AUTH_TOKEN=...`. Without `RAY_ADDRESS` a Ray of its own starts
-on the loopback address, without dashboard and usage statistics, and ends with the collector.
+If Ray asks for a token, print it on the first machine with `ray get-auth-token`, and pass it to the
+other machines and the recipe as `RAY_AUTH_MODE=token RAY_AUTH_TOKEN=...`. Without `RAY_ADDRESS` the
+collector starts its own Ray on the loopback address, without dashboard and usage statistics, and
+stops it at the end.
 
 Guarantees:
 
-- a batch is (num_envs, T), time last; neighbouring rows are of the same collector, and no row has
-  steps of two;
-- the whole batch is by the weights and the normaliser that the actor has when it is asked for;
-- the same seed, number of collectors and number of robots give the same batches;
-- after `shutdown`, and at the latest when this process has ended, however, so have all others; two
-  agents of a Ray that was killed need a minute to notice.
+- A batch is (num_envs, T), time last. Each row is a robot of one collector, and the rows of a
+  collector are adjacent.
+- All steps of a batch use the actor's weights and normaliser at the time of the request for it.
+- The same seed, number of collectors and number of robots give the same batches.
+- After `shutdown`, all worker processes have ended. They also end when this process ends, even if
+  it is killed; two agents of a killed Ray take up to a minute.
 
 Traps:
 
-- Processes are spawned: a script must not train at its import, but under
-  `if __name__ == "__main__":`.
-- Only what learning reads (`SENT`, and what the actor reads) is sent.
-- A resumed training begins new episodes, with random numbers that no batch before has seen.
+- Processes are spawned: a script must start training under `if __name__ == "__main__":`.
+- Only the entries for learning are sent: `SENT`, and the inputs of the actor.
+- A resumed training begins new episodes, with new random numbers.
 - TorchRL listens on all network interfaces, without authentication, while processes receive
   weights: a shared network needs a firewall.
 """
@@ -82,28 +82,28 @@ SENT: Final[tuple[NestedKey, ...]] = (
     ("next", "episode_reward"),
     ("next", "truth", "diverged"),
 )
-"""Entries of a batch that are sent to the learner, where the stack has them."""
+"""Entries of a batch that are sent to the learner, if the stack has them."""
 
 ENDLESS: Final = 2**62
-"""Frames of an endless collector; of several processes, TorchRL's end at once for -1."""
-_PATIENCE = 10.0  # [s] from SIGTERM to SIGKILL
+"""Frames of an endless collector; TorchRL's multi-process collectors stop at once with -1."""
+_PATIENCE = 10.0  # time from SIGTERM to SIGKILL [s]
 
 
 class RemoteCollectors:
-    """Base of collectors whose robots are in other processes, which start with the first batch.
+    """Base class of collectors with robots in worker processes, which start at the first batch.
 
     Args:
         make_env: makes the environment; must be picklable with cloudpickle.
         actor: the policy.
-        num_envs: robots of all collectors together.
-        samples: policy steps of a batch, of all robots together.
-        num_collectors: processes that robots are shared out to.
+        num_envs: total number of robots.
+        samples: total number of policy steps of a batch.
+        num_collectors: number of processes, each with the same number of robots.
         seed: seed of environments and actions.
-        device: must be the CPU, where batches arrive.
+        device: device of the batches; only the CPU is supported.
 
     Raises:
-        ConfigurationError: robots and samples cannot be shared out equally, or the device is
-            another.
+        ConfigurationError: robots or samples cannot be divided equally, or the device is not the
+            CPU.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class RemoteCollectors:
         self._make_env, self._actor = make_env, actor
         self._share = num_envs // num_collectors
         self._samples, self._num, self._seed = samples, num_collectors, seed
-        self._batches = 0  # including those before a resumption
+        self._batches = 0  # including those before a resume
 
     def __iter__(self) -> Iterator[TensorDict]:
         try:
@@ -138,17 +138,17 @@ class RemoteCollectors:
                 yield _joined(data)
         except (ConfigurationError, GeneratorExit):
             raise
-        except Exception as error:  # a lost process shows as one of many exceptions
+        except Exception as error:  # the type of exception depends on how the process was lost
             raise CollectorError(
                 f"a collector was lost{self._lost()} ({type(error).__name__}: {error})"
             ) from error
 
     def state_dict(self) -> dict[str, Any]:
-        """Number of batches; robots are not in it."""
+        """State: the number of batches, without the robots."""
         return {"batches": self._batches}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Continue the count, so that random numbers differ from those before."""
+        """Continue the count of batches, so that random numbers are new."""
         self._batches = state["batches"]
 
     def shutdown(self) -> None:
@@ -162,15 +162,15 @@ class RemoteCollectors:
         self.shutdown()
 
     def _start(self) -> BaseCollector:
-        """Start to collect."""
+        """Start the processes."""
         raise NotImplementedError
 
     def _lost(self) -> str:
-        """Clause about the processes that were lost."""
+        """Details of the lost processes, for the error message."""
         return ""
 
     def _robots(self, num_threads: int) -> list[Robots]:
-        """Makers of the robots of each collector."""
+        """Functions that make the robots, one per collector."""
         return [
             Robots(
                 partial(self._make_env, num_envs=self._share, num_threads=num_threads),
@@ -187,8 +187,8 @@ class RemoteCollectors:
 class DistributedCollectors(RemoteCollectors):
     """Robots in processes on this machine, by TorchRL's `DistributedCollector` over gloo.
 
-    TorchRL could start its processes on other machines by SLURM (its launchers `submitit` and
-    `submitit_delayed`), which is not tested and not offered here.
+    TorchRL's launchers `submitit` and `submitit_delayed`, which start processes on other machines
+    through SLURM, are untested and not supported.
     """
 
     _processes: tuple[Any, ...] = ()
@@ -196,13 +196,13 @@ class DistributedCollectors(RemoteCollectors):
     def _start(self) -> BaseCollector:
         before = set(multiprocessing.active_children())
         try:
-            # TorchRL collects a batch in this process, too, to see its entries; training must not
-            # draw other numbers for that
+            # TorchRL also collects a batch in this process to find its entries, which must not
+            # change the random numbers of the training
             with torch.random.fork_rng(devices=[]):
                 return Collector(
                     self._robots(max(1, processors() // self._num)),
                     self._actor,
-                    # a module that is sent as it is shares its memory with the process
+                    # a module that is sent directly would share its memory with the process
                     policy_factory=_Blank(self._actor),
                     frames_per_batch=self._samples,
                     total_frames=ENDLESS,
@@ -223,7 +223,7 @@ class DistributedCollectors(RemoteCollectors):
         return f", exit codes {codes}" if codes else ""
 
     def shutdown(self) -> None:
-        """End the processes; TorchRL's way takes 6 s, or fails if one has ended already."""
+        """End the processes; TorchRL's method takes 6 s, and fails if one has already ended."""
         for process in self._processes:
             process.terminate()
         for process in self._processes:
@@ -239,25 +239,25 @@ class DistributedCollectors(RemoteCollectors):
 
 
 class Robots:
-    """Makes the robots of one collector, and prepares the process that it arrives in.
+    """Function that makes the robots of one collector; unpickling it prepares the worker process.
 
     Args:
-        make_env: makes the environment, of the keyword `seed`.
-        entropy: numbers that seeds are derived from.
+        make_env: makes the environment from the keyword `seed`.
+        entropy: numbers from which seeds are derived.
     """
 
     def __init__(self, make_env: Callable[..., StackEnv], entropy: list[int]) -> None:
         self._make_env = make_env
         seeds = np.random.SeedSequence(entropy).generate_state(2)
         self.env_seed, self.torch_seed = map(int, seeds)
-        self._arrived = False  # in a process of its own
+        self._arrived = False  # set when unpickled, which happens in a worker process
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._arrived = True
 
     def __call__(self) -> StackEnv:
-        """Make the robots, their random numbers and those of actions seeded."""
+        """Make the robots, and seed their random numbers and those of actions."""
         if self._arrived:
             torch.set_num_threads(1)
             _follow_parent()
@@ -272,7 +272,7 @@ def _make_with_memory(make_env: MakeEnv, actor: nn.Module, **settings: Any) -> S
 
 
 def _follow_parent() -> None:
-    """Leave Ctrl-C to the parent, and end when it has ended."""
+    """Ignore Ctrl-C, which the parent handles, and exit when the parent has ended."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -287,22 +287,22 @@ def _follow_parent() -> None:
 
 
 def select_sent(data: TensorDictBase, keys: list[NestedKey]) -> TensorDictBase:
-    """Entries of a batch that are sent; gloo takes contiguous tensors only."""
+    """Entries of a batch to send, contiguous, as gloo requires."""
     return data.select(*keys, strict=False).contiguous()
 
 
 def _joined(batches: tuple[TensorDictBase, ...]) -> TensorDict:
-    """One batch, rows after rows."""
+    """Concatenate the batches of all collectors along the robots."""
     data = cast("TensorDict", torch.cat(batches, 0))
     data.names = [None] * (data.ndim - 1) + ["time"]
     return data
 
 
 class _Blank:
-    """Makes copies of a policy without weights, which are sent when processes are connected.
+    """Function that makes copies of a policy without weights; the weights are sent afterwards.
 
-    The pickled policy is small: a process starts only after the one before it has read its
-    arguments, which takes as long as its imports if they do not fit a pipe.
+    It keeps the pickled arguments of a process small. If they do not fit into the pipe, the parent
+    waits until the process has finished its imports before it starts the next one.
     """
 
     def __init__(self, actor: nn.Module) -> None:
@@ -317,7 +317,7 @@ class _Blank:
 
 
 def _free_port() -> int:
-    """Unused port, or that of the environment variable TCP_PORT."""
+    """Unused port, or the one in the environment variable TCP_PORT."""
     if port := os.environ.get("TCP_PORT"):
         return int(port)
     with socket.socket() as probe:

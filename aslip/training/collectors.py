@@ -18,21 +18,21 @@ from aslip.training.environments import MakeEnv
 TORCHRL_SETTINGS: Final[Mapping[str, Any]] = MappingProxyType(
     {"trust_policy": True, "auto_register_policy_transforms": False}
 )
-"""Settings of all of TorchRL's collectors."""
+"""Settings common to all collectors of TorchRL."""
 
 
 class LocalCollector:
-    """Batches of samples (num_envs, T), time last; a training resumes from it bit for bit.
+    """Collector of batches (num_envs, T), time last, that resumes bit for bit.
 
-    Each batch is by the actor as it is when the batch is asked for. A context that ends with
-    `shutdown`.
+    The actor's weights at the time of the request collect the whole batch. As a context manager,
+    it calls `shutdown` at the end.
 
     Args:
         make_env: makes the environment.
         actor: the policy.
         num_envs: number of robots.
-        samples: policy steps of a batch, of all robots together.
-        seed: seed of the environment; actions follow torch's.
+        samples: total number of policy steps of a batch.
+        seed: seed of the environment; actions use torch's global generator.
         device: device of the actor and the batches.
     """
 
@@ -66,7 +66,7 @@ class LocalCollector:
         """Continue from what `state_dict` returned.
 
         Raises:
-            ConfigurationError: the state is of another environment.
+            ConfigurationError: the state comes from a different environment.
         """
         self._state.load_state_dict(state)
 

@@ -22,16 +22,15 @@ Settings = TypeVar("Settings")
 def command_line(
     kind: type[Settings], default: Settings | None = None, arguments: Sequence[str] | None = None
 ) -> Settings:
-    """Settings from flags that are named after the fields of a dataclass.
+    """Read settings from flags named after the fields of a dataclass.
 
     Args:
         kind: the dataclass.
-        default: settings that are not given; the dataclass's own by default.
+        default: defaults of the flags; those of the dataclass by default.
         arguments: words of the command line; those of this program by default.
 
     Raises:
-        SystemExit: help was asked for, or the command line is wrong, which is reported in one line
-            (exit status 2).
+        SystemExit: after `--help`, or after a one-line message about a mistake (exit status 2).
     """
     import tyro
 
@@ -44,15 +43,15 @@ def preset_command_line(
     descriptions: Mapping[str, str],
     arguments: Sequence[str] | None = None,
 ) -> Settings:
-    """Settings from the name of a preset, the first by default, and flags.
+    """Read settings from the name of a preset, the first by default, and flags.
 
     Args:
         presets: settings by name.
-        descriptions: sentence about each preset, for `--help`.
+        descriptions: one sentence per preset, for `--help`.
         arguments: words of the command line; those of this program by default.
 
     Raises:
-        SystemExit: as `command_line`.
+        SystemExit: as in `command_line`.
     """
     import tyro
 
@@ -67,7 +66,7 @@ def preset_command_line(
 
 
 def _parsed(parse: Callable[..., tuple[Settings, list[str]]], kind: type[Settings]) -> Settings:
-    """Outcome of tyro's parser, its errors in one line."""
+    """Result of tyro's parser; its errors are shortened to one line."""
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
@@ -84,7 +83,7 @@ def _parsed(parse: Callable[..., tuple[Settings, list[str]]], kind: type[Setting
 
 
 def usage_error(message: str) -> NoReturn:
-    """End the program for a wrong command line, with the reason and the way to help."""
+    """Exit because of a wrong command line, with the reason and a hint to `--help`."""
     print(f"error: {message}\nfor all options: {program()} --help", file=sys.stderr)
     raise SystemExit(2)
 
@@ -103,7 +102,7 @@ def this_command() -> str:
 
 
 def _reason(stop: SystemExit, said: str) -> str:
-    """Message of the error that ended the parser, or the first paragraph of the parser's own."""
+    """Message of the error raised during parsing, or the first paragraph of the parser's output."""
     cause: BaseException | None = stop
     while cause is not None:
         if isinstance(cause, AslipError):
@@ -115,7 +114,7 @@ def _reason(stop: SystemExit, said: str) -> str:
 
 
 def _unknown(word: str, kind: Any) -> str:
-    """Message about an unknown flag, with the nearest one."""
+    """Message about an unknown flag that suggests the closest one."""
     flags = ["--" + field.name.replace("_", "-") for field in fields(kind)]
     near = difflib.get_close_matches(word.partition("=")[0].replace("_", "-"), flags, n=1)
     hint = f", did you mean {near[0]}?" if near else ""

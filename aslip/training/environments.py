@@ -13,19 +13,19 @@ from aslip.envs import StackEnv, command_speeds, describe_transforms
 from aslip.transforms import SpeedCommand, StaggeredEnds
 
 MakeEnv = Callable[..., StackEnv]
-"""Function of the keywords `num_envs` and `seed`, such as `aslip.make_env`; of `num_threads`, too,
-for robots in other processes."""
+"""Function of the keywords `num_envs` and `seed`, such as `aslip.make_env`; for robots in other
+processes, also of `num_threads`."""
 
 
 def make_training_env(
     make_env: MakeEnv, command_interval: float = 8.0, **settings: Any
 ) -> StackEnv:
-    """Environment to train in: first episodes of different lengths, and changing commands.
+    """Environment for training: first episodes of different lengths, and changing commands.
 
     Args:
         make_env: makes the environment.
-        command_interval: mean time between changes of the commanded speed [s], infinite for one
-            speed an episode; a `SpeedCommand` with a finite interval of its own keeps that.
+        command_interval: mean time between changes of the commanded speed [s]; infinite for a
+            constant speed per episode. A `SpeedCommand` with a finite interval keeps its own.
         settings: keywords of `make_env`.
     """
     env = make_env(**settings)
@@ -40,7 +40,7 @@ def make_training_env(
 
 
 def make_evaluation_env(make_env: MakeEnv, seed: int) -> tuple[StackEnv, list[float]]:
-    """Environment of a robot for each speed that it may command, and the speeds [m/s].
+    """Environment with one robot for each speed of its command, and the speeds [m/s].
 
     Args:
         make_env: makes the environment.
@@ -52,11 +52,11 @@ def make_evaluation_env(make_env: MakeEnv, seed: int) -> tuple[StackEnv, list[fl
 
 
 def describe_environments(env: StackEnv, make_train_env: MakeEnv) -> dict[str, str]:
-    """Text about each transform of the evaluation, and of the training where it differs.
+    """Description of each transform for evaluation, and for training if it differs.
 
     Args:
-        env: environment of the evaluation.
-        make_train_env: makes the environment of the training.
+        env: environment for evaluation.
+        make_train_env: makes the environment for training.
     """
     texts = describe_transforms(env)
     with closing(make_train_env(num_envs=1, seed=0)) as training:

@@ -1,4 +1,4 @@
-"""Loop of a training: batches of a collector, counted, logged, saved, and resumed."""
+"""Training loop: collects batches, logs updates, saves checkpoints, resumes."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from aslip.training.run import TrainingRun
 
 
 class TrainingLoop:
-    """Batches to train on, until the training is finished; made by `training_loop`.
+    """Iterator over the batches of a training; made by `training_loop`.
 
     Args:
         run: folder of the run.
         progress: state of the training.
         batches: batches of the collector.
-        keep: copies the state of the training, see `TrainingRun.saving`.
+        keep: copies the state of the training for the next checkpoint, see `TrainingRun.saving`.
         eval_interval: policy steps between evaluations.
     """
 
@@ -52,12 +52,12 @@ class TrainingLoop:
         return data
 
     def count(self, data: TensorDict) -> None:
-        """Count a batch that was learned from."""
+        """Count a batch after its update."""
         self.progress.add(data)
 
     @property
     def evaluates(self) -> bool:
-        """True if the last update passed a multiple of `eval_interval`, or ended the training."""
+        """True if an evaluation is due: after each `eval_interval`, and after the last update."""
         return self.step % self._interval < self.progress.samples or self.progress.finished
 
     def log(
@@ -78,18 +78,18 @@ class TrainingLoop:
 def training_loop(
     run: TrainingRun, components: Mapping[str, Any], settings: Any
 ) -> Iterator[TrainingLoop]:
-    """Context of a training that is announced, shows a progress bar, and is saved at its end.
+    """Context that resumes, announces and saves a training, with a progress bar.
 
     Args:
         run: folder of the run.
-        components: all that is saved and restored, by name, besides torch's generators; among them
-            `actor` and `collector`, which is shut down at the end.
+        components: objects to save and restore, by name; torch's generators are added. They include
+            `actor` and `collector`; the collector is shut down at the end.
         settings: settings of the recipe: `preset`, `seed`, `resume`, `total_steps`, `samples`,
             `num_envs`, `eval_interval` and `checkpoint_minutes`.
 
     Raises:
-        TrainingStoppedError: as `TrainingRun.saving`.
-        FileDamagedError: as `TrainingRun.restore`.
+        TrainingStoppedError: as in `TrainingRun.saving`.
+        FileDamagedError: as in `TrainingRun.restore`.
     """
     components = {**components, "rng": GlobalRNGState()}
     collector, actor = components["collector"], components["actor"]

@@ -1,4 +1,4 @@
-"""Progress of a training: counts, a row of numbers for each update, their files, and a bar."""
+"""Progress of a training: counts, one row of numbers per update, log files and progress bar."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from aslip.files.writing import replacing
 
 _PROGRESS_FILE = "progress.csv"
 
-_EPISODES = 256  # last episodes that means are of
+_EPISODES = 256  # number of last episodes in the means
 
 
 class Progress:
     """Policy steps, time, episodes and divergences of a training, with a progress bar.
 
     Args:
-        asked: policy steps to train for.
-        samples: policy steps of an update, to which the number is rounded up.
+        asked: policy steps to train for, rounded up to whole updates.
+        samples: policy steps of an update.
         kept: `state()` of a training to resume; None for a new one.
     """
 
@@ -56,7 +56,7 @@ class Progress:
 
     @property
     def elapsed(self) -> float:
-        """Time of the training, without pauses [s]."""
+        """Duration of the training without interruptions [s]."""
         return time.perf_counter() - self._start
 
     def state(self) -> dict[str, Any]:
@@ -71,7 +71,7 @@ class Progress:
     def watch(
         self, batches: Iterable[TensorDict], actor: nn.Module, robots: int
     ) -> Iterator[TensorDict]:
-        """Yield batches; a bar moves at each policy step of robots in this process.
+        """Yield batches; with robots in this process, the bar moves at each policy step.
 
         Args:
             batches: the collector.
@@ -90,17 +90,19 @@ class Progress:
                 hook.remove()
             if data is None:
                 return
-            diverged = data.get(("next", "truth", "diverged"), None)  # only simulations diverge
+            diverged = data.get(
+                ("next", "truth", "diverged"), None
+            )  # only simulated robots can diverge
             self._divergences += 0 if diverged is None else int(diverged.sum())
             bar.set_description("learning")
             yield data
-            # a batch that trained nothing does not count
+            # a batch counts only after its update
             bar.update(self.step - bar.n)
 
     def add(self, data: TensorDict) -> None:
-        """Count the policy steps and episodes of a batch that was learned from."""
+        """Count the policy steps and episodes of a batch after its update."""
         self.step += data.numel()
-        # episodes that were cut short to stagger robots say nothing about their length
+        # the length of episodes truncated by `StaggeredEnds` means nothing
         done = (data["next", "done"] & (data.get("stagger", 0) != 1))[..., 0]
         lengths = data["next", "step_count"][..., 0][done].tolist()
         totals = data["next", "episode_reward"][..., 0][done].tolist()
@@ -136,14 +138,14 @@ class Progress:
 
 
 def _ignore(_: object) -> None:
-    """Return nothing, as a hook that leaves outputs alone must."""
+    """Return None: the hook must not change the outputs."""
 
 
 def check_rewards(data: TensorDict) -> None:
     """Check that every reward term of a batch is finite.
 
     Raises:
-        FloatingPointError: a term is not.
+        FloatingPointError: a term is not finite.
     """
     for name, term in data["next", "reward_terms"].items():
         if not term.isfinite().all():
@@ -154,26 +156,26 @@ def check_rewards(data: TensorDict) -> None:
 
 
 class ProgressLog:
-    """Rows of numbers, one an update: `progress.csv`, TensorBoard, and another logger.
+    """Write one row of numbers per update to `progress.csv`, TensorBoard, and another logger.
 
-    The CSV is the record that benchmarks read and that resuming cuts to the checkpoint; TorchRL's
-    own has a file for each number. Its TensorBoard logger cannot drop points that a resumed run
-    writes again.
+    Benchmarks read the CSV, and resuming cuts it to the checkpoint. TorchRL's loggers are not used
+    for these two: its CSV logger writes a file per number, and its TensorBoard logger cannot drop
+    points that a resumed run writes again.
 
     Args:
         folder: folder of the run.
-        logger: a logger of TorchRL's, such as `get_logger("wandb", ...)`, or None.
+        logger: TorchRL logger, such as `get_logger("wandb", ...)`, or None.
     """
 
     def __init__(self, folder: Path, logger: Logger | None = None) -> None:
         self._folder = folder
         self.path = folder / _PROGRESS_FILE
-        self._rows = ""  # not in the file yet
+        self._rows = ""  # rows not yet in the file
         self._logger = logger
         self._tensorboard: SummaryWriter | None = None
 
     def write(self, step: int, scalars: Mapping[str, float]) -> None:
-        """Add a row; on a full disk it waits for the next one, with a warning."""
+        """Add a row; on a full disk, warn and keep it for the next attempt."""
         if not self._rows and not self.path.exists():
             self._rows = ",".join(["step", *scalars]) + "\n"
         self._rows += ",".join([str(step), *(f"{value:.6g}" for value in scalars.values())]) + "\n"
@@ -185,7 +187,7 @@ class ProgressLog:
             for name, value in scalars.items():
                 self._tensorboard.add_scalar(name, value, step)
         except OSError as error:
-            # a writer that has failed once fails for good
+            # a writer keeps failing after its first failure
             self._tensorboard = None
             torchrl_logger.warning(f"a row of the logs could not be written ({error})")
         if self._logger is not None:
@@ -193,10 +195,10 @@ class ProgressLog:
                 self._logger.log_scalar(name, value, step)
 
     def flush(self) -> None:
-        """Write all rows that wait.
+        """Write all waiting rows.
 
         Raises:
-            OSError: they cannot be written.
+            OSError: the rows cannot be written.
         """
         self._append_rows()
         if self._tensorboard is not None:
@@ -206,7 +208,7 @@ class ProgressLog:
         """Append rows to the CSV, all or none.
 
         Raises:
-            OSError: they cannot be written, and wait.
+            OSError: the rows cannot be written; they wait for the next attempt.
         """
         if not self._rows:
             return
@@ -245,13 +247,13 @@ def read_progress(folder: Path) -> dict[str, list[float]]:
         folder: folder of the run.
 
     Raises:
-        FileDamagedError: a line is not made of numbers.
+        FileDamagedError: a line does not consist of numbers.
     """
     path = folder / _PROGRESS_FILE
     if not path.exists():
         return {}
     lines = path.read_text(errors="replace").splitlines(keepends=True)
-    # a run that was killed, or writes at this moment, may have an unfinished last row
+    # a killed run, or one that is writing now, may have an unfinished last row
     if not lines or not lines[0].endswith("\n"):
         return {}
     rows = []
@@ -268,14 +270,14 @@ def steps_done(folder: Path) -> int:
     """Policy steps that a run has trained for.
 
     Raises:
-        FileDamagedError: as `read_progress`.
+        FileDamagedError: as in `read_progress`.
     """
     steps = read_progress(folder).get("step")
     return int(steps[-1]) if steps else 0
 
 
 def _row(line: str, header: str) -> list[float] | None:
-    """Numbers of a whole line of `progress.csv`."""
+    """Numbers of a complete line of `progress.csv`."""
     cells = line.strip().split(",")
     if not line.endswith("\n") or len(cells) != header.count(",") + 1:
         return None

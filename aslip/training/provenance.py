@@ -20,15 +20,15 @@ try:
 except ImportError:  # not on Windows
     resource = None
 
-# what no program reads; a record of results among it is written by those that are compared
+# files that no program reads; records of results in them are outputs of the compared programs
 _DOCUMENTS = [":(exclude,top)docs", ":(exclude,top)*.md"]
 
-# whose versions a result may depend on
+# packages whose versions may change a result
 _NAMED_PACKAGES = ("aslip", "mujoco", "numpy", "tensordict", "torch", "torchrl")
 
 
 def provenance() -> dict[str, Any]:
-    """What made a file: command line, commit of the checkout if there is one, and versions."""
+    """Provenance of a file: command line, commit of the checkout if there is one, and versions."""
     return {
         "command": shlex.join(["python", *sys.argv]),
         "commit": commit(),
@@ -37,12 +37,12 @@ def provenance() -> dict[str, Any]:
 
 
 def versions(packages: Iterable[str]) -> dict[str, str | None]:
-    """Of Python and of packages."""
+    """Versions of Python and of packages."""
     return {"python": platform.python_version(), **{name: _version(name) for name in packages}}
 
 
 def _version(package: str) -> str | None:
-    """Of an installed package; None where a checkout is on the path instead."""
+    """Version of an installed package; None if it is a checkout on the path."""
     try:
         return version(package)
     except PackageNotFoundError:
@@ -50,9 +50,9 @@ def _version(package: str) -> str | None:
 
 
 def commit() -> str | None:
-    """Commit that the package is of; None if not known.
+    """Commit of the checkout, with a plus if files other than documents have changed since.
 
-    A plus follows if files, other than documents, have changed since.
+    None without a checkout.
     """
     checkout = Path(__file__).parents[2]
     if not (checkout / ".git").exists():
@@ -69,7 +69,7 @@ def commit() -> str | None:
 
 def peak_memory() -> float:
     """Peak memory of this process [GiB]; NaN where the system does not report it."""
-    # getrusage on Linux counts what the process was forked from, too
+    # on Linux, getrusage includes the peak of the process from which this one was forked
     with contextlib.suppress(OSError):
         status = Path("/proc/self/status").read_text()
         if peak := re.search(r"^VmHWM:\s+(\d+) kB$", status, re.MULTILINE):

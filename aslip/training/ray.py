@@ -27,7 +27,7 @@ class RayCollectors(RemoteCollectors):
     """Robots in Ray actors, by TorchRL's `RayCollector`.
 
     Raises:
-        ConfigurationError: Ray is not installed; or as `RemoteCollectors`.
+        ConfigurationError: Ray is not installed, or an argument is wrong (see `RemoteCollectors`).
     """
 
     _collector: BaseCollector | None = None
@@ -61,7 +61,7 @@ class RayCollectors(RemoteCollectors):
         return self._collector
 
     def shutdown(self) -> None:
-        """End the actors, and Ray, if it started with them."""
+        """End the actors, and Ray if this collector started it."""
         if self._collector is not None:
             self._collector.shutdown()
             self._collector = None
@@ -71,7 +71,7 @@ class RayCollectors(RemoteCollectors):
 
 
 def _join_ray(ray: Any, num_collectors: int) -> None:
-    """Join the cluster of `RAY_ADDRESS`, or start a Ray here.
+    """Join the cluster at `RAY_ADDRESS`, or start Ray on this machine.
 
     Raises:
         ConfigurationError: the cluster cannot be joined.
@@ -81,7 +81,7 @@ def _join_ray(ray: Any, num_collectors: int) -> None:
     if address:
         try:
             ray.init(address=address, log_to_driver=False)
-        except Exception as error:  # connection, token, version: Ray has one for each
+        except Exception as error:  # Ray has an exception each for connection, token and version
             raise ConfigurationError(
                 f"the Ray cluster at RAY_ADDRESS = {address!r} cannot be joined"
                 f" ({type(error).__name__}: {error}); does it run, and are RAY_AUTH_MODE and"
@@ -101,7 +101,7 @@ def _join_ray(ray: Any, num_collectors: int) -> None:
 
 @contextmanager
 def _signals_kept() -> Iterator[None]:
-    """Keep Ray from replacing the handler of SIGTERM in the body."""
+    """Context in which Ray cannot replace the handler of SIGTERM."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -120,7 +120,7 @@ def threads_each(processors: list[int], num_collectors: int) -> int:
         num_collectors: number of collectors.
 
     Raises:
-        ConfigurationError: there are fewer processors than collectors, which Ray would wait for.
+        ConfigurationError: there are fewer processors than collectors; Ray would wait for more.
     """
     for threads in range(max(processors, default=0), 0, -1):
         if sum(number // threads for number in processors) >= num_collectors:

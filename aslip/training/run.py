@@ -1,16 +1,17 @@
 """Folder of a training run: settings, logs, checkpoints to resume from.
 
-    config.json         settings, as the recipe's dataclass has them, and transforms
-    progress.csv        one row an update
-    tensorboard/        the same for TensorBoard
+    config.json         settings (fields of the recipe's dataclass) and transforms
+    progress.csv        one row per update
+    tensorboard/        the same numbers for TensorBoard
     checkpoints/        the last three, each a ZIP archive without pickle
-    policy.zip          what `aslip.load_policy` reads
+    policy.zip          policy file for `aslip.load_policy`
 
-Files are written under a temporary name and renamed, but for the CSV, which grows by whole rows.
+Files are written under a temporary name and then renamed, except for the CSV, which grows by whole
+rows.
 
-A full disk does not end a training: it continues with a warning, the checkpoints on disk stay as
-they are, rows wait in memory, and each of the next ones is another attempt. Only if the last
-checkpoint cannot be written does the run end with an error.
+On a full disk, training continues with a warning. Checkpoints on the disk stay intact; rows wait in
+memory until a later attempt succeeds. The run ends with an error only if the last checkpoint cannot
+be written.
 
 TorchRL's `Checkpoint` and `CheckpointRotation` (0.14.1) are not used: they keep no hashes, do not
 fall back when the newest file is damaged, and read files that may hold pickles.
@@ -47,28 +48,29 @@ _DAMAGED = ".damaged"
 
 # settings that may change when a run is resumed
 _MAY_DIFFER = ("resume", "out", "total_steps", "schedule_steps", "checkpoint_minutes")
-# differences that an error lists, and characters of each
+# number of differences in an error message, and characters of each
 _SHOWN, _SHOWN_TEXT = 4, 60
 
 
 class TrainingStoppedError(AslipError, RuntimeError):
-    """A training that failed, or whose last checkpoint could not be written."""
+    """Training that failed, or whose last checkpoint could not be written."""
 
 
 class TrainingRun:
     """Training run in a folder of its own.
 
     Args:
-        folder: created if need be.
-        config: a frozen dataclass of settings.
-        resume: continue the run in the folder instead of starting one there.
-        transforms: text about each transform of the environment, by name; kept with the settings.
+        folder: folder of the run, created if it does not exist.
+        config: frozen dataclass of settings.
+        resume: continue the run in the folder instead of starting a new one.
+        transforms: description of each transform of the environment, by name; saved with the
+            settings.
         go_on: command that resumes the run, for messages.
-        logger: logger of TorchRL's that gets all rows, too.
+        logger: TorchRL logger that also gets all rows.
 
     Raises:
-        ConfigurationError: the folder holds a run and `resume` is not set; or holds none to resume;
-            or settings or transforms differ from the run's; or the folder is not writable.
+        ConfigurationError: the folder already has a run, and `resume` is not set; it has no run to
+            resume; settings or transforms differ from those of the run; or it is not writable.
         FileDamagedError: the settings of the run in the folder cannot be read.
     """
 
@@ -87,7 +89,7 @@ class TrainingRun:
         self.transforms = dict(transforms or {})
         self.go_on = go_on
         self.changes: list[str] = []
-        """Settings that changed when the run was resumed, such as `total_steps 100 -> 200`."""
+        """Settings changed by resuming, such as `total_steps 100 -> 200`."""
         self._log = ProgressLog(self.folder, logger)
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint
@@ -118,12 +120,12 @@ class TrainingRun:
     def saving(
         self, components: Mapping[str, Any], minutes: float
     ) -> Iterator[Callable[[int, Mapping[str, Any]], None]]:
-        """Save checkpoints in the body of a `with`, and at its end, whatever ends it.
+        """Context that saves checkpoints during a training and at its end, even after an error.
 
-        Yields a function `keep(step, metadata)`, to be called after each update: it copies the
-        states of the components, and writes them if it is time. When Ctrl-C, SIGTERM or an error
-        ends the body in the middle of an update, the last copy is written. For Ctrl-C and SIGTERM a
-        message on standard error says what is saved, and how to resume.
+        It yields a function `keep(step, metadata)`. Call it after each update: it copies the states
+        of the components, and writes them if a checkpoint is due. If Ctrl-C, SIGTERM or an error
+        interrupts an update, the last copy is written. After Ctrl-C and SIGTERM, a message on
+        standard error tells which checkpoint is saved and how to resume.
 
         Args:
             components: objects with `state_dict` and `load_state_dict`, by name.
@@ -131,7 +133,7 @@ class TrainingRun:
 
         Raises:
             KeyboardInterrupt: on Ctrl-C, after the last checkpoint is written.
-            SystemExit: on SIGTERM, likewise, with exit status 143.
+            SystemExit: on SIGTERM, after the last checkpoint is written; exit status 143.
             TrainingStoppedError: the body raised an error, or the last checkpoint could not be
                 written.
         """
@@ -142,7 +144,7 @@ class TrainingRun:
             self._state = step, {**metadata, "step": step}, snapshot(components)
             if time.monotonic() - last >= 60 * minutes:
                 if error := self._save():
-                    torchrl_logger.warning(f"{_unsaved(step, error)}; training goes on")
+                    torchrl_logger.warning(f"{_unsaved(step, error)}; training continues")
                 last = time.monotonic()
 
         cause: Exception | None = None
@@ -169,8 +171,8 @@ class TrainingRun:
         """Load the newest intact checkpoint into the components, and drop later rows of the logs.
 
         Returns:
-            The metadata that was kept with it, and `step`; None if the run stopped before its first
-            checkpoint, and starts again.
+            Metadata of the checkpoint, including `step`; None if the run has no checkpoint yet and
+            starts from the beginning.
 
         Raises:
             FileDamagedError: there are checkpoints, but none is intact.
@@ -183,7 +185,7 @@ class TrainingRun:
                 torchrl_logger.warning(f"{error}; falling back to the checkpoint before it")
                 damaged[path] = error
                 continue
-            # set aside only now: if no file loads, the mistake may be elsewhere
+            # renamed only now: if no file loads, the cause may be elsewhere
             for other in damaged:
                 other.replace(other.with_name(other.name + _DAMAGED))
             self._saved = int(metadata["step"])
@@ -194,27 +196,29 @@ class TrainingRun:
             raise FileDamagedError(
                 f"{str(self.folder)!r} has no checkpoint to resume from: {reasons}"
             )
-        torchrl_logger.warning(f"{str(self.folder)!r} has no checkpoint yet; it starts again")
+        torchrl_logger.warning(
+            f"{str(self.folder)!r} has no checkpoint yet; training starts from the beginning"
+        )
         self._log.forget_after(-1)
         return None
 
     def announcement(self, title: str, progress: Progress) -> str:
-        """Message at the start: where, how far, what, and how to stop and to resume.
+        """Message at the start: folder, length, settings, and how to stop and resume.
 
         Args:
-            title: settings to name.
+            title: settings to mention.
             progress: state of the training.
         """
         rounded = ""
         if progress.total != progress.asked:
-            rounded = f" ({progress.asked} asked for, in updates of {progress.samples})"
+            rounded = f" ({progress.asked}, rounded up to updates of {progress.samples})"
         plan = f"training for {progress.total} policy steps{rounded}"
         if progress.finished:
             plan = f"nothing left to train after {progress.step} of {progress.asked} policy steps"
         elif progress.step:
-            plan = f"going on after {progress.step} of {progress.total} policy steps{rounded}"
+            plan = f"continuing after {progress.step} of {progress.total} policy steps{rounded}"
         about = "; ".join([f"{self.folder}: {plan}", title, *self.changes])
-        return f"{about}\nCtrl-C saves and stops; to go on: {self.go_on}"
+        return f"{about}\nCtrl-C saves and stops; to continue: {self.go_on}"
 
     def about(self, progress: Progress) -> dict[str, Any]:
         """Settings, transforms, length and provenance of the training, for the policy's card."""
@@ -263,7 +267,7 @@ class TrainingRun:
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
 
     def _holds_something(self, settings_file: Path) -> bool:
-        """Tell whether the folder has files that a new run would overwrite."""
+        """True if the folder has files that a new run would overwrite."""
         if self._checkpoints() or self.policy_file.exists() or self._log.path.exists():
             return True
         if not settings_file.exists():
@@ -283,12 +287,12 @@ class TrainingRun:
         return sorted(self._checkpoint_folder.glob("checkpoint-*.zip"))
 
     def _save(self) -> OSError | None:
-        """Write the last copy unless it is written; returns the error of a failed attempt."""
+        """Write the last copy if it is not on disk yet; return the error of a failed attempt."""
         if self._state is None or self._state[0] == self._saved:
             return None
         step, metadata, states = self._state
         try:
-            # or a resumed run would lack them
+            # otherwise a resumed run would lack these rows
             self._log.flush()
             path = self._checkpoint_folder / f"checkpoint-{step:012d}.zip"
             save_checkpoint(path, states, metadata)
@@ -300,17 +304,17 @@ class TrainingRun:
         return None
 
     def _interrupted(self, unsaved: OSError | None) -> str:
-        """Message about where the run was interrupted, what is saved, and how to resume."""
+        """Message after an interruption: policy steps, saved checkpoint, and how to resume."""
         if unsaved is not None:
             return self._stopped_by(None, unsaved)
         told = f"interrupted before the first update of {str(self.folder)!r}: nothing to save"
         if self._saved >= 0:
             file = str(self._checkpoints()[-1])
             told = f"interrupted after {self._saved} policy steps; saved in {file!r}"
-        return f"{told}\nto go on: {self.go_on}"
+        return f"{told}\nto continue: {self.go_on}"
 
     def _stopped_by(self, cause: Exception | None, unsaved: OSError | None) -> str:
-        """Message about why and where the run stopped, and what it can resume from."""
+        """Message after an error: policy steps, cause, and the checkpoint to resume from."""
         step = 0 if self._state is None else self._state[0]
         reasons = [f"training stopped after {step} policy steps"]
         if cause is not None:
@@ -318,20 +322,20 @@ class TrainingRun:
         if unsaved is not None:
             reasons.append(_unsaved(step, unsaved))
         newest = "no checkpoint" if self._saved < 0 else f"the checkpoint of {self._saved} steps"
-        return f"{'; '.join(reasons)}; --resume goes on from {newest} in {str(self.folder)!r}"
+        return f"{'; '.join(reasons)}; --resume continues from {newest} in {str(self.folder)!r}"
 
     def _check_settings(self) -> None:
         old, transforms = read_settings(self.folder)
         differing = _differences(old, self.settings, _MAY_DIFFER)
-        # only where both are known
+        # compare only settings that both have
         if transforms and self.transforms:
             differing += _differences(transforms, self.transforms)
         if differing:
             more = len(differing) - _SHOWN
             told = [*differing[:_SHOWN], *([f"and {more} more"] if more > 0 else [])]
             raise ConfigurationError(
-                f"the run in {str(self.folder)!r} has other settings: {'; '.join(told)}; leave out"
-                " what differs to resume it, or start another run with --out"
+                f"the run in {str(self.folder)!r} has other settings: {'; '.join(told)}; resume it"
+                " with its own settings, or start another run with --out"
             )
         self.changes = [
             f"{name} {old[name]} -> {self.settings[name]}"
@@ -343,7 +347,7 @@ class TrainingRun:
 def _differences(
     old: Mapping[str, Any], new: Mapping[str, Any], may_differ: Sequence[str] = ()
 ) -> list[str]:
-    """Clauses about names whose values differ; long texts start near the difference."""
+    """Descriptions of the settings that differ; long texts start near the difference."""
     told = []
     for name in sorted(old.keys() | new.keys()):
         if name not in may_differ and old.get(name) != new.get(name):
@@ -368,13 +372,13 @@ def _unsaved(step: int, error: OSError) -> str:
 
 
 def _say(message: str) -> None:
-    """Print to standard error, below a progress bar that may be there."""
+    """Print to standard error, below the progress bar if there is one."""
     print(f"\n{message}", file=sys.stderr, flush=True)
 
 
 @contextmanager
 def sigterm_exits() -> Iterator[None]:
-    """Let SIGTERM, by which clusters announce the end, raise SystemExit in the body."""
+    """Context in which SIGTERM, which clusters send before they end a job, raises SystemExit."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -386,6 +390,6 @@ def sigterm_exits() -> Iterator[None]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file as a whole or not at all."""
+    """Write a text file atomically."""
     with replacing(path) as file:
         file.write(text.encode())

@@ -1,6 +1,6 @@
-"""Settings of trainings and programs: their checks and their file.
+"""Settings of trainings and programs: checks and file.
 
-Imports nothing heavy, so that a command line is parsed before PyTorch is imported.
+The module does not import PyTorch, so that command lines are parsed at once.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _TRANSFORMS = "transforms"
 
 
 def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
-    """Settings of the run in a folder, and a text about each of its transforms.
+    """Settings of the run in a folder, and the description of each of its transforms.
 
     Raises:
         ConfigurationError: the folder holds no run.
@@ -78,10 +78,10 @@ def check_positive(config: Any, *names: str) -> None:
 
 
 def check_shares(num_envs: int, samples: int, num_collectors: int = 1) -> None:
-    """Check that robots are shared out equally to collectors, and samples to robots.
+    """Check that robots divide equally among collectors, and samples among robots.
 
     Raises:
-        ConfigurationError: there is a remainder, or no collector.
+        ConfigurationError: a division has a remainder, or there is no collector.
     """
     if num_collectors < 1:
         raise ConfigurationError(f"num_collectors must be 1 or more, got {num_collectors}")

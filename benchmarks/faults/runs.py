@@ -212,7 +212,7 @@ def full_disks(count: int, rng: np.random.Generator, folder: Path) -> int:
             keep(kept["step"] + 2, kept)
         newest = max((out / "checkpoints").iterdir())
         named = f"{kept['step'] + 2:012d}" in newest.name
-        told = any("could not be written" in line and "goes on" in line for line in messages)
+        told = any("could not be written" in line and "continues" in line for line in messages)
         survived += told and after == before and named and _loads(newest, components)
     return survived
 

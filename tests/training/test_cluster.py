@@ -1,4 +1,4 @@
-"""Collectors in other processes: the same samples, by the same weights, and nothing left behind."""
+"""Collectors in other processes: samples, weights, and the end of the processes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ needs_ray = pytest.mark.skipif(without_ray, reason="Ray is not installed")
 
 @dataclass
 class Learner:
-    """An actor, its normaliser, and what training does to them."""
+    """Actor and normaliser, with a stand-in for training."""
 
     actor: ProbabilisticActor
     normalizer: RunningNormalizer
@@ -57,19 +57,19 @@ class Learner:
     def make(cls) -> Learner:
         torch.manual_seed(0)
         normalizer = RunningNormalizer(64)
-        shape = PolicyShape(symmetric=True, std=1.0)  # which soon falls
+        shape = PolicyShape(symmetric=True, std=1.0)  # this actor soon falls
         return cls(make_actor(normalizer, shape), normalizer)
 
     @torch.no_grad()
     def learn(self, data: TensorDict) -> None:
-        """Change every weight, statistic, and the standard deviation."""
+        """Change every weight and statistic, and the standard deviation."""
         for parameter in self.actor.parameters():
             parameter += 0.01
         set_std(self.actor, 0.8)
         self.normalizer.update(3 * data.get("observation") + 1)
 
     def log_prob(self, data: TensorDict) -> torch.Tensor:
-        """Of the batch's actions, by the actor as it is now."""
+        """Log-probability of the batch's actions under the current actor."""
         with torch.no_grad():
             return self.actor.get_dist(data.clone()).log_prob(data["action"])
 
@@ -80,7 +80,7 @@ def _collector(kind: str, actor: torch.nn.Module, **settings: Any) -> Any:
 
 
 def _batches(kind: str, number: int = 2) -> tuple[list[TensorDict], list[float]]:
-    """Batches with learning in between; how far log-probabilities are from the actor's own."""
+    """Batches with learning in between, and errors of their log-probabilities."""
     learner, batches, errors = Learner.make(), [], []
     with _collector(kind, learner.actor) as collector:
         for data in collector:
@@ -114,10 +114,10 @@ class TestOtherProcesses:
         return request.getfixturevalue(kind)
 
     def test_weights_and_normaliser_arrive(self, collected: Any) -> None:
-        """Actions are as likely as the actor says that was there when the batch was asked for."""
+        """Log-probabilities are those of the actor at the time of the request."""
         batches, errors = collected
         assert errors == pytest.approx([0.0, 0.0], abs=1e-5)
-        # as the actor was before, they are not
+        # those of the previous actor differ
         stale = Learner.make()
         assert (stale.log_prob(batches[1]) - batches[1]["action_log_prob"]).abs().max() > 0.1
 
@@ -130,14 +130,14 @@ class TestOtherProcesses:
             assert data.names == single.names
             kept = [key for key in SENT if key in single.keys(True)]
             assert set(kept) == {key for key in SENT if key in data.keys(True)}
-            assert set(SENT) - set(kept) == {"stagger"}  # of trainings only
+            assert set(SENT) - set(kept) == {"stagger"}  # entries for trainings only
             for key in kept:
                 assert data[key].shape == single[key].shape
                 if isinstance(data[key], torch.Tensor):
                     assert data[key].dtype == single[key].dtype
 
     def test_rows_are_robots_through_time(self, collected: Any) -> None:
-        """What comes next is what came next, also from batch to batch."""
+        """`next` of a step equals the following step, also across batches."""
         first, second = collected[0]
         data: Any = torch.cat([first, second], -1)
         going_on = ~data["next", "done"][:, :-1, 0]
@@ -147,8 +147,8 @@ class TestOtherProcesses:
         count = data["next", "step_count"][..., 0]
         assert torch.equal(count[:, 1:][going_on], count[:, :-1][going_on] + 1)
 
-    def test_advantages_go_along_time(self, collected: Any) -> None:
-        """Beside the recursion, written out."""
+    def test_advantages_are_computed_along_time(self, collected: Any) -> None:
+        """They equal the recursion, written out."""
         data: Any = collected[0][0].clone()
         critic = make_critic(RunningNormalizer(64), PolicyShape())
         estimate = GAE(gamma=0.9, lmbda=0.8, value_network=critic, deactivate_vmap=True)
@@ -164,7 +164,7 @@ class TestOtherProcesses:
             advantage[:, t] = running
         torch.testing.assert_close(data["advantage"], advantage)
 
-    def test_collectors_draw_numbers_of_their_own(self, collected: Any) -> None:
+    def test_each_collector_draws_other_numbers(self, collected: Any) -> None:
         data, half = collected[0][0], ROBOTS // 2
         noise = data["action"] - data["action"].mean(0)
         assert not torch.equal(noise[:half], noise[half:])
@@ -174,7 +174,7 @@ class TestOtherProcesses:
 @needs_ray
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_batches(distributed: Any, ray: Any) -> None:
-    """Bit for bit, whoever runs the processes."""
+    """Bit for bit, with both kinds of collectors."""
     for one, other in zip(distributed[0], ray[0], strict=True):
         assert differing(one, other) == []
 
@@ -188,14 +188,14 @@ def _cluster(backend: Any, **settings: Any) -> ClusterConfig:
 
 
 def _rows(folder: Path) -> list[list[float]]:
-    """The rows of a run, but for the time they took."""
+    """Rows of a run, without durations."""
     columns = [column for name, column in read_progress(folder).items() if name != "elapsed_s"]
     return list(map(list, zip(*columns, strict=True)))
 
 
 @pytest.mark.slow
-def test_a_training_whose_collector_is_killed_goes_on_later(tmp_path: Path) -> None:
-    """It ends with an error that says so; what was written is whole; none is left running."""
+def test_a_training_whose_collector_was_killed_can_resume(tmp_path: Path) -> None:
+    """An error names the cause, files are complete, and no process is left running."""
     config = _cluster("distributed", out=tmp_path / "run", total_steps=192, preset="robust")
     update = ppo_aslip.update
 
@@ -208,7 +208,7 @@ def test_a_training_whose_collector_is_killed_goes_on_later(tmp_path: Path) -> N
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys.modules["ppo_aslip"], "update", killing)
-        with pytest.raises(TrainingStoppedError, match=r"CollectorError.*--resume goes on"):
+        with pytest.raises(TrainingStoppedError, match=r"CollectorError.*--resume continues"):
             train_on_cluster(config)
     assert multiprocessing.active_children() == []
     before = _rows(config.out)
@@ -223,7 +223,7 @@ def test_a_training_whose_collector_is_killed_goes_on_later(tmp_path: Path) -> N
 @pytest.mark.slow
 @needs_ray
 def test_a_training_with_ray_leaves_nothing_running(tmp_path: Path) -> None:
-    """Two updates, on robots that differ."""
+    """Two updates, with domain randomisation."""
     config = _cluster("ray", out=tmp_path / "run", preset="robust")
     train_on_cluster(config)
     assert [row[0] for row in _rows(config.out)] == [64, 128]
@@ -247,7 +247,7 @@ if __name__ == "__main__":
 
 
 def _session(leader: int) -> list[str]:
-    """What runs in the session of a process."""
+    """Processes in the session of a process."""
     command = ["ps", "-s", str(leader), "-o", "stat=,args="]
     listed = subprocess.run(command, capture_output=True, text=True, check=False).stdout
     return [line for line in listed.splitlines() if not line.startswith("Z")]
@@ -258,7 +258,7 @@ def _session(leader: int) -> list[str]:
 @pytest.mark.parametrize(
     "kind", ["distributed", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
 )
-def test_however_a_training_ends_so_do_its_processes(
+def test_all_processes_end_however_a_training_ends(
     tmp_path: Path, kind: str, number: signal.Signals
 ) -> None:
     script, out = tmp_path / "train.py", tmp_path / "run"
@@ -273,7 +273,7 @@ def test_however_a_training_ends_so_do_its_processes(
     try:
         _wait(lambda: len(_rows(out)) > 1)
         assert len(_session(training.pid)) > 2
-        # as a terminal does, to all; Ray's own ignore it
+        # to all processes, as a terminal does; Ray's own ignore it
         os.killpg(training.pid, number) if number == signal.SIGINT else training.send_signal(number)
         training.wait(120)
         _wait(lambda: not _session(training.pid))
@@ -284,7 +284,7 @@ def test_however_a_training_ends_so_do_its_processes(
 
 
 def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:
-    """Until something is so; two agents of Ray need a minute to see that theirs was killed."""
+    """Wait for a condition; two agents of Ray need a minute to notice that Ray was killed."""
     start = time.monotonic()
     while not over():
         assert time.monotonic() - start < seconds
@@ -303,17 +303,17 @@ def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:
         ({"device": "cuda"}, "need device='cpu', got cuda"),
     ],
 )
-def test_shares_that_are_not_equal_are_refused(change: dict[str, Any], message: str) -> None:
+def test_unequal_shares_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         _collector(**{"kind": "distributed", "actor": torch.nn.Identity(), **change})
 
 
-def test_the_recipe_refuses_them_at_once() -> None:
+def test_the_recipe_refuses_unequal_shares_at_once() -> None:
     with pytest.raises(ConfigurationError, match="multiple of num_collectors = 3, got 8"):
         _cluster("distributed", num_collectors=3)
 
 
-def test_without_ray_it_is_said_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ray_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(ConfigurationError, match=r"pip install 'aslip\[ray\]'"):
         _collector("ray", torch.nn.Identity())
@@ -343,19 +343,19 @@ def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatc
     ("processors", "collectors", "threads"),
     [([8], 2, 4), ([8], 3, 2), ([2, 6], 2, 3), ([4, 4], 3, 2), ([1, 1, 1], 3, 1), ([0, 4], 1, 4)],
 )
-def test_threads_are_as_many_as_all_collectors_find_room_with(
+def test_every_collector_gets_the_largest_number_of_threads_that_fits_all(
     processors: list[int], collectors: int, threads: int
 ) -> None:
     assert threads_each(processors, collectors) == threads
 
 
-def test_collectors_that_a_cluster_has_no_room_for_are_refused() -> None:
+def test_more_collectors_than_processors_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="at most 4, the processors of the Ray cluster"):
         threads_each([2, 2], 5)
 
 
 def test_a_resumed_collector_draws_other_numbers() -> None:
-    """Than any that it, or one beside it, has drawn before."""
+    """They differ from all numbers drawn before, by this collector or another."""
     seeds: set[tuple[int, int]] = set()
     for batches in range(3):
         collector = _collector("distributed", torch.nn.Identity())

@@ -1,4 +1,4 @@
-"""A training that was stopped, however, goes on as if it had not been: bit for bit."""
+"""A stopped and resumed training equals an uninterrupted one bit for bit."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ STACKS: dict[str, Callable[[], dict[str, Any]]] = {
 
 
 def _collector(make: MakeEnv, seed: int = 0, **settings: Any) -> Collector:
-    """A collector whose policy, drawn by the seed, soon falls."""
+    """Collector with a random policy, which soon falls."""
     torch.manual_seed(seed)
     env = make(num_envs=ROBOTS, seed=seed, **settings)
     size = env.observation_spec["observation"].shape[-1]
@@ -81,8 +81,8 @@ def _batches(collector: Collector, number: int) -> list[TensorDictBase]:
 
 
 @pytest.mark.parametrize("name", STACKS)
-def test_a_collector_goes_on_bit_for_bit(make: MakeEnv, tmp_path: Path, name: str) -> None:
-    """From a file, in an environment of another seed that was elsewhere; through falls."""
+def test_a_collector_resumes_bit_for_bit(make: MakeEnv, tmp_path: Path, name: str) -> None:
+    """From a file, in an environment with another seed and other past steps; robots fall."""
     path, first = tmp_path / "checkpoint", _collector(make, **STACKS[name]())
     _batches(first, 2)
     _robots(first).divergences += 3
@@ -100,14 +100,14 @@ def test_a_collector_goes_on_bit_for_bit(make: MakeEnv, tmp_path: Path, name: st
 
 @pytest.fixture(scope="module")
 def parts() -> dict[str, Any]:
-    """The state of a collector after two batches, as a dict of its parts."""
+    """State of a collector after two batches, as a dict of its parts."""
     collector = _collector(partial(aslip.make_env, num_threads=1))
     _batches(collector, 2)
     return snapshot(_components(collector))["collector"]
 
 
 def test_every_part_of_the_state_matters(make: MakeEnv, parts: dict[str, Any]) -> None:
-    """A batch differs where a part is that of another collector."""
+    """The next batch differs if a part comes from another collector."""
     first, other = _collector(make), _collector(make, seed=1)
     _batches(other, 1)
     foreign = snapshot(_components(other))["collector"]
@@ -120,11 +120,11 @@ def test_every_part_of_the_state_matters(make: MakeEnv, parts: dict[str, Any]) -
     expected = batch_after(parts)
     for name in ("torchrl", "carrier", "robots", "generators"):
         assert differing(expected, batch_after({**parts, name: foreign[name]})), name
-    # or what the collector did meanwhile made the difference
+    # otherwise the collector's own steps made the difference
     assert differing(expected, batch_after(parts)) == []
 
 
-def test_a_snapshot_stays_what_it_was(make: MakeEnv) -> None:
+def test_a_snapshot_does_not_change(make: MakeEnv) -> None:
     collector, net = _collector(make), torch.nn.Linear(1, 1)
     components = {**_components(collector), "net": net}
     _batches(collector, 1)
@@ -137,7 +137,7 @@ def test_a_snapshot_stays_what_it_was(make: MakeEnv) -> None:
 
 
 def test_robots_keep_their_dynamics(make: MakeEnv) -> None:
-    """Also where they once remembered commands for longer than they need to now."""
+    """Even if an earlier, longer delay has lengthened the memory of commands."""
     given = {"mass": 1.2, "slope": 0.05, "torque_delay": 0.004}
     first = _collector(make)
     for values in ({"torque_delay": 0.02}, given):
@@ -165,8 +165,8 @@ def test_the_state_of_another_environment_is_refused(make: MakeEnv, parts: dict[
 # ------------------------------------------------------------------------- files
 
 
-def test_a_state_is_read_as_it_was_written(tmp_path: Path) -> None:
-    """Types and bits: NaN, keys that are numbers, nested tuples, nothing at all."""
+def test_a_state_survives_writing_and_reading(tmp_path: Path) -> None:
+    """Types and bits are kept: NaN, number keys, nested tuples, empty containers."""
     state = {
         "numbers": [1, 2.5, 1e-300, -0.0, True, None, "text", 10**30],
         "nested": ({3: (), "x": [(1,), {}]},),
@@ -185,8 +185,8 @@ def test_a_state_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert type(holder.state["nested"]) is tuple
 
 
-def test_what_is_no_plain_state_is_not_written(tmp_path: Path) -> None:
-    with pytest.raises(TypeError, match="may not hold a Linear"):
+def test_other_types_are_not_written(tmp_path: Path) -> None:
+    with pytest.raises(TypeError, match="cannot contain a Linear"):
         save_checkpoint(tmp_path / "file", {"state": {"net": torch.nn.Linear(1, 1)}}, {})
     assert list(tmp_path.iterdir()) == []
 
@@ -196,14 +196,14 @@ def test_what_is_no_plain_state_is_not_written(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What a training leaves that nothing happened to."""
+    """Files of an uninterrupted training."""
     return train(replace(TINY, out=tmp_path_factory.mktemp("runs") / "undisturbed"))
 
 
-def test_a_training_killed_at_a_random_moment_goes_on(
+def test_a_training_killed_at_a_random_time_resumes(
     undisturbed: dict[str, Any], tmp_path: Path
 ) -> None:
-    """SIGKILL, which nothing can catch, somewhere in the first half."""
+    """SIGKILL, which cannot be caught, at some time in the first half."""
     config = replace(TINY, out=tmp_path / "run")
     entropy = int.from_bytes(os.urandom(2), "little")
     kill_training(config.out, entropy % 4, 0.3 * entropy / 2**16)
@@ -220,13 +220,13 @@ def _terminate() -> None:
 
 
 @pytest.mark.parametrize("stop", [_interrupt, _terminate])
-def test_a_training_stopped_in_the_middle_of_an_update_goes_on(
+def test_a_training_stopped_during_an_update_resumes(
     undisturbed: dict[str, Any],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     stop: Callable[[], None],
 ) -> None:
-    """From the update before: nets half way through one are forgotten."""
+    """It resumes from the previous update: partly updated networks are discarded."""
     config = replace(TINY, out=tmp_path / "run", checkpoint_minutes=1e6)
     update, left = ppo_aslip.update, [5]
 
@@ -255,13 +255,13 @@ def test_a_training_stopped_in_the_middle_of_an_update_goes_on(
 def two_updates(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> tuple[ppo_aslip.Config, dict[str, Any]]:
-    """The settings of a training of two updates, each evaluated, and what it leaves."""
+    """Settings and files of a training of two updates, each with an evaluation."""
     folder = tmp_path_factory.mktemp("runs") / "two"
     config = replace(TINY, out=folder, total_steps=128, eval_interval=64)
     return config, train(config)
 
 
-def test_a_training_stopped_before_its_first_checkpoint_begins_anew(
+def test_a_training_stopped_before_its_first_checkpoint_starts_from_the_beginning(
     two_updates: tuple[ppo_aslip.Config, dict[str, Any]], tmp_path: Path
 ) -> None:
     config = replace(two_updates[0], out=tmp_path / "run")
@@ -269,10 +269,10 @@ def test_a_training_stopped_before_its_first_checkpoint_begins_anew(
     assert resume_training(config) == two_updates[1]
 
 
-def test_a_finished_training_can_be_resumed_to_no_effect(
+def test_resuming_a_finished_training_changes_nothing(
     two_updates: tuple[ppo_aslip.Config, dict[str, Any]],
 ) -> None:
-    """Evaluations meet the same noise every time."""
+    """Every evaluation has the same noise."""
     config, before = two_updates
     summary = (config.out / "summary.md").read_text().rpartition("\n\n")[0]
     assert "of 21 speeds" in summary

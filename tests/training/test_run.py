@@ -1,4 +1,4 @@
-"""The folder of a run: never overwritten, resumed from the newest intact checkpoint."""
+"""Folder of a run: never overwritten, resumed from the newest intact checkpoint."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _net(value: float) -> torch.nn.Linear:
 
 
 def _save(run: TrainingRun, *steps: int) -> None:
-    """Checkpoints of a net whose weights are the step."""
+    """Save checkpoints of a network whose weights equal the step."""
     for step in steps:
         with run.saving({"net": _net(step)}, 0.0) as keep:
             keep(step, {"elapsed_s": 1.5 * step})
@@ -60,7 +60,7 @@ def _checkpoints(settings: Settings) -> list[Path]:
 
 
 def _steps(settings: Settings) -> list[int]:
-    """Policy steps of the checkpoints there are."""
+    """Policy steps of the existing checkpoints."""
     return [int(path.stem.rpartition("-")[2]) for path in _checkpoints(settings)]
 
 
@@ -87,8 +87,8 @@ def test_a_folder_with_a_run_is_not_overwritten(settings: Settings) -> None:
 
 
 @pytest.mark.parametrize("name", ["progress.csv", "policy.zip", "config.json"])
-def test_what_is_left_of_a_run_is_not_overwritten(settings: Settings, name: str) -> None:
-    """Its curve or its policy; or the settings of something else."""
+def test_remains_of_a_run_are_not_overwritten(settings: Settings, name: str) -> None:
+    """A learning curve, a policy, or settings of another program."""
     settings.out.mkdir()
     (settings.out / name).write_text('{"other": "thing"}')
     with pytest.raises(ConfigurationError, match="holds a run already"):
@@ -97,24 +97,24 @@ def test_what_is_left_of_a_run_is_not_overwritten(settings: Settings, name: str)
     assert (settings.out / name).read_text() == '{"other": "thing"}'
 
 
-def test_a_run_that_never_had_a_checkpoint_may_begin_again(settings: Settings) -> None:
+def test_a_run_without_a_checkpoint_may_be_overwritten(settings: Settings) -> None:
     _open(settings)
     _open(settings)
 
 
-def test_nothing_cannot_be_resumed(settings: Settings) -> None:
+def test_an_empty_folder_cannot_be_resumed(settings: Settings) -> None:
     with pytest.raises(ConfigurationError, match="holds no run to resume"):
         _open(settings, resume=True)
     assert not settings.out.exists()
 
 
-def test_a_run_without_a_checkpoint_begins_anew(settings: Settings) -> None:
+def test_a_resumed_run_without_a_checkpoint_starts_from_the_beginning(settings: Settings) -> None:
     run = _open(settings)
     run.log(10, {"value": 1.0})
     with quiet() as said:
         again = _open(settings, resume=True)
         assert again.restore({"net": _net(0.0)}) is None
-    assert "starts again" in said[0]
+    assert "starts from the beginning" in said[0]
     assert again.history() == {}
     again.log(10, {"value": 2.0})
     assert again.history() == {"step": [10], "value": [2.0]}
@@ -129,7 +129,7 @@ def test_damaged_settings_are_named(settings: Settings) -> None:
 
 
 @pytest.mark.parametrize("resume", [False, True])
-def test_a_folder_that_cannot_be_written_to_is_refused_at_once(
+def test_an_unwritable_folder_is_refused_at_once(
     settings: Settings, monkeypatch: pytest.MonkeyPatch, resume: bool
 ) -> None:
     _open(settings)
@@ -142,14 +142,14 @@ def test_a_folder_that_cannot_be_written_to_is_refused_at_once(
         _open(settings, resume=resume)
 
 
-def test_a_file_in_the_place_of_the_folder_is_refused(settings: Settings) -> None:
+def test_a_file_instead_of_a_folder_is_refused(settings: Settings) -> None:
     settings.out.write_text("mine")
     with pytest.raises(ConfigurationError, match="cannot be written to"):
         _open(settings)
     assert settings.out.read_text() == "mine"
 
 
-def test_other_settings_cannot_resume(settings: Settings) -> None:
+def test_a_run_cannot_resume_with_other_settings(settings: Settings) -> None:
     _open(settings)
     with pytest.raises(ConfigurationError, match=r"seed was 0 and is 4") as info:
         _open(replace(settings, seed=4), resume=True)
@@ -157,7 +157,7 @@ def test_other_settings_cannot_resume(settings: Settings) -> None:
     assert json.loads((settings.out / "config.json").read_text())["seed"] == 0
 
 
-def test_a_longer_run_in_a_moved_folder_can_resume(settings: Settings) -> None:
+def test_a_moved_run_can_resume_with_more_steps(settings: Settings) -> None:
     _open(settings)
     moved = replace(settings, out=settings.out.with_name("moved"), resume=True, total_steps=500)
     settings.out.rename(moved.out)
@@ -165,8 +165,8 @@ def test_a_longer_run_in_a_moved_folder_can_resume(settings: Settings) -> None:
     assert _open(moved, resume=True).changes == []
 
 
-def test_only_some_of_many_differences_are_told_and_what_to_do(settings: Settings) -> None:
-    """From where long texts differ."""
+def test_an_error_lists_some_differences_and_a_remedy(settings: Settings) -> None:
+    """Long texts are shown from their first difference on."""
     texts = {f"part {i}": f"{'same ' * 30}{i} here {'and so on ' * 30}" for i in range(9)}
     TrainingRun(settings.out, settings, resume=False, transforms=texts)
     others = {name: text.replace("here", "there") for name, text in texts.items()}
@@ -177,7 +177,7 @@ def test_only_some_of_many_differences_are_told_and_what_to_do(settings: Setting
     assert "same 0 here and so on" in message
     assert "same 0 there and so on" in message
     assert "part 4" not in message
-    assert "and 5 more; leave out what differs to resume it, or start another run" in message
+    assert "and 5 more; resume it with its own settings, or start another run" in message
     assert len(message) < 1000
 
 
@@ -200,8 +200,10 @@ def test_the_last_three_checkpoints_are_kept(settings: Settings) -> None:
     assert _steps(settings) == [30, 40, 50]
 
 
-def test_checkpoints_are_minutes_apart(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first at once, and in the end the last."""
+def test_checkpoints_are_written_at_the_given_interval(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first is written at once, the last at the end."""
     now, run = [1000.0], _open(settings)
     monkeypatch.setattr(run_module.time, "monotonic", lambda: now[0])
     found = []
@@ -214,8 +216,8 @@ def test_checkpoints_are_minutes_apart(settings: Settings, monkeypatch: pytest.M
     assert _steps(settings) == [1, 4, 6]
 
 
-def test_what_was_kept_last_is_saved_whatever_ends_the_training(settings: Settings) -> None:
-    """As it was then, not as it is in the middle of an update."""
+def test_the_last_copy_is_saved_however_the_training_ends(settings: Settings) -> None:
+    """The copy after the last update is saved, not the state during an update."""
     endings = {
         10: (KeyboardInterrupt, KeyboardInterrupt),
         20: (ValueError, TrainingStoppedError),
@@ -236,10 +238,10 @@ def test_what_was_kept_last_is_saved_whatever_ends_the_training(settings: Settin
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
-def test_an_interrupted_training_says_what_is_saved_and_how_to_go_on(
+def test_an_interrupted_training_says_what_is_saved_and_how_to_resume(
     settings: Settings, capsys: pytest.CaptureFixture[str], kind: type[BaseException]
 ) -> None:
-    """And at once that it stops, before it writes for a while."""
+    """Before writing, which may take a while, it says that it stops."""
     run = TrainingRun(settings.out, settings, resume=False, go_on="python mine.py --resume")
     with pytest.raises(kind), run.saving({"net": _net(1.0)}, 1e9) as keep:
         keep(10, {})
@@ -249,7 +251,7 @@ def test_an_interrupted_training_says_what_is_saved_and_how_to_go_on(
     assert said[1] == f"stopping: saving the run in '{settings.out}'"
     assert said[3].startswith("interrupted after 20 policy steps; saved in ")
     assert said[3].endswith("checkpoint-000000000020.zip'")
-    assert said[4] == "to go on: python mine.py --resume"
+    assert said[4] == "to continue: python mine.py --resume"
     assert _steps(settings) == [10, 20]
 
 
@@ -261,7 +263,7 @@ def test_an_interrupted_training_says_that_there_is_nothing_to_save(
         raise KeyboardInterrupt
     said = capsys.readouterr().err
     assert "before the first update" in said
-    assert "to go on: resume=True" in said
+    assert "to continue: resume=True" in said
 
 
 def test_an_interrupted_training_says_what_could_not_be_saved(
@@ -275,10 +277,10 @@ def test_an_interrupted_training_says_what_could_not_be_saved(
         raise KeyboardInterrupt
     said = capsys.readouterr().err
     assert "the checkpoint of 20 policy steps could not be written" in said
-    assert "goes on from the checkpoint of 10 steps" in said
+    assert "continues from the checkpoint of 10 steps" in said
 
 
-def test_an_error_says_why_and_where_to_go_on(settings: Settings) -> None:
+def test_an_error_names_its_cause_and_the_checkpoint_to_resume_from(settings: Settings) -> None:
     run = _open(settings)
     with (
         pytest.raises(TrainingStoppedError) as info,
@@ -288,20 +290,20 @@ def test_an_error_says_why_and_where_to_go_on(settings: Settings) -> None:
         keep(10, {})
         raise ValueError("the robot has left")
     assert "10 policy steps by ValueError: the robot has left" in str(info.value)
-    assert "--resume goes on from the checkpoint of 10 steps" in str(info.value)
+    assert "--resume continues from the checkpoint of 10 steps" in str(info.value)
     assert isinstance(info.value.__cause__, ValueError)
     assert said == ["training stopped"]
 
 
 def test_an_error_before_the_first_update_leaves_no_checkpoint(settings: Settings) -> None:
     run = _open(settings)
-    stopped = pytest.raises(TrainingStoppedError, match="goes on from no checkpoint")
+    stopped = pytest.raises(TrainingStoppedError, match="continues from no checkpoint")
     with quiet(), stopped, run.saving({"net": _net(1.0)}, 0.0):
         raise ValueError("at once")
     assert _checkpoints(settings) == []
 
 
-def test_a_request_to_terminate_saves_and_exits(settings: Settings) -> None:
+def test_sigterm_saves_and_exits(settings: Settings) -> None:
     before = signal.getsignal(signal.SIGTERM)
     run = _open(settings)
     with pytest.raises(SystemExit) as info, run.saving({"net": _net(1.0)}, 1e9) as keep:
@@ -329,8 +331,10 @@ DAMAGES = ["truncated", "empty", "foreign", "weights"]
 
 
 @pytest.mark.parametrize("how", DAMAGES)
-def test_a_damaged_checkpoint_falls_back_to_the_one_before(settings: Settings, how: str) -> None:
-    """It says so, and puts the damaged one out of the way of what will be written."""
+def test_a_damaged_newest_checkpoint_falls_back_to_the_previous_one(
+    settings: Settings, how: str
+) -> None:
+    """A message says so, and the damaged file is renamed, so that it cannot block new ones."""
     _save(_open(settings), 10, 20)
     newest = _checkpoints(settings)[-1]
     _damage(newest, how)
@@ -353,8 +357,8 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(settings: Settings, h
 
 
 @pytest.mark.parametrize("how", DAMAGES)
-def test_damaged_checkpoints_alone_cannot_be_resumed(settings: Settings, how: str) -> None:
-    """All are named, and none is touched: another version may be able to read them."""
+def test_a_run_with_only_damaged_checkpoints_cannot_resume(settings: Settings, how: str) -> None:
+    """The error names all, and none is changed: another version may be able to read them."""
     _save(_open(settings), 10, 20)
     paths = _checkpoints(settings)
     for path in paths:
@@ -365,8 +369,8 @@ def test_damaged_checkpoints_alone_cannot_be_resumed(settings: Settings, how: st
     assert _checkpoints(settings) == paths
 
 
-def test_a_checkpoint_of_other_parts_is_refused(settings: Settings) -> None:
-    """As after a change of the recipe: named, and not half loaded without a word."""
+def test_a_checkpoint_with_other_components_is_refused(settings: Settings) -> None:
+    """As after a change of the recipe: the error names them, and nothing is loaded."""
     _save(_open(settings), 10)
     others = ({"net": torch.nn.Linear(4, 2)}, {"net": _net(0.0), "other": _net(0.0)})
     for components, word in zip(others, ("size mismatch", "missing.*other"), strict=True):
@@ -385,7 +389,9 @@ def test_a_resumed_run_that_stops_at_once_saves_nothing(settings: Settings) -> N
     assert _checkpoints(settings)[0].stat().st_mtime_ns == before
 
 
-def test_a_checkpoint_is_written_once(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_same_checkpoint_is_written_only_once(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
     written, save = [], run_module.save_checkpoint
     monkeypatch.setattr(
         run_module, "save_checkpoint", lambda path, *a: (written.append(path), save(path, *a))
@@ -394,7 +400,7 @@ def test_a_checkpoint_is_written_once(settings: Settings, monkeypatch: pytest.Mo
     assert written == _checkpoints(settings)
 
 
-def test_what_a_killed_process_was_writing_is_removed(settings: Settings) -> None:
+def test_temporary_files_of_a_killed_process_are_removed(settings: Settings) -> None:
     _save(_open(settings), 10)
     folder = settings.out / "checkpoints"
     (folder / ".checkpoint-000000000020.zip.stage-1" / "components").mkdir(parents=True)
@@ -406,10 +412,10 @@ def test_what_a_killed_process_was_writing_is_removed(settings: Settings) -> Non
 # --------------------------------------------------------------------- full disk
 
 
-def test_training_goes_on_when_the_disk_is_full(
+def test_training_continues_on_a_full_disk(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was there stays; the next checkpoint is another attempt."""
+    """Existing checkpoints stay; the next checkpoint is another attempt."""
     run = _open(settings)
     _save(run, 10)
     before = _checkpoints(settings)[0].read_bytes()
@@ -435,10 +441,10 @@ def test_a_last_checkpoint_that_cannot_be_written_is_an_error(
     with quiet(), stopped as info, run.saving({"net": _net(5.0)}, 0.0) as keep:
         keep(20, {})
     assert "the checkpoint of 20 policy steps could not be written" in str(info.value)
-    assert "goes on from the checkpoint of 10 steps" in str(info.value)
+    assert "continues from the checkpoint of 10 steps" in str(info.value)
 
 
-def test_an_unwritten_half_of_a_checkpoint_is_removed(
+def test_a_partly_written_checkpoint_is_removed(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The disk is full after some of the archive's entries."""
@@ -456,10 +462,10 @@ def test_an_unwritten_half_of_a_checkpoint_is_removed(
     assert [path.name for path in _checkpoints(settings)] == ["checkpoint-000000000010.zip"]
 
 
-def test_rows_wait_for_room_on_the_disk(
+def test_rows_wait_for_space_on_the_disk(
     settings: Settings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And no checkpoint is written without the rows before it."""
+    """No checkpoint is written before the rows up to it."""
     run = _open(settings)
     run.log(10, {"value": 1.0})
     with quiet() as said, monkeypatch.context() as patch:
@@ -477,11 +483,13 @@ def test_rows_wait_for_room_on_the_disk(
     assert run.history()["step"] == [10, 20, 30, 40]
 
 
-def test_half_a_row_is_taken_back(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_partly_written_row_is_removed(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = _open(settings)
     run.log(10, {"value": 1.0})
     before = (settings.out / "progress.csv").read_bytes()
-    run.close()  # TensorBoard writes in a thread, which must not meet the limit
+    run.close()  # TensorBoard writes in a thread, to which the limit must not apply
     resource = pytest.importorskip("resource")
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     with quiet() as said:
@@ -538,8 +546,8 @@ def test_a_damaged_row_is_named_and_does_not_prevent_resuming(settings: Settings
     assert again.history() == {"step": [10, 30], "value": [1.0, 1.0]}
 
 
-def test_rows_after_the_checkpoint_are_forgotten_on_resume(settings: Settings) -> None:
-    """And whole rows follow, also where a row was cut off."""
+def test_rows_after_the_checkpoint_are_dropped_on_resume(settings: Settings) -> None:
+    """New rows are complete, even if the last one was cut off."""
     run = _open(settings)
     for step in (10, 20, 30):
         run.log(step, {"value": step / 7, "other": float("nan")})
@@ -559,8 +567,8 @@ def test_rows_after_the_checkpoint_are_forgotten_on_resume(settings: Settings) -
     assert after == [*text[:3], "30,9,1"]
 
 
-def test_points_after_the_checkpoint_are_forgotten_on_resume(settings: Settings) -> None:
-    """By TensorBoard, which reads where a run was resumed."""
+def test_tensorboard_points_after_the_checkpoint_are_dropped_on_resume(settings: Settings) -> None:
+    """TensorBoard drops them, as the event file records the resumed step."""
     run = _open(settings)
     for step in (10, 20, 30):
         run.log(step, {"value": float(step)})
@@ -585,8 +593,8 @@ def test_large_step_counts_survive_a_resume(settings: Settings) -> None:
     assert again.history()["step"] == [174_999_040]
 
 
-def test_peak_memory_is_of_this_process_alone() -> None:
-    """Linux adds that of the process it was started by to what getrusage says."""
+def test_peak_memory_is_that_of_this_process_alone() -> None:
+    """On Linux, getrusage includes the peak of the parent process."""
     burden = bytearray(2**30)
     code = (
         "from aslip.training.provenance import peak_memory\n"
@@ -598,9 +606,7 @@ def test_peak_memory_is_of_this_process_alone() -> None:
     assert 0.125 < float(shown) < 1.0
 
 
-def test_a_failed_write_leaves_the_old_text(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_write_keeps_the_old_text(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "text"
     write_text(path, "old")
 
