@@ -1,4 +1,4 @@
-"""Benchmarks of a policy run from a policy or a log, and claims are judged by their numbers."""
+"""Benchmarks run on a policy or a log; claims pass or fail by their numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from recipes import walk
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Walk for seconds where people would want more."""
+    """Short walks, for fast tests."""
     for module in (foot_placement, ground_reaction, step_frequency, velocity_tracking, claims):
         monkeypatch.setattr(module, "_SETTLE", 1.0)
         monkeypatch.setattr(module, "_WALK", 3.0)
@@ -37,7 +37,7 @@ def settings(out: Path, *speeds: float) -> dict[str, Any]:
 
 
 def written(out: Path, name: str) -> dict[str, Any]:
-    """A benchmark's numbers; table and picture are there, too."""
+    """Numbers of a benchmark; its table and picture must exist."""
     assert (out / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     assert (out / f"{name}.md").read_text().startswith("|")
     return json.loads((out / f"{name}.json").read_text())
@@ -121,7 +121,7 @@ def test_refuses_empty_list_of_policies() -> None:
 
 
 def placements(error: float, outward: float = 0.01, count: int = 6) -> list[Placement]:
-    """Of two seeds; errors forward, feet a bit outward."""
+    """Placements of two seeds, with forward errors and feet slightly outward."""
     side = np.arange(count) % 2
     left = np.where(side == 0, outward, -outward)
     offset = np.stack([np.full(count, error), left], axis=1)
@@ -173,7 +173,7 @@ def test_claims_on_speed() -> None:
     assert list(found) == list(expected)
     for name, values in expected.items():
         assert found[name] == pytest.approx(values), name
-    mapped[0]["on_feet"] = [False, True]  # on its heels, it keeps its speed
+    mapped[0]["on_feet"] = [False, True]  # a robot on its heels that keeps its speed
     mapped[2] |= {"each": [2.0, math.nan], "survived": [True, False], "tracked": [True, False]}
     found = claims.speed_claims(numbers)
     assert found["all speeds"] == [2, 2]
@@ -192,7 +192,7 @@ def test_claims_on_forces() -> None:
         for speed, ratio in ((0.0, 1.0), (1.0, 0.95), (2.0, 0.97))
     ]
     assert claims.force_claims(rows)["baseline's single hump"] == [0.95]
-    # one that fell has no dip ratio, and no single hump
+    # a robot that fell has no dip ratio, and no single hump
     del rows[-2]["dip_ratio"]
     assert np.isnan(claims.force_claims(rows)["baseline's single hump"]).all()
 
@@ -249,14 +249,14 @@ def test_interval_over_seeds_or_values() -> None:
 
 
 def test_interval_ignores_nonfinite_values() -> None:
-    """Values that are NaN are left out of their group; the others count."""
+    """NaN values are left out of their group; the others count."""
     some = [np.array([1.0, np.nan, 3.0]), np.array([np.nan]), np.array([4.0, np.inf])]
     assert Interval.of(some) == Interval.of([np.array([1.0, 3.0]), np.array([4.0])])
 
 
 @pytest.mark.parametrize("groups", [[np.full(20, 0.1)], [np.array([0.1])] * 3])
 def test_interval_of_equal_values_is_empty(groups: list[np.ndarray]) -> None:
-    """To the last bit, or tables would show an interval."""
+    """Exactly, otherwise tables would show an interval."""
     assert Interval.of(groups) == Interval(0.1, 0.1, 0.1)
 
 
@@ -298,14 +298,14 @@ def test_correlation_of_fallen_seed_is_nan(fallen: bool, monkeypatch: pytest.Mon
 
 
 def test_velocity_correlation_excludes_stepping_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The model's forward speed is constant there, whatever the robot's does."""
+    """At zero speed, the model's forward velocity is constant, so no correlation exists."""
     monkeypatch.setattr(claims, "_leg_correlation", lambda walk: 1.0)
     arrays: dict[str, Any] = {field.name: np.zeros((200, 5)) for field in fields(Walks)}
     arrays["command"] = np.tile(claims._SPEEDS, (200, 1))
     arrays["alive"] = np.ones((200, 5), dtype=bool)
     robot = np.random.default_rng(0).normal(size=(200, 5, 3))
     model = robot * [1.0, 0.0, 0.0] + 0.5
-    model[:, 0] = 0.01 * np.random.default_rng(1).normal(size=(200, 3))  # of rounding
+    model[:, 0] = 0.01 * np.random.default_rng(1).normal(size=(200, 3))  # rounding errors
     arrays |= {"pelvis_velocity": robot, "body_velocity": model}
     assert claims.correlation_claims([Walks(**arrays)])["velocity oscillation"] == pytest.approx(
         [1.0]
@@ -318,5 +318,5 @@ def test_ground_reaction_draws_each_policy(library: GaitLibrary) -> None:
     curves = {("ASLIP", 1.0): ones, ("single reference", 1.0): ones[:1]}
     (axis,) = ground_reaction.picture(config, curves, library).axes
     assert len(axis.lines) == 1 + 3 + 1
-    assert len(axis.collections) == 1  # a single policy has a band
+    assert len(axis.collections) == 1  # a single policy is drawn with a band
     assert axis.get_legend_handles_labels()[1] == ["model", "ASLIP", "single reference"]

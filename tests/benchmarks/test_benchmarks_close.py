@@ -1,4 +1,4 @@
-"""Benchmarks leave no environment open, also where a robot falls."""
+"""Benchmarks close their environments, even if a robot falls."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from benchmarks.faults import simulations
 
 @pytest.fixture
 def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Each environment that a test makes must be closed in the end."""
+    """Check that each environment that a test makes is closed at the end."""
     envs: list[StackEnv] = []
     closed: list[StackEnv] = []
     construct, close = StackEnv.__init__, StackEnv.close
@@ -41,7 +41,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @pytest.fixture
 def falling(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let each walker fall in its third step."""
+    """Make each walker fall in its third step."""
     step = Walker.step
 
     def stumbling(self: Walker) -> Any:

@@ -44,7 +44,7 @@ FEW: dict[suite.Inject, int] = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One for all, as a training in it is what several spoil copies of."""
+    """Shared folder, as several faults damage copies of the same training."""
     return tmp_path_factory.mktemp("faults")
 
 
@@ -54,7 +54,7 @@ def _survived(inject: suite.Inject, count: int, folder: Path) -> int:
 
 @pytest.mark.parametrize("inject", FEW, ids=lambda inject: inject.__name__)
 def test_faults_are_survived(inject: suite.Inject, folder: Path) -> None:
-    """Each is described at the function."""
+    """The functions describe the faults."""
     assert _survived(inject, FEW[inject], folder) == FEW[inject]
 
 
@@ -65,7 +65,7 @@ def test_killed_processes_are_survived(inject: suite.Inject, tmp_path: Path) -> 
 
 
 def test_damaged_files_are_survived(folder: Path) -> None:
-    """One of each damage to a checkpoint; what is read of other content is told from it."""
+    """One of each kind of damage to a checkpoint; changed content that loads is detected."""
     kind = KINDS["checkpoint"]
     count = len(files.damages(kind))
     assert files.damaged_files("checkpoint", count, np.random.default_rng(0), folder) == count
@@ -80,7 +80,7 @@ def test_damaged_files_are_survived(folder: Path) -> None:
 
 
 def _say_nothing(*args: object, **kwargs: object) -> None:
-    """In place of a check or a warning."""
+    """Replace a check or a warning by nothing."""
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_unsurvived_faults_are_not_counted(
 
 
 class Spoiling(Transform):
-    """Put NaN into one robot's state after three of the policy steps."""
+    """Put NaN into one robot's state at three policy steps."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -119,7 +119,7 @@ class Spoiling(Transform):
 
 
 def test_training_continues_after_divergence(tmp_path: Path) -> None:
-    """NaN in one robot's state, three times: three divergences, and numbers everywhere."""
+    """Three NaN states of one robot cause three divergences, and all numbers stay finite."""
     config = replace(TINY, out=tmp_path / "run", total_steps=128)
     trainings.train(config, make_collector=runs.faulty_collector(Spoiling))
     progress = read_progress(config.out)
@@ -158,7 +158,7 @@ def test_make_env_refuses_invalid_settings(name: str) -> None:
 
 
 def test_identical_compares_nested_states() -> None:
-    """The comparison that the other tests rest on."""
+    """The other tests depend on this comparison."""
     state = trainings.Holder({"a": (1, [2.0]), "t": np.float64(3)}).state_dict()
     assert trainings.identical(state, {"a": (1, [2.0]), "t": 3.0})
     for other in ({"a": (1, [2.5]), "t": 3.0}, {"a": (1, [2.0])}, {"a": (1, []), "t": 3.0}):

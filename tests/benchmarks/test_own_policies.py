@@ -1,4 +1,4 @@
-"""Benchmarks walk policies on own environments: memory, histories, rewards with a state."""
+"""Benchmarks of custom policies and environments: memory, histories, rewards with a state."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_benchmarks_accept_custom_policy_and_environment(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From Python, with a module and `make_env`; reports carry the name of its class."""
+    """From Python, with a module and `make_env`; reports name the policy by its class."""
     of: Any = (POLICIES["gru"], make_own_env)
     few: dict[str, Any] = {"out": tmp_path, "speeds": (0.5,)}
     (placement,) = foot_placement.main(foot_placement.Config(**few), *of)[0.5]
@@ -107,8 +107,8 @@ def test_benchmarks_accept_custom_policy_and_environment(
     assert "estimator and noise" in capsys.readouterr().out
 
 
-def test_benchmarks_keep_what_a_partial_drops_and_replaces() -> None:
-    """Beside what they drop and replace themselves."""
+def test_benchmarks_keep_the_edits_of_a_partial_make_env() -> None:
+    """In addition to the transforms that the benchmarks themselves drop and replace."""
     reward = partial(WeightedReward, dict.fromkeys(PAPER_WEIGHTS, 0.1))
     make_env = partial(
         aslip.make_env, drop="feedforward", replace={"reward": reward, "action": ActionDelta}

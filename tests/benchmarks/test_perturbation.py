@@ -1,4 +1,4 @@
-"""Survival is measured from states, pushes and robots that are what they are said to be."""
+"""Pushes, changed dynamics and initial states of the perturbation benchmark are as stated."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _config(**settings: Any) -> Config:
 
 
 def test_perturbation_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Without its motors' strength a robot falls, with it not; so under a push of 240 N s."""
+    """A robot falls without motor strength or under a push of 240 N s, and otherwise walks."""
     config = _config(
         out=tmp_path, directions=4, bisections=2, largest=480.0, motor_strength=(0.0, 1.0)
     )
@@ -61,7 +61,7 @@ def test_perturbation_report(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_bisection_converges_from_below() -> None:
-    """Where every push is survived, on the end of the range."""
+    """If every push is survived, on the end of the range."""
     config = _config(bisections=3, largest=1.6, after=0.3)
     survived = measure_pushes(config, SHIPPED, BAR)
     np.testing.assert_allclose(survived, 1.4)
@@ -70,7 +70,7 @@ def test_bisection_converges_from_below() -> None:
 def _measured(
     monkeypatch: pytest.MonkeyPatch, config: Config, yaw: float, standing: list[bool]
 ) -> tuple[np.ndarray, list[Any]]:
-    """Largest pushes of robots that survive all, and what was done to them in order."""
+    """Largest pushes of robots that survive all, and the sequence of calls."""
     done: list[Any] = []
     base = SimpleNamespace(states=lambda: "settled", set_states=done.append)
     env = SimpleNamespace(base_env=base, close=lambda: None)
@@ -91,7 +91,7 @@ def _measured(
 def test_push_directions_are_relative_to_heading(
     monkeypatch: pytest.MonkeyPatch, yaw: float
 ) -> None:
-    """Forward, left, back and right of where it has turned, from one and the same state."""
+    """Forward, left, back and right relative to its yaw, from the same state."""
     config = _config(directions=4, bisections=2, largest=8.0)
     _, done = _measured(monkeypatch, config, yaw, [True] * 4)
     assert done[::2] == ["settled", "settled"]
@@ -102,7 +102,7 @@ def test_push_directions_are_relative_to_heading(
         np.testing.assert_allclose(impulses, expected, atol=1e-5)
 
 
-def test_fall_without_push_gives_zero_impulse(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fall_without_push_gives_zero_impulse(monkeypatch: pytest.MonkeyPatch) -> None:
     config = _config(directions=2, bisections=3, largest=8.0)
     survived, _ = _measured(monkeypatch, config, 0.0, [True, False])
     assert survived.ravel().tolist() == [7.0, 0.0]
@@ -118,7 +118,7 @@ def test_pushes_begin_at_their_phase() -> None:
 
 
 def test_walks_from_restored_states_repeat() -> None:
-    """Bit for bit without noise, pushed in between or not; and pushes push where they should."""
+    """Bit for bit without noise, with or without pushes in between; pushes have their direction."""
     config = _config(truth=True)
     actor, env = SHIPPED.policy, SHIPPED.walking_env(config, 2)
     td, _ = settle(config, env, actor, np.array([0.0, 0.5]), BAR)
@@ -136,7 +136,7 @@ def test_walks_from_restored_states_repeat() -> None:
 
 
 def test_each_robot_of_a_sweep_has_its_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In SI units, and all others the default."""
+    """In SI units; all other parameters have their defaults."""
     config = _config(slope_deg=(-9.0, 0.0, 9.0), torque_delay_ms=(5.0,), payload=(2.0,), episodes=2)
     seen = {}
 
@@ -185,14 +185,14 @@ def test_pushes_have_mean_and_range_over_phases_and_intervals_over_policies() ->
     ("successes", "low", "high"), [(0, 0.0, 0.2775), (5, 0.2366, 0.7634), (10, 0.7225, 1.0)]
 )
 def test_wilsons_interval(successes: int, low: float, high: float) -> None:
-    """Of ten trials, from the literature's tables."""
+    """For ten trials, from published tables."""
     interval = Interval.of_share(successes, 10)
     assert interval.mean == successes / 10
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-4)
 
 
-def test_wilsons_interval_contains_the_share() -> None:
-    """To the last bit, for all that draw it."""
+def test_wilsons_interval_contains_the_proportion() -> None:
+    """Rounding must not exclude it, as plots need low <= mean <= high."""
     for count in range(1, 80):
         for successes in range(count + 1):
             interval = Interval.of_share(successes, count)

@@ -1,4 +1,4 @@
-"""A policy is shipped with a card that is true of it."""
+"""The card of a shipped policy agrees with the policy file and its measurements."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_refuses_missing_run_and_invalid_name(tmp_path: Path) -> None:
         Config(tmp_path, "../mine")
 
 
-def test_limits_are_worst_measurements() -> None:
+def test_limits_on_the_card_are_the_worst_measurements() -> None:
     cells = [{"phase": 0.0, "mean": 9.0}, {"phase": 0.5, "mean": 4.0}]
     sweep = {"parameter": "payload", "by_speed": {}}
     numbers = {
@@ -138,7 +138,7 @@ def test_card_lists_training_conditions() -> None:
 
 
 def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a plus where files but documents have changed; None outside a checkout."""
+    """With a plus if files other than documents have changed; None outside a checkout."""
     if shutil.which("git") is None:
         pytest.skip("needs git")
     monkeypatch.setattr(

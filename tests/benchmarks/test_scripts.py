@@ -155,7 +155,7 @@ def test_learning_curves_report_existing_runs(
     assert truth.endswith("| 300 | 100 | 2 |")
     assert default[0].startswith("| default | 0 |  | 600 | 60 | 240 | 340 | 395 |")
     assert default[1].startswith("| default | 2 |  | 600 | 60 | 550 | not yet | 360 |")
-    # a mean over those that succeeded would hide the other
+    # a mean over the successful seeds alone would hide the other
     assert default[2].startswith("| default | 2 seeds |  | 600 | 60 | 395 [-1574, 2364] | 1 of 2 |")
     assert (tmp_path / "curves.png").read_bytes().startswith(b"\x89PNG")
 
@@ -177,7 +177,7 @@ def test_record_accumulates_finished_runs(
     assert list(learning_curves.read_record(record)) == [("default", 0), ("default", 1)]
     assert "| default | 1 | 0123456+ | 600 |" in capsys.readouterr().out
 
-    # it says what the runs' own files say
+    # the record agrees with the runs' own files
     curves_of(there / "default-0", walks_at=213, seed=1)
     capsys.readouterr()
     learning_curves.main(curves_config(there, **{**settings, "record": None}))
@@ -187,7 +187,7 @@ def test_record_accumulates_finished_runs(
     assert capsys.readouterr().out == from_runs
     assert record.read_bytes() == kept
     assert len(kept.splitlines()) < 40
-    # and what it holds is not trained again
+    # recorded runs are not trained again
     default = {**settings, "variants": ("default",), "train": True}
     learning_curves.main(curves_config(tmp_path / "nothing", **default))
     assert not list((tmp_path / "nothing").glob("default-*"))
@@ -222,7 +222,7 @@ def test_record_keeps_concurrent_additions(tmp_path: Path, monkeypatch: pytest.M
 def test_started_training_is_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, begun: bool
 ) -> None:
-    """Also one that was killed before its first checkpoint, and has a curve."""
+    """Even if it was killed before its first checkpoint and has a learning curve."""
     commands: list[list[str]] = []
     monkeypatch.setattr(
         learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)

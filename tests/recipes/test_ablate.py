@@ -1,4 +1,4 @@
-"""Ablations: each variant is what it says, and what was trained is kept."""
+"""Ablations: variants, their results, and resuming."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_every_variant_has_an_environment(name: str) -> None:
 
 
 @pytest.mark.parametrize("term", sorted(PAPER_WEIGHTS))
-def test_a_term_that_is_off_is_still_reported(term: str) -> None:
+def test_an_ablated_term_is_still_reported(term: str) -> None:
     rollout = env_of(f"no_{term}").rollout(2)
     terms = rollout["next", "reward_terms"]
     assert set(terms.keys()) == set(PAPER_WEIGHTS)
@@ -65,25 +65,27 @@ class MotorTargets(Transform):
         return tensordict
 
 
-def test_without_a_delta_actions_are_from_the_standing_pose() -> None:
+def test_the_no_delta_variant_adds_actions_to_the_standing_pose() -> None:
     env = env_of("no_delta")
     td = env.reset()
     assert torch.equal(td["baseline", "motor_position"][0], td["baseline", "motor_position"][1])
     targets = MotorTargets()
-    env.insert_transform(0, targets)  # next to the base environment
+    env.insert_transform(0, targets)  # directly around the base environment
     env.step(td.set("action", torch.full((2, 10), 0.25)))
     (target,) = targets.received
     torch.testing.assert_close(target, td["baseline", "motor_position"] + 0.25)
 
 
-def test_without_the_models_inputs_the_policy_sees_clock_and_speed() -> None:
+def test_without_inputs_of_the_model_the_policy_sees_clock_and_speed() -> None:
     assert env_of("no_model_inputs").reset()["observation"].shape == (2, 49)
 
 
-def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_finished_trainings_are_not_repeated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     first = ablate.main(tiny(tmp_path, "default"))
     assert "1 of 1: default, seed 0" in capsys.readouterr().out
-    # one seed has no interval
+    # a single seed has no interval
     shown = (tmp_path / "ablation.md").read_text()
     assert "values of one seed" in shown
     assert "interval" not in shown
@@ -101,10 +103,10 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
     assert (tmp_path / "ablation.png").stat().st_size > 10_000
 
 
-def test_an_interrupted_training_is_no_result(
+def test_an_interrupted_training_gives_no_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """An ablation goes on where it stopped, with the same command and budget."""
+    """The same command with the same budget continues the ablation where it stopped."""
     config = ablate.replace(tiny(tmp_path, "default", "no_symmetry"), total_steps=32)
     update, calls = ablate.ppo_aslip.update, []
 
@@ -120,7 +122,7 @@ def test_an_interrupted_training_is_no_result(
     said = capsys.readouterr().err
     assert "interrupted after 16 policy steps" in said
     assert "default-0" in said
-    assert "to go on: python ablate.py --seeds 0\n" in said
+    assert "to continue: python ablate.py --seeds 0\n" in said
     other = ablate.replace(config, total_steps=64)
     with pytest.raises(ConfigurationError, match=r"default-0.*total_steps.*--out"):
         ablate.main(other)
@@ -140,15 +142,15 @@ def test_damaged_results_are_named(tmp_path: Path) -> None:
             ablate.main(tiny(tmp_path, "default"))
 
 
-def test_another_budget_is_refused(tmp_path: Path) -> None:
-    """A training that was finished, its learning rate low, is not one of a greater budget."""
+def test_results_of_another_budget_are_refused(tmp_path: Path) -> None:
+    """A finished training, whose learning rate has decayed, is not one with a larger budget."""
     ablate.main(tiny(tmp_path, "default"))
     for change in ({"total_steps": 32}, {"num_envs": 8}):
         with pytest.raises(ConfigurationError, match=rf"default-0.*{next(iter(change))}.*--out"):
             ablate.main(ablate.replace(tiny(tmp_path, "default"), **change))
 
 
-def test_the_start_says_how_long_what_is_left_takes(
+def test_the_first_message_estimates_the_remaining_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = tiny(tmp_path, "default", "no_delta", seeds=(0, 1))
@@ -163,8 +165,8 @@ def test_the_start_says_how_long_what_is_left_takes(
     )
 
 
-def test_a_longer_training_is_estimated_to_take_longer(tmp_path: Path) -> None:
-    """In proportion, and its evaluation is never forgotten."""
+def test_the_estimate_grows_with_the_length_of_the_training(tmp_path: Path) -> None:
+    """The estimate is proportional to the steps, plus the evaluation."""
     config = tiny(tmp_path, "default")
     assert 0 < ablate.estimated_seconds(config) < 1e3
     longer = ablate.estimated_seconds(ablate.replace(config, total_steps=10**9))
@@ -175,8 +177,8 @@ def test_the_names_on_the_command_line_are_those_of_the_variants() -> None:
     assert tuple(VARIANTS) == ablate.NAMES
 
 
-def test_the_papers_return_is_of_the_steps_that_were_walked() -> None:
-    """Whatever a training was rewarded for; who falls early has little."""
+def test_the_return_is_that_of_the_papers_reward_until_the_fall() -> None:
+    """It does not depend on the rewards of the training; early falls give low returns."""
     terms = [dict.fromkeys(PAPER_WEIGHTS, value) for value in (0.5, 1.0)]
     fell = WalkResult(1.0, 100, False, -7.0, 0.7, 0.0, 1.0, terms[0])
     walked = WalkResult(0.5, 400, True, -7.0, 0.6, 0.0, 1.0, terms[1])
@@ -187,7 +189,7 @@ def test_the_papers_return_is_of_the_steps_that_were_walked() -> None:
     assert [found[name] for name in PAPER_WEIGHTS] == [pytest.approx(0.75)] * len(PAPER_WEIGHTS)
 
 
-def test_a_mixed_table_says_where_it_has_intervals() -> None:
+def test_a_table_of_one_and_several_seeds_explains_its_intervals() -> None:
     assert "several" in ablate._cells({"default": {0: [], 1: []}, "truth": {0: []}})
 
 
@@ -196,13 +198,13 @@ def test_unknown_variants_are_refused() -> None:
         ablate.Config(variants=("no_reward",))
 
 
-def test_the_list_says_what_each_asks(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_list_states_the_question_of_each_variant(capsys: pytest.CaptureFixture[str]) -> None:
     assert ablate.main(ablate.Config(list=True)) == {}
     printed = capsys.readouterr().out
     assert all(name in printed and v.question in printed for name, v in VARIANTS.items())
 
 
-# ----------------------------------------------------------------- one judge
+# ---------------------------------------------------------------- evaluation
 
 
 def judge_of(name: str) -> Any:
@@ -211,8 +213,8 @@ def judge_of(name: str) -> Any:
 
 
 @pytest.mark.parametrize("name", sorted(VARIANTS))
-def test_each_policy_is_judged_on_what_it_has_learned_to_see(name: str) -> None:
-    """The observation, and what the action is added to, at the same state of the robot."""
+def test_each_policy_is_evaluated_with_its_own_observation(name: str) -> None:
+    """It gets its own observation and baseline, at the same state of the robot."""
     trained, judging = env_of(name), judge_of(name)
     start = TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
     own, seen = trained.reset(start.clone()), judging.reset(start.clone())
@@ -229,8 +231,8 @@ def test_each_policy_is_judged_on_what_it_has_learned_to_see(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(VARIANTS))
-def test_all_are_judged_alike(name: str) -> None:
-    """Equal robots in equal states under equal motor targets have equal rewards."""
+def test_all_policies_are_evaluated_with_the_same_rewards(name: str) -> None:
+    """Equal robots in equal states with equal motor targets get equal rewards."""
     found, target = [], torch.zeros(2, 10)
     for variant in ("default", name):
         env = judge_of(variant)
@@ -240,7 +242,9 @@ def test_all_are_judged_alike(name: str) -> None:
         target = target if found else td[delta.baseline_key].clone()
         td["action"] = target - td[delta.baseline_key]
         found.append(env.step(td)["next"])
-    names = set(PAPER_WEIGHTS) - {"action_diff"}  # of actions, which are added to other baselines
+    names = set(PAPER_WEIGHTS) - {
+        "action_diff"
+    }  # the term of actions, which are added to different baselines
     for key in [("truth", "qpos"), *(("reward_terms", term) for term in sorted(names))]:
         torch.testing.assert_close(found[1][key], found[0][key], rtol=0, atol=1e-5)
     total = sum(w * found[1]["reward_terms", term] for term, w in PAPER_WEIGHTS.items())
@@ -250,8 +254,10 @@ def test_all_are_judged_alike(name: str) -> None:
     )
 
 
-def test_results_are_the_judges(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kept results are of walks of the saved policy on the judge's stack."""
+def test_results_come_from_the_evaluation_stack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Saved results come from walks of the saved policy on the evaluation stack."""
     envs, found = [], []
     measure = ablate.evaluate
 

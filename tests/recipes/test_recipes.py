@@ -1,4 +1,4 @@
-"""The PPO recipe trains from end to end, resumes, and takes parts that are swapped."""
+"""The PPO recipe trains from end to end, resumes, and accepts custom parts."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ Run = tuple[Path, list[WalkResult], str]
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    """A run of two updates: folder, evaluation at its end, and output."""
+    """Run of two updates: folder, final evaluation, and output."""
     folder, out = tmp_path_factory.mktemp("runs") / "tiny", io.StringIO()
     logger = CSVLogger("own", str(folder.with_name("logs")))
     with contextlib.redirect_stdout(out):
@@ -65,7 +65,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return folder, results, out.getvalue()
 
 
-def test_a_run_leaves_all_its_files(run: Run) -> None:
+def test_a_run_writes_all_its_files(run: Run) -> None:
     folder, results, _ = run
     for name in ("config.json", "progress.csv", "policy.zip", "summary.md", "learning_curve.png"):
         assert (folder / name).stat().st_size > 0, name
@@ -80,7 +80,7 @@ def test_a_run_leaves_all_its_files(run: Run) -> None:
         assert all(0 <= value <= 1 for value in result.terms.values())
 
 
-def test_progress_has_a_row_an_update(run: Run) -> None:
+def test_progress_has_one_row_per_update(run: Run) -> None:
     rows = _rows(run[0])
     assert [row["step"] for row in rows] == ["64", "128"]
     for row in rows:
@@ -94,10 +94,10 @@ def test_messages_name_folder_length_and_how_to_resume(run: Run) -> None:
     folder, _, out = run
     first, second, *_ = out.splitlines()
     assert first == (
-        f"{folder}: training for 128 policy steps (70 asked for, in updates of 64); preset default,"
-        " seed 0, 8 robots"
+        f"{folder}: training for 128 policy steps (70, rounded up to updates of 64);"
+        " preset default, seed 0, 8 robots"
     )
-    assert second == "Ctrl-C saves and stops; to go on: resume=True"
+    assert second == "Ctrl-C saves and stops; to continue: resume=True"
     lines = (folder / "summary.md").read_text().splitlines()
     assert sum(line.startswith("| ") for line in lines) == 23
     assert "of 21 speeds" in "\n".join(lines)
@@ -117,10 +117,10 @@ def test_another_run_in_the_same_folder_is_refused(run: Run) -> None:
         ppo_aslip.main(replace(TINY, out=run[0], resume=True, seed=1))
 
 
-def test_the_same_seed_gives_the_same_run_and_evaluations_draw_no_training_numbers(
+def test_runs_with_the_same_seed_are_equal_with_or_without_evaluations(
     run: Run, tmp_path: Path
 ) -> None:
-    """Equal to the last digit but for time and additional evaluations."""
+    """They are equal to the last digit, except for times and additional evaluations."""
     config = replace(TINY, out=tmp_path / "again", total_steps=70, eval_interval=64)
     assert ppo_aslip.main(config) == run[1]
     first, second = _rows(run[0]), _rows(config.out)
@@ -135,7 +135,7 @@ def test_the_same_seed_gives_the_same_run_and_evaluations_draw_no_training_numbe
 def test_a_finished_run_resumes_with_its_final_learning_rate(
     run: Run, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its policy changes, rows are added, and a longer training does not stretch the schedule."""
+    """The policy changes and rows are added; the longer training does not change the schedule."""
     folder, seen, update = run[0], [], ppo_aslip.update
 
     def spied(data: Any, loss: Any, optimizer: Any, config: Any) -> Any:
@@ -147,7 +147,7 @@ def test_a_finished_run_resumes_with_its_final_learning_rate(
     longer = replace(TINY, out=folder, resume=True, total_steps=192)
     ppo_aslip.main(longer)
     first = capsys.readouterr().out.splitlines()[0]
-    assert first.startswith(f"{folder}: going on after 128 of 192 policy steps; preset default")
+    assert first.startswith(f"{folder}: continuing after 128 of 192 policy steps; preset default")
     assert first.endswith("; total_steps 70 -> 192")
     assert seen == [pytest.approx((TINY.last_learning_rate, TINY.last_std))]
     after = _rows(folder)
@@ -161,7 +161,7 @@ def test_a_finished_run_resumes_with_its_final_learning_rate(
     assert "nothing left to train after 192 of 192" in capsys.readouterr().out
 
 
-def test_schedules_fall_exponentially_at_their_end() -> None:
+def test_schedules_decay_exponentially_at_the_end() -> None:
     config = replace(TINY, total_steps=256, fall_after=0.5)
     values = [scheduled(config, step, 0.4, 0.1) for step in (0, 128, 192, 256, 512)]
     assert values == pytest.approx([0.4, 0.4, 0.2, 0.1, 0.1])
@@ -169,7 +169,7 @@ def test_schedules_fall_exponentially_at_their_end() -> None:
     assert with_schedule(replace(TINY, total_steps=3000), kept).schedule_steps == 2000
 
 
-def test_the_bar_moves_at_each_policy_step_and_changes_no_action() -> None:
+def test_the_bar_moves_at_each_policy_step_without_changing_actions() -> None:
     actor, progress = torch.nn.Linear(2, 2), Progress(64, 24)
     plain = [actor(torch.ones(2)) for _ in range(6)]
     data = TensorDict(next=TensorDict(truth=TensorDict(diverged=torch.tensor([[True], [False]]))))
@@ -185,7 +185,7 @@ def test_the_bar_moves_at_each_policy_step_and_changes_no_action() -> None:
         for _ in progress.watch(batches(), cast("Any", actor), robots=8):
             assert progress._bar is not None
             shown.append(progress._bar.n)
-            actor(torch.ones(2))  # an evaluation is no training
+            actor(torch.ones(2))  # evaluations do not move the bar
             progress.step += 24
     assert shown == [24, 48]
     assert progress.total == 72
@@ -225,8 +225,8 @@ def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str)
 # ----------------------------------------------------------------- environments
 
 
-def test_presets_choose_their_environments() -> None:
-    """Staggered ends belong to training alone; commands change as the preset says."""
+def test_presets_set_their_environments() -> None:
+    """Only training has staggered ends; the preset sets the interval of commands."""
     found = {}
     for name in PRESETS:
         made = environments(name)
@@ -260,7 +260,7 @@ def test_presets_choose_their_environments() -> None:
 
 
 @pytest.mark.parametrize(("own", "trained"), [(20.0, 20.0), (0.3, 0.3), (math.inf, 8.0)])
-def test_a_finite_command_interval_of_the_users_is_kept(
+def test_a_custom_finite_command_interval_is_kept(
     library: GaitLibrary, own: float, trained: float
 ) -> None:
     command = SpeedCommand(library, interval=own)
@@ -269,7 +269,7 @@ def test_a_finite_command_interval_of_the_users_is_kept(
     env.close()
 
 
-def test_own_commands_are_trained_and_evaluated(library: GaitLibrary, tmp_path: Path) -> None:
+def test_a_custom_command_is_trained_and_evaluated(library: GaitLibrary, tmp_path: Path) -> None:
     seen: set[float] = set()
 
     class Watched(SpeedCommand):
@@ -278,7 +278,7 @@ def test_own_commands_are_trained_and_evaluated(library: GaitLibrary, tmp_path: 
             seen.update(drawn.flatten().tolist())
             return drawn
 
-    # a speed may be repeated, to be drawn more often
+    # a repeated speed is drawn more often
     command = partial(Watched, library, speeds=[0.25, 0.5, 0.5, 1.0])
     make_env = partial(aslip.make_env, replace={"command": command})
     train = partial(make_training_env, make_env, 0.06)
@@ -288,10 +288,10 @@ def test_own_commands_are_trained_and_evaluated(library: GaitLibrary, tmp_path: 
     assert seen == {0.25, 0.5, 1.0}
 
 
-def test_own_observations_train_symmetrically_and_walk_where_they_are_observed(
+def test_custom_observations_train_with_symmetry_and_walk(
     tmp_path: Path,
 ) -> None:
-    """The policy knows its observation, and goes where there is the same."""
+    """The policy file names its observation, and the policy walks in environments that have it."""
     signs = {"mirror_signs": {"own": (-1.0,)}}
 
     def make_env(**settings: Any) -> Any:
@@ -312,7 +312,7 @@ def test_own_observations_train_symmetrically_and_walk_where_they_are_observed(
 
 
 @pytest.mark.parametrize("name", ["command", "observation"])
-def test_a_stack_without_what_the_recipe_needs_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_stack_that_lacks_required_transforms_is_refused(tmp_path: Path, name: str) -> None:
     def nothing() -> Transform:
         return Named(name)
 
@@ -323,7 +323,7 @@ def test_a_stack_without_what_the_recipe_needs_is_refused(tmp_path: Path, name: 
 
 
 class Named(SeededTransform):
-    """Writes a key of ones, at resets and at steps."""
+    """Write an entry of ones at resets and steps."""
 
     def __init__(self, name: str) -> None:
         super().__init__([], [name])
@@ -349,7 +349,7 @@ def test_a_reward_that_is_not_finite_is_named(tmp_path: Path) -> None:
         ppo_aslip.main(replace(TINY, out=tmp_path), make_env)
 
 
-def test_environments_are_kept_with_a_run_and_may_not_change(tmp_path: Path) -> None:
+def test_a_run_cannot_resume_with_another_environment(tmp_path: Path) -> None:
     config = replace(TINY, out=tmp_path, total_steps=64)
 
     def make_env(weights: Mapping[str, float], **settings: Any) -> Any:
@@ -374,8 +374,10 @@ def test_environments_are_kept_with_a_run_and_may_not_change(tmp_path: Path) -> 
 # --------------------------------------------------------------------- learning
 
 
-def test_an_update_gets_what_ppo_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """GAE written out, samples as likely as the actor says, and the settings' numbers."""
+def test_an_update_gets_correct_advantages_and_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It gets advantages (GAE written out), log-probabilities of the actor, and the settings."""
     config = replace(
         TINY,
         out=tmp_path / "run",
@@ -443,7 +445,7 @@ def test_an_update_gets_what_ppo_needs(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_a_recurrent_policy_trains_resumes_and_walks(tmp_path: Path) -> None:
-    """Stopped and resumed, it has the weights of one that was not stopped."""
+    """A stopped and resumed training gives the weights of an uninterrupted one."""
     config = replace(TINY, symmetric=False, samples=64, minibatch=24, total_steps=192)
     network = {"hidden": (16, 8)}
     folders = [tmp_path / name for name in ("whole", "stopped")]

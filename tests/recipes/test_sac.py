@@ -18,7 +18,7 @@ from recipes import sac_aslip
 
 
 def test_critics_of_the_loss_follow_the_normaliser() -> None:
-    """SACLoss copies the critic's modules when it is built."""
+    """Although SACLoss copies the critic's modules at construction."""
     shape, normalizer = PolicyShape(2, 1), RunningNormalizer(2)
     actor = sac_aslip.make_actor(normalizer, shape)
     spec = Bounded(-1, 1, torch.Size([1]))

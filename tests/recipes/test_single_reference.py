@@ -1,4 +1,4 @@
-"""The baseline: its rewards by hand, its inputs, and that it stands on the same robot."""
+"""The single-reference baseline: rewards computed by hand, inputs, stack and training."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def test_weights_sum_to_one() -> None:
 
 
 @pytest.mark.parametrize(("motor", "weight"), [("left_hip_roll", 0.15), ("right_knee", 0.05)])
-def test_joints_count_by_their_weights(qpos: torch.Tensor, motor: str, weight: float) -> None:
+def test_joint_errors_are_weighted(qpos: torch.Tensor, motor: str, weight: float) -> None:
     reference = qpos[list(CASSIE.indices.motor_qpos)]
     assert terms.joints(qpos, reference).item() == 1.0
     reference[CASSIE.motor_names.index(motor)] += 0.2
     assert terms.joints(qpos, reference).item() == pytest.approx(math.exp(-30 * weight * 0.04))
 
 
-def test_the_pelvis_is_where_the_reference_has_gone() -> None:
+def test_the_pelvis_term_includes_the_distance_of_the_reference() -> None:
     body = torch.tensor([0.02, -0.01, 0.9])
     distance = torch.tensor([3.0])
     assert terms.pelvis(torch.tensor([3.02, -0.01, 0.9]), body, distance).item() == 1.0
@@ -53,7 +53,7 @@ def test_the_pelvis_is_where_the_reference_has_gone() -> None:
     assert off == pytest.approx(math.exp(-(0.09 + 0.16)), rel=1e-5)
 
 
-def test_upright_is_one_whichever_sign_the_quaternion_has() -> None:
+def test_upright_does_not_depend_on_the_sign_of_the_quaternion() -> None:
     level = torch.tensor([1.0, 0.0, 0.0, 0.0])
     assert terms.upright(level).item() == terms.upright(-level).item() == 1.0
     tilted = torch.tensor([math.cos(0.1), 0.0, math.sin(0.1), 0.0])
@@ -73,7 +73,7 @@ def test_springs_carry_the_weight_in_stance(qpos: torch.Tensor) -> None:
 
 
 def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
-    """Springs carry nothing where neither foot of the reference stands."""
+    """Springs carry no load while neither foot of the reference is in stance."""
     shins = CASSIE.indices.joint_qpos[[0, 3]]
     free, loaded = qpos.clone(), qpos.clone()
     free[shins], loaded[shins] = 0.0, -0.02
@@ -82,7 +82,7 @@ def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
     assert terms.springs(loaded, SWINGING, SWINGING).item() == pytest.approx(expected)
 
 
-def test_the_compliance_is_the_robots() -> None:
+def test_the_assumed_spring_compliance_is_that_of_the_robot() -> None:
     """Deflection and force of the shipped policy's robot fit the line that the reward assumes."""
     walker = Walker("aslip", speed=0.5)
     shins = CASSIE.indices.joint_qpos[[0, 3]]
@@ -109,7 +109,7 @@ def test_the_policy_sees_estimate_clock_and_speed(make: MakeEnv) -> None:
     assert torch.equal(observation[:, :46], estimate)
 
 
-def test_the_odometer_counts_from_each_reset(make: MakeEnv) -> None:
+def test_the_distance_counts_from_each_reset(make: MakeEnv) -> None:
     env = make(num_envs=2, stack="single_reference", library=None, drop=["low_reward", "fall"])
     td = env.reset()
     assert (td["reference", "distance"] == 0).all()
@@ -122,8 +122,8 @@ def test_the_odometer_counts_from_each_reset(make: MakeEnv) -> None:
     torch.testing.assert_close(again["reference", "distance"][1], expected[1])
 
 
-def test_the_odometer_counts_at_the_speed_of_each_step(make: MakeEnv) -> None:
-    """Whenever commands change: it goes where the step's command goes, and the goal was there."""
+def test_the_distance_grows_at_the_speed_of_each_step(make: MakeEnv) -> None:
+    """Also when commands change: each step adds its own command, and the goal already has it."""
     library = single_reference_library()
     restless = SpeedCommand(library, [0.0, 1.0, 2.0], interval=CASSIE.policy_period)
     env = make(
@@ -141,7 +141,7 @@ def test_the_odometer_counts_at_the_speed_of_each_step(make: MakeEnv) -> None:
     torch.testing.assert_close(walk["goal", "distance"], reached, atol=0, rtol=0)
 
 
-def test_rewards_sum_by_weight_and_know_the_reference(make: MakeEnv) -> None:
+def test_the_reward_is_the_weighted_sum_and_high_on_the_reference(make: MakeEnv) -> None:
     env = make(num_envs=4, stack="single_reference", library=None)
     first = env.step(env.reset().set("action", torch.zeros(4, 10)))["next"]
     weighed = sum(
@@ -149,13 +149,13 @@ def test_rewards_sum_by_weight_and_know_the_reference(make: MakeEnv) -> None:
         for name, weight in terms.SINGLE_REFERENCE_WEIGHTS.items()
     )
     torch.testing.assert_close(first["reward"], weighed)
-    # a robot that has just left the reference has hardly strayed
+    # just after a start on the reference, the robot is still close to it
     assert (first["reward_terms", "pelvis"] > 0.9).all()
     assert (first["reward_terms", "upright"] > 0.99).all()
 
 
 def test_a_robot_on_its_shins_has_fallen(make: MakeEnv) -> None:
-    """The height lies between a kneeling robot's and the lowest of the reference."""
+    """The limit is between the height of a kneeling robot and the reference's lowest."""
     env = make(stack="single_reference", num_envs=2)
     fall = next(t for t in env.transforms if isinstance(t, Fall))
     td = env.rand_step(env.reset())
@@ -168,7 +168,7 @@ def test_a_robot_on_its_shins_has_fallen(make: MakeEnv) -> None:
         assert (after["done"] == over).all()
 
 
-def test_commands_are_all_speeds(make: MakeEnv) -> None:
+def test_the_command_covers_all_speeds(make: MakeEnv) -> None:
     command = make(stack="single_reference", num_envs=200).reset()["command"]
     assert command.unique().numel() == 21
 
@@ -180,7 +180,7 @@ def test_stacks_have_names() -> None:
         aslip.make_env(stack="other")
 
 
-def test_the_recipe_trains_a_policy_that_knows_its_stack(tmp_path: Path) -> None:
+def test_the_recipe_saves_the_name_of_the_stack(tmp_path: Path) -> None:
     config = replace(
         PRESETS["single-reference"], out=tmp_path, num_envs=4, samples=32, total_steps=32,
         minibatch=16, eval_steps=5,
@@ -191,7 +191,7 @@ def test_the_recipe_trains_a_policy_that_knows_its_stack(tmp_path: Path) -> None
     assert walker.step()["observation"].shape == (1, 49)
 
 
-def test_single_reference_terms_read_what_they_say(make: MakeEnv) -> None:
+def test_single_reference_terms_read_the_documented_entries(make: MakeEnv) -> None:
     env = make(num_envs=16, stack="single_reference", library=None)
     td = env.reset()
     data = env.step(td.set("action", torch.full((16, 10), 0.05)))

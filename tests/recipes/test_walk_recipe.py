@@ -1,4 +1,4 @@
-"""The recipe that plays a policy: to a table, a log, a film."""
+"""The recipe that walks a policy: table, log, viewer and film."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_walk_follows_the_schedule_and_is_logged(
     told = re.findall(
         r"push at 0.3 s of \(0.0, 30.0, 0.0\) N for 0.06 s: .* and (.*) m/s in y", table
     )
-    # 30 N on 33 kg for 0.06 s, less what the legs take of it
+    # 30 N on 33 kg for 0.06 s, reduced by the legs
     velocity = log["/truth"]["pelvis_velocity_y"]
     assert float(told[0]) == pytest.approx(velocity[12] - velocity[10], abs=0.006)
     assert f"wrote {path}" in table
@@ -61,7 +61,7 @@ def test_walk_follows_the_schedule_and_is_logged(
     assert log_main(["replay", "--verify", str(path)]) == 0
 
 
-def test_both_backends_and_the_truth_can_walk(tmp_path: Path) -> None:
+def test_walks_on_both_backends_and_on_the_true_state(tmp_path: Path) -> None:
     for name, settings in {"dm": {"backend": "dm_control"}, "truth": {"truth": True}}.items():
         path = tmp_path / f"{name}.mcap"
         walk.main(Config(command="0.5", duration=0.3, log=path, **settings))  # pyright: ignore
@@ -104,12 +104,12 @@ def test_fall_ends_the_walk_with_a_complete_log(
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
         ({"steps_per_frame": 0}, ConfigurationError, "steps per frame.* 0"),
         ({"log": Path(".")}, ConfigurationError, "--log"),
-        # told with or without OpenGL
+        # reported with or without OpenGL
         ({"video": Path("walk.mp4"), "camera": "nose"}, UnknownNameError, "nose.*side"),
         ({"video": Path("walk.mp4"), "width": 10**5}, ConfigurationError, "100000"),
     ],
 )
-def test_invalid_settings_are_named_before_anything_is_written(
+def test_invalid_settings_are_refused_before_anything_is_written(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     settings: dict,
@@ -122,7 +122,7 @@ def test_invalid_settings_are_named_before_anything_is_written(
     assert not list(tmp_path.iterdir())
 
 
-def test_walk_without_files_says_how_to_write_them(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_walk_without_files_says_how_to_write_them(capsys: pytest.CaptureFixture[str]) -> None:
     walk.main(Config(command="0.5", duration=0.3, push=("0:50,0,0",)))
     told = capsys.readouterr().out
     assert "push at 0 s of (50.0, 0.0, 0.0) N for 0.12 s" in told
@@ -157,7 +157,7 @@ def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str]) ->
         time.sleep(0.05)
 
 
-def test_a_viewer_is_shown_every_step_in_the_time_of_the_clock(
+def test_the_viewer_shows_every_step_in_real_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shown, waits = [], []
@@ -184,7 +184,9 @@ def test_a_viewer_is_shown_every_step_in_the_time_of_the_clock(
     assert waits == list(range(1, 11))
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="how to tell is another matter elsewhere")
+@pytest.mark.skipif(
+    sys.platform != "linux", reason="only Linux names its display in the environment"
+)
 def test_viewer_without_a_display_names_the_alternative(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
@@ -205,7 +207,7 @@ def test_a_film_is_announced_with_its_frames_and_time(capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize(("steps", "count"), [(1, 11), (2, 6), (3, 4)])
-def test_only_the_frames_of_a_film_are_drawn(
+def test_only_frames_of_the_film_are_rendered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: int, count: int
 ) -> None:
     drawn, written = [], {}
@@ -239,4 +241,4 @@ def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
     about, decoded = decoded_film(path)
     assert about["size"] == (160, 120)
     assert len(decoded) == 6
-    assert decoded.std() > 10  # something is seen
+    assert decoded.std() > 10  # the picture is not uniform

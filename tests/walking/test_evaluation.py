@@ -1,4 +1,4 @@
-"""Walks at many speeds: what is counted, and until when."""
+"""Evaluation at many speeds: lengths, returns, criteria and table."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SPEEDS = [0.0, 1.0, 2.0]
 
 
 def test_evaluation_equals_single_robot_rollouts(make: MakeEnv) -> None:
-    """Steps, return, distance and terms, of each robot until its own end."""
+    """Steps, return, distance and terms of each robot count until its own end."""
     results = evaluate(limp(), make(num_envs=3), SPEEDS, num_steps=40)
     for i, (speed, result) in enumerate(zip(SPEEDS, results, strict=True)):
         env = make(num_envs=1, seed=i + 7)
@@ -64,7 +64,7 @@ def test_refuses_environment_that_hides_the_truth(make: MakeEnv) -> None:
 
 
 def test_evaluates_stack_without_reward_terms(make: MakeEnv) -> None:
-    """Rewards are the experiment's business."""
+    """An experiment may have its own rewards."""
     terms = ["com_vel", "foot_pos", "straight_diff", "foot_orient", "action_diff"]
     env = make(num_envs=3, drop=[*terms, "reward", "low_reward"])
     results = evaluate(limp(), env, SPEEDS, num_steps=3)
@@ -106,7 +106,7 @@ def test_survived_on_feet_and_tracked_are_independent() -> None:
     assert walk_table(walks).endswith(
         "\n\nof 4 speeds 3 survived, 3 on the feet, 3 tracked within 0.2 m/s; mean return 275.0"
     )
-    # in three policy steps momentum may carry it
+    # for three policy steps, momentum can carry the robot
     assert replace(walk, steps=3, weight_ratio=0.8).on_feet
 
 
@@ -121,7 +121,7 @@ def test_speed_beyond_tolerance_is_not_tracked(mean: float) -> None:
 def test_weight_ratio_uses_simulated_mass_and_payload(
     make: MakeEnv, changes: dict[str, float]
 ) -> None:
-    """Who is lighter and walks well is on its feet."""
+    """A lighter robot that walks well is on its feet."""
     env = make(num_envs=2, drop=EPISODE_ENDS)
     env.base_env.set_dynamics(changes, np.array([1]))
     results = evaluate(aslip.load_policy("aslip"), env, [0.5, 0.5], num_steps=150)

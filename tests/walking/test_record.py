@@ -1,4 +1,4 @@
-"""Walks as arrays are the walks that happened."""
+"""Recorded arrays equal the log of the same walk."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def _command(*speeds: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def logged(library: GaitLibrary, tmp_path_factory: pytest.TempPathFactory) -> tuple[Walks, Path]:
-    """A walk of one robot, which was also logged."""
+    """Walk of one robot, as arrays and as a log."""
     path = tmp_path_factory.mktemp("logs") / "walk.mcap"
     stack = {**default_stack(library), "recorder": lambda: Recorder(path, library=library)}
     env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=3)
@@ -44,7 +44,7 @@ def test_log_reproduces_recorded_walk(logged: tuple[Walks, Path]) -> None:
 
 
 def test_log_reproduces_recorded_fall(library: GaitLibrary, tmp_path: Path) -> None:
-    """Also where a step after the divergence went well again."""
+    """Even if a step after the divergence succeeds again."""
     policy, path, count = aslip.load_policy("aslip"), tmp_path / "fall.mcap", 0
 
     def fails(td):
@@ -76,7 +76,7 @@ def test_rows_are_one_policy_step_apart(logged: tuple[Walks, Path]) -> None:
 
 
 def test_rows_after_fall_are_nan(make: MakeEnv) -> None:
-    """One robot does nothing sensible, the other walks; the fallen one stays in the record."""
+    """One robot gets constant actions and falls, the other walks; both stay in the record."""
     policy = aslip.load_policy("aslip")
 
     def clumsy(td):

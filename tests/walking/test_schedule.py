@@ -27,7 +27,7 @@ def test_refuses_invalid_schedule(text: str) -> None:
 
 @pytest.mark.parametrize("steps", range(1, 60))
 def test_policy_steps_tolerate_rounding(steps: int) -> None:
-    """However it is rounded; a little longer takes one more."""
+    """Rounding does not add a step; a slightly longer walk takes one more."""
     for time in (steps * CASSIE.policy_period, float(f"{steps * 0.03:.2f}")):
         assert policy_steps(time) == steps
     assert policy_steps(steps * CASSIE.policy_period + 1e-4) == steps + 1

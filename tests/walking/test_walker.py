@@ -1,4 +1,4 @@
-"""One robot, steered by hand."""
+"""`Walker`: one robot that is steered step by step."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_push_has_duration_and_effect(walker: Walker) -> None:
     for _ in range(8):
         twin.step()
     assert _velocity(walker)[1] > _velocity(twin)[1] + 0.05
-    # a reset takes it away
+    # a reset ends the push
     walker.push((0.0, 60.0, 0.0), 1.0)
     walker.reset()
     assert walker.step().get("push", None) is None

@@ -1,4 +1,4 @@
-"""The shipped policy walks, and physics agrees."""
+"""The shipped policy walks at every speed, with plausible physics."""
 
 import pytest
 

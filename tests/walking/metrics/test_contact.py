@@ -42,7 +42,7 @@ def test_short_gaps_are_closed_and_short_contacts_dropped() -> None:
 
 
 def test_unloaded_mid_stance_is_one_stance() -> None:
-    """As the spring-mass model's at slow speeds."""
+    """Slow spring-mass walking unloads the leg in mid-stance."""
     force = np.zeros(3000)
     force[400:1400] = 300.0
     force[800:1000] = 0.0  # 0.1 s
@@ -102,7 +102,7 @@ def test_refuses_invalid_force() -> None:
 
 
 def test_longest_unloaded_mid_stance_needs_longer_swing() -> None:
-    """As in spring-mass walking: 0.12 s without load in each stance, where swings take 0.3 s."""
+    """As in spring-mass walking: 0.12 s without load in each stance, swings of 0.3 s."""
     stance = np.concatenate([np.full(400, 300.0), np.zeros(240), np.full(400, 300.0)])
     left = np.tile(np.concatenate([stance, np.zeros(600)]), 6)
     right = np.roll(left, len(left) // 12)

@@ -58,7 +58,7 @@ def test_force_profile_is_mean_over_stances() -> None:
 
 @pytest.mark.parametrize("speed", [0, 10])
 def test_model_humps_have_published_height(library: GaitLibrary, speed: int) -> None:
-    """433 and 429 N at 0 m/s, 442 and 441 at 1 m/s, and nothing in between."""
+    """Humps of 433 and 429 N at 0 m/s, 442 and 441 N at 1 m/s, unloaded in between."""
     gait = library.gaits[speed]
     time = np.arange(0, gait.stride, PERIOD)
     force = np.interp(time, gait.time, gait.leg_force[:, 0])
@@ -74,7 +74,7 @@ def test_model_humps_have_published_height(library: GaitLibrary, speed: int) -> 
 
 
 def test_strides_are_averaged_at_equal_phase() -> None:
-    """Of two strides of different length, the same curve."""
+    """Two strides of different length and the same shape give that shape."""
     curves = [np.sin(2 * np.pi * np.arange(n) / n) for n in (800, 1000)]
     mean, std = mean_over_strides(np.concatenate([*curves, [0.0]]), np.array([0, 800, 1800]), 100)
     np.testing.assert_allclose(mean, np.sin(2 * np.pi * np.arange(100) / 100), atol=1e-4)

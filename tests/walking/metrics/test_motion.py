@@ -32,13 +32,13 @@ def test_stride_average_removes_oscillation() -> None:
 
 @pytest.mark.parametrize("constant", [0.2, 0.4])
 def test_settling_time_of_first_order_lag(constant: float) -> None:
-    """It comes within 0.1 m/s of a step of 1 m/s after ln 10 time constants."""
+    """After ln 10 time constants, it is within 0.1 m/s of a step of 1 m/s."""
     speed = 1 - np.exp(-(TIME + PERIOD) / constant)
     answer = step_response(speed, 0.0, 1.0, PERIOD, PERIOD)
     assert answer.settling_time == pytest.approx(constant * math.log(10), abs=0.1 * PERIOD)
     assert answer.overshoot == 0.0
     assert answer.steady_error == pytest.approx(0.0, abs=1e-3)
-    # downwards the same
+    # a step down gives the same
     down = step_response(2 - speed, 2.0, 1.0, PERIOD, PERIOD)
     assert down.settling_time == answer.settling_time
     assert down.overshoot == 0.0
@@ -65,7 +65,7 @@ def test_speed_off_command_never_settles() -> None:
 
 
 def test_settling_needs_a_whole_stride() -> None:
-    """It may be an oscillation on its way through."""
+    """Otherwise an oscillation that crosses the command would count."""
     length = 27
     # the mean over 27 samples is within 0.1 m/s once 25 of them are at the command
     for within, settled in ((length - 1, False), (length, True)):
