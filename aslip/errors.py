@@ -64,7 +64,7 @@ class RenderingError(AslipError, RuntimeError):
 
 
 class CollectorError(AslipError, RuntimeError):
-    """Failure or end of a process that collects samples for a training."""
+    """Failure or unexpected end of a process that collects samples."""
 
 
 class NetworkError(AslipError, OSError):

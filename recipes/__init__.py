@@ -1,4 +1,4 @@
-"""Programs of a page each; they import one another by name, as scripts do."""
+"""Short programs that train and walk; as scripts, they import one another by name."""
 
 import sys
 from pathlib import Path

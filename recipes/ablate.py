@@ -5,10 +5,10 @@
     python recipes/ablate.py --list
 
 Variants are trained one after the other with the same budget. Finished work is kept: the same
-command resumes where it stopped, in the middle of a training, too, and adds new rows to the table.
-All are evaluated on the same task (`aslip.envs.evaluation_stack`), whatever they trained
-on: walks of one robot at 21 speeds, with the paper's reward on the truth and the actuated
-spring-mass model's motion. Each policy sees what it has learned to see.
+command resumes an interrupted training and adds new rows to the table. All policies are evaluated
+on the same task (`aslip.envs.evaluation_stack`): walks at 21 speeds, with the paper's reward on the
+true state and the motion of the actuated spring-mass model. Each policy gets the observation with
+which it was trained.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import TRACKING_TOLERANCE, Interval, WalkResult, evaluate, markdown
 
 _RESULTS = "judged.json"
-_NEVER = 10**12  # policy steps; evaluations would cost a tenth of so short a training
+_NEVER = 10**12  # policy steps; evaluations would take a tenth of such a short training
 _TIMED_STEPS, _UPDATES_TOO = 4, 1.2  # of an estimated duration: policy steps, factor for updates
 
 
@@ -139,13 +139,13 @@ class Variant:
 
     question: str
     settings: Mapping[str, Any] = field(default_factory=dict)
-    """Settings of `ppo_aslip.py` that differ."""
+    """Settings of `ppo_aslip.py` that differ from the default."""
     edits: Callable[[], dict[str, Any]] = dict
-    """Makes the arguments of `aslip.make_env` that differ."""
+    """Function that makes the arguments of `aslip.make_env` that differ from the default."""
 
 
 def without_term(name: str) -> Variant:
-    """Variant without a reward term; the others share its weight and keep the largest reward."""
+    """Variant without a reward term; the others share its weight, so the largest reward is 1."""
     rest = 1 - PAPER_WEIGHTS[name]
     weights = {key: 0.0 if key == name else w / rest for key, w in PAPER_WEIGHTS.items()}
     reward = partial(WeightedReward, weights)
@@ -153,7 +153,7 @@ def without_term(name: str) -> Variant:
 
 
 def with_dynamics(name: str, value: float) -> Callable[[], dict[str, Any]]:
-    """Function that makes the edits for robots of other dynamics."""
+    """Function that makes the edits for robots with other dynamics."""
 
     def edits() -> dict[str, Any]:
         dynamics = partial(RandomDynamics, {name: (value, value)})
@@ -178,10 +178,10 @@ VARIANTS: Mapping[str, Variant] = {
     "default": Variant("everything"),
     **{f"no_{name}": without_term(name) for name in PAPER_WEIGHTS},
     "no_delta": Variant(
-        "actions are angles from a standing pose, not from the reference's", edits=_absolute_actions
+        "actions are added to a standing pose, not to the reference", edits=_absolute_actions
     ),
     "no_feedforward": Variant("motor targets as in the paper", edits=lambda: {"stack": "paper"}),
-    "no_symmetry": Variant("left and right are learned apart", {"symmetric": False}),
+    "no_symmetry": Variant("no left-right symmetry of the networks", {"symmetric": False}),
     "no_model_inputs": Variant(
         "clock and speed as inputs in place of the reduced-order model", edits=_blind_to_the_model
     ),
@@ -189,16 +189,16 @@ VARIANTS: Mapping[str, Variant] = {
         "linear inverted pendulum in place of the actuated spring-mass model",
         edits=lambda: {"library": pendulum_library(aslip.GaitLibrary.load().gaits)},
     ),
-    "truth": Variant("the truth in place of sensors and estimator", edits=lambda: dict(ON_TRUTH)),
+    "truth": Variant("the true state instead of the estimate", edits=lambda: dict(ON_TRUTH)),
     "reward_on_estimate": Variant(
-        "rewards read the estimate", edits=lambda: {"reward_on": "estimate"}
+        "rewards of the estimated state", edits=lambda: {"reward_on": "estimate"}
     ),
-    "no_delay": Variant("torques act at once", edits=with_dynamics("torque_delay", 0.0)),
+    "no_delay": Variant("no torque delay", edits=with_dynamics("torque_delay", 0.0)),
     "no_reflected_inertia": Variant(
-        "motors without inertia", edits=with_dynamics("reflected_inertia", 0.0)
+        "no reflected inertia of the motors", edits=with_dynamics("reflected_inertia", 0.0)
     ),
 }
-"""Name -> what differs from the default."""
+"""Name -> difference from the default."""
 
 
 def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, list[WalkResult]]]:
@@ -247,12 +247,12 @@ def announcement(config: Config, count: int) -> str:
     about = timedelta(seconds=60 * max(1, round(seconds / 60)))
     return (
         f"{count - done} of {count} trainings to go, {config.total_steps} policy steps each: about"
-        f" {about} (hours:minutes:seconds) on this machine; Ctrl-C saves, and what is done is kept"
+        f" {about} (hours:minutes:seconds) on this machine; Ctrl-C saves all finished work"
     )
 
 
 def estimated_seconds(config: Config) -> float:
-    """Duration of a training and two evaluations, extrapolated from some policy steps [s]."""
+    """Duration of a training and two evaluations, extrapolated from a few policy steps [s]."""
     env = aslip.make_env(num_envs=config.num_envs)
     env.rollout(1)
     start = time.perf_counter()
@@ -264,7 +264,7 @@ def estimated_seconds(config: Config) -> float:
 
 
 def trained_on(variant: Variant) -> Stack:
-    """Stack that the policies of a variant are trained on."""
+    """Stack on which the policies of a variant are trained."""
     edits = {"stack": "aslip", **variant.edits()}
     stack = edits["stack"]
     if isinstance(stack, str):
@@ -283,10 +283,10 @@ def judge(folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
 def train(
     config: Config, folder: Path, variant: Variant, seed: int, go_on: str
 ) -> list[WalkResult]:
-    """Walks of one training, which is resumed if it was interrupted.
+    """Train or resume one run, and return its walks.
 
     Raises:
-        ConfigurationError: it was started with another budget.
+        ConfigurationError: the run was started with another budget.
     """
     resume = (folder / SETTINGS_FILE).exists()
     if resume:
@@ -312,8 +312,8 @@ def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
     """Walks of a finished training; None if there is none.
 
     Raises:
-        ConfigurationError: it had another budget; its schedule cannot be continued to this one.
-        FileDamagedError: its results cannot be read.
+        ConfigurationError: the training had another budget, to which its schedule belongs.
+        FileDamagedError: the results cannot be read.
     """
     path = folder / _RESULTS
     if not path.exists():
@@ -333,7 +333,7 @@ def check_budget(folder: Path, kept: Mapping[str, Any], config: Config) -> None:
     """Check the budget of a training.
 
     Raises:
-        ConfigurationError: it is another.
+        ConfigurationError: the training has another budget.
     """
     other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
     if other:
@@ -344,7 +344,7 @@ def check_budget(folder: Path, kept: Mapping[str, Any], config: Config) -> None:
 
 
 def measures(results: Sequence[WalkResult]) -> dict[str, float]:
-    """Columns of the table; a walk that ended in a fall counts for as long as it lasted."""
+    """Columns of the table; a walk that ends in a fall counts up to the fall."""
     returns = [
         r.steps * sum(weight * r.terms[name] for name, weight in PAPER_WEIGHTS.items())
         for r in results
@@ -370,9 +370,7 @@ def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: 
     names = [*measures(first)]
     text = markdown(["variant", "seeds", *names], rows, ["---", "---:", *["---:"] * len(names)])
     near = f"tracked within {TRACKING_TOLERANCE:g} m/s"
-    counted = (
-        f"Of {len(first)} speeds those are counted that were survived, on the feet, and {near}."
-    )
+    counted = f"Counts are of {len(first)} speeds: survived, on the feet, and {near}."
     return f"{text}\n\n{total_steps} policy steps each; {_cells(found)}. {counted}"
 
 
@@ -381,9 +379,9 @@ def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
     seeds = [len(by_seed) for by_seed in found.values()]
     told = "mean and 95 % interval over seeds"
     if max(seeds) == 1:
-        told = "values of one seed, which decide nothing that is small: seeds differ"
+        told = "values of one seed; small differences mean nothing, as seeds differ"
     elif min(seeds) == 1:
-        told += ", where a variant has several"
+        told += ", if a variant has several"
     return f"{told}; the largest return is {MAX_EPISODE_STEPS}"
 
 

@@ -1,4 +1,4 @@
-"""Rebuild the gait library from nothing: optimise, solve the inverse kinematics, store, draw.
+"""Rebuild the gait library: optimise gaits, solve the inverse kinematics, save, draw.
 
 python recipes/gait_library.py --pictures docs/images    # the 21 that ship in assets/
 python recipes/gait_library.py --out runs/my_gaits.npz --speeds 0.5 0.75 1.0
@@ -29,12 +29,12 @@ class Config:
     model: SlipParameters = field(default_factory=SlipParameters)
     """Model and bounds of the gaits."""
     objective: Objective = "mean"
-    """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral as the paper
-    prints it."""
+    """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral, which is the
+    paper's formula."""
     pictures: Path | None = None
     """Folder for the pictures; that of the library by default."""
     figure_speed: float = 1.0
-    """Speed of the gait to draw in space [m/s]; the nearest there is."""
+    """Speed of the gait to draw in space [m/s]; the nearest of the library is drawn."""
 
     def __post_init__(self) -> None:
         """Refuse to replace the shipped library by another one."""
@@ -43,7 +43,7 @@ class Config:
             self.speeds, self.samples, self.model, self.objective
         ):  # fmt: skip
             raise ConfigurationError(
-                f"{str(self.out)!r} is the library that ships, made with other settings; give"
+                f"{str(self.out)!r} is the shipped library, made with other settings; give"
                 " another file with --out"
             )
 
@@ -119,7 +119,7 @@ def gait_table(gaits: list[Gait]) -> str:
 
 
 def made_by() -> dict[str, str]:
-    """Command and versions, to be kept with the file."""
+    """Command and versions, which are saved in the file."""
     packages = ("casadi", "pin", "numpy", "scipy")
     return {
         "command": " ".join(["python recipes/gait_library.py", *sys.argv[1:]]),

@@ -5,8 +5,8 @@
     python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
     python recipes/ppo_aslip.py paper            # the paper's settings; presets: --help
 
-This is Green et al. 2021 from top to bottom: environment, policy, PPO, evaluation. To swap a part,
-call `main` with a function that makes another:
+The recipe has all parts of Green et al. 2021: environment, policy, PPO, evaluation. To swap a part,
+call `main` with a function that makes the new one:
 
     main(Config(), make_env=partial(aslip.make_env, drop=["foot_orient"]))
     main(Config(symmetric=False), make_actor=make_recurrent_actor)
@@ -81,13 +81,13 @@ def main(
 
     Args:
         config: settings of learning.
-        make_env: makes the environment, of the keywords `num_envs` and `seed`.
-        make_actor: makes the policy of a normaliser, a `PolicyShape` and the observation's keys.
-        make_critic: makes the value function, of the keyword `scale`, too.
-        make_train_env: makes the environment to train in; `make_training_env`'s by default.
-        make_collector: makes the collector, of the arguments of `LocalCollector`.
+        make_env: makes the environment from the keywords `num_envs` and `seed`.
+        make_actor: makes the policy from a normaliser, a `PolicyShape` and the observation's keys.
+        make_critic: makes the value function from the same arguments and the keyword `scale`.
+        make_train_env: makes the environment for training; by default `make_training_env` does.
+        make_collector: makes the collector from the arguments of `LocalCollector`.
         network: more settings of the `PolicyShape`, such as `hidden` and `mirror_signs`.
-        logger: logger of TorchRL's, besides CSV and TensorBoard.
+        logger: TorchRL logger, in addition to CSV and TensorBoard.
         go_on: command that resumes the training, for messages.
     """
     torch.manual_seed(config.seed)
@@ -108,7 +108,7 @@ def main(
 
     results: list[WalkResult] = []
     with training_loop(run, parts, config) as training:
-        if normalizer.count == 0:  # the first batch teaches nothing else
+        if normalizer.count == 0:  # the first batch only initialises the normaliser
             normalizer.update(next(training)["observation"])
         for data in training:
             advantage(data)
@@ -168,9 +168,9 @@ def make_ppo(
 def update(
     data: TensorDict, loss: ClipPPOLoss, optimizer: torch.optim.Optimizer, config: Config
 ) -> dict[str, float]:
-    """Train for some epochs on a batch (num_envs, T); returns means of the loss's reports.
+    """Train for some epochs on a batch (num_envs, T), and return mean losses.
 
-    Minibatches are of single policy steps, or of whole rows where the actor is recurrent.
+    Minibatches consist of single policy steps, or of whole rows if the actor is recurrent.
 
     Raises:
         FloatingPointError: the loss is not finite.
@@ -203,7 +203,7 @@ def update(
 def anneal(
     config: Config, step: int, actor: ProbabilisticActor, optimizer: torch.optim.Optimizer
 ) -> None:
-    """Set learning rate and standard deviation of the policy after so many policy steps."""
+    """Set learning rate and standard deviation of the policy after a number of policy steps."""
     set_std(actor, config.std_after(step))
     for group in optimizer.param_groups:
         group["lr"] = config.learning_rate_after(step)

@@ -3,9 +3,9 @@
     python recipes/ppo_cluster.py --backend distributed --num-collectors 2   # this machine
     RAY_ADDRESS=HOST:6379 python recipes/ppo_cluster.py --num-collectors 8   # a Ray cluster
 
-Learning stays in this process. How to start a cluster, what is guaranteed and what is not:
-`aslip/training/cluster.py`. A resumed training starts new episodes, so unlike that of
-`ppo_aslip.py` it does not repeat bit for bit.
+Learning stays in this process. `aslip/training/cluster.py` explains how to start a cluster, and the
+guarantees. A resumed training starts new episodes, so unlike with `ppo_aslip.py` it differs from an
+uninterrupted one.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ class ClusterConfig(Config):
     out: Path = Path("runs/ppo_cluster")
     """Folder of the run."""
     backend: Literal["ray", "distributed"] = "ray"
-    """Ray actors, on this machine or those of RAY_ADDRESS; or processes on this machine."""
+    """Ray actors, on this machine or the cluster at RAY_ADDRESS; or processes on this machine."""
     num_collectors: int = 2
-    """Actors or processes that robots are shared out to."""
+    """Number of actors or processes, each with the same number of robots."""
 
     def __post_init__(self) -> None:
         """Check types and ranges.
 
         Raises:
-            ConfigurationError: as `Config`; or robots cannot be shared out equally.
+            ConfigurationError: a setting is invalid, or robots cannot be divided equally.
         """
         super().__post_init__()
         check_shares(self.num_envs, self.samples, self.num_collectors)

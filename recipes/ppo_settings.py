@@ -21,12 +21,12 @@ from aslip.training.command_line import preset_command_line, program, usage_erro
 from aslip.training.settings import check_positive, check_shares, check_types, read_settings
 
 DESCRIPTIONS = {
-    "default": "aslip stack, settings that learn fast",
-    "paper": "paper's stack, its settings where it gives them (5120 is 20 x 256, near 5096)",
+    "default": "aslip stack with feedforward torques, settings for fast learning",
+    "paper": "paper's stack and settings, as far as given (5120 samples instead of 5096)",
     "single-reference": "paper's baseline: one reference motion in joint space (Xie et al. 2018)",
-    "robust": "robots, floors and noise that differ between episodes (domain randomisation)",
-    "truth": "policy that observes the simulator's truth in place of an estimate",
-    "coarse": "physics steps of 1 ms in place of 0.5 in training",
+    "robust": "domain randomisation: robot, floor and sensor noise differ between episodes",
+    "truth": "policy observes the true state instead of the estimate",
+    "coarse": "physics timestep of 1 ms instead of 0.5 ms in training",
 }
 
 
@@ -35,11 +35,11 @@ class Config:
     """Settings of learning; "Table II" is the paper's table of PPO hyper-parameters."""
 
     preset: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "default"
-    """Name of the preset that the other settings started from."""
+    """Name of the preset with the defaults of the other settings."""
     out: Path = Path("runs/ppo_aslip")
     """Folder of the run."""
     resume: bool = False
-    """Continue the run in the folder, with its settings unless others are given."""
+    """Continue the run in the folder, with its settings except for those given."""
     seed: int = 0
     """Seed of all random numbers."""
     device: str = "cpu"
@@ -49,7 +49,7 @@ class Config:
     the input normaliser; the paper trains for 175 million."""
     schedule_steps: int = 0
     """Policy steps after which learning rate and standard deviation have their final values; 0 for
-    the total_steps that the run is started with."""
+    the initial total_steps of the run."""
     num_envs: int = 256
     """Robots simulated in parallel."""
     samples: int = 2048
@@ -68,19 +68,19 @@ class Config:
     last_std: float = 0.05
     """Final standard deviation of the policy [rad]; constant in the paper."""
     fall_after: float = 0.6
-    """Share of schedule_steps after which learning rate and standard deviation fall,
-    exponentially; until then both keep their initial values."""
+    """Share of schedule_steps with the initial learning rate and standard deviation; after it, both
+    decay exponentially."""
     adam_epsilon: float = 1e-5
     """Epsilon of Adam (Table II)."""
     gamma: float = 0.95
-    """Discount factor; Table II says 0.99. A horizon of 0.6 s in place of 3 s gives advantages with
-    less noise, and an action shows its effect within a stride."""
+    """Discount factor; Table II says 0.99. A horizon of 0.6 s instead of 3 s makes advantages less
+    noisy, and an action takes effect within a stride."""
     gae_lambda: float = 0.95
     """Lambda of generalised advantage estimation; the paper gives none."""
     clip: float = 0.2
     """Clipping range of PPO's probability ratio (Table II)."""
     max_grad_norm: float = 0.5
-    """Largest gradient norm, of actor and critic each; the paper gives none."""
+    """Largest gradient norm, separately for actor and critic; the paper gives none."""
     symmetric: bool = True
     """Make actor and critic equivariant to left-right mirroring; not in the paper."""
     value_scale: float = 10.0
@@ -96,7 +96,7 @@ class Config:
         """Check types and ranges.
 
         Raises:
-            ConfigurationError: a setting is of another type, or out of range.
+            ConfigurationError: a setting has the wrong type or is out of range.
         """
         check_types(self)
         if self.preset not in DESCRIPTIONS:
@@ -104,7 +104,9 @@ class Config:
                 f"preset must be one of {[*DESCRIPTIONS]}, got {self.preset!r}"
             )
         if not re.fullmatch(r"(cpu|cuda|mps|xpu)(:\d+)?", self.device):
-            raise ConfigurationError(f"device must be one of PyTorch's, got {self.device!r}")
+            raise ConfigurationError(
+                f"device must be a PyTorch device, such as 'cpu' or 'cuda', got {self.device!r}"
+            )
         check_positive(
             self, "total_steps", "num_envs", "samples", "minibatch", "epochs", "eval_interval",
             "eval_steps", "learning_rate", "last_learning_rate", "adam_epsilon", "clip",
@@ -123,11 +125,11 @@ class Config:
         check_shares(self.num_envs, self.samples)
 
     def learning_rate_after(self, step: int) -> float:
-        """Learning rate after so many policy steps."""
+        """Learning rate after a number of policy steps."""
         return scheduled(self, step, self.learning_rate, self.last_learning_rate)
 
     def std_after(self, step: int) -> float:
-        """Standard deviation of the policy after so many policy steps [rad]."""
+        """Standard deviation of the policy after a number of policy steps [rad]."""
         return scheduled(self, step, self.std, self.last_std)
 
 
@@ -159,16 +161,16 @@ AnyConfig = TypeVar("AnyConfig", bound=Config)
 def training_settings(
     presets: Mapping[str, AnyConfig], arguments: Sequence[str] | None = None
 ) -> AnyConfig:
-    """Settings from the command line.
+    """Read settings from the command line.
 
-    Settings that are not given are those of the preset or, with `--resume`, those of the run.
+    Defaults come from the preset or, with `--resume`, from the run.
 
     Args:
         presets: settings by name; the first is the default.
         arguments: words of the command line; those of this program by default.
 
     Raises:
-        SystemExit: help was asked for, or the command line is wrong.
+        SystemExit: after `--help`, or after a message about a mistake.
     """
     config = preset_command_line(presets, DESCRIPTIONS, arguments)
     if not config.resume:
@@ -185,18 +187,18 @@ def run_settings(folder: Path, preset: AnyConfig) -> AnyConfig:
 
     Args:
         folder: folder of the run.
-        preset: settings that the run does not have.
+        preset: defaults of settings that the run does not have.
 
     Raises:
-        ConfigurationError: the folder holds no run, one of another preset, or one with settings
-            that are unknown.
+        ConfigurationError: the folder holds no run, or the run has another preset or unknown
+            settings.
         FileDamagedError: the settings cannot be read.
     """
     kept = read_settings(folder)[0]
     unknown = sorted(kept.keys() - {field.name for field in fields(preset)})
     if unknown:
         raise ConfigurationError(
-            f"the run in {str(folder)!r} is of another version or recipe: it has the settings"
+            f"the run in {str(folder)!r} comes from another version or recipe: it has the settings"
             f" {unknown}; resume it with the version that started it"
         )
     if kept.get("preset") != preset.preset:
@@ -208,7 +210,7 @@ def run_settings(folder: Path, preset: AnyConfig) -> AnyConfig:
 
 
 def with_schedule(config: AnyConfig, kept: Mapping[str, Any] | None = None) -> AnyConfig:
-    """Fix the length of the schedule, so that a longer training does not stretch it.
+    """Set the length of the schedule, which resuming with more total_steps must not change.
 
     Args:
         config: the settings.
@@ -221,7 +223,7 @@ def with_schedule(config: AnyConfig, kept: Mapping[str, Any] | None = None) -> A
 
 
 def scheduled(config: Config, step: int, first: float, last: float) -> float:
-    """Value that falls exponentially from `first` to `last` over the schedule's last part."""
+    """Value that decays exponentially from `first` to `last` over the last part of the schedule."""
     steps = config.schedule_steps or config.total_steps
     share = (step / steps - config.fall_after) / (1 - config.fall_after)
     return first * (last / first) ** min(max(share, 0.0), 1.0)

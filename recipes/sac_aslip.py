@@ -1,10 +1,11 @@
-"""Teach Cassie with soft actor-critic (Haarnoja et al. 2018): off-policy learning in a page.
+"""Train with soft actor-critic (Haarnoja et al. 2018), an off-policy algorithm.
 
     python recipes/sac_aslip.py                      # runs/sac_aslip/
 
-The environment is that of `ppo_aslip.py`, its action bounded, which the squashed Gaussian of SAC
-needs. Of a transition the replay buffer stores only what the loss reads, 0.6 kB in place of 10 kB.
-The network is this recipe's own: `aslip.load_policy("runs/sac_aslip", sac_aslip.make_actor)`.
+The environment is that of `ppo_aslip.py`; the bounds of its action spec are those of SAC's squashed
+Gaussian policy. The replay buffer stores only the entries that the loss reads, 0.6 kB instead of
+10 kB per transition. The network is not built in, so load the policy with
+`aslip.load_policy("runs/sac_aslip", sac_aslip.make_actor)`.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ class Config:
     num_envs: int = 32
     """Robots simulated in parallel."""
     samples: int = 64
-    """Policy steps of a batch, of all robots together."""
+    """Policy steps of a batch, over all robots."""
     updates: int = 32
     """Gradient steps after each batch, of 256 transitions each."""
 
@@ -62,7 +63,7 @@ STORED = ["observation", "action", *(("next", name) for name in _AFTER)]
 
 
 def make_actor(normalizer: RunningNormalizer, shape: PolicyShape, *_: object) -> ProbabilisticActor:
-    """Squashed Gaussian policy around the reference motion at first."""
+    """Squashed Gaussian policy, initially centred on the reference motion."""
     mlp = MLP(shape.observation_size, 2 * shape.action_size, **_MLP)
     for parameter in mlp[-1].parameters():
         nn.init.zeros_(parameter)
@@ -76,10 +77,10 @@ def make_actor(normalizer: RunningNormalizer, shape: PolicyShape, *_: object) ->
 
 
 def make_critic(normalizer: RunningNormalizer, shape: PolicyShape) -> TensorDictSequential:
-    """Value of an observation and an action; its layers are normalised against overestimation."""
+    """Action-value function; layer normalisation reduces overestimation."""
     inputs = shape.observation_size + shape.action_size
     mlp = MLP(inputs, 1, norm_class=nn.LayerNorm, norm_kwargs={"normalized_shape": _CELLS}, **_MLP)
-    # a function, because the loss copies modules, and a copy of the normaliser would never learn
+    # a function, because the loss copies modules, and a copied normaliser would not be updated
     normalise = TensorDictModule(lambda seen: normalizer(seen), ["observation"], ["normalised"])
     return TensorDictSequential([normalise, ValueOperator(mlp, in_keys=["normalised", "action"])])
 

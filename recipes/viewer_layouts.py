@@ -2,8 +2,8 @@
 
     python recipes/viewer_layouts.py
 
-All three plot the same velocities, reward terms, forces and joints. The fields are those of the
-default stack: where an experiment leaves a reward term out, its curve stays empty.
+All three plot the same velocities, reward terms, forces and joints of the default stack. Curves of
+reward terms that an experiment lacks stay empty.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Curve:
     label: str
     color: str
     joint: str | None = None
-    """Joint in `/joint_states`, whose fields have a number for each joint."""
+    """Joint in `/joint_states`, whose fields have one number per joint."""
 
     @property
     def foxglove(self) -> str:
@@ -123,7 +123,7 @@ def motors(side: str, field: str, unit: str) -> Plot:
 
 
 def main(config: Config) -> None:
-    """Write all three."""
+    """Write the three layouts."""
     config.out.mkdir(parents=True, exist_ok=True)
     foxglove, rerun, plotjuggler = (
         config.out / name for name in ("foxglove.json", "rerun.rbl", "plotjuggler.xml")
@@ -141,7 +141,7 @@ def main(config: Config) -> None:
 
 
 def foxglove_layout() -> dict[str, Any]:
-    """The layout as the app exports and imports it."""
+    """Layout in the format that the app exports and imports."""
     panels = {
         "3D!robot": _foxglove_scene(),
         "RosOut!log": {"topicToRender": "/log", "minLogLevel": 1, "searchTerms": []},
@@ -161,7 +161,7 @@ def foxglove_layout() -> dict[str, Any]:
 
 
 def _split(direction: str, parts: Sequence[Any], shares: Sequence[float]) -> Any:
-    """Panels beside or below each other, as the nested pairs that layouts are made of."""
+    """Panels side by side or stacked, as nested pairs, the form of layouts."""
     if len(parts) == 1:
         return parts[0]
     return {
@@ -173,7 +173,7 @@ def _split(direction: str, parts: Sequence[Any], shares: Sequence[float]) -> Any
 
 
 def _foxglove_scene() -> dict[str, Any]:
-    """The robot, followed; axes are drawn at the frames of the reduced-order model only."""
+    """3D panel that follows the robot, with axes at the frames of the reduced-order model only."""
     model = load_model()
     bodies = [model.body(i).name for i in range(1, model.nbody)]
     shown = {WORLD_FRAME: False, **dict.fromkeys(bodies, False), **dict.fromkeys(ROM_FRAMES, True)}
@@ -240,7 +240,7 @@ def _foxglove_plot(plot: Plot) -> dict[str, Any]:
 
 
 def rerun_blueprint() -> rrb.Blueprint:
-    """The blueprint."""
+    """Blueprint with 3D view and plots."""
     solid = [
         shape.from_fields(fill_mode="solid")
         for shape in (rr.Boxes3D, rr.Cylinders3D, rr.Ellipsoids3D)
@@ -272,7 +272,7 @@ def rerun_blueprint() -> rrb.Blueprint:
 
 
 def _rerun_plot(plot: Plot) -> rrb.TimeSeriesView:
-    """Fields of messages, which Rerun keeps as structures, shown as scalars."""
+    """Plot of message fields; selectors extract them as scalars from Rerun's structures."""
     topics = list(dict.fromkeys(curve.topic for curve in plot.curves))
     overrides: dict[Any, Any] = {
         topic: [
@@ -298,7 +298,7 @@ def _rerun_plot(plot: Plot) -> rrb.TimeSeriesView:
 
 
 def plotjuggler_layout() -> ET.Element:
-    """The layout; tabs of plots below each other, beside each other for the two legs."""
+    """Layout with tabs of stacked plots; plots of the two legs are side by side."""
     legs = [
         [motors(side, field, unit) for side in SIDES]
         for field, unit in (("position", "rad"), ("velocity", "rad/s"), ("effort", "N m"))

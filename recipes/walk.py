@@ -1,4 +1,4 @@
-"""Let a policy walk through a schedule of speeds: to log, film, watch or steer it.
+"""Walk with a policy through a schedule of speeds; log, film, watch or steer the walk.
 
     python recipes/walk.py                                      # the shipped policy; prints a table
     python recipes/walk.py --command "0:0.0,4:1.0,8:0.5" --log walk.mcap
@@ -31,24 +31,25 @@ class Config:
     command: str = "0:0.0,4:1.0,8:0.5"
     """Speeds over time, "seconds:m/s,..."; each holds until the next begins."""
     push: tuple[str, ...] = ()
-    """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world]; each lasts
-    whole policy steps of 0.03 s, 0.12 s by default."""
+    """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world]; durations are
+    rounded up to policy steps of 0.03 s, 0.12 s by default."""
     duration: float | None = None
-    """Duration of the walk [s]; 4 s longer than the schedule by default. Live, until Ctrl-C."""
+    """Duration of the walk [s]; by default until 4 s after the last change of speed. With --live,
+    until Ctrl-C."""
     seed: int = 0
     """Seed of sensor noise."""
     truth: bool = False
     """Show the policy the true state instead of an estimate from noisy sensors."""
     backend: Backend = "batch"
-    """Simulator; states are bit-equal with both."""
+    """Simulator; both give bit-equal states."""
     log: Path | None = None
     """MCAP log to write."""
     joint_rate: JointRate = "policy"
-    """Log joints at the policy's rate or at that of the physics, 2 kHz."""
+    """Rate at which joints are logged: of the policy, 33 Hz, or of the physics, 2 kHz."""
     video: Path | None = None
     """Film to write, such as walk.mp4."""
     steps_per_frame: int = 1
-    """Policy steps from frame to frame of the film; 2 draws half as many."""
+    """Policy steps between frames of the film; 2 halves the number of frames."""
     camera: str = "follow"
     """Camera of the film: side, follow or front."""
     width: int = 640
@@ -69,7 +70,7 @@ class Config:
     """Port of the page."""
 
     def __post_init__(self) -> None:
-        """Check settings that would fail late."""
+        """Check settings that would otherwise fail late."""
         if self.duration is not None and not 0 < self.duration < math.inf:
             raise ConfigurationError(f"duration must be a positive time [s], got {self.duration}")
         if self.steps_per_frame < 1:
@@ -77,7 +78,7 @@ class Config:
                 f"steps per frame must be 1 or more, got {self.steps_per_frame}"
             )
         if self.live and (self.viewer or self.video or self.push):
-            raise ConfigurationError("--live steers by itself: leave out --viewer --video --push")
+            raise ConfigurationError("--live cannot be combined with --viewer, --video or --push")
         for name in ("log", "video"):
             path = getattr(self, name)
             if path is not None and path.is_dir():
@@ -104,7 +105,7 @@ from aslip.show.film import Frame, Look, make_film, seconds_per_frame
 from aslip.training.run import sigterm_exits
 from aslip.walking import Push, Schedule, Walker, markdown, policy_steps
 
-# velocity of the pelvis in a row, world
+# columns of the pelvis velocity in a row [world]
 _AXES = ("velocity_x", "velocity_y")
 # duration of the last speed of a schedule [s]
 _LAST_SPEED = 4.0
@@ -142,7 +143,7 @@ def serve(config: Config, walker: Walker) -> None:
 
 
 def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) -> str:
-    """Outcome of the walk and of each push, in words."""
+    """Sentences about the outcome of the walk and of each push."""
     lines = []
     for push in sorted(pushes, key=lambda push: push.time):
         first = policy_steps(push.time)
@@ -153,14 +154,14 @@ def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) ->
         lines.append(
             f"push at {push.time:g} s of {push.force} N for"
             f" {policy_steps(push.duration) * CASSIE.policy_period:g} s: velocity changed by"
-            f" {change[0]:+.2f} m/s in x and {change[1]:+.2f} m/s in y meanwhile"
+            f" {change[0]:+.2f} m/s in x and {change[1]:+.2f} m/s in y during the push"
         )
     end = "fell after" if walker.fallen else "did not fall in"
     return "\n".join([*lines, f"the robot {end} {walker.time:.2f} s"])
 
 
 def written(config: Config) -> str:
-    """Files that were written and commands to open them."""
+    """Written files, and commands to open them."""
     lines = [f"wrote {path}" for path in (config.video, config.log) if path and path.exists()]
     if config.log is not None and config.log.exists():
         lines += [
@@ -174,12 +175,12 @@ def written(config: Config) -> str:
 
 
 def check_policies(config: Config) -> None:
-    """Raise ConfigurationError unless all policies act on one stack."""
+    """Raise ConfigurationError unless all policies have the same stack."""
     for policy in config.policies:
         if policy_stack(policy) != policy_stack(config.policy):
             raise ConfigurationError(
-                f"policies to choose from must act on one stack: {config.policy!r} is of"
-                f" {policy_stack(config.policy)!r}, {policy!r} of {policy_stack(policy)!r}"
+                f"policies to choose from must share a stack: {config.policy!r} has"
+                f" {policy_stack(config.policy)!r}, {policy!r} has {policy_stack(policy)!r}"
             )
 
 
@@ -238,7 +239,7 @@ def check_pushes(pushes: list[Push], duration: float) -> None:
 def walk(
     config: Config, walker: Walker, schedule: Schedule, pushes: list[Push]
 ) -> list[dict[str, float]]:
-    """Walk through the schedule, or until a fall; returns a row for each policy step."""
+    """Walk through the schedule or until a fall, and return one row per policy step."""
     waiting = sorted(pushes, key=lambda push: push.time, reverse=True)
     rows, frames = [], [Frame.of(walker.td)]
     with contextlib.ExitStack() as stack:
@@ -293,7 +294,7 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
 
 
 def announce_film(config: Config, seconds: float, duration: float) -> None:
-    """Print how long drawing the film of a walk [s] will take, from the time for a frame [s]."""
+    """Print the estimated time to draw the film of a walk [s], from the time per frame [s]."""
     frames = policy_steps(duration) // config.steps_per_frame + 1
     total = frames * seconds
     took = f"{total / 60:.0f} min" if total >= 90 else f"{total:.0f} s"
@@ -304,7 +305,7 @@ def announce_film(config: Config, seconds: float, duration: float) -> None:
 
 
 def look(config: Config) -> Look:
-    """Look of the film."""
+    """Camera and size of the film."""
     return Look(config.camera, config.width, config.height, config.rom)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import torch
 
-# pictures are tested in software where there is no display; MuJoCo asks once, at its import
+# without a display, pictures are rendered in software; MuJoCo reads this once, at its import
 if "DISPLAY" not in os.environ and ctypes.util.find_library("OSMesa"):
     os.environ.setdefault("MUJOCO_GL", "osmesa")
 
@@ -19,22 +19,22 @@ from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from tests.helpers import MakeEnv
 
-# the machine is shared, and no test gains from more
+# no test gains from more threads
 torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="module", autouse=True)
 def one_thread() -> None:
-    """PyTorch's threads, which change the last bits, whatever the tests before have set."""
+    """Use one thread of PyTorch, as their number changes the last bits of results."""
     torch.set_num_threads(1)
 
 
-# the background jobs of a shell ignore Ctrl-C, and so would what tests start and interrupt
+# background jobs of a shell ignore Ctrl-C, and so would processes that tests interrupt
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail a run that skipped tests where all tools are installed, as `.ci/run` says they are."""
+    """Fail if tests were skipped although all tools are installed, as in `.ci/run`."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if os.environ.get("ASLIP_FAIL_ON_SKIP") and reporter and reporter.stats.get("skipped"):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
@@ -42,7 +42,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.fixture(autouse=True)
 def seeded() -> None:
-    """Seed TorchRL's random actions, which come from the global generator."""
+    """Seed the global generator, which draws TorchRL's random actions."""
     torch.manual_seed(0)
 
 
@@ -54,7 +54,7 @@ def library() -> GaitLibrary:
 
 @pytest.fixture
 def make(library: GaitLibrary) -> MakeEnv:
-    """`aslip.make_env` with the library at hand and one physics thread."""
+    """`aslip.make_env` with the loaded library and one physics thread."""
 
     def make(backend: str = "batch", **settings: Any) -> StackEnv:
         defaults: dict[str, Any] = {"num_threads": 1}

@@ -37,7 +37,7 @@ def leaves(td: TensorDictBase) -> dict[tuple[str, ...], torch.Tensor]:
 
 
 def differing(a: TensorDictBase, b: TensorDictBase) -> list[str]:
-    """Keys of entries that only one has, or that differ in any bit (NaN equals NaN)."""
+    """Keys of entries that only one of them has, or that differ in any bit (NaN equals NaN)."""
     left, right = leaves(a), leaves(b)
     odd = ["/".join(key) for key in left.keys() ^ right.keys()]
     return sorted(odd) + sorted(
@@ -49,7 +49,7 @@ def differing(a: TensorDictBase, b: TensorDictBase) -> list[str]:
 
 
 def limp() -> TensorDictModule:
-    """A policy of zero actions; the robot follows the reference alone, and falls."""
+    """Policy of zero actions, with which the robot falls."""
     return TensorDictModule(
         lambda observation: torch.zeros(*observation.shape[:-1], 10),
         in_keys=["observation"],

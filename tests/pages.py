@@ -45,8 +45,8 @@ def blocks(text: str, language: str) -> list[tuple[int, str]]:
 
 
 def sections(text: str) -> list[Section]:
-    """Sections in order; headings within blocks of code are none."""
-    # blocks of code keep their length, so that positions are those of the text
+    """Sections in order; lines within blocks of code are not headings."""
+    # blanked blocks of code keep their length, so that positions stay valid
     blank = _FENCED.sub(lambda match: re.sub(r"[^\n]", " ", match[0]), text)
     found = [*re.finditer(r"^#+ +(.*)$", blank, flags=re.MULTILINE)]
     ends = [match.start() for match in found[1:]] + [len(text)]
@@ -57,7 +57,7 @@ def sections(text: str) -> list[Section]:
 
 
 def links(text: str) -> list[str]:
-    """Targets of links and pictures, those of the web left out."""
+    """Targets of links and pictures, except for web addresses."""
     return re.findall(r"\]\((?!https?:)([^)\s]+)\)", prose(text))
 
 

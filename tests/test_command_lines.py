@@ -97,7 +97,7 @@ def test_a_preset_fills_in_the_settings_that_are_not_given() -> None:
 
 
 def test_a_resumed_run_keeps_its_settings(run: Config) -> None:
-    """Only given settings differ, and the schedule does not follow the number of steps."""
+    """Only the given settings change; more steps do not change the schedule."""
     resume = ["paper", "--resume", "--out", str(run.out)]
     resumed = _settings(*resume)
     assert resumed == replace(run, resume=True, schedule_steps=1000)

@@ -23,7 +23,7 @@ from tests.pages import DOCS, PAGES, ROOT, blocks, commands, links, page_name, p
 LARGEST_README = 9000
 """Bytes."""
 
-# settings of the pages' trainings, and those that a test has time for
+# settings of the pages' trainings -> smaller settings for tests
 _SMALLER = {"total_steps=300_000": "total_steps=64, num_envs=8, samples=64, minibatch=32"}
 # programs outside this repository
 _FOREIGN = {"pip", "ray", "rerun", "plotjuggler"}
@@ -82,13 +82,13 @@ def test_the_python_blocks_of_a_page_run_in_order(page: Path, folder: Path) -> N
     exec(compile(code, page_name(page), "exec"), {"__name__": "__docs__"})
 
 
-def test_settings_that_the_tests_replace_are_on_the_pages() -> None:
+def test_settings_replaced_by_tests_are_on_the_pages() -> None:
     code = "".join(_program(page) for page in PAGES)
     assert [large for large in _SMALLER if large not in code] == []
 
 
 @every_page
-def test_snippets_outside_of_a_checkout_import_the_package_only(page: Path) -> None:
+def test_snippets_for_an_installed_package_import_it_alone(page: Path) -> None:
     """The wheel has neither recipes nor benchmarks; a page that imports them says so."""
     for line in _program(page).splitlines():
         if re.match(r"(from|import) (recipes|benchmarks)\b", line):
@@ -106,8 +106,8 @@ def _options(arguments: list[str]) -> list[str]:
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if commands(page.read_text())], ids=page_name
 )
-def test_the_commands_of_a_page_name_programs_with_such_options(page: Path) -> None:
-    """Settings are parsed and checked; nothing is trained or measured."""
+def test_commands_of_a_page_have_valid_programs_and_options(page: Path) -> None:
+    """Settings are parsed and checked; no program runs."""
     for words in commands(page.read_text()):
         if words[0] not in _FOREIGN and words[1:3] != ["-m", "pytest"]:
             assert words[0] == "python", words
@@ -115,7 +115,7 @@ def test_the_commands_of_a_page_name_programs_with_such_options(page: Path) -> N
 
 
 def _check_arguments(words: list[str]) -> None:
-    """Parse the arguments of `python`, as the program that is named would.
+    """Parse the arguments of `python` as the named program would.
 
     Raises:
         SystemExit: an option or its value is wrong.
@@ -147,7 +147,7 @@ def _settings(module: str) -> Any:
 
 
 def test_commands_of_logs_work_on_a_log(folder: Path) -> None:
-    """Those of the page, in its order."""
+    """All commands of the page, in order."""
     _record(folder / "walk.mcap")
     ran = 0
     for words in commands((DOCS / "logs.md").read_text()):
@@ -159,8 +159,8 @@ def test_commands_of_logs_work_on_a_log(folder: Path) -> None:
     assert ran == 5
 
 
-def test_every_policy_that_commands_name_ships_or_is_trained() -> None:
-    """Some command of the pages makes it."""
+def test_every_named_policy_ships_or_is_trained_on_a_page() -> None:
+    """A policy either ships or is made by another command of the pages."""
     made, named = {"runs/ppo_aslip", "runs/learning_curves"}, set()
     for words in (words for page in PAGES for words in commands(page.read_text())):
         for i, word in enumerate(words):

@@ -16,7 +16,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
-# room -> rooms that it may import besides itself and those below all
+# room -> rooms that it may import in addition to itself and the rooms that all may import
 _BELOW_ALL = {"errors", "files"}
 _MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
@@ -38,7 +38,7 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs", "control"}
     | {"training", "walking", "show"},
 }
-# libraries that take long to import
+# libraries with a long import time
 _HEAVY = {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"}
 # room -> libraries that it must not import
 _FOREIGN = {
@@ -102,7 +102,7 @@ def test_a_room_imports_only_rooms_below_it(room: str) -> None:
 
 
 @pytest.mark.parametrize("room", [name for name in ROOMS if name in _FOREIGN])
-def test_a_room_imports_none_of_the_libraries_it_must_not(room: str) -> None:
+def test_no_room_imports_forbidden_libraries(room: str) -> None:
     wrong = {
         f"{path.relative_to(ROOT)} imports {name}"
         for path in FILES
@@ -140,7 +140,7 @@ def test_no_room_imports_private_names_of_another() -> None:
 
 
 def _loaded_after(code: str) -> set[str]:
-    """Top-level modules that code has loaded in a new interpreter."""
+    """Top-level modules that are loaded after running code in a new interpreter."""
     script = f"{code}\nimport sys; print(*sorted({{m.split('.')[0] for m in sys.modules}}))"
     result = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=ROOT

@@ -1,7 +1,7 @@
 """Swaps of every part in under 40 lines each, from public names only.
 
-Each example is a function to copy: it trains, and returns what makes its environment. The tests
-load each policy, walk with it, and hand it to a benchmark. `docs/swapping.md` explains the parts.
+Each example is a function to copy: it trains, and returns its `make_env`. The tests load each
+policy, walk with it, and pass it to a benchmark. `docs/swapping.md` explains the parts.
 """
 
 from __future__ import annotations
@@ -155,10 +155,10 @@ def train_with_sac(config: Config) -> MakeEnv:
 
 
 def train_on_own_motion(config: Config) -> MakeEnv:
-    """Motion of one's own, of formulas alone, tabulated at 0 and 2 m/s, kept in a file."""
+    """Custom motion from formulas, tabulated at 0 and 2 m/s, and saved in a file."""
 
     class March:
-        """Walk whose body stays level while the feet go round, half a stride apart."""
+        """Walk with a level body; the feet move on closed paths, half a stride apart."""
 
         stride = 0.6  # [s]
 
@@ -193,7 +193,7 @@ def train_on_own_motion(config: Config) -> MakeEnv:
 
 
 def replay_packets(file: Path) -> MakeEnv:
-    """Robot without a simulator: whatever its targets are, it sends the packets of a file."""
+    """Robot without a simulator: it sends the packets of a file, independent of its targets."""
 
     class RecordedRobot(aslip.RobotEnv):
         """Robots that send recorded packets (steps, W, k) by name."""
@@ -222,7 +222,7 @@ def replay_packets(file: Path) -> MakeEnv:
 TINY = replace(
     helpers.TINY, num_envs=4, samples=16, total_steps=32, minibatch=16, checkpoint_minutes=9
 )
-# examples that train, and the network of those whose policy file names one of its own
+# examples that train, and the network function if it is not built in
 TRAININGS: list[tuple[Callable[[Config], MakeEnv], MakeActor | None]] = [
     (train_with_air_time, None),
     (train_with_history, None),
@@ -240,7 +240,7 @@ Trained = Callable[[Callable[[Config], MakeEnv]], tuple[Path, MakeEnv]]
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
-    """Function that trains an example once; gives the folder of its run, and its environments."""
+    """Function that trains an example once; returns its run folder and `make_env`."""
     done: dict[Any, tuple[Path, MakeEnv]] = {}
 
     def train_once(train: Callable[[Config], MakeEnv]) -> tuple[Path, MakeEnv]:
@@ -254,14 +254,14 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Trained:
 
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A benchmark of a second in place of a minute."""
-    times = {"_HOLD": 0.15, "_TRANSIENT": 0.03}  # held for a touchdown of the model at the least
+    """Short settings of a benchmark: one second instead of a minute."""
+    times = {"_HOLD": 0.15, "_TRANSIENT": 0.03}  # long enough for a touchdown of the model
     for name in ("_HOLD", "_TRANSIENT", "_BEFORE", "_AFTER", "_SETTLE", "_WALK"):
         monkeypatch.setattr(velocity_tracking, name, times.get(name, 0.09))
 
 
 def _rollout(make_env: MakeEnv, policy: Any, steps: int = 12) -> Any:
-    """Policy steps (steps, ...) of one robot at 0.5 m/s, on after falls."""
+    """Policy steps (steps, ...) of one robot at 0.5 m/s, continued after falls."""
     with closing(make_env(num_envs=1)) as env, torch.no_grad():
         start = TensorDict(command=torch.tensor([[0.5]]), batch_size=1)
         start = add_memory(env, policy).reset(start)
@@ -340,7 +340,7 @@ def test_sac_acts_within_its_bounds(trained: Trained) -> None:
     assert policy(observation)["action"].abs().max() == pytest.approx(0.4, abs=1e-3)
 
 
-def test_a_motion_of_ones_own_guides_the_policy(trained: Trained) -> None:
+def test_a_custom_motion_guides_the_policy(trained: Trained) -> None:
     folder, make_env = trained(train_on_own_motion)
     walk = _rollout(make_env, aslip.load_policy(folder))
     reference = walk["next", "reference"]
@@ -350,10 +350,10 @@ def test_a_motion_of_ones_own_guides_the_policy(trained: Trained) -> None:
         Walker(folder)
 
 
-def test_a_robot_that_is_no_simulator_walks_and_is_measured(
+def test_a_robot_without_a_simulator_walks_and_is_measured(
     tmp_path: Path, short: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Actions as in the walk that was recorded, under the policy and under a controller."""
+    """Policy and controller give the actions of the recorded walk."""
     policy, library = aslip.load_policy("aslip"), aslip.GaitLibrary.load()
     simulated = partial(aslip.make_env, base=BatchEnv, stack=robot_stack())
     walk = _rollout(simulated, policy, steps=20)
@@ -390,7 +390,7 @@ def test_an_example_has_less_than_40_lines(example: Callable[..., MakeEnv]) -> N
 
 
 def test_examples_use_public_names_only() -> None:
-    """Those that modules of the package list, and what the docs import beside them."""
+    """Public names are those in `__all__`, and those that the docs import."""
     private = []
     for node in ast.walk(ast.parse(Path(__file__).read_text())):
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("aslip."):

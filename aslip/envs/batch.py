@@ -16,8 +16,8 @@ from aslip.sim.checks import check_count
 from aslip.sim.dynamics import with_longer_memory
 
 MAX_BATCH_ENVS: Final = 65_536
-"""Largest number of robots of one environment, at 50 kB each. A larger number is a typing error,
-which would fill all memory before it failed."""
+"""Largest number of robots of one environment, at 50 kB each. A larger number is probably a typing
+error, and would fill the memory before failing."""
 
 
 class BatchEnv(SimulatedEnv):

@@ -57,9 +57,9 @@ def stack_name(env: StackEnv) -> str | None:
 
 
 def baseline_key(env: StackEnv) -> NestedKey | None:
-    """Key of the angles that the action is added to, its baseline.
+    """Key of the action's baseline, the angles to which the action is added.
 
-    None without an `ActionDelta`, or if another transform changes actions, too.
+    None without an `ActionDelta`, or if another transform also changes actions.
     """
     acting = [t for t in env.transforms if _changes_actions(t)]
     return _baseline_key(acting[0]) if len(acting) == 1 else None
@@ -108,7 +108,7 @@ def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] 
 
 
 def _changes_actions(transform: Transform) -> bool:
-    """True if a transform stands between the policy's action and the robot."""
+    """True if a transform changes actions between policy and robot."""
     keys = {*map(str, transform.in_keys_inv), *map(str, transform.out_keys_inv)}
     if keys & {"action", "motor_target"}:
         return True
@@ -145,8 +145,8 @@ def command_speeds(env: StackEnv) -> list[float]:
 def describe_transforms(env: StackEnv) -> dict[str, str]:
     """Transforms of an environment: name -> class and settings.
 
-    The text of a function is its name and a hash of its code (`function_text`); the text of a value
-    that has no short one is its class.
+    A function is described by its name and a hash of its code (`function_text`), a value without a
+    short text by its class.
     """
     return {
         name: f"{type(t).__name__}({', '.join(_settings(t))})"

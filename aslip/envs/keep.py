@@ -33,7 +33,7 @@ class KeepKeys(SeededTransform):
         self._kept = set(kept)
         # groups of which a part is kept
         self._opened = {key[:depth] for key in kept for depth in range(len(key))}
-        # entries of the environment; a policy's own, such as its memory, are not hidden
+        # entries of the environment; those of the policy, such as its memory, are not hidden
         self._to_hide: list[tuple[str, ...]] | None = None
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:

@@ -41,8 +41,8 @@ def make_env(
 ) -> StackEnv:
     """Make a TorchRL environment of n robots with a stack of transforms.
 
-    Give losses `env.action_spec_unbatched`, the spec of one robot. With `env.action_spec`, that of
-    all n robots, the target entropy of `SACLoss` is n times too large.
+    Pass `env.action_spec_unbatched`, the spec of one robot, to losses. With `env.action_spec`, the
+    spec of all n robots, the target entropy of `SACLoss` is n times too large.
 
     Args:
         backend: simulator: "batch" for training, or "dm_control" as the reference. Keys and states
@@ -50,8 +50,8 @@ def make_env(
         num_envs: number of robots n, at most 65,536, or 1,024 with the "dm_control" backend; all
             tensors have it as their first dimension.
         seed: seed of all random numbers, those of transforms included.
-        drop: names of transforms to leave out. Without a reward term rewards are smaller, but
-            `LowReward` still ends episodes below 0.3: consider to drop or replace it, too.
+        drop: names of transforms to leave out. Without a reward term, rewards are smaller, but
+            `LowReward` still ends episodes below 0.3: consider dropping or replacing it, too.
         replace: name of a transform in the stack -> transform, or function that makes it.
         stack: stack, or the name of one in `STACKS`.
         reward_on: state that rewards read, "truth" or "estimate"; for stacks given by name.

@@ -98,7 +98,7 @@ class BipedPhysics(mujoco.Physics):
         self._ground_force = np.zeros_like(self._ground_force)
         sensors = self.sensors
         for _ in range(nstep):
-            # the PD loop has the readings of the step before
+            # the PD loop uses the readings of the previous step
             torque = self.drive.torque(
                 self._motor_target[None], sensors.motor_position, sensors.motor_velocity
             )
@@ -153,7 +153,7 @@ class BipedPhysics(mujoco.Physics):
         return np.concatenate([physics, self.sensors.memory()[0]])
 
     def set_full_state(self, state: np.ndarray) -> None:
-        """Restore what `full_state` returned, for this or another physics of the same model.
+        """Restore a result of `full_state`, from this or another physics of the same model.
 
         Raises:
             ShapeError: the state is of another model; the physics keeps its own.

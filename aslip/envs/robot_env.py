@@ -167,7 +167,7 @@ class RobotEnv(EnvBase):
         return {"sensors": sensors}
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """Refuse to be copied or pickled: TorchRL's processes take a function that makes one.
+        """Refuse copying and pickling; worker processes need a function that makes the environment.
 
         Raises:
             ConfigurationError: always.
@@ -180,7 +180,7 @@ class RobotEnv(EnvBase):
 
 
 def _refuse_requests(tensordict: TensorDictBase | None, keys: Sequence[str]) -> None:
-    """Refuse entries that only a simulation can obey.
+    """Refuse entries that only a simulation can apply.
 
     Raises:
         ConfigurationError: the tensordict has one of the keys.

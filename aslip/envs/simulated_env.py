@@ -12,15 +12,15 @@ Keys in addition to those of `RobotEnv`, for n robots, with shapes that omit the
 
 A reset request may have the initial state, `("initial", "qpos")` (35) and `("initial", "qvel")`
 (32); by default the robot stands, or starts where the stack's `ReferenceStart` puts it. It may also
-have parameters of `aslip.sim.DYNAMICS`, `("dynamics", name)` (1); all others keep their values, or
-are drawn by the stack's `RandomDynamics`. These entries are not in `state_spec`, because TorchRL
-would require them in every step; wrappers of TorchRL, such as `SerialEnv`, drop them.
+have parameters of `aslip.sim.DYNAMICS`, `("dynamics", name)` (1); other parameters keep their
+values, or are drawn by the stack's `RandomDynamics`. These entries are not in `state_spec`, because
+TorchRL would require them in every step; so TorchRL's wrappers, such as `SerialEnv`, drop them.
 
-A NaN target makes its simulation diverge and no other. TorchRL carries `push` from step to step:
-remove it when the push ends.
+A NaN target makes only its own simulation diverge. TorchRL copies `push` from step to step: remove
+it when the push ends.
 
-Beyond the keys, `dynamics`, `weight` and `set_dynamics` concern the dynamics, and `states`,
-`set_states` and `watch` serve logs and replay.
+Further methods: `dynamics`, `weight` and `set_dynamics` for the dynamics; `states`, `set_states`
+and `watch` for logs and replay.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class SimulatedEnv(RobotEnv):
 
     @abstractmethod
     def set_states(self, states: np.ndarray) -> None:
-        """Restore what `states` returned, for this or another environment of the same model.
+        """Restore a result of `states`, from this or another environment with the same model.
 
         Raises:
             ShapeError: the states have another number of robots or another model; all simulations

@@ -47,7 +47,7 @@ class StackEnv(TransformedEnv):
         transforms: name -> transform, first to last.
     """
 
-    # most often; a RobotEnv in general
+    # usually; in general a RobotEnv
     base_env: SimulatedEnv
 
     # EnvBase's reads the specs of this environment; TransformedEnv's fails if another environment
@@ -124,7 +124,7 @@ class StackEnv(TransformedEnv):
                 f"reset takes no keyword {', '.join(kwargs)}; to choose commands or phases, call it"
                 " with TensorDict(command=..., batch_size=...) with one number per robot, (n, 1)"
             )
-        # random transforms need the number of robots, which is slow to ask TorchRL for
+        # random transforms need the number of robots; TorchRL is slow to compute it
         if tensordict is None:
             tensordict = TensorDict(batch_size=self.batch_size)
         # TransformedEnv._reset, but with initial states and dynamics, which are not in state_spec
@@ -144,11 +144,11 @@ class StackEnv(TransformedEnv):
         return self._latest
 
     def _completed(self, request: TensorDictBase, started: TensorDictBase) -> TensorDictBase:
-        """Entries after a reset; robots that go on keep their latest ones.
+        """Entries after a partial reset; the other robots keep their latest entries.
 
-        TorchRL merges the reset into the request and puts zeros where the request lacks entries.
-        It does so when transforms stand around a `ParallelEnv`, whose processes then receive only
-        the mask and what `state_spec` declares.
+        TorchRL merges the reset into the request and writes zeros for entries that the request
+        lacks. Requests lack entries if transforms wrap a `ParallelEnv`, whose processes receive
+        only the mask and the entries of `state_spec`.
         """
         mask, latest = request.get("_reset", None), self._latest
         if mask is None or latest is None or mask.all():
@@ -159,7 +159,7 @@ class StackEnv(TransformedEnv):
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the environment, and every transform by its name.
 
-        A transform thus draws the same numbers whatever other transforms the stack has.
+        So the random numbers of a transform do not depend on the other transforms in the stack.
 
         Raises:
             ConfigurationError: the seed is not a whole number of 0 or more.
@@ -185,7 +185,7 @@ def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
 
 
 def _check_foreign(transform: object, env: EnvBase) -> None:
-    """Refuse transforms of TorchRL that do not work in a stack.
+    """Refuse TorchRL transforms that do not work in a stack.
 
     Args:
         transform: any transform.

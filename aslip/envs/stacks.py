@@ -61,7 +61,7 @@ EPISODE_ENDS: Final = ("low_reward", "step_limit")
 ON_TRUTH: Final[Mapping[str, Any]] = MappingProxyType(
     {"drop": ("noise",), "replace": {"estimator": TrueState}}
 )
-"""Arguments of `make_env` for policies on the true state instead of an estimate."""
+"""Arguments of `make_env` for policies that observe the true state instead of the estimate."""
 
 
 def reward_terms(reward_on: RewardSource = "truth") -> Stack:
@@ -136,7 +136,7 @@ def paper_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "t
     """Stack of the paper: actions are added to the motor angles of the reference."""
     stack = default_stack(library, reward_on)
     del stack["feedforward"]
-    # the action must also make up for the lag of the PD loops: 1.8 rad with the shipped baseline
+    # actions must also compensate the lag of the PD loops: up to 1.8 rad with the shipped baseline
     stack["action"] = lambda: ActionDelta(limit=2.0)
     return stack
 
@@ -216,7 +216,7 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
 
 
 _EVALUATION = (*PAPER_WEIGHTS, "reward", "fall", "low_reward", "step_limit", "episode_sum")
-"""Transforms of the default stack that reward a robot or end its episode."""
+"""Transforms of the default stack that compute rewards or end episodes."""
 
 
 def randomise_stack(stack: Stack) -> Stack:
@@ -257,7 +257,7 @@ def robot_stack(stack: Stack | None = None) -> Stack:
 
 
 def _make_for_robot(make: Callable[[], Transform]) -> Transform:
-    """Make a transform; a reward term reads that a robot has stopped, not that it diverged."""
+    """Make a transform; reward terms read `terminated` in place of the simulator's `diverged`."""
     made = make()
     if not isinstance(made, RewardTerm):
         return made
@@ -277,9 +277,9 @@ def needs_simulation(transform: Transform) -> bool:
 def evaluation_stack(stack: Stack) -> Stack:
     """Copy of a stack for evaluation, with the same task and rewards for every experiment.
 
-    Observation and baseline of the action are those of the stack. Robot, start, rewards and ends of
-    episodes are those of `default_stack()`, and so are the gaits that the rewards compare with,
-    even if the policy observes another motion.
+    Observation and action baseline are those of the given stack. Robot, start, rewards and ends of
+    episodes are those of `default_stack()`; the rewards compare with its gaits, even if the policy
+    observes another motion.
 
     Raises:
         ConfigurationError: `stack` is a name.

@@ -18,10 +18,10 @@ Process and measurement follow Bloesch et al., "State estimation for legged robo
 fusion of leg kinematics and IMU" (RSS 2012). An external attitude, as in Bledt et al., "MIT Cheetah
 3" (IROS 2018), makes them linear. Updates take one scalar measurement at a time. In addition:
 
-- the leaf springs tell contact (`aslip.estimation.legs`), as Cassie has no foot force sensor;
+- the leaf springs detect contact (`aslip.estimation.legs`), as Cassie has no foot force sensor;
 - only a foot at rest is a measurement: a gate on the innovation rejects a foot that skids after
   touchdown or lifts before its springs have relaxed, a gate on the height rejects a foot whose
-  springs shake in the air; the position of a rejected foot is set anew from the leg;
+  springs vibrate in the air; the position of a rejected foot is reset from the leg kinematics;
 - the centre of a sole that rocks over heel or toes moves with the lever arm.
 """
 
@@ -384,7 +384,7 @@ def _update(
 
 @compiled
 def _plant(mean: np.ndarray, cov: np.ndarray, column: int, sole: np.ndarray, leg: float) -> None:
-    """Set a foot's position from the leg, with the pelvis' uncertainty and the encoders'."""
+    """Set a foot's position from the leg kinematics; pelvis and encoders give its variance."""
     mean[:, column] = mean[:, P] + sole
     cov[:, column] = cov[:, P]
     cov[:, :, column] = cov[:, :, P]

@@ -1,7 +1,7 @@
 """Atomic writing: a file is complete or not there.
 
-Content goes to a temporary file, is synced to the disk, and only then renamed. A full disk, a
-killed process or a power cut therefore leaves the old file as it was, and never half of a new one.
+Content is written to a temporary file, synced to the disk, and only then renamed. After a full
+disk, a killed process or a power cut, the old file is therefore intact, never half overwritten.
 """
 
 from __future__ import annotations

@@ -4,8 +4,8 @@
 rows of a leg         equation
 ====================  ===========================================================================
 3                     the centre of the sole is at its target [m]
-motors - 3            the sole has the orientation of its target: with six motors fully; with five
-                      in the direction of the toes (x axis), the roll about it being the leg's
+motors - 3            the sole has the orientation of its target; with five motors, only the toes
+                      (x axis) have their direction, and the roll about them follows from the leg
 3 for each loop       the loop is closed [m]
 1 for each rod        a rod between a ball joint and a loop's end does not spin about its axis
 ====================  ===========================================================================

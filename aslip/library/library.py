@@ -221,7 +221,7 @@ class GaitLibrary(nn.Module):
         return multilinear(self._strides[motion], weights).to(command.dtype)
 
     def initial_state(self, phase: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
-        """Configuration and velocity of the robot on the reference.
+        """Configuration and velocity of a robot on the reference.
 
         Args:
             phase: (*b, 1) stride fraction.
@@ -229,7 +229,8 @@ class GaitLibrary(nn.Module):
 
         Returns:
             `qpos` (*b, 35) and `qvel` (*b, 32), double precision, MuJoCo's conventions; the pelvis
-            is at x = 0. Between motions the loops are open by a fraction of a millimetre.
+            is at x = 0. Between motions, interpolation opens the loops by a fraction of a
+            millimetre.
         """
         qpos = self._interpolate(self._qpos, phase, command)
         for quaternion in self.table.robot.indices.quaternions:

@@ -17,8 +17,8 @@ from aslip.rom.motion import PHASE_SAMPLES, MotionSample, Track
 from aslip.rom.pendulum import PendulumWalk, pendulum_walks
 
 SINGLE_REFERENCE_WALK: Final = PendulumWalk(clearance=0.15)
-"""Motion of the baseline; its clearance, lower than the model's, is that with which the shipped
-policy `single_reference` was trained."""
+"""Motion of the baseline. Its clearance is lower than the spring-mass model's; the shipped policy
+`single_reference` was trained with it."""
 
 
 def pendulum_library(

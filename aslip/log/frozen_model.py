@@ -1,7 +1,7 @@
 """Compiled models as an MJCF and a few settings: exact, readable, and safe to load.
 
-MuJoCo's own XML writer rounds to six digits, with which a walk differs within seconds. A log from
-an untrusted source does no harm: its XML may differ from the shipped one in numbers only, settings
+MuJoCo's own XML writer rounds to six digits, enough to change a walk within seconds. A log from an
+untrusted source does no harm: its XML may differ from the shipped one in numbers only, settings
 have ranges, and no field of the model is set by name or index. Other differences between robots are
 logged as parameters of `aslip.sim.DYNAMICS`.
 """
@@ -39,10 +39,10 @@ _LARGEST_FACTOR = 10.0
 
 @dataclass(frozen=True)
 class ModelSettings:
-    """Settings that a model is compiled with.
+    """Settings with which a model is compiled.
 
     Raises:
-        ConfigurationError: a value is of another type, or out of range.
+        ConfigurationError: a value has the wrong type or is out of range.
     """
 
     visual: bool
@@ -108,7 +108,7 @@ def freeze_model(model: mujoco.MjModel) -> dict[str, bytes]:
 
 
 def thaw_model(files: Mapping[str, bytes], memory: int | None = None) -> mujoco.MjModel:
-    """Compile the model that `freeze_model` was given.
+    """Compile the model from the files of `freeze_model`.
 
     Args:
         files: result of `freeze_model`, possibly from an untrusted log.

@@ -82,5 +82,5 @@ class _Order:
         if time < self._latest.get(record.channel_id, 0):
             self.problems.append(f"time goes back in {topic!r} at {time} ns")
         if record.publish_time != time:
-            self.problems.append(f"{topic!r} has two times at {time} ns")
+            self.problems.append(f"{topic!r} has two messages at {time} ns")
         self._latest[record.channel_id] = time

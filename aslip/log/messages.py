@@ -17,11 +17,11 @@
 | `/log` | events | beginning and end of episodes, notes |
 
 Messages are plain ROS 2 types or flat lists of named numbers, so that viewers show them without
-set-up and plots can name every curve. A message describes the instant of its time; `/step` and
-`/sensors` the policy step that ends then, `/touchdown` a contact within that step, up to 30 ms
-earlier. Units are SI and radians; frames are those of the tensordict's entries
-(see `aslip.sim.true_state`). Quaternions are xyzw in `/tf`, as ROS has them, and name their
-components elsewhere.
+set-up and plots can name every curve. A message describes the state at its time stamp, with two
+exceptions: `/step` and `/sensors` describe the policy step that ends then, and `/touchdown` a
+contact within that step, up to 30 ms earlier. Units are SI and radians; frames are those of the
+tensordict's entries (see `aslip.sim.true_state`). Quaternions are xyzw in `/tf`, as usual in ROS;
+elsewhere each component has a name.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from aslip.estimation import FAULTS
 from aslip.robot import CASSIE, SIDES
 
 FORMAT: Final = "2"
-"""Version of this layout. Readers refuse others, and name the version and commit of aslip that
-wrote the log and can read and replay it. Format 1 had no hash of its metadata, none of
-`/observation`, `/sensors`, `/odometry` and `/dynamics`, and the whole model in `model.json`."""
+"""Version of this format. Readers refuse other versions, and name the version and commit of aslip
+that can read and replay the log. Format 1 lacked the hash of its metadata and the topics
+`/observation`, `/sensors`, `/odometry` and `/dynamics`, and had the whole model in `model.json`."""
 
 LOGGED_JOINTS: Final = (
     *CASSIE.motor_names,

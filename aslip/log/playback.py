@@ -92,7 +92,8 @@ def replay(log: str | Path | Recording, start: float = 0.0, *, strict: bool = Tr
 
 
 def _replayed(recording: Recording, start: float, strict: bool) -> Replay:
-    from aslip.log.replayed_robot import ReplayedRobot  # takes a second, which `info` saves
+    # imported here, because it takes a second, which `info` saves
+    from aslip.log.replayed_robot import ReplayedRobot
 
     robot = ReplayedRobot(recording)
     doubts = _doubts(recording, robot)
@@ -201,8 +202,8 @@ def _doubts(recording: Recording, robot: ReplayedRobot) -> tuple[str, ...]:
     made, here = metadata.get("version/mujoco"), importlib.metadata.version("mujoco")
     if made != here:
         doubts.append(
-            f"the log was made with MuJoCo {made or '(unknown)'}, this is {here}; its simulation"
-            f" is repeated exactly with: pip install mujoco=={made}"
+            f"the log was made with MuJoCo {made or '(unknown)'}, this is {here}; for an exact"
+            f" replay: pip install mujoco=={made}"
         )
     if model_digest(robot.model) != metadata.get("model_digest"):
         doubts.append(

@@ -268,7 +268,7 @@ def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
     if metadata.get("format") != messages.FORMAT:
         by = metadata.get("version/aslip", "another version")
         raise FormatError(
-            f"its format is {metadata.get('format')!r}, this version of aslip reads"
+            f"its format is {metadata.get('format')!r}, but this version of aslip reads"
             f" {messages.FORMAT!r}; read it with the version that wrote it, aslip {by}"
             f" (commit {metadata.get('commit') or 'unknown'})"
         )
@@ -304,7 +304,7 @@ def _explained(path: Path) -> Iterator[None]:
         yield
     except FormatError as error:
         raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
-    except Exception as error:  # one cause, a bad file, has many exceptions
+    except Exception as error:  # a damaged file causes many kinds of exceptions
         # messages of a parser need their type to be understood
         reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
         raise FileDamagedError(

@@ -67,7 +67,7 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
     out = Path(out)
     if out.exists():
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
-    # the damaged log itself may end in ".part"
+    # the damaged log itself may have a name that ends in ".part"
     temporary = out.with_name(out.name + ".recovering")
     with open_log(path) as damaged:
         found = _look(damaged)
@@ -126,7 +126,7 @@ def _look(damaged: IO[bytes]) -> _Found:
     known = found.metadata.get(METADATA, {}).get("format", messages.FORMAT)
     if known != messages.FORMAT:
         raise FileDamagedError(
-            f"{damaged.name!r} is of format {known!r}, this version of aslip recovers"
+            f"{damaged.name!r} has format {known!r}, but this version of aslip recovers"
             f" {messages.FORMAT!r}"
         )
     return found

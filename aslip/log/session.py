@@ -49,7 +49,7 @@ _NO_PUSH = np.zeros(3)
 _START = {"faults": "fault"}
 _INTEGRATION = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _SPRINGS = ("spring_stiffness", "joint_damping")
-# internals of the filter, and functions of phase and command that are not plotted
+# not logged: internals of the filter, and functions of phase and command
 _UNLOGGED = {"estimate": {"memory"}, "reference": {"motor_velocity", "motor_torque"}}
 
 Row = dict[str, np.ndarray]
@@ -198,7 +198,7 @@ class Session:
         done = bool(after.get("done")[self._robot])
         if done:
             self._note_end(after)
-        # the last state makes a replay of a short episode comparable
+        # the last state lets a replay of a short episode be compared
         self._state_due = not (done or self._ticks % _STEPS_PER_SECOND == 0)
         if not self._state_due:
             self._keep_state()

@@ -1,8 +1,8 @@
 """Fast encoding of messages in which only numbers change.
 
-The ROS 2 library takes 0.7 ms for a message of 28 transforms, a tenth of a policy step. Here it
-encodes one message of marker numbers, which shows the place of each number; every later message is
-a copy with other numbers in these places.
+The ROS 2 library takes 0.7 ms for a message of 28 transforms, a tenth of a policy step. So it
+encodes only one message, filled with marker numbers, to find the position of each number; every
+later message is a copy with new numbers at these positions.
 """
 
 from __future__ import annotations

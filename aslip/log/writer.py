@@ -3,7 +3,7 @@
 Records go to `<name>.part`; once per simulated second the chunk is closed and handed to the
 operating system, without waiting for the disk. A finished file is flushed to the disk and then
 renamed, so that a name without `.part` is always a complete log. A crash of the process loses at
-most one simulated second, a crash of the machine also data that the system had not written yet.
+most one simulated second; a crash of the machine also loses data not yet on the disk.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class LogWriter:
                 self._file.close()
             warnings.warn(
                 f"the log {str(self.path)!r} ends here, its file cannot be written ({error}); the"
-                f" simulation goes on. Free space, and save the written part with: python -m"
+                f" simulation continues. Free space, and save the written part with: python -m"
                 f" aslip.log recover {self.unfinished}",
                 RuntimeWarning,
                 stacklevel=2,

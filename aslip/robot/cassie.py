@@ -1,4 +1,4 @@
-"""Biped Cassie: numbers of the robot and its low level, one source each.
+"""Biped Cassie: numbers of the robot and its low level, each with its source.
 
 "Simulator" is the public Cassie simulator that the paper names (footnote 1 of Green et al. 2021).
 A leg's motors are hip roll, hip yaw, hip pitch, knee and foot.
@@ -60,21 +60,20 @@ CASSIE: Final = Robot(
     # public code of Green et al. 2021
     fall_height=0.4,
     # The model file of the public simulator declares the white noise of the shin and tarsus
-    # encoders, gyro and accelerometer; the simulator never switches it on. For the rest it declares
-    # nothing, and we choose:
+    # encoders, gyro and accelerometer; the simulator never switches it on. It declares no other
+    # noise, so we choose:
     #
     # - Motor and foot encoders have no noise beyond their quantisation.
     # - Encoders have no bias: they are absolute, and calibrated at start-up.
-    # - Joint velocities have what the encoders' noise becomes in the filter that makes them out of
-    #   angles at 2 kHz (`aslip.sim.sensors.JOINT_VELOCITY_FILTER`): 74 /s times 2e-4 rad, the
-    #   square root of the sum of the filter's squared impulse response. From packet to packet it is
-    #   nearly white (correlation 0.08).
-    # - Motor velocities have none, as their encoders have none.
+    # - Joint velocities have the encoders' noise after the filter that computes them from angles
+    #   at 2 kHz (`aslip.sim.sensors.JOINT_VELOCITY_FILTER`): 74 /s times 2e-4 rad, where 74 /s is
+    #   the square root of the sum of the filter's squared impulse response. From packet to packet
+    #   it is nearly white (correlation 0.08).
+    # - Motor velocities have no noise, as their encoders have none.
     # - The orientation is the output of a filter in an inertial unit rated to 0.5 degrees
-    #   (9e-3 rad); it errs well below the rating, and more slowly than from packet to packet.
-    # - Gyro and accelerometer are biased by twice their white noise: over the ten packets of a
-    #   policy step the white noise averages out to a third, so that the bias is what a filter has
-    #   to deal with.
+    #   (9e-3 rad); its error is well below the rating, and varies slowly between packets.
+    # - Gyro and accelerometer have a bias of twice their white noise: over the ten packets of a
+    #   policy step the white noise averages out to a third, so that the bias dominates.
     sensor_noise={
         "motor_position": NoiseLevel(),
         "motor_velocity": NoiseLevel(),
@@ -85,4 +84,4 @@ CASSIE: Final = Robot(
         "accelerometer": NoiseLevel(white=1e-2, bias=2e-2),
     },
 )
-"""Cassie of Agility Robotics, as the paper's simulator has it."""
+"""Cassie of Agility Robotics, with the numbers of the paper's simulator."""

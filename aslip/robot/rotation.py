@@ -1,13 +1,13 @@
 """Batched rotations in NumPy: unit quaternions (..., 4) are wxyz, matrices are (..., 3, 3).
 
-A rotation from a body to the world turns vectors written in the body's axes into the world's.
+A rotation from a body to the world maps vectors from the body frame to the world frame.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-# quaternions this close to unit length are unit ones in single precision
+# quaternions within this tolerance of unit length count as unit quaternions (single precision)
 _ROUNDING = 1e-6
 
 
@@ -67,19 +67,19 @@ def matrix_to_quaternion(matrix: np.ndarray) -> np.ndarray:
 
 
 def upper_hemisphere(quaternion: np.ndarray) -> np.ndarray:
-    """Representation with w >= 0 of the same rotations (..., 4)."""
+    """Equivalent quaternions (..., 4) with w >= 0."""
     return np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
 
 
 def normalize(quaternion: np.ndarray) -> np.ndarray:
-    """Unit quaternions (..., 4) with w >= 0; those of unit length keep their bits."""
+    """Normalise quaternions (..., 4) to unit length and w >= 0; unit ones keep their bits."""
     length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
     unit = np.where(np.abs(length - 1) > _ROUNDING, quaternion / length, quaternion)
     return upper_hemisphere(unit)
 
 
 def rotate_inverse(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors (..., 3) of the world in the axes of bodies with `quaternion` (..., 4) to the world.
+    """World vectors (..., 3), expressed in the frames of bodies with orientation `quaternion`.
 
     `vector` is (..., 3), or one (3,) for all.
     """
@@ -89,13 +89,13 @@ def rotate_inverse(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def yaw(quaternion: np.ndarray) -> np.ndarray:
-    """Heading (...) of the x axis of bodies with `quaternion` (..., 4) to the world [rad]."""
+    """Yaw (...) of the x axis of bodies with orientation `quaternion` (..., 4) [rad]."""
     w, x, y, z = np.moveaxis(quaternion, -1, 0)
     return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def vector_to_heading(heading: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors (n, ..., 3) of the world in frames with x along headings (n,); copies."""
+    """World vectors (n, ..., 3), expressed in frames with x along headings (n,); copies."""
     shape = (-1, *[1] * (vector.ndim - 2))
     cosine, sine = np.cos(heading).reshape(shape), np.sin(heading).reshape(shape)
     x, y, z = np.moveaxis(vector, -1, 0)
@@ -103,7 +103,7 @@ def vector_to_heading(heading: np.ndarray, vector: np.ndarray) -> np.ndarray:
 
 
 def orientation_to_heading(heading: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """Orientations (n, 4) to frames with x along headings (n,), from orientations to the world."""
+    """Orientations (n, 4), given to the world, relative to frames with x along headings (n,)."""
     cosine, sine = np.cos(heading / 2), np.sin(heading / 2)
     w, x, y, z = quaternion.T
     turned = (cosine * w + sine * z, cosine * x + sine * y, cosine * y - sine * x)

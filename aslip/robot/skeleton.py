@@ -1,7 +1,7 @@
 """Numbers of a robot's MJCF as MuJoCo compiles them, by name and readable without MuJoCo.
 
-`assets/cassie.json` holds those of `assets/cassie.xml`; `python -m aslip.robot` writes it anew.
-Quaternions are wxyz, and positions and orientations are in the body above [m].
+`assets/cassie.json` holds those of `assets/cassie.xml`; `python -m aslip.robot` rewrites it.
+Quaternions are wxyz; positions [m] and orientations are relative to the parent body.
 """
 
 from __future__ import annotations

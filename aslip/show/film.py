@@ -1,4 +1,4 @@
-"""Films of a walk: frames, drawn and written to an MP4 file.
+"""Films of a walk: draw frames and write them to an MP4 file.
 
 OpenGL is loaded on the first drawing, not on import.
 """

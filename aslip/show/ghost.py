@@ -1,8 +1,8 @@
 """Reduced-order model in the world, at the robot that it guides: for pictures, logs, live page.
 
-The reference of a library has no position in the world. Here its body is at the robot's pelvis, at
-the height of the reference, and its feet are those of the reference relative to the body, turned by
-the yaw of the robot: the frame in which the reward compares feet.
+The reference of a library has no position in the world. The ghost has it: its body is at x and y of
+the robot's pelvis and at the height of the reference, and its feet are the reference's, rotated by
+the yaw of the robot, as in the reward term of the feet.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ def touchdown_phases(motion: Motion) -> tuple[float, float]:
             f" and right foot at command {motion.command}: {begins.sum(axis=0).tolist()}"
         )
     first = begins.argmax(axis=0)
-    # from there on until the speed stops falling
+    # touchdown is when the speed stops falling
     slower = [np.diff(np.roll(v, -k)) < 0 for v, k in zip(speed.T, first, strict=True)]
     left, right = ((first + [s.argmin() for s in slower]) % _INSTANTS / _INSTANTS).tolist()
     return left, right

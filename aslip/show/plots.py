@@ -82,7 +82,7 @@ def gait_sheet(gaits: Sequence[Gait]) -> Figure:
         _shade_modes(axes, gaits[0])
     rows[2].plot([], [], "k-", label="left leg")
     rows[2].plot([], [], "k:", label="right leg")
-    # over the swing of the left leg, between the force humps of the right one
+    # placed over the swing of the left leg, between the force humps of the right leg
     rows[2].legend(loc="upper center", bbox_to_anchor=(0.2, 1.0), fontsize=8)
     rows[-1].set(xlabel="phase (0: left lift-off)", xlim=(0, 1))
     scale = ScalarMappable(

@@ -73,7 +73,7 @@ class SimulationPool:
         ]
         self._threads = min(threads, len(self.parts))
         self._executor = ThreadPoolExecutor(self._threads)
-        # process of the threads, which start with the first period; a forked process has none
+        # id of the process that owns the threads, set in the first period; forks have no threads
         self._process: int | None = None
         self._watched_part = 0
 
@@ -145,8 +145,8 @@ class SimulationPool:
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
         """Run one policy period; see `Simulations.advance`.
 
-        Errors of a part and Ctrl-C are raised after all threads have finished, so that states no
-        longer change.
+        Errors of a part and Ctrl-C are raised after all threads have finished, so that no thread
+        still changes the states.
 
         Args:
             motor_target: (n, `command_size`) commands of the drive, joint angles for `PD` [rad].
@@ -195,7 +195,7 @@ class SimulationPool:
     def _come_to_rest(self) -> None:
         """Let the threads finish all jobs, then replace them by new ones.
 
-        The list of jobs may lack the last one after an interrupt; the executor knows all.
+        After an interrupt, the list of jobs may lack the last one, but the executor knows it.
         """
         resting = False
         while not resting:
@@ -218,7 +218,7 @@ class SimulationPool:
         return np.concatenate([part.states() for part in self.parts])
 
     def set_states(self, states: np.ndarray) -> None:
-        """Restore what `states` returned, for these or other simulations of the same model.
+        """Restore a result of `states`, from these or other simulations of the same model.
 
         Raises:
             ShapeError: the states have another number or model; all simulations keep theirs.

@@ -15,7 +15,7 @@ the pelvis in a frame with z against gravity, the world frame unless the floor h
 A reading is taken before each physics step, and the PD loop uses the previous reading, as in the
 public simulator. A packet every 3 ms has encoders, attitude and angular velocity of that instant,
 and the *mean* specific force since the previous packet: inertial units integrate internally, and a
-single sample of an impact would not tell the change of velocity.
+single sample during an impact would not give the change of velocity.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class Sensors:
 
         joint_velocity = qvel[:, at.joint_qvel]
         joint = qpos[:, at.joint_qpos] - self._timestep * joint_velocity
-        # truncated angles, as the filter would take the truncation for a step
+        # truncated angles: otherwise the filter would see the truncation as a step
         counted = np.trunc(joint / self._joint_step) * self._joint_step
         self._joint_memory[:, ids] = (
             self._constant[:, None, None] * counted + self._ramp[:, None, None] * joint_velocity
@@ -215,7 +215,7 @@ class Sensors:
         return (_MEMORY_ROWS + 2) * self._motors + self._joint_memory[:, 0].size
 
     def set_memory(self, rows: np.ndarray) -> None:
-        """Restore what `memory` returned."""
+        """Restore a result of `memory`."""
         num, motors = self.motor_position.shape
         ends = np.cumsum([_MEMORY_ROWS * motors, self._joint_memory[:, 0].size, motors])
         count, joint, position, velocity = np.split(rows, ends, axis=1)
@@ -357,7 +357,7 @@ def _ramp_response(timestep: float) -> tuple[np.ndarray, float]:
 
 
 def _upper(quaternion: np.ndarray) -> np.ndarray:
-    """Representation with w >= 0 of rotations (4, ...)."""
+    """Equivalent quaternions (4, ...) with w >= 0."""
     return np.where(quaternion[:1] < 0, -quaternion, quaternion)
 
 

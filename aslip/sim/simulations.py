@@ -242,7 +242,7 @@ class Simulations:
         return self.batch.state.shape[1] + self.sensors.memory_size
 
     def set_states(self, states: np.ndarray) -> None:
-        """Restore what `states` returned, for these or other simulations of the same model.
+        """Restore a result of `states`, from these or other simulations of the same model.
 
         `snapshot` is valid again after the next `advance`.
 

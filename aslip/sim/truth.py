@@ -74,7 +74,7 @@ def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
         "pelvis_orientation": orientation,
         "pelvis_velocity": qvel[..., indices.pelvis_velocity],
         "pelvis_angular_velocity": qvel[..., indices.pelvis_angular_velocity],
-        # reading of an accelerometer at the pelvis' origin, without gravity
+        # reading of an ideal accelerometer at the pelvis' origin, minus gravity
         "pelvis_acceleration": rotate_inverse(
             orientation, snapshot.qacc[..., indices.pelvis_velocity]
         ),

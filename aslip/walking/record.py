@@ -80,10 +80,10 @@ class Walks:
     """(m, n, 2, 3) feet of the reduced-order model, from its body [m]."""
 
     def __post_init__(self) -> None:
-        """Check that all arrays are of m steps and n walks.
+        """Check that all arrays have m steps and n walks.
 
         Raises:
-            ShapeError: an array is not.
+            ShapeError: an array has another shape.
         """
         for field in fields(self):
             shape = getattr(self, field.name).shape
@@ -184,7 +184,7 @@ def record(
         until_all_ended: stop once the episode of every robot has ended.
 
     Returns:
-        (m, n) policy steps, fewer where all episodes ended earlier.
+        (m, n) policy steps, fewer if all episodes ended earlier.
     """
     ended = torch.zeros(env.num_envs, dtype=torch.bool)
     rows: list[Any] = []  # torch.stack takes tensordicts, too
@@ -226,8 +226,8 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
 
     Raises:
         ShapeError: `command` is not for n robots, or has no policy step.
-        ConfigurationError: a command is not finite, or the environment neither knows nor estimates
-            where its robots are.
+        ConfigurationError: a command is not finite, or the environment has no odometry, true or
+            estimated.
     """
     command = np.asarray(command, dtype=np.float32)
     if command.ndim != 2 or command.shape[1] != env.num_envs:
@@ -246,7 +246,7 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
 
 
 def _place(env: StackEnv) -> str:
-    """Group of entries that tell where an environment's robots are.
+    """Group of entries with the positions of an environment's robots.
 
     Raises:
         ConfigurationError: the environment has no odometry, true or estimated.
@@ -261,7 +261,7 @@ def _place(env: StackEnv) -> str:
 
 
 def _as_walks(rows: TensorDict, place: str, command: np.ndarray) -> Walks:
-    """Arrays of (m, n) policy steps, NaN from the step on in which a robot fell."""
+    """Arrays of (m, n) policy steps; NaN from the step of a fall on."""
     fell = cast("torch.Tensor", rows["next", "terminated"])[..., 0]
     alive = ~np.logical_or.accumulate(fell.numpy(), axis=0)
     values = {name: cast("torch.Tensor", rows[key]) for name, key in _RECORDED.items()}

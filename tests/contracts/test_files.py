@@ -143,14 +143,14 @@ def test_pickles_are_refused_and_not_run(kind: Kind, path: Path, tmp_path: Path)
 
 @every_archive
 def test_pickles_in_an_archive_are_not_run(kind: Kind, path: Path, tmp_path: Path) -> None:
-    """Pickles replace arrays, or are where other libraries look for them; hashes are valid."""
+    """Pickles replace arrays, or have names that other libraries unpickle; hashes are valid."""
     mark, data = tmp_path / "ran", path.read_bytes()
     for content in programs(data, Program(mark)):
         path.write_bytes(content)
         with suppress(FileDamagedError):
             kind.load(path)
         assert not mark.exists()
-    # a program that is run does leave its mark
+    # a program that runs does leave its file
     with suppress(Exception):
         torch.load(io.BytesIO(_saved(Program(mark))), weights_only=False)
     assert mark.exists()

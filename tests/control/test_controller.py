@@ -32,7 +32,7 @@ QUARTER = math.pi / 2
 
 
 class Losses(SeededTransform):
-    """Lose packets now and then: single readings, whole packets, and all of a policy step."""
+    """Lose some packets: single readings, whole packets, and all packets of a policy step."""
 
     def __init__(self) -> None:
         super().__init__(in_keys=[("sensors", "gyro")], out_keys=[])
@@ -68,7 +68,7 @@ def walk(
 ) -> Iterator[tuple[TensorDictBase, TensorDictBase]]:
     """Record entries of an environment and a controller at each step, and the controller's memory.
 
-    Commands and headings change, and robots that fall begin again.
+    Commands and headings change, and robots that fall are reset.
     """
     num = env.num_envs
     heading = torch.linspace(0.1, QUARTER, num)[:, None]
@@ -103,7 +103,7 @@ def walk(
 @pytest.mark.parametrize("num", [1, 4])
 @pytest.mark.parametrize("name", ["aslip", "robust", "single_reference"])
 def test_motor_targets_are_those_of_a_stacks_rollout(name: str, num: int) -> None:
-    """Over noise, lost packets, changes of command and heading, falls and resets."""
+    """With noise, lost packets, changes of command and heading, falls and resets."""
     env = make_rollout_env(policy_stack(name), num)
     policy = aslip.load_policy(name)
     controller = Controller(name, gaits(policy_stack(name)))
@@ -117,7 +117,7 @@ def test_motor_targets_are_those_of_a_stacks_rollout(name: str, num: int) -> Non
 
 
 def _gru() -> tuple[TensorDictModuleBase, GRUModule]:
-    """A recurrent policy, and its recurrent part."""
+    """Recurrent policy, and its recurrent part."""
     torch.manual_seed(3)
     gru = GRUModule(
         input_size=64,
@@ -246,14 +246,14 @@ def test_numbers_for_the_robots_are_checked(controller: Controller, name: str) -
         controller.start(packets, **{name: torch.zeros(3, 1)})  # pyright: ignore
 
 
-def test_an_entry_that_no_controller_knows_is_named() -> None:
+def test_an_unknown_entry_is_named() -> None:
     table = (*SINGLE_REFERENCE_TABLE, "height_map")
     controller = Controller(aslip.load_policy("aslip"), gaits("aslip"), observation=table)
     with pytest.raises(UnknownNameError, match=r"cannot observe 'height_map'.*clock/sin"):
         controller.start(_packets())
 
 
-def test_a_policy_whose_action_is_no_delta_is_refused(tmp_path: Path) -> None:
+def test_a_policy_with_another_kind_of_action_is_refused(tmp_path: Path) -> None:
     shape, path = PolicyShape(), tmp_path / "policy.zip"
     actor = make_actor(RunningNormalizer(shape.observation_size), shape)
     save_policy(path, actor, shape, baseline=None)

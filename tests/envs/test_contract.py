@@ -1,4 +1,4 @@
-"""The contract of TorchRL environments, for both backends, bare and under the full stack."""
+"""TorchRL's contract of environments, for both backends, with and without the full stack."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ def test_backends_are_equal_bit_for_bit(make: MakeEnv) -> None:
     """50 policy steps of random actions under the full stack, with falls and resets in between."""
     rollouts = [_rollout(make(backend, num_envs=3, seed=5), 50) for backend in BACKENDS]
     done = rollouts[0]["next", "done"][..., 0]
-    assert done.any(dim=1).all()  # everyone was reset
-    assert not done.all(dim=0).any()  # though not together
+    assert done.any(dim=1).all()  # every robot was reset
+    assert not done.all(dim=0).any()  # but not all at once
     assert differing(*rollouts) == []
 
 
@@ -228,7 +228,7 @@ def test_nan_target_ends_the_episode_of_its_robot_only(backend: str) -> None:
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_nan_action_ends_the_episode_of_its_robot_only(make: MakeEnv, backend: str) -> None:
-    """Under the full stack; the robot is reset and goes on, the others are equal bit for bit."""
+    """With the full stack, the robot is reset and continues; the others stay bit-equal."""
     settings: dict[str, Any] = {"num_envs": 3, "seed": 2}
     broken, whole = make(backend, **settings), make(backend, **settings)
     tds = [broken.reset(), whole.reset()]
@@ -312,7 +312,7 @@ def test_policy_walks_with_half_as_many_physics_steps(make: MakeEnv) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_steps_do_not_share_memory(backend: str) -> None:
-    """No live view of the simulator leaks: a step keeps its numbers when the next is taken."""
+    """Steps contain no live views of the simulator: the next step does not change them."""
     env = bare_env(backend)
     td = env.reset()
     kept = td.clone()

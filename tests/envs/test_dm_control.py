@@ -105,7 +105,7 @@ def test_reward_is_full_when_upright_high_and_at_speed() -> None:
         physics.data.qvel[0] = 1.2
     assert task.get_reward(physics) == pytest.approx(1.0)
     with physics.reset_context():
-        physics.data.qvel[0] = 1.7  # off by the margin
+        physics.data.qvel[0] = 1.7  # speed error of the margin
     assert task.get_reward(physics) == pytest.approx(0.1, abs=1e-6)
     with physics.reset_context():
         physics.data.qvel[0] = 1.2
@@ -130,7 +130,7 @@ def test_falls_end_an_episode_with_discount_zero() -> None:
     assert step.discount == 0.0
 
 
-def test_episodes_go_on_after_a_fall_if_asked() -> None:
+def test_episodes_continue_after_a_fall_on_request() -> None:
     environment = walk_environment(terminate_on_fall=False, random=0)
     environment.reset()
     _lay_down(environment)
@@ -254,7 +254,7 @@ def test_copies_start_in_the_same_state_and_are_independent(
 
 
 def test_copies_track_the_same_target(physics: BipedPhysics) -> None:
-    """Without a new command, copy and original move alike."""
+    """Without a new command, copy and original move in the same way."""
     twin = physics.copy()
     physics.step(20)
     twin.step(20)

@@ -1,4 +1,4 @@
-"""Environments for Gymnasium pass its checker, and its users' agents train on them."""
+"""Gymnasium environments pass its checker, and agents of other libraries train on them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def many() -> Iterator[GymVectorEnv]:
     envs.close()
 
 
-def test_checker_of_gymnasium_passes() -> None:
+def test_environments_pass_gymnasiums_checker() -> None:
     env = gymnasium.make(ID, num_threads=1)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -182,7 +182,7 @@ class Robots(VecEnv):
         return [False] * self.num_envs
 
 
-def test_ppo_of_stable_baselines_trains(many: GymVectorEnv) -> None:
+def test_stable_baselines_ppo_trains(many: GymVectorEnv) -> None:
     envs = VecMonitor(Robots(many))
     agent = PPO("MlpPolicy", envs, n_steps=32, batch_size=512, n_epochs=2, seed=0, device="cpu")
     start = [p.clone() for p in agent.policy.parameters()]
@@ -195,12 +195,12 @@ def test_ppo_of_stable_baselines_trains(many: GymVectorEnv) -> None:
     assert many.action_space.contains(action)
 
 
-def test_ppo_of_stable_baselines_takes_a_single_robot(one: GymEnv) -> None:
+def test_stable_baselines_ppo_takes_a_single_robot(one: GymEnv) -> None:
     agent = PPO("MlpPolicy", one, n_steps=16, batch_size=16, n_epochs=1, seed=0, device="cpu")
     assert agent.learn(16).num_timesteps == 16
 
 
-def test_a_loop_like_cleanrl_learns(many: GymVectorEnv) -> None:
+def test_a_cleanrl_like_loop_learns(many: GymVectorEnv) -> None:
     """Advantage actor-critic over 2048 policy steps; its critic learns to predict the reward."""
     envs = RecordEpisodeStatistics(many)
     actor, critic = (nn.Sequential(nn.Linear(64, 32), nn.Tanh(), nn.Linear(32, k)) for k in (10, 1))

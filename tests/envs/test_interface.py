@@ -48,7 +48,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class AirTime(SeededTransform):
-    """Entry with memory, such as the air time of feet in rsl_rl."""
+    """Entry with memory, like the air time of feet in rsl_rl."""
 
     def __init__(self) -> None:
         super().__init__(in_keys=[("truth", "pelvis_position")], out_keys=["air_time"])
@@ -238,7 +238,7 @@ def test_text_does_not_depend_on_place_or_use() -> None:
     before = text_of(first)
     assert before == text_of(second)
     for _ in range(1000):
-        first(1.0)  # the interpreter adapts the code of what is called often
+        first(1.0)  # the interpreter adapts the code of functions that are called often
     assert text_of(first) == before
 
 

@@ -73,7 +73,7 @@ def test_commands_are_kept_and_hidden_entries_may_be_written(make: MakeEnv) -> N
     assert td["_hidden", "reward_terms", "action_diff"].item() == pytest.approx(1.0)
 
 
-def test_environments_of_torchrl_carry_hidden_entries() -> None:
+def test_torchrl_environments_carry_hidden_entries() -> None:
     make = partial(aslip.make_env, num_envs=2, keep=["observation"], num_threads=1)
     together = SerialEnv(2, make).rollout(5, _policy())
     alone = make().rollout(5, _policy())

@@ -82,7 +82,7 @@ def test_requested_dynamics_override_domain_randomisation(
 
 
 @pytest.mark.parametrize("drop", [[], ["start"]])
-def test_entries_of_an_ending_episode_are_no_request(make: MakeEnv, drop: list[str]) -> None:
+def test_entries_of_an_ending_episode_are_not_requests(make: MakeEnv, drop: list[str]) -> None:
     """A partial reset of TorchRL passes the whole old tensordict with a mask."""
     env = make(num_envs=2, drop=drop)
     td = env.reset(_request(initial=_start(), dynamics=_values("mass", 1.5, 0.8)))

@@ -85,7 +85,7 @@ def test_replayed_logs_give_the_motor_targets_of_the_walk(
     assert np.array_equal(np.stack(robot.targets, axis=1), np.asarray(targets, dtype=np.float64))
     assert again["next", "terminated"][:, -1].all()
     assert not again["next", "terminated"][:, :-1].any()
-    # the estimator's odometry has gone ahead
+    # the estimator's odometry has moved forward
     assert (again["next", "odometry", "pelvis_position"][:, -1, 0] > 0.1).all()
 
 
@@ -157,7 +157,7 @@ def test_simulator_as_base_equals_the_backend() -> None:
 
 
 def test_collector_on_replayed_robots_saves_and_loads(log: Mapping[str, np.ndarray]) -> None:
-    """Robots that are no simulation begin a new episode; all else is resumed."""
+    """Robots that are not simulated begin a new episode; everything else resumes."""
 
     def make(**settings: int) -> StackEnv:
         del settings

@@ -99,7 +99,7 @@ def test_steps_and_resets_build_no_specs(
     env.maybe_reset(td)
     assert len(built) == 0
     make(num_envs=2)
-    # TorchRL's transforms copy all of them once a transform
+    # TorchRL's transforms copy all specs once per transform
     assert 30 < len(built) < 500
 
 
@@ -309,7 +309,7 @@ def test_descriptions_have_classes_and_settings(make: MakeEnv, library: GaitLibr
     assert "21 motions from 0 to 2 m/s" in texts["clock"]
     env.rollout(3)
     assert describe_transforms(env) == texts == describe_transforms(make(num_envs=1, seed=7))
-    # what is in a list has no address in its text, or no run could be resumed
+    # texts of list items must not contain addresses, otherwise no run could be resumed
     both = [
         describe_transforms(make(replace={"fall": lambda: WithFunctions([lambda: 0])}))
         for _ in range(2)

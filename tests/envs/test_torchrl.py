@@ -202,7 +202,7 @@ def test_first_steps_are_marked_as_in_torchrl(make: MakeEnv) -> None:
     torch.manual_seed(0)
     data = env.rollout(30, break_when_any_done=False)
     done = data["next", "done"][..., 0]
-    assert (done.any(0) & ~done.all(0)).any()  # some robots began again while others went on
+    assert (done.any(0) & ~done.all(0)).any()  # some robots were reset while others continued
     for level in (data, data["next"]):
         assert torch.equal(level["is_init"], level["torchrl_is_init"])
 

@@ -1,4 +1,4 @@
-"""The filter on motions in closed form, and against the textbook's matrices."""
+"""Filter on motions in closed form, and against a textbook Kalman filter."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _motion(
     num: int = 1,
 ) -> Motion:
     """Packet of `num` robots at time t, with feet (2, 3) in the world."""
-    # what an accelerometer that integrates gives: the mean over the packet
+    # reading of an integrating accelerometer: the mean over the packet
     acceleration = (_derivative(path, t) - _derivative(path, t - PERIOD)) / PERIOD + bias
     rows = np.ones(num)
     half = np.zeros((num, 2, 3))
@@ -125,7 +125,7 @@ def test_odometry_of_alternating_stances_has_no_drift() -> None:
         side = (k // stance) % 2
         swing = 1 - side
         t = k * PERIOD
-        # the swing foot moves on its way to where it will stand, above the ground
+        # the swing foot moves above the ground towards its next foothold
         fraction = (k % stance + 1) / stance
         feet[swing] = [
             _body(t)[0] + 0.05,
@@ -140,7 +140,7 @@ def test_odometry_of_alternating_stances_has_no_drift() -> None:
     np.testing.assert_allclose(belief.mean[0, :, P] + _body(0) * [1, 1, 0], _body(3.0), atol=5e-3)
 
 
-def test_skidding_foot_is_no_measurement() -> None:
+def test_skidding_foot_is_not_a_measurement() -> None:
     """The right foot slides at 1 m/s under load; the left foot gives the velocity."""
     filter_ = _filter()
     belief = _started(filter_)
@@ -154,8 +154,8 @@ def test_skidding_foot_is_no_measurement() -> None:
         assert np.abs(error).max() < 0.01
 
 
-def test_shaken_spring_in_the_air_is_no_contact() -> None:
-    """A foot is at rest 15 cm above the ground with a deflected spring."""
+def test_vibrating_spring_in_the_air_is_not_a_contact() -> None:
+    """A foot at rest 15 cm above the ground, with a deflected spring, is not a measurement."""
     filter_ = _filter()
     feet = STANDING + np.array([[0, 0, 0], [0, 0, 0.15]])
     belief = _filter().start(_motion(0.0, feet, (FREE, FREE)), np.zeros((1, 2, 3)))
@@ -308,11 +308,11 @@ def test_filter_equals_the_textbook_kalman_filter() -> None:
         np.testing.assert_allclose(belief.covariance[0], cov, atol=1e-12)
 
 
-def test_its_errors_are_as_large_as_it_says() -> None:
+def test_errors_have_the_predicted_variance() -> None:
     """With noise as it assumes, 300 robots standing: NIS and NEES are one an axis.
 
-    Bands are five standard errors of means of squared normal numbers; those of velocity are taken
-    at one instant and independent, innovations at many.
+    Tolerances are five standard errors of means of squared normal numbers. Velocity errors are
+    from one instant and independent, innovations from many instants.
     """
     num, rng = 300, np.random.default_rng(1)
     filter_ = _filter(shock=0.0, gate=1e9)
@@ -345,7 +345,7 @@ def test_contact_ends_at_a_lower_force_than_it_begins() -> None:
         assert belief.loaded[0].tolist() == [loaded] * 2
 
 
-def test_it_starts_on_the_lower_end_of_a_sole() -> None:
+def test_start_is_on_the_lower_end_of_a_sole() -> None:
     half = np.array([[[HALF * 0.8, 0, HALF * 0.6], [HALF, 0, 0]]])
     feet = np.array([[0.0, 0.1, RADIUS], [0.0, -0.1, RADIUS]])
     motion = replace(_motion(0.0, feet, (FREE, FREE)), half_sole=half)

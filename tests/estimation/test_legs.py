@@ -1,4 +1,4 @@
-"""The legs' kinematics and spring forces against MuJoCo's."""
+"""Kinematics and spring forces of the legs equal MuJoCo's."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs
@@ -61,7 +61,7 @@ def test_feet_are_where_mujoco_has_them(model: mujoco.MjModel, legs: LegKinemati
             np.testing.assert_allclose(world[LATERAL], site[:, 1], atol=1e-9)
 
 
-def test_any_leading_shape_will_do(model: mujoco.MjModel, legs: LegKinematics) -> None:
+def test_legs_take_any_leading_shape(model: mujoco.MjModel, legs: LegKinematics) -> None:
     indices, qpos = CASSIE.indices, _random(model, 12)
     motors, joints = qpos[:, indices.motor_qpos], qpos[:, indices.joint_qpos]
     flat = legs(motors, joints)
@@ -82,7 +82,7 @@ def test_undeflected_springs_give_no_force(model: mujoco.MjModel, legs: LegKinem
 
 
 def test_forces_of_a_standing_robot_add_up_to_its_weight() -> None:
-    """Within what is neglected: 16 N below the springs of each leg, and the ankles' torque."""
+    """Up to neglected terms: 16 N below the springs of each leg, and the ankle torque."""
     simulations = Simulations(1, num_threads=1)
     indices = simulations.indices
     target = simulations.qpos[:, indices.motor_qpos].copy()
@@ -102,7 +102,7 @@ def test_forces_of_a_standing_robot_add_up_to_its_weight() -> None:
 def test_forces_are_the_slope_of_the_springs_energy(
     model: mujoco.MjModel, legs: LegKinematics
 ) -> None:
-    """Virtual work, by pushing the foot: what the force does is what the springs store.
+    """Virtual work: moving the foot, the work of the force equals the energy stored in the springs.
 
     With the motors held, shin and tarsus are moved a little; MuJoCo closes the loop of the Achilles
     rod by the heel spring, found here by bisection on the rod's length.
@@ -171,7 +171,7 @@ def test_forces_are_the_slope_of_the_springs_energy(
     assert np.linalg.norm(force) > 50
 
 
-def test_without_a_folder_to_write_to_functions_are_compiled_anew(
+def test_functions_compile_without_a_writable_cache(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     refused = []

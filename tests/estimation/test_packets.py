@@ -110,7 +110,7 @@ def test_short_spikes_are_always_rejected() -> None:
 
 
 def test_lasting_jumps_are_accepted(walk: Walk) -> None:
-    """An IMU whose readings stay after a jump is right."""
+    """If the readings of the IMU stay at their new values after a jump, they are right."""
 
     def spoil(step: int, windows: np.ndarray) -> np.ndarray:
         if step >= SPOILED:
@@ -191,7 +191,7 @@ def test_frozen_packets_give_no_measurement_of_the_legs() -> None:
     assert resting == [True] + [False] * 9
 
 
-def test_imu_slower_than_the_packets_is_no_fault(walk: Walk) -> None:
+def test_imu_slower_than_the_packets_is_not_a_fault(walk: Walk) -> None:
     """With a new value in every second packet, 167 Hz, contacts and velocity stay accurate."""
     packets = _stream(walk)
     mean = (packets[1:-1:2, ACCELEROMETER] + packets[2::2, ACCELEROMETER]) / 2

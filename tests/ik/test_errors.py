@@ -74,7 +74,7 @@ def test_limiting_joint_is_named(kinematics, joint, pose):
 
 @pytest.mark.parametrize(("turn", "least", "most"), [(0.8, 0.4, 0.42), (2.9, 1.2, 2.9 - 0.39)])
 def test_missed_direction_is_reported_as_an_angle(kinematics, turn, least, most):
-    """Hip yaw stops at 0.39 rad; toes that should point backward do not count as forward ones."""
+    """Hip yaw is limited to 0.39 rad; a target of toes backward is not taken for toes forward."""
     message = _message(kinematics, orientation=_about((0, 0, 1), turn))
     found = re.search(r"its direction by ([\d.]+) rad", message)
     assert found

@@ -44,7 +44,7 @@ def test_both_legs_carry_a_standing_robot_equally() -> None:
     force = np.zeros((1, 2, 3))
     force[..., 2] = CASSIE.total_mass * STANDARD_GRAVITY / 2
     torque = static_torque(kinematics, qpos, force).reshape(2, 5)
-    # roll and yaw of the right leg turn the other way
+    # roll and yaw of the right leg have the opposite sign
     np.testing.assert_allclose(torque[0], torque[1] * [-1, -1, 1, 1, 1], atol=1e-9)
     np.testing.assert_array_equal(static_torque(kinematics, qpos, 0 * force), np.zeros((1, 10)))
 

@@ -67,7 +67,7 @@ def test_walk_in_place_cannot_be_stretched() -> None:
 def test_pendulums_have_mass_and_clearance_of_gaits(
     library: GaitLibrary,
 ) -> None:
-    """A comparison with gaits is then one of the motion of the body over its feet."""
+    """So a comparison with gaits isolates the motion of the body over the feet."""
     gaits = library.gaits[5:7]
     pendulums = pendulum_library(gaits, samples=32)
     pairs = zip(pendulums.table.qpos, pendulums.table.motor_torque, gaits, strict=True)
@@ -92,7 +92,7 @@ def test_pendulums_have_mass_and_clearance_of_gaits(
 
 
 def test_shipped_baseline_is_reproduced() -> None:
-    """Solving the inverse kinematics anew gives the shipped table to rounding."""
+    """Solving the inverse kinematics again gives the shipped table up to rounding."""
     shipped, anew = GaitLibrary.load("single_reference"), single_reference_library()
     for name in ARRAYS:
         found, expected = getattr(shipped.table, name), getattr(anew.table, name)

@@ -42,7 +42,7 @@ def grid(shuffles: list[Shuffle]) -> GaitLibrary:
 
 
 def test_tabulating_new_gaits_gives_the_shipped_table(library: GaitLibrary) -> None:
-    """Two gaits are optimised and tabulated anew."""
+    """Two gaits are optimised and tabulated again."""
     table = tabulate(optimize_gaits(library.speeds[:2].tolist()), samples=16)
     for name in ARRAYS:
         shipped = getattr(library.table, name)[:2]

@@ -291,7 +291,7 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("backend", [BatchEnv, DmControlEnv])
-def test_low_level_that_replays_do_not_know_is_refused(
+def test_low_level_unknown_to_replays_is_refused(
     backend: type[SimulatedEnv], tmp_path: Path
 ) -> None:
     stack = {**default_stack(), "recorder": lambda: Recorder(tmp_path / "walk.mcap")}

@@ -48,7 +48,7 @@ def test_touchdowns_have_actual_and_planned_positions(
         assert force[step] > 20 >= force[step - 3 : step].max()
 
 
-def test_reset_of_an_airborne_robot_is_no_touchdown(
+def test_reset_of_an_airborne_robot_is_not_a_touchdown(
     make_recorded: MakeRecorded, tmp_path: Path
 ) -> None:
     """A robot lifted off the ground before a reset has not landed after it."""

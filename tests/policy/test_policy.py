@@ -1,4 +1,4 @@
-"""The policy: what it computes, and that its file is whole, safe and fitting."""
+"""Policy: normaliser, networks, and files that are intact, safe and checked on loading."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def test_normalizer_has_no_parameters() -> None:
 
 @pytest.fixture
 def actor() -> ProbabilisticActor:
-    """A policy that has seen something and gives actions well away from zero."""
+    """Policy with a trained normaliser, whose actions are well away from zero."""
     torch.manual_seed(0)
     normalizer = RunningNormalizer(64)
     normalizer.update(_observations(100))
@@ -153,7 +153,7 @@ def test_the_actor_is_deterministic_unless_asked_to_explore(
 def test_exploration_has_the_fixed_standard_deviation(
     actor: ProbabilisticActor,
 ) -> None:
-    """exp(-2), about 0.135 rad, whatever the input."""
+    """It is exp(-2), about 0.135 rad, for any input."""
     assert PolicyShape().std == pytest.approx(math.exp(-2))
     td = TensorDict(observation=_observations(1).expand(4000, 64), batch_size=4000)
     with torch.no_grad():
@@ -361,7 +361,7 @@ def test_rollouts_carry_no_graph(make: MakeEnv) -> None:
     policy, env = aslip.load_policy("aslip"), make(num_envs=2)
     data = env.rollout(3, policy)
     assert not any(leaf.requires_grad for leaf in data.values(True, True))
-    # nor while a policy is trained
+    # no graph during training either
     data = env.rollout(3, policy.requires_grad_(True))
     assert data["action"].requires_grad
     assert not data["next", "reward"].requires_grad
@@ -385,7 +385,7 @@ def test_error_names_observation_sizes(make: MakeEnv) -> None:
 
 
 def test_symmetric_policy_refuses_stacked_frames() -> None:
-    """Frames stacked by another transform, for one."""
+    """For example, frames stacked by another transform."""
     shape = PolicyShape(192, symmetric=True)
     for make_net in (make_actor, make_critic):
         with pytest.raises(ConfigurationError, match=r"have 64 numbers, .* has 192.*no-symmetric"):
@@ -404,7 +404,7 @@ def test_error_suggests_nearest_policy_name() -> None:
 def make_tanh_actor(
     normalizer: RunningNormalizer, shape: PolicyShape, observation: Any = ()
 ) -> ProbabilisticActor:
-    """An actor of a test's own, with another activation than the known networks have."""
+    """Custom actor, with another activation than the built-in networks."""
     layers = action_layers(shape, 32, ())
     net = nn.Sequential(normalizer, nn.Linear(64, 32), nn.Tanh(), layers, action_scale(shape))
     return gaussian_actor(TensorDictModule(net, in_keys=["observation"], out_keys=["loc", "scale"]))
@@ -425,7 +425,7 @@ def test_custom_network_loads_with_given_function(tmp_path: Path) -> None:
         aslip.load_policy(path, make_actor)
 
 
-def test_mistake_in_own_network_function_is_no_damage_of_the_file(file: Path) -> None:
+def test_mistake_in_custom_network_function_is_not_reported_as_damage(file: Path) -> None:
     def fails(*arguments: Any) -> ProbabilisticActor:
         raise TypeError(f"own mistake with {len(arguments)} arguments")
 

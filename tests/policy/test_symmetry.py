@@ -1,4 +1,4 @@
-"""The mirror image of a walk is a walk."""
+"""The mirror image of a walk is a valid walk."""
 
 from typing import Any
 
@@ -23,8 +23,8 @@ def test_mirror_is_its_own_inverse() -> None:
 def test_mirrored_actions_lead_to_mirrored_observations(library: GaitLibrary) -> None:
     """Half a stride later the reference is the mirror image, so robot 1 starts there.
 
-    The pelvis itself is not quite symmetric (its centre of mass is 0.3 mm off), so the images part
-    slowly: they agree to a thousandth after four policy steps.
+    The pelvis is not quite symmetric (its centre of mass is 0.3 mm off centre), so the images
+    diverge slowly: after four policy steps they agree to a thousandth.
     """
     # the noise of sensors has no mirror image
     perfect = {"start": ReferenceStart(library), "estimator": TrueState()}
@@ -35,7 +35,7 @@ def test_mirrored_actions_lead_to_mirrored_observations(library: GaitLibrary) ->
     td = env.reset(start)
     mirror, mirror_action = observation_mirror(), action_mirror()
     generator = torch.Generator().manual_seed(0)
-    # what contacts and the stiff loops make of the pelvis' asymmetry is largest in accelerations
+    # contacts and the stiff loops amplify the pelvis' asymmetry most in accelerations
     slow = torch.ones(64, dtype=torch.bool)
     slow[8:14] = slow[24:34] = slow[40:46] = False
     for _ in range(4):
@@ -66,7 +66,7 @@ def test_symmetrised_network_is_equivariant() -> None:
 
 
 def test_clock_and_command_have_mirror_images() -> None:
-    """Half a stride later, the clock's sine and cosine have turned their signs."""
+    """Half a stride later, sine and cosine of the clock have the opposite sign."""
     mirror = observation_mirror(SINGLE_REFERENCE_TABLE)
     image = mirror(torch.arange(49.0))
     assert image[46:].tolist() == [-46.0, -47.0, 48.0]
@@ -77,7 +77,7 @@ def test_entries_of_two_sources_may_have_the_same_name() -> None:
     mirror = observation_mirror(table)
     values = torch.randn(74)
     torch.testing.assert_close(mirror(mirror(values)), values)
-    # motors are at 14 of the estimate, and last
+    # motor angles start at 14 of the estimate; the other ones are last
     assert mirror.index[14:24].tolist() == [*range(19, 24), *range(14, 19)]
     assert mirror.index[64:].tolist() == [*range(69, 74), *range(64, 69)]
 

@@ -122,7 +122,7 @@ def test_visible_rods_reach_their_ends(model, library, side, rod, end, length):
         tip = data.body(f"{side}_{rod}").xpos + length * data.body(f"{side}_{rod}").xmat[::3]
         seen = np.flatnonzero(model.geom_bodyid == model.body(f"{side}_{end}").id)
         seen = seen[model.geom_group[seen] == APPEARANCE_GROUP]
-        # in a geom's own frame the point is no further out than its extent
+        # in the geom's frame, the point is within its extent
         axes = data.geom_xmat[seen].reshape(-1, 3, 3)
         local = np.einsum("gji,gj->gi", axes, tip - data.geom_xpos[seen])
         extent = model.geom_aabb[seen, 3:] + 0.002

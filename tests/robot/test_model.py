@@ -101,7 +101,7 @@ def test_springs_have_the_published_stiffness(model: mujoco.MjModel) -> None:
 # ------------------------------------------------------------------- symmetry
 
 _PER_JOINT = ("jnt_type", "jnt_stiffness", "jnt_margin", "jnt_solref", "jnt_solimp", "jnt_limited")
-# roll and yaw turn the other way on the other leg
+# roll and yaw have the opposite sign on the other leg
 _REVERSED = ("hip_roll", "hip_yaw")
 
 
@@ -165,14 +165,14 @@ def test_legs_have_equal_motors(model: mujoco.MjModel) -> None:
 
 
 def _mirror_qpos(model: mujoco.MjModel, qpos: np.ndarray) -> np.ndarray:
-    """The configuration seen in a mirror along y = 0."""
+    """Configuration mirrored at the plane y = 0."""
     mirrored = qpos.copy()
     mirrored[1] *= -1
     mirrored[[4, 6]] *= -1
     for left, right in _pairs(model, "joint"):
         a, b = model.joint(left).qposadr[0], model.joint(right).qposadr[0]
         if model.joint(left).type[0] == mujoco.mjtJoint.mjJNT_BALL:
-            # an axial vector reflected along z turns its x and y round
+            # an axial vector reflected along z changes the signs of x and y
             signs = np.array([1, -1, -1, 1])
             mirrored[b : b + 4] = signs * qpos[a : a + 4]
             mirrored[a : a + 4] = signs * qpos[b : b + 4]
@@ -336,5 +336,5 @@ def test_standing_robot_is_level_with_closed_loops(model: mujoco.MjModel) -> Non
         site = data.site(CASSIE.foot_sites[SIDES.index(side)])
         np.testing.assert_allclose(site.xmat.reshape(3, 3), np.eye(3), atol=1e-6)
         assert site.xpos[2] == pytest.approx(0.0, abs=1e-4)  # the sole is on the floor
-    # the ground carries no one who is not balanced over the feet
+    # a robot that stands has its centre of mass above the feet
     assert data.subtree_com[0][0] == pytest.approx(data.site("left_foot").xpos[0], abs=1e-3)

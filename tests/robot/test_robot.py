@@ -71,7 +71,7 @@ def test_robots_survive_pickling() -> None:
 
 
 def test_shipped_skeleton_equals_the_compiled_model_bit_for_bit(model: mujoco.MjModel) -> None:
-    """`python -m aslip.robot` writes it anew after a change of the MJCF."""
+    """After a change of the MJCF, rewrite it with `python -m aslip.robot`."""
     shipped = read_skeleton(CASSIE.mjcf, CASSIE.mjcf.with_suffix(".json"))
     assert shipped == skeleton_of(load_model(visual=False))
     assert CASSIE.skeleton == skeleton_of(model)

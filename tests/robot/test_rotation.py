@@ -1,4 +1,4 @@
-"""Rotations against MuJoCo's own functions."""
+"""Rotations equal MuJoCo's functions."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo is a compiled module without complete type stubs

@@ -77,7 +77,7 @@ def test_divergence_affects_one_simulation_only(damage: Break) -> None:
     fresh = Simulations(3, num_threads=1)
     assert_rows_equal(broken, fresh, [1])
 
-    # all three go on, the one restarted as a fresh one does
+    # all three continue; the restarted one equals a new simulation
     if damage is _mujoco_error:
         del broken.batch.step
     for target in targets[3:]:

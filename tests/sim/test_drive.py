@@ -70,7 +70,7 @@ def test_drive_equals_the_formula() -> None:
     share = np.clip(2 * (1 - np.abs(velocity) / NO_LOAD), 0, 1)
     limit = CASSIE.torque_limit * share
     np.testing.assert_allclose(torque, np.clip(joint / CASSIE.gear, -limit, limit), atol=1e-12)
-    # the draw reaches every regime
+    # the drawn values cover all parts of the limit curve
     assert (np.abs(torque) == CASSIE.torque_limit).any()
     assert (share == 0).any()
     assert (np.abs(torque) < 0.5 * limit).any()

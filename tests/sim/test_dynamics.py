@@ -21,7 +21,7 @@ from aslip.sim import DYNAMICS
 
 BACKENDS = ("batch", "dm_control")
 GRAVITY = 9.81
-# everything but the delay at once, and unlike anything by default
+# all parameters except the delay, each away from its default
 ODD = {
     "mass": 1.13,
     "payload": 3.0,
@@ -228,7 +228,7 @@ def test_longer_memory_keeps_delayed_commands(backend: str) -> None:
     for env in (early, late):
         env.reset()
         _walk(env, 2)
-        # reaches back to the last command that the short memory holds
+        # this delay reaches back to the oldest command of the short memory
         env.set_dynamics({"torque_delay": 0.0045})
         env.set_dynamics({"torque_delay": 0.004})
         paths.append(_walk(env, 3, seed=1))

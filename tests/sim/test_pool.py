@@ -116,7 +116,7 @@ def _fail() -> None:
 @pytest.mark.parametrize(
     ("event", "error"), [(_interrupt, KeyboardInterrupt), (_fail, RuntimeError)]
 )
-def test_no_thread_steps_on_after_an_error_or_interrupt(
+def test_all_threads_stop_after_an_error_or_interrupt(
     monkeypatch: pytest.MonkeyPatch, event, error: type[BaseException]
 ) -> None:
     pool = SimulationPool(4, num_threads=2)

@@ -64,7 +64,7 @@ class NaiveLoop:
         coarse = self.model.opt.timestep > CASSIE.physics_timestep
         steps = CASSIE.substeps // 2 if coarse else CASSIE.substeps
         for _ in range(steps):
-            # the PD loop has the reading of the substep before
+            # the PD loop uses the reading of the previous substep
             self.data.ctrl = motor_torque(target, *self.reading())
             self._read(self._motors()[0])
             if coarse:
@@ -105,7 +105,7 @@ def test_simulations_equal_a_loop_over_mj_step_bit_for_bit(timestep: float) -> N
         np.testing.assert_array_equal(snapshot.qpos, [loop.data.qpos for loop in loops])
         np.testing.assert_array_equal(snapshot.qvel, [loop.data.qvel for loop in loops])
         np.testing.assert_array_equal(snapshot.ground_force, forces)
-    # feet and sensors of the snapshot belong to the state it shows, not to the substep before
+    # feet and sensors of the snapshot belong to its state, not to the previous substep
     for i, loop in enumerate(loops):
         acceleration = loop.data.qacc.copy()
         mujoco.mj_step1(loop.model, loop.data)
@@ -331,7 +331,7 @@ def test_mean_ground_force_is_weight_plus_change_of_momentum() -> None:
         impulse += simulations.snapshot().ground_force[0].sum(axis=0) * CASSIE.policy_period
         after = momentum()
     gained = after - before + [0, 0, WEIGHT * steps * CASSIE.policy_period]
-    assert np.abs(after - before).max() > 1.0  # it does move
+    assert np.abs(after - before).max() > 1.0  # the robot does move
     np.testing.assert_allclose(impulse, gained, atol=0.01 * WEIGHT * steps * CASSIE.policy_period)
 
 

@@ -1,7 +1,7 @@
 """Sliders, buttons and choices of the page.
 
-The simulation reads sliders and choices once per turn, and takes clicks from a queue that the
-threads of the server fill.
+The simulation reads sliders and choices once per turn, and takes clicks from a queue, which the
+server's threads fill.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class Controls:
         return self.push_size.value * np.array([np.cos(angle), np.sin(angle), 0.0])
 
     def show_paused(self, paused: bool) -> None:
-        """Label the button with its next action, and enable single steps only while paused."""
+        """Label the pause button with its next action; enable single steps only while paused."""
         self.pause.label = "Resume" if paused else "Pause"
         self.step.disabled = not paused
         self.pause.icon = viser.Icon.PLAYER_PLAY if paused else viser.Icon.PLAYER_PAUSE

@@ -45,13 +45,13 @@ class LivePage:
         host: name or address of this machine to listen on. With "0.0.0.0" other machines can see
             the page and steer, without authentication.
         port: port to listen on; 0 for any free one.
-        on_step: called with every policy step, as `Walker.step` returns it, on the thread of
-            `serve`. An exception ends `serve`.
+        on_step: function called with each result of `Walker.step`, on the thread of `serve`. An
+            exception ends `serve`.
 
     Raises:
         ConfigurationError: the host is not this machine, the port is taken or not allowed,
             `policies` is empty, or a policy is invalid.
-        AssetError: there is no policy of a name or path.
+        AssetError: a policy of this name or path does not exist.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class LivePage:
             self._server, speeds=speeds, command=walker.command, policies=list(self._policies)
         )
         """Sliders, buttons and choices."""
-        # the walker has its command already; other settings are applied below
+        # the walker already has its command; other settings are applied below
         self._settings = replace(self.controls.settings(), policy="", rom="through")
         panel = gui.add_panel()
         with panel.add_tab("Readouts"):
@@ -154,7 +154,7 @@ class LivePage:
             self._serving.release()
 
     def stop(self) -> None:
-        """End `serve` after its present turn, and close the page; from any thread."""
+        """End `serve` after its current turn, and close the page; callable from any thread."""
         self._stopping.set()
         if self._serving.acquire(blocking=False):
             try:

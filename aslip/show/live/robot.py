@@ -84,7 +84,7 @@ def cylinder(radius: float, half: float) -> Mesh:
 
 
 def revolve(profiles: Sequence[np.ndarray]) -> Mesh:
-    """Surface of revolution of profiles about the z axis.
+    """Surface of revolution about the z axis.
 
     Args:
         profiles: (n, 2) points each, distance from the axis and height [m], from bottom to top;
@@ -108,7 +108,7 @@ def tube(path: np.ndarray, radius: float) -> Mesh:
     """
     along = np.gradient(path, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    # any direction across the wire that changes little from ring to ring
+    # the direction across the wire is arbitrary, but must change little from ring to ring
     across = np.empty_like(path)
     across[0] = np.cross(along[0], np.eye(3)[np.abs(along[0]).argmin()])
     for i in range(1, len(path)):

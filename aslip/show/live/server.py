@@ -1,9 +1,9 @@
-"""Server of the page, at exactly the given address, which accepts only valid values.
+"""Server of the page, which listens at the given address only and accepts only valid values.
 
-viser keeps all messages of browsers and sends them on to every later visitor. A value that cannot
-be encoded would close the page for all of them. A browser could also set any attribute of a
-control, request a public address of the server, or fill its memory. So only valid values of
-controls pass.
+viser keeps all messages of browsers and sends them to every later visitor. A value that cannot be
+encoded would close the page for all of them. A browser could also set any attribute of a control,
+request a public address of the server, or fill its memory. So the server accepts only valid values
+of controls.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _PORTS = 65536
 def start_server(host: str, port: int) -> viser.ViserServer:
     """Start a server.
 
-    viser would choose another port if the port is taken, and search without end on a host that is
-    not this machine; here both are errors.
+    A taken port and a host that is not this machine are errors; viser itself would choose another
+    port, and search forever on such a host.
 
     Args:
         host: name or address of this machine to listen on.
@@ -73,7 +73,7 @@ def _check_free(host: str, port: int) -> None:
         raise ConfigurationError(f"there is no host {host!r}: {error}") from error
     for family, kind, protocol, _, address in found:
         with socket.socket(family, kind, protocol) as probe:
-            # like the server: a port that was closed a moment ago is free
+            # as the server does: a port that was just closed counts as free
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind(address)
@@ -123,8 +123,8 @@ def switch(value: object) -> bool:
 def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
     """Accept only valid values of controls from visitors.
 
-    Values out of range are clamped; other invalid messages are dropped. The server does not keep
-    the state of single visitors, such as their cameras, which is left alone here.
+    Values out of range are clamped; other invalid messages are dropped. Messages on a single
+    visitor's state, such as the camera, pass, because the server does not keep them.
 
     Args:
         server: server of the page.

@@ -51,7 +51,7 @@ def test_unloaded_mid_stance_is_one_stance() -> None:
     assert len(stances(force, PERIOD, swing=0.05)) == 3
 
 
-def test_force_below_threshold_is_no_contact() -> None:
+def test_force_below_threshold_is_not_a_contact() -> None:
     force = np.zeros(1000)
     force[200:500] = 15.0
     assert len(stances(force, PERIOD)) == 0

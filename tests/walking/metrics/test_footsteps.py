@@ -68,7 +68,7 @@ def test_feet_have_separate_ideal_steps() -> None:
     np.testing.assert_allclose(found.offset, 0.0, atol=1e-12)
 
 
-def test_consecutive_stances_of_one_foot_are_no_step() -> None:
+def test_consecutive_stances_of_one_foot_are_not_a_step() -> None:
     side = np.array([0, 1, 1, 0])
     steps = Footsteps(side, np.arange(4.0), np.zeros((4, 2)))
     assert placement(steps, np.zeros((2, 2))).side.tolist() == [1, 0]
