@@ -99,7 +99,7 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
     """Default stack in order: name -> function that makes the transform.
 
     It is the paper's stack with a feedforward torque that compensates load and damping
-    (`Feedforward`), which makes learning several times more sample-efficient; see `paper_stack`.
+    (`Feedforward`); see `paper_stack`.
 
     The policy never observes the true state, but an estimate from noisy sensors. Rewards read the
     true state, a privileged input, or with `reward_on="estimate"` the estimator's odometry. Drop
