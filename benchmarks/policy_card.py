@@ -1,11 +1,11 @@
 """Ship a policy: its file, and a card of training, interface and performance.
 
-    python -m benchmarks.policy_card --run runs/ppo_aslip --name aslip
-    python -m benchmarks.policy_card --run runs/single_reference --name single_reference
+    python -m benchmarks.policy_card --name aslip --run runs/ppo_aslip    # ship a run's policy
+    python -m benchmarks.policy_card --name aslip                         # write its card again
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
 `aslip.load_policy` finds it by name, and writes the card beside them. The card combines the
-policy's file and the other benchmarks, which take some minutes.
+policy's file, walks at all speeds and the other benchmarks, which take some minutes.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of the benchmark."""
 
-    run: Path
-    """Run folder of the training."""
     name: str
     """Name by which `aslip.load_policy` finds the policy."""
+    run: Path | None = None
+    """Run folder of the training; without one, the card of the shipped policy is written again."""
     assets: Path = Path("assets/policies")
     """Folder of shipped policies."""
     out: Path = Path("runs/policy_card")
     """Folder for the benchmarks' results."""
     measure: bool = True
-    """Run the benchmarks and add their tables to the card."""
+    """Walk, run the benchmarks, and add their tables to the card."""
 
     def __post_init__(self) -> None:
         """Check the name."""
@@ -44,6 +44,8 @@ if __name__ == "__main__":
 
 import json
 import re
+from contextlib import closing
+from functools import partial
 from typing import Any
 
 from tensordict.utils import unravel_key
@@ -53,10 +55,18 @@ from aslip.files.archive import as_json
 from aslip.files.writing import replacing
 from aslip.policy import CARD, POLICY_FORMAT, find_policy, load_policy, policy_stack, read_card
 from aslip.robot import CASSIE
+from aslip.training.environments import make_evaluation_env
+from aslip.training.provenance import provenance
 from aslip.training.run import write_text
 from aslip.transforms import DYNAMICS_RANGES, ActionDelta
-from aslip.walking import markdown
-from benchmarks import foot_placement, perturbation, step_frequency, velocity_tracking
+from aslip.walking import evaluate, markdown, walk_table
+from benchmarks import (
+    foot_placement,
+    perturbation,
+    step_frequency,
+    velocity_tracking,
+    walking_quality,
+)
 from benchmarks.perturbation import SWEEPS
 
 _LEFT = "---"
@@ -94,24 +104,18 @@ _BASELINES = {
 
 def main(config: Config) -> Path:
     """Copy, measure and write; returns the card's path."""
-    source = find_policy(config.run)
-    load_policy(source)  # raises if damaged
-    policy_stack(source)  # raises if the stack has no name
-    config.assets.mkdir(parents=True, exist_ok=True)
     shipped, curve = (config.assets / f"{config.name}.{kind}" for kind in ("zip", "png"))
-    _ship(source, shipped)
-    has_curve = (config.run / "learning_curve.png").exists()
-    if has_curve:
-        _copy(config.run / "learning_curve.png", curve)
+    if config.run is not None:
+        _ship(config, config.run, shipped, curve)
+    load_policy(shipped)  # raises if damaged
     about = read_card(shipped)
     parts = [f"# The policy `{config.name}`", training_section(about)]
-    if has_curve:
+    if curve.exists():
         parts.append(f"![Learning curve]({curve.name})")
-    parts += [interface_section(about)]
-    if (config.run / "summary.md").exists():
-        walks = (config.run / "summary.md").read_text().rpartition("\n\n")[0]
-        parts.append(f"## Walks at constant speed\n\nTwelve seconds each, as trained.\n\n{walks}")
+    parts.append(interface_section(about))
     if config.measure:
+        commit = provenance()["commit"] or "not recorded"
+        parts += [f"What follows was measured with commit {commit}.", walks_section(shipped, about)]
         parts += benchmark_sections(config, str(shipped), about)
     card = config.assets / f"{config.name}.md"
     write_text(card, "\n\n".join(parts) + "\n")
@@ -180,6 +184,16 @@ def interface_section(about: dict[str, Any]) -> str:
     )
 
 
+def walks_section(policy: Path, about: dict[str, Any]) -> str:
+    """Section on evaluation episodes at all speeds, with the sensor noise of the training's."""
+    seed = about.get("made_by", {}).get("settings", {}).get("seed", 0)
+    env, speeds = make_evaluation_env(partial(make_env, stack=policy_stack(policy)), seed)
+    with closing(env):
+        env.set_seed(seed)
+        rows, _, total = walk_table(evaluate(load_policy(policy), env, speeds)).rpartition("\n\n")
+    return f"## Walks at constant speed\n\nTwelve seconds each, as trained: {total}.\n\n{rows}"
+
+
 def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
     """Run the other benchmarks; returns sections with their tables and the limits."""
     common: dict[str, Any] = {"policy": (policy,), "out": config.out / config.name}
@@ -192,10 +206,13 @@ def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> li
             _section(config, "Step frequency", "step_frequency"),
         ]
     velocity_tracking.main(velocity_tracking.Config(**common))
+    named = f"{config.name}={policy}"
+    walking_quality.main(walking_quality.Config(**{**common, "policy": (named,)}))
     numbers = perturbation.main(perturbation.Config(**common))
     return [
         *parts,
         _section(config, "Velocity tracking", "velocity_tracking"),
+        _section(config, "Ground contact, impacts and power", "walking_quality"),
         f"## Limits\n\n{limits(numbers)}\n{training_conditions(about)}",
         (config.out / config.name / "perturbation.md").read_text().strip(),
     ]
@@ -239,14 +256,21 @@ def _section(config: Config, title: str, benchmark: str) -> str:
     return f"## {title}\n\n`python -m benchmarks.{benchmark} --policy {config.name}`\n\n{table}"
 
 
-def _ship(source: Path, target: Path) -> None:
-    """Copy a policy without the run folder in its recorded command."""
+def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:
+    """Copy policy and learning curve of a run, without the run folder in the recorded command."""
+    source = find_policy(run)
+    load_policy(source)  # raises if damaged
+    policy_stack(source)  # raises if the stack has no name
+    config.assets.mkdir(parents=True, exist_ok=True)
     entries = POLICY_FORMAT.read(source)
     card = json.loads(entries[CARD])
     made = card["made_by"]
     if "command" in made:
         made["command"] = re.sub(_OWN, "", made["command"])
     POLICY_FORMAT.write(target, {**entries, CARD: as_json(card)})
+    curve.unlink(missing_ok=True)
+    if (run / "learning_curve.png").exists():
+        _copy(run / "learning_curve.png", curve)
 
 
 def _copy(source: Path, target: Path) -> None:

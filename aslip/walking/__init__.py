@@ -1,4 +1,4 @@
-"""Walks of a policy: recording (`record`), evaluation, interactive control (`walker`), metrics.
+"""Walks of a policy: recording, evaluation, interactive control (`walker`), metrics.
 
 `metrics` are pure functions of arrays; `tables` writes Markdown.
 """
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
         walk,
     )
     from aslip.walking.schedule import Push, Schedule, policy_steps
+    from aslip.walking.substeps import Substeps, record_substeps
     from aslip.walking.tables import markdown
     from aslip.walking.walker import Walker
 
@@ -38,6 +39,7 @@ __all__ = [
     "Interval",
     "Push",
     "Schedule",
+    "Substeps",
     "WalkResult",
     "Walker",
     "Walks",
@@ -47,6 +49,7 @@ __all__ = [
     "markdown",
     "next_start",
     "policy_steps",
+    "record_substeps",
     "record_walks",
     "reset_walks",
     "take_step",
@@ -77,6 +80,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "walk",
         ],
         "schedule": ["Push", "Schedule", "policy_steps"],
+        "substeps": ["Substeps", "record_substeps"],
         "tables": ["markdown"],
         "walker": ["Walker"],
     },

@@ -188,7 +188,7 @@ def record(
     """
     ended = torch.zeros(env.num_envs, dtype=torch.bool)
     rows: list[Any] = []  # torch.stack takes tensordicts, too
-    with _commands_kept(env):
+    with commands_kept(env):
         start = reset_walks(add_memory(env, policy), command[0])
         for td in walk(policy, env, start, len(command), command=command):
             rows.append(td.select(*keys, strict=False).clone())
@@ -199,7 +199,7 @@ def record(
 
 
 @contextmanager
-def _commands_kept(env: StackEnv) -> Iterator[None]:
+def commands_kept(env: StackEnv) -> Iterator[None]:
     """Suspend the environment's own changes of the command."""
     transforms = [t for t in env.transforms if isinstance(t, SpeedCommand)]
     intervals = [transform.interval for transform in transforms]

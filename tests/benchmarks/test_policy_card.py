@@ -31,8 +31,8 @@ from benchmarks.policy_card import Config
 from recipes.ppo_settings import PRESETS
 
 
-def _card(run_folder: Path, assets: Path, **settings: bool) -> str:
-    config = Config(run_folder, "mine", assets, assets / "out", **{"measure": False, **settings})
+def _card(run_folder: Path | None, assets: Path, **settings: bool) -> str:
+    config = Config("mine", run_folder, assets, assets / "out", **{"measure": False, **settings})
     return policy_card.main(config).read_text()
 
 
@@ -86,11 +86,31 @@ def test_card_lists_training(tmp_path: Path) -> None:
     aslip.load_policy(tmp_path / "assets" / "mine.zip")
 
 
+def test_card_of_shipped_policy_is_written_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Equal to the one written when it was shipped, with measurements of today."""
+    monkeypatch.setattr(policy_card, "evaluate", lambda *_: [])
+    monkeypatch.setattr(policy_card, "walk_table", lambda _: "| walks |\n\nof 2 speeds 1 survived")
+    monkeypatch.setattr(policy_card, "benchmark_sections", lambda *_: ["## Benchmarks"])
+    made_by = {"settings": {"seed": 3}}
+    folder = _saved(tmp_path / "run", "aslip", OBSERVATION_TABLE, made_by)
+    first = _card(folder, tmp_path / "assets", measure=True)
+    shutil.rmtree(folder)
+    weights = (tmp_path / "assets" / "mine.zip").read_bytes()
+    assert _card(None, tmp_path / "assets", measure=True) == first
+    assert (tmp_path / "assets" / "mine.zip").read_bytes() == weights
+    assert f"measured with commit {provenance()['commit'] or 'not recorded'}." in first
+    assert "as trained: of 2 speeds 1 survived.\n\n| walks |\n\n## Benchmarks" in first
+
+
 def test_refuses_missing_run_and_invalid_name(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="neither a file"):
         _card(tmp_path / "nothing", tmp_path / "assets")
+    with pytest.raises(AssetError, match="mine"):
+        _card(None, tmp_path / "assets")
     with pytest.raises(ConfigurationError, match=r"\.\./mine"):
-        Config(tmp_path, "../mine")
+        Config("../mine", tmp_path)
 
 
 def test_limits_on_the_card_are_the_worst_measurements() -> None:

@@ -4,20 +4,25 @@ Arrays have time first. A "stance" is a row of two sample indices, first and one
 """
 
 from aslip.walking.metrics.contact import (
+    airborne_share,
     duty_factor,
+    longest_airborne,
     merge_short,
+    slip_distance,
     stances,
     step_frequency,
     touchdown_times,
 )
-from aslip.walking.metrics.effort import action_roughness, cost_of_transport, jerk
+from aslip.walking.metrics.effort import action_roughness, cost_of_transport, jerk, mechanical_power
 from aslip.walking.metrics.footsteps import Footsteps, Placement, footsteps, placement
 from aslip.walking.metrics.force import (
     ForceProfile,
     dip_ratio,
     force_profile,
     humps,
+    largest_force,
     mean_over_strides,
+    touchdown_impact,
 )
 from aslip.walking.metrics.tracking import (
     StepResponse,
@@ -34,6 +39,7 @@ __all__ = [
     "Placement",
     "StepResponse",
     "action_roughness",
+    "airborne_share",
     "cost_of_transport",
     "dip_ratio",
     "duty_factor",
@@ -41,15 +47,20 @@ __all__ = [
     "force_profile",
     "humps",
     "jerk",
+    "largest_force",
     "leg_length_correlation",
+    "longest_airborne",
     "mean_over_strides",
+    "mechanical_power",
     "merge_short",
     "placement",
     "root_mean_square",
+    "slip_distance",
     "stances",
     "step_frequency",
     "step_response",
     "stride_average",
+    "touchdown_impact",
     "touchdown_spike",
     "touchdown_times",
 ]

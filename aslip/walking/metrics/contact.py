@@ -126,6 +126,82 @@ def duty_factor(force: np.ndarray, period: float, swing: float = SHORTEST_SWING)
     return float(np.diff(found, axis=1)[:-1, 0].sum() / strides.sum())
 
 
+def airborne_share(force: np.ndarray, threshold: float = 0.0) -> float:
+    """Share of time without ground contact of either foot, aerial phases [0 to 1].
+
+    Walking has none: Alexander, "Optimization and gaits in the locomotion of vertebrates",
+    Physiological Reviews 69 (1989). Samples at the rate of the physics show gaps of milliseconds,
+    which means over policy steps hide.
+
+    Args:
+        force: (m, 2) vertical ground force of both feet [N].
+        threshold: largest force of a foot without contact [N].
+
+    Raises:
+        ShapeError: `force` is not of two feet, or empty.
+        ConfigurationError: a force is not finite.
+    """
+    return float(_airborne(force, threshold).mean())
+
+
+def longest_airborne(force: np.ndarray, period: float, threshold: float = 0.0) -> float:
+    """Longest uninterrupted time without ground contact of either foot [s]; see `airborne_share`.
+
+    Args:
+        force: (m, 2) vertical ground force of both feet [N].
+        period: time between samples [s].
+        threshold: largest force of a foot without contact [N].
+    """
+    airborne = np.pad(_airborne(force, threshold).astype(int), 1)
+    edges = np.diff(airborne)
+    durations = np.flatnonzero(edges == -1) - np.flatnonzero(edges == 1)
+    return float(durations.max(initial=0) * period)
+
+
+def _airborne(force: np.ndarray, threshold: float) -> np.ndarray:
+    """(m,) true where neither foot has more than a force."""
+    force = np.asarray(force, dtype=np.float64)
+    if force.ndim != 2 or force.shape[1] != 2 or not len(force):
+        raise ShapeError(f"force must be of both feet, (m, 2), got shape {force.shape}")
+    if not np.isfinite(force).all():
+        row = int(np.flatnonzero(~np.isfinite(force).all(axis=1))[0])
+        raise ConfigurationError(f"force must be finite, sample {row} is {force[row]}")
+    return np.logical_and(*(force <= threshold).T)
+
+
+def slip_distance(
+    force: np.ndarray, foot: np.ndarray, period: float, swing: float = SHORTEST_SWING
+) -> float:
+    """Distance that a sole slides over level ground within a stance, mean over stances [m].
+
+    Length of the sole centre's horizontal path while its foot has ground contact; motion within
+    gaps of a stance does not count. Reinforcement learning penalises the same speed of feet in
+    contact as foot slip: Ji et al., "Concurrent Training of a Control Policy and a State Estimator
+    for Dynamic and Robust Legged Locomotion", IEEE RA-L 7 (2022). Rolling over toe or heel moves
+    the sole centre, too, by millimetres. NaN without a stance.
+
+    Args:
+        force: (m,) vertical ground force of the foot [N].
+        foot: (m, 3) its sole centre [m, world], or at least x and y.
+        period: time between samples [s].
+        swing: shortest swing [s].
+
+    Raises:
+        ShapeError: `foot` has another number of samples than `force`.
+        ConfigurationError: the period is not positive, or a force not finite.
+    """
+    found = stances(force, period, swing=swing)
+    if foot.ndim != 2 or len(foot) != len(force) or foot.shape[1] < 2:
+        raise ShapeError(f"foot must be ({len(force)}, 3) as the force, got {foot.shape}")
+    moved = np.linalg.norm(np.diff(foot[:, :2], axis=0), axis=1)
+    moved[(force[1:] <= 0) | (force[:-1] <= 0)] = 0.0
+    return _mean([moved[start : stop - 1].sum() for start, stop in found])
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")
+
+
 def _checked(force: np.ndarray, period: float) -> np.ndarray:
     force = np.asarray(force, dtype=np.float64)
     if force.ndim != 1:

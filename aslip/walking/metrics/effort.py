@@ -4,32 +4,43 @@ from __future__ import annotations
 
 import numpy as np
 
-from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.errors import ShapeError
 
 
-def cost_of_transport(
-    torque: np.ndarray,
-    velocity: np.ndarray,
-    distance: float,
-    period: float,
-    *,
-    mass: float = CASSIE.total_mass,
-) -> float:
-    r"""Mechanical cost of transport.
+def mechanical_power(torque: np.ndarray, velocity: np.ndarray) -> float:
+    r"""Mean positive mechanical power of the motors [W].
 
-    .. math:: \frac{\int \sum_i |\tau_i \omega_i|\,dt}{m g d}
+    .. math:: \frac{1}{T} \int \sum_i \max(\tau_i \omega_i, 0)\,dt
 
-    Negative power counts as cost, too (no recuperation). NaN without distance.
+    Braking motors neither cost nor recover power, and heat in the windings does not count.
 
     Args:
-        torque: (m, 10) joint torques [N m].
-        velocity: (m, 10) joint velocities [rad/s].
-        distance: distance covered [m].
-        period: time between samples [s].
-        mass: mass of the robot [kg].
+        torque: (m, 10) torques of the motors at the joints [N m].
+        velocity: (m, 10) velocities of these joints [rad/s].
+
+    Raises:
+        ShapeError: the arrays are not of the same motors and samples, or empty.
     """
-    work = float(np.abs(torque * velocity).sum() * period)
-    return work / (mass * STANDARD_GRAVITY * distance) if distance > 0 else float("nan")
+    if torque.shape != velocity.shape or torque.ndim != 2 or not len(torque):
+        raise ShapeError(
+            f"torque and velocity must both be (m, motors), got {torque.shape}, {velocity.shape}"
+        )
+    return float(np.maximum(torque * velocity, 0.0).sum(axis=1).mean())
+
+
+def cost_of_transport(power: float, weight: float, speed: float) -> float:
+    r"""Specific mechanical cost of transport, power over weight and speed.
+
+    Defined with the positive mechanical power of the actuators (`mechanical_power`): Collins,
+    Ruina, Tedrake and Wisse, "Efficient Bipedal Robots Based on Passive-Dynamic Walkers", Science
+    307 (2005). NaN without forward speed.
+
+    Args:
+        power: mean positive mechanical power [W].
+        weight: weight of the robot [N].
+        speed: mean forward speed [m/s].
+    """
+    return power / (weight * speed) if speed > 0 else float("nan")
 
 
 def action_roughness(action: np.ndarray) -> float:

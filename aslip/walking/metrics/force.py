@@ -9,10 +9,14 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
-from aslip.walking.metrics.contact import stances
+from aslip.errors import ConfigurationError
+from aslip.walking.metrics.contact import SHORTEST_SWING, stances
 
 SMOOTHING = 0.03
 """Length of the moving average that is applied twice before humps are counted [s]."""
+
+IMPACT = 0.05
+"""Duration from touchdown within which a force is an impact [s]."""
 
 PROMINENCE = 25.0
 """Least rise of a hump above the dips beside it [N]."""
@@ -89,6 +93,53 @@ def dip_ratio(force: np.ndarray, period: float) -> float:
         return 1.0
     outer = smooth[peaks[[0, -1]]].min()
     return float(smooth[peaks[0] : peaks[-1] + 1].min() / outer)
+
+
+def touchdown_impact(
+    force: np.ndarray, period: float, weight: float, swing: float = SHORTEST_SWING
+) -> float:
+    """Largest vertical force of a foot in the first 50 ms of a stance over body weight.
+
+    Mean over stances; NaN without one. Biomechanics calls forces impacts that have their maximum
+    within 50 ms from the first contact: Nigg, Cole and Brueggemann, "Impact Forces during Heel-Toe
+    Running", Journal of Applied Biomechanics 11 (1995).
+
+    Args:
+        force: (m,) vertical ground force of the foot [N], at 1 kHz or more.
+        period: time between samples [s].
+        weight: weight of the robot [N].
+        swing: shortest swing [s].
+
+    Raises:
+        ShapeError: `force` is not one-dimensional.
+        ConfigurationError: period or weight is not positive, or a force not finite.
+    """
+    _check_weight(weight)
+    length = max(round(IMPACT / period), 1)
+    found = [
+        force[start : min(start + length, stop)].max()
+        for start, stop in stances(force, period, swing=swing)
+    ]
+    return float(np.mean(found) / weight) if found else float("nan")
+
+
+def largest_force(force: np.ndarray, weight: float) -> float:
+    """Largest vertical force of a single foot over body weight, impacts included.
+
+    Args:
+        force: (m, 2) vertical ground force of both feet [N], at 1 kHz or more.
+        weight: weight of the robot [N].
+
+    Raises:
+        ConfigurationError: the weight is not positive.
+    """
+    _check_weight(weight)
+    return float(np.max(force) / weight)
+
+
+def _check_weight(weight: float) -> None:
+    if not weight > 0:
+        raise ConfigurationError(f"weight must be positive [N], got {weight!r}")
 
 
 def mean_over_strides(

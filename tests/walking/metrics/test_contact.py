@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.walking.metrics import duty_factor, merge_short, stances, step_frequency, touchdown_times
+from aslip.walking.metrics import (
+    airborne_share,
+    duty_factor,
+    longest_airborne,
+    merge_short,
+    slip_distance,
+    stances,
+    step_frequency,
+    touchdown_times,
+)
 
 PERIOD = 0.0005
 
@@ -116,3 +125,80 @@ def test_duty_factor_divides_by_following_stride() -> None:
     force = np.zeros(3000)
     force[200:400] = force[1000:1300] = 300.0
     assert duty_factor(force, 0.0005) == pytest.approx(200 / 800)
+
+
+def feet(*spans: tuple[int, int, int]) -> np.ndarray:
+    """300 N on a foot for spans of samples of a second: foot, first, one past the last."""
+    force = np.zeros((2000, 2))
+    for foot, start, stop in spans:
+        force[start:stop, foot] = 300.0
+    return force
+
+
+def test_airborne_while_neither_foot_has_force() -> None:
+    """In two gaps of 50 and 100 ms, and not while one foot carries the robot."""
+    force = feet((0, 0, 800), (1, 900, 1500), (0, 1400, 1600), (1, 1800, 2000))
+    assert airborne_share(force) == pytest.approx(300 / 2000)
+    assert longest_airborne(force, PERIOD) == pytest.approx(0.1)
+    assert airborne_share(force[:800]) == longest_airborne(force[:800], PERIOD) == 0.0
+    assert airborne_share(force[1600:1800]) == 1.0
+    assert longest_airborne(force[1600:1800], PERIOD) == pytest.approx(0.1)
+
+
+def test_airborne_threshold_counts_light_contacts() -> None:
+    force = feet((0, 0, 1500))
+    force[500:700, 0] = 15.0
+    force[1500:, 1] = 0.01
+    assert airborne_share(force) == 0.0
+    assert airborne_share(force, threshold=20.0) == pytest.approx(700 / 2000)
+    assert longest_airborne(force, PERIOD, threshold=20.0) == pytest.approx(0.25)
+
+
+def test_airborne_refuses_one_foot_and_missing_samples() -> None:
+    with pytest.raises(ShapeError, match=r"both feet.*\(2000,\)"):
+        airborne_share(np.zeros(2000))
+    with pytest.raises(ShapeError, match=r"\(0, 2\)"):
+        longest_airborne(np.zeros((0, 2)), PERIOD)
+    force = np.zeros((4, 2))
+    force[2, 1] = np.nan
+    with pytest.raises(ConfigurationError, match="sample 2"):
+        airborne_share(force)
+
+
+def sliding(force: np.ndarray, speed: float) -> np.ndarray:
+    """Sole that moves at a constant speed at all times, on a line 3 to 4 [m]."""
+    way = speed * PERIOD * np.arange(len(force))
+    return np.stack([0.6 * way, -0.8 * way, np.zeros(len(force))], axis=1)
+
+
+def test_slip_is_path_within_stances() -> None:
+    """Two stances of 0.2 and 0.3 s at 0.1 m/s; swings and vertical motion do not count."""
+    force = feet((0, 200, 600), (0, 1000, 1600))[:, 0]
+    foot = sliding(force, 0.1)
+    foot[:, 2] = 0.01 * np.sin(np.arange(len(force)))
+    assert slip_distance(force, foot, PERIOD) == pytest.approx(0.025, rel=0.01)
+    assert slip_distance(force, np.zeros((2000, 3)), PERIOD) == 0.0
+    assert np.isnan(slip_distance(np.zeros(2000), foot, PERIOD))
+
+
+def test_slip_there_and_back_adds_up() -> None:
+    force = feet((0, 200, 1000))[:, 0]
+    foot = np.zeros((2000, 3))
+    foot[400:600, 0] = 0.02
+    assert slip_distance(force, foot, PERIOD) == pytest.approx(0.04)
+
+
+def test_slip_without_contact_does_not_count() -> None:
+    """In a gap of 50 ms of a stance."""
+    force = feet((0, 200, 1000))[:, 0]
+    force[500:600] = 0.0
+    foot = np.zeros((2000, 3))
+    foot[550:, 0] = 0.02
+    assert slip_distance(force, foot, PERIOD) == 0.0
+    foot[800:, 0] = 0.03
+    assert slip_distance(force, foot, PERIOD) == pytest.approx(0.01)
+
+
+def test_slip_refuses_other_samples() -> None:
+    with pytest.raises(ShapeError, match=r"\(2000, 3\).*\(1999, 3\)"):
+        slip_distance(np.zeros(2000), np.zeros((1999, 3)), PERIOD)

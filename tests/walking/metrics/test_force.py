@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator
 
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.walking.metrics import dip_ratio, force_profile, humps, mean_over_strides
+from aslip.walking.metrics import (
+    dip_ratio,
+    force_profile,
+    humps,
+    largest_force,
+    mean_over_strides,
+    touchdown_impact,
+)
 
 PERIOD = 0.0005
 
@@ -81,3 +89,34 @@ def test_strides_are_averaged_at_equal_phase() -> None:
     np.testing.assert_allclose(std, 0.0, atol=1e-4)
     both, _ = mean_over_strides(np.ones((100, 2)) * [1, 2], np.array([0, 50, 99]), 10)
     np.testing.assert_array_equal(both, np.ones((10, 2)) * [1, 2])
+
+
+def impacts(*peaks: tuple[int, float]) -> np.ndarray:
+    """Two stances of 0.3 s with 300 N, and single samples with other forces [N]."""
+    force = np.zeros(2000)
+    force[200:800] = force[1200:1800] = 300.0
+    for sample, value in peaks:
+        force[sample] = value
+    return force
+
+
+def test_impact_is_mean_of_largest_forces_after_touchdowns() -> None:
+    """Within 50 ms, over body weight."""
+    assert touchdown_impact(impacts(), PERIOD, 300.0) == pytest.approx(1.0)
+    force = impacts((200, 900.0), (1299, 600.0))
+    assert touchdown_impact(force, PERIOD, 300.0) == pytest.approx(2.5)
+    force = impacts((300, 900.0), (790, 900.0))  # 50 ms after touchdown, and at the stance's end
+    assert touchdown_impact(force, PERIOD, 300.0) == pytest.approx(1.0)
+    assert np.isnan(touchdown_impact(np.zeros(2000), PERIOD, 300.0))
+
+
+def test_largest_force_is_of_one_foot_over_weight() -> None:
+    force = np.stack([impacts((500, 750.0)), impacts((300, 600.0))], axis=1)
+    assert largest_force(force, 300.0) == pytest.approx(2.5)
+
+
+def test_forces_over_weight_refuse_invalid_weight() -> None:
+    with pytest.raises(ConfigurationError, match=r"weight.*0\.0"):
+        touchdown_impact(impacts(), PERIOD, 0.0)
+    with pytest.raises(ConfigurationError, match=r"weight.*nan"):
+        largest_force(np.zeros((4, 2)), float("nan"))

@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.errors import ShapeError
 from aslip.walking.metrics import (
     action_roughness,
     cost_of_transport,
     jerk,
     leg_length_correlation,
+    mechanical_power,
     root_mean_square,
     step_response,
     stride_average,
@@ -95,24 +96,22 @@ def test_touchdown_spike_is_range_around_touchdowns() -> None:
     assert math.isnan(touchdown_spike(speed, np.array([1, 99]), 2))  # not in the record
 
 
-def test_cost_of_transport_is_work_over_weight_and_distance() -> None:
+def test_mechanical_power_is_positive_work_over_time() -> None:
+    """Braking neither costs nor pays, also while another motor works."""
     torque, velocity = np.zeros((100, 10)), np.zeros((100, 10))
-    torque[:, 3], velocity[:, 3] = 50.0, 2.0
-    torque[:, 8], velocity[:, 8] = 10.0, -1.0  # brakes: counts as well
-    work = (100 + 10) * 100 * PERIOD
-    cost = cost_of_transport(torque, velocity, 3.0, PERIOD)
-    assert cost == pytest.approx(work / (CASSIE.total_mass * STANDARD_GRAVITY * 3.0))
-    assert math.isnan(cost_of_transport(torque, velocity, 0.0, PERIOD))
+    torque[:50, 3], velocity[:50, 3] = -50.0, -2.0
+    torque[:, 8], velocity[:, 8] = 10.0, -1.0
+    assert mechanical_power(torque, velocity) == pytest.approx(50.0)
+    torque[50:, 0], velocity[50:, 0] = 4.0, 5.0
+    assert mechanical_power(torque, velocity) == pytest.approx(60.0)
+    with pytest.raises(ShapeError, match=r"\(100, 10\), \(100, 9\)"):
+        mechanical_power(torque, velocity[:, :9])
 
 
-def test_cost_of_transport_uses_given_mass() -> None:
-    torque, velocity = np.full((10, 10), 2.0), np.ones((10, 10))
-    bare, loaded = (
-        cost_of_transport(torque, velocity, 1.0, PERIOD, mass=mass)
-        for mass in (CASSIE.total_mass, 2 * CASSIE.total_mass)
-    )
-    assert loaded == pytest.approx(bare / 2)
-    assert cost_of_transport(torque, velocity, 1.0, PERIOD) == bare
+def test_cost_of_transport_is_power_over_weight_and_speed() -> None:
+    assert cost_of_transport(120.0, 300.0, 0.5) == pytest.approx(0.8)
+    assert math.isnan(cost_of_transport(120.0, 300.0, 0.0))
+    assert math.isnan(cost_of_transport(120.0, 300.0, -0.1))
 
 
 def test_action_roughness() -> None:
