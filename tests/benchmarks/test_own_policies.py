@@ -27,6 +27,7 @@ from benchmarks import (
     perturbation,
     step_frequency,
     velocity_tracking,
+    walking_quality,
 )
 from benchmarks.common import Common, Subject
 
@@ -75,7 +76,13 @@ every_policy = pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POL
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (foot_placement, ground_reaction, step_frequency, velocity_tracking):
+    for module in (
+        foot_placement,
+        ground_reaction,
+        step_frequency,
+        velocity_tracking,
+        walking_quality,
+    ):
         monkeypatch.setattr(module, "_SETTLE", 0.15)
         monkeypatch.setattr(module, "_WALK", 0.3)
     for name in ("_HOLD", "_BEFORE", "_AFTER"):
@@ -96,6 +103,7 @@ def test_benchmarks_accept_custom_policy_and_environment(
     assert len(velocity_tracking.main(velocity_tracking.Config(**few), *of)["steps"]) == 6
     rows = ground_reaction.main(ground_reaction.Config(**few), *of)
     assert rows[0]["policy"] == "ProbabilisticActor"
+    assert walking_quality.main(walking_quality.Config(**few), *of)[0]["power"]["mean"] > 0
     sweeps: dict[str, Any] = {sweep.flag: () for sweep in perturbation.SWEEPS.values()}
     config = perturbation.Config(
         **{**few, **sweeps, "payload": (0.0,)},
