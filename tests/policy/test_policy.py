@@ -413,7 +413,7 @@ def make_tanh_actor(
 def test_custom_network_loads_with_given_function(tmp_path: Path) -> None:
     actor = make_tanh_actor(RunningNormalizer(64), PolicyShape())
     path = tmp_path / "policy.zip"
-    with pytest.raises(ConfigurationError, match=r"what 'mlp' makes.*network="):
+    with pytest.raises(ConfigurationError, match=r"that 'mlp' makes.*network="):
         save_policy(path, actor, PolicyShape())
     save_policy(path, actor, PolicyShape(), network=make_tanh_actor)
     assert read_card(path)["network"] == f"{__name__}.make_tanh_actor"

@@ -373,7 +373,7 @@ def test_a_checkpoint_with_other_components_is_refused(settings: Settings) -> No
     """As after a change of the recipe: the error names them, and nothing is loaded."""
     _save(_open(settings), 10)
     others = ({"net": torch.nn.Linear(4, 2)}, {"net": _net(0.0), "other": _net(0.0)})
-    for components, word in zip(others, ("size mismatch", "missing.*other"), strict=True):
+    for components, word in zip(others, ("size mismatch", "lacks.*other"), strict=True):
         with quiet(), pytest.raises(FileDamagedError, match=word):
             _open(settings, resume=True).restore(components)
 
