@@ -18,6 +18,7 @@ import aslip
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
 from aslip.training.command_line import command_line, preset_command_line
+from recipes.ppo_settings import PRESETS
 from tests.pages import DOCS, PAGES, ROOT, blocks, commands, links, page_name, prose, sections
 
 LARGEST_README = 9000
@@ -234,6 +235,20 @@ def test_every_picture_is_on_a_page_and_described() -> None:
     }
     assert set((DOCS / "images").iterdir()) - shown.keys() == set()
     assert [path for path, text in shown.items() if len(text) < 10] == []
+
+
+def test_settings_on_the_page_of_differences_are_those_of_the_presets() -> None:
+    """Code such as `gamma=0.95` in the columns of the default and of the preset `paper`."""
+    columns = {"What only the default changes": {1: "default", 2: "paper"}}
+    columns["What the preset `paper` keeps"] = {3: "paper"}
+    told = 0
+    for section in sections((DOCS / "differences.md").read_text()):
+        for row in re.findall(r"^\|(.*)\|$", section.text, flags=re.MULTILINE):
+            for column, preset in columns.get(section.heading, {}).items():
+                for setting, value in re.findall(r"`(\w+)=([\d.e-]+)`", row.split("|")[column]):
+                    assert getattr(PRESETS[preset], setting) == float(value), (preset, setting)
+                    told += 1
+    assert told >= 18
 
 
 # ------------------------------------------------------------------------ README

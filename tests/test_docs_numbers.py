@@ -19,6 +19,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.learning_curves import report
 from benchmarks.learning_record import read_record
 from tests.pages import DOCS, PAGES, blocks, commands, links, page_name, prose, sections
 
@@ -40,7 +41,7 @@ _WORD = r"(two|three|four|five|six|seven|eight|nine|ten)"
 _MEASURED = re.compile(
     rf"(?<![\w.])[-+]?\d+\.\d+(?![\w.]*\w)|(?<![\w.])\d[\d,.]*\s?{_UNIT}"
     r"|\d+ of (the )?\d+|\[[-\d.]+, [-\d.]+\]|\b\d+e-\d+"
-    rf"|\b{_WORD} times\b|\btwice\b|\bof {_WORD} seeds\b|\bevery seed\b"
+    rf"|\b{_WORD} (times|seconds|minutes|hours)\b|\btwice\b|\bof {_WORD} seeds\b|\bevery seed\b"
     r"|\b([Rr]eturn(s|ed)?|[Ee]pisodes (of|last)|length)( is| of)? \d{2,}"
 )
 _CELL = re.compile(r"[-+±]?\d[\d.,]*( ?(%|\[.*\]|±.*|/.*|[a-zµ°].*))?")
@@ -189,3 +190,13 @@ def test_no_page_places_the_default_above_the_paper() -> None:
         text = " ".join(page.read_text().split())
         assert "to the letter" not in text, page
         assert long_runs or not re.search("(better|faster) than (in )?the paper", text), page
+
+
+def test_table_of_learning_curves_is_that_of_the_record() -> None:
+    runs = read_record(DOCS / "learning_curves.csv")
+    table = re.findall(
+        r"^\| (\w+) \| (\d+) \|.*\n", (DOCS / "learning.md").read_text(), re.MULTILINE
+    )
+    printed = report([runs[variant, int(seed)] for variant, seed in table]).splitlines()[2:]
+    assert len(table) >= 10
+    assert [row for row in printed if row not in (DOCS / "learning.md").read_text()] == []
