@@ -10,7 +10,7 @@ assigned to threads in advance. Two rows of `mujoco.batch` with constant torques
 calls instead of one.
 
 For few robots there are two more candidates: the dm_control task in a loop, and TorchRL's
-`ParallelEnv` with a process for each robot, where all processors work whatever `num_threads` says.
+`ParallelEnv` with a process for each robot, which uses all processors regardless of `num_threads`.
 
 Two more tables show the share of learning (everything but collection) in a training iteration, and
 the memory of environment, policy and samples.

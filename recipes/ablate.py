@@ -183,10 +183,10 @@ VARIANTS: Mapping[str, Variant] = {
     "no_feedforward": Variant("motor targets as in the paper", edits=lambda: {"stack": "paper"}),
     "no_symmetry": Variant("no left-right symmetry of the networks", {"symmetric": False}),
     "no_model_inputs": Variant(
-        "clock and speed as inputs in place of the reduced-order model", edits=_blind_to_the_model
+        "clock and speed as inputs instead of the reduced-order model", edits=_blind_to_the_model
     ),
     "pendulum": Variant(
-        "linear inverted pendulum in place of the actuated spring-mass model",
+        "linear inverted pendulum instead of the actuated spring-mass model",
         edits=lambda: {"library": pendulum_library(aslip.GaitLibrary.load().gaits)},
     ),
     "truth": Variant("the true state instead of the estimate", edits=lambda: dict(ON_TRUTH)),

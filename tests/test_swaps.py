@@ -104,7 +104,7 @@ def train_with_history(config: Config) -> MakeEnv:
 
 
 def train_recurrent_policy(config: Config) -> MakeEnv:
-    """GRU in place of the perceptron."""
+    """GRU instead of the perceptron."""
     ppo_aslip.main(
         replace(config, symmetric=False), make_actor=make_recurrent_actor, network={"hidden": (32,)}
     )
@@ -112,7 +112,7 @@ def train_recurrent_policy(config: Config) -> MakeEnv:
 
 
 def train_with_torques(config: Config) -> MakeEnv:
-    """Torques in place of angles: actions are added to the torques of the reference's legs."""
+    """Torques instead of angles: actions are added to the reference's motor torques."""
     stack = default_stack()
     del stack["feedforward"]
     stack["action"] = lambda: ActionDelta(("reference", "motor_torque"), limit=50.0)
@@ -122,7 +122,7 @@ def train_with_torques(config: Config) -> MakeEnv:
 
 
 def train_with_sac(config: Config) -> MakeEnv:
-    """Soft actor-critic in place of PPO; `recipes/sac_aslip.py` also logs and normalises."""
+    """Soft actor-critic instead of PPO; `recipes/sac_aslip.py` also logs and normalises."""
     stack = default_stack()
     stack["action"] = lambda: ActionDelta(("reference", "motor_target"), limit=0.4)
     make_env = partial(aslip.make_env, stack=stack)

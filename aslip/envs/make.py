@@ -58,7 +58,7 @@ def make_env(
         library: gait library, by default the stack's own; for stacks given by name.
         keep: entries of the transitions, all by default. With `["observation"]` transitions are
             small; action, reward, flags of ends and `command` always stay. See `KeepKeys`.
-        base: `RobotEnv` in place of a simulator, or function of `num_envs` that makes it; see
+        base: `RobotEnv` instead of a simulator, or function of `num_envs` that makes it; see
             `robot_stack` for real robots and replayed logs.
         num_threads: physics threads of the batch backend, 0 for all processors.
         floor_friction: sliding friction of the floor.

@@ -146,8 +146,8 @@ class RobotEnv(EnvBase):
 
     def _start(self) -> TensorDict:
         """Entries after a reset."""
-        nobody = np.zeros(self.num_envs, dtype=bool)
-        return TensorDict(self._observation(nobody), batch_size=self.batch_size)
+        none = np.zeros(self.num_envs, dtype=bool)
+        return TensorDict(self._observation(none), batch_size=self.batch_size)
 
     def _observation(self, stopped: np.ndarray) -> dict[str, dict[str, Tensor]]:
         """Groups of the observed entries.

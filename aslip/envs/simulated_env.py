@@ -120,8 +120,8 @@ class SimulatedEnv(RobotEnv):
         """Restore a result of `states`, from this or another environment with the same model.
 
         Raises:
-            ShapeError: the states have another number of robots or another model; all simulations
-                keep theirs.
+            ShapeError: the states have another number of robots or another model; nothing is
+                changed.
         """
 
     @abstractmethod
@@ -192,12 +192,12 @@ class SimulatedEnv(RobotEnv):
         self._restart(robots, None, None)
 
     def _observation_specs(self) -> dict[str, TensorSpec]:
-        nobody = np.zeros(self.batch_size, dtype=bool)
+        none = np.zeros(self.batch_size, dtype=bool)
         truth = {
             key: Binary(shape=value.shape, dtype=torch.bool)
             if value.dtype == torch.bool
             else Unbounded(value.shape, dtype=value.dtype)
-            for key, value in self._truth(nobody).items()
+            for key, value in self._truth(none).items()
         }
         return {**super()._observation_specs(), "truth": Composite(truth, shape=self.batch_size)}
 

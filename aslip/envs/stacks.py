@@ -287,10 +287,10 @@ def evaluation_stack(stack: Stack) -> Stack:
     """
     _require_names(stack, ["start"])
     common = default_stack()
-    judges = {name: common[name] for name in ("start", *_EVALUATION)}
-    seen = {name: make for name, make in stack.items() if name not in {"dynamics", *judges}}
+    evaluation = {name: common[name] for name in ("start", *_EVALUATION)}
+    seen = {name: make for name, make in stack.items() if name not in {"dynamics", *evaluation}}
     goal = partial(ReferenceInjection, GaitLibrary.load(), out_keys=("judge", "goal"))
-    return {"start": judges.pop("start"), **seen, "judge": goal, **judges}
+    return {"start": evaluation.pop("start"), **seen, "judge": goal, **evaluation}
 
 
 def insert_before(stack: Stack, name: str, **new: Callable[[], Transform]) -> Stack:

@@ -158,7 +158,7 @@ class Motion:
 
 
 class _Settings(NamedTuple):
-    """Numbers of the compiled filter, with variances in place of deviations."""
+    """Numbers of the compiled filter, with variances instead of standard deviations."""
 
     walk: np.ndarray
     """(3, 5) growth of the variances per packet, without `shock`."""

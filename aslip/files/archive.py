@@ -8,7 +8,7 @@ An archive is a ZIP file of arrays (`.npy`) and text, which NumPy reads as an `.
 SHA256SUMS lists the SHA-256 of every other entry, in the format of `sha256sum --check`.
 
 Guarantees: nothing is unpickled; a changed, missing, added or swapped entry is refused; memory is
-proportional to the size of the file, whatever sizes the file claims.
+proportional to the size of the file, even if the file claims larger contents.
 """
 
 from __future__ import annotations

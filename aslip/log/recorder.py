@@ -118,7 +118,7 @@ class Recorder(Transform):
             self._require_last()
             if self._session is None:
                 self._session = self._begin(tensordict_reset)
-                # an environment that nobody closes, and the end of the program, finish the file
+                # finish the file when an unclosed environment is deleted or the program ends
                 self._finish = weakref.finalize(self, _finish, self._session, os.getpid())
             self._session.reset(tensordict_reset)
         return tensordict_reset

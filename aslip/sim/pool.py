@@ -221,7 +221,7 @@ class SimulationPool:
         """Restore a result of `states`, from these or other simulations of the same model.
 
         Raises:
-            ShapeError: the states have another number or model; all simulations keep theirs.
+            ShapeError: the states have another number or model; nothing is changed.
         """
         states = check_states(states, (self.num, self.parts[0].state_size))
         for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):

@@ -247,7 +247,7 @@ class Simulations:
         `snapshot` is valid again after the next `advance`.
 
         Raises:
-            ShapeError: the states have another number or model; all simulations keep theirs.
+            ShapeError: the states have another number or model; nothing is changed.
         """
         states = check_states(states, (self.num, self.state_size))
         physics = self.batch.state.shape[1]

@@ -40,7 +40,7 @@ class ObservationNoise(SeededTransform):
     step, so a caller who builds tensordicts by hand must copy it.
 
     Args:
-        levels: sensor -> level, in place of `Robot.sensor_noise`.
+        levels: sensor -> level, which replaces that of `Robot.sensor_noise`.
         scale: factor on all levels; 0 is a robot without noise.
         bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
         period: duration of a policy step [s].

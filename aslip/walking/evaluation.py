@@ -101,7 +101,7 @@ def evaluate(
 ) -> list[WalkResult]:
     """Evaluate one walk at each speed, from phase 0, without exploration noise.
 
-    Commands stay constant, whatever the environment's `SpeedCommand` does. A walk ends with its
+    Commands stay constant: `SpeedCommand` does not change them. A walk ends with its
     episode or after `num_steps`.
 
     Args:

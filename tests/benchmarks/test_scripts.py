@@ -123,7 +123,7 @@ def test_estimator_report(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def curves_of(folder: Path, walks_at: int, steps: int = 600, seed: int = 0) -> None:
-    """Progress of a run of so many thousand steps; the last row is being written."""
+    """Progress of a run of `steps` thousand policy steps; its last row is incomplete."""
     rng = np.random.default_rng(seed)
     lines = [
         "step,elapsed_s,episode_length,episode_return,divergences,kl,eval_return,eval_survived"

@@ -23,7 +23,7 @@ STEPS = 30
 
 
 class ReplayedRobot(RobotEnv):
-    """Robots that send the packets of a log, whatever their motor targets are.
+    """Robots that send the packets of a log, independent of their motor targets.
 
     Args:
         log: sensor -> packets (m, n, W, k) of m policy steps, the reset's first.

@@ -309,7 +309,7 @@ def test_filter_equals_the_textbook_kalman_filter() -> None:
 
 
 def test_errors_have_the_predicted_variance() -> None:
-    """With noise as it assumes, 300 robots standing: NIS and NEES are one an axis.
+    """For 300 standing robots with the assumed noise, NIS and NEES are one per axis.
 
     Tolerances are five standard errors of means of squared normal numbers. Velocity errors are
     from one instant and independent, innovations from many instants.

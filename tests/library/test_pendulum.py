@@ -93,9 +93,9 @@ def test_pendulums_have_mass_and_clearance_of_gaits(
 
 def test_shipped_baseline_is_reproduced() -> None:
     """Solving the inverse kinematics again gives the shipped table up to rounding."""
-    shipped, anew = GaitLibrary.load("single_reference"), single_reference_library()
+    shipped, solved = GaitLibrary.load("single_reference"), single_reference_library()
     for name in ARRAYS:
-        found, expected = getattr(shipped.table, name), getattr(anew.table, name)
+        found, expected = getattr(shipped.table, name), getattr(solved.table, name)
         np.testing.assert_allclose(found, expected, atol=1e-9, err_msg=name)
     assert shipped.table.torque_jumps
     feet = shipped.table.foot_position[0, :, 0, 2] + shipped.table.body_position[0, :, 2]

@@ -172,7 +172,7 @@ def test_attachments_that_are_missing_or_altered_are_named(log: Path, tmp_path: 
 def test_chunk_of_excessive_size_is_skipped(
     log: Path, whole: Recording, tmp_path: Path, content: bytes
 ) -> None:
-    """It would decompress to thousands of times its size, or is too large itself."""
+    """The chunk would decompress to thousands of times its size, or is too large itself."""
     records = read_records(log.read_bytes())
     first = next(i for i, record in enumerate(records) if isinstance(record, Message))
     bomb = records[first]

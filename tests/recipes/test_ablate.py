@@ -207,7 +207,7 @@ def test_the_list_states_the_question_of_each_variant(capsys: pytest.CaptureFixt
 # ---------------------------------------------------------------- evaluation
 
 
-def judge_of(name: str) -> Any:
+def evaluation_env_of(name: str) -> Any:
     stack = aslip.envs.evaluation_stack(ablate.trained_on(VARIANTS[name]))
     return aslip.make_env(num_envs=2, num_threads=1, stack=stack)
 
@@ -215,9 +215,9 @@ def judge_of(name: str) -> Any:
 @pytest.mark.parametrize("name", sorted(VARIANTS))
 def test_each_policy_is_evaluated_with_its_own_observation(name: str) -> None:
     """It gets its own observation and baseline, at the same state of the robot."""
-    trained, judging = env_of(name), judge_of(name)
+    trained, evaluating = env_of(name), evaluation_env_of(name)
     start = TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
-    own, seen = trained.reset(start.clone()), judging.reset(start.clone())
+    own, seen = trained.reset(start.clone()), evaluating.reset(start.clone())
     for group in ("reference", "baseline"):
         for key, value in own.get(group, TensorDict()).items():
             torch.testing.assert_close(seen[group, key], value, rtol=0, atol=0)
@@ -225,7 +225,7 @@ def test_each_policy_is_evaluated_with_its_own_observation(name: str) -> None:
     for kind, name in ((AssembleObservation, "in_keys"), (ActionDelta, "baseline_key")):
         has = [
             [getattr(t, name) for t in env.transforms if isinstance(t, kind)]
-            for env in (trained, judging)
+            for env in (trained, evaluating)
         ]
         assert has[0] == has[1]
 
@@ -235,7 +235,7 @@ def test_all_policies_are_evaluated_with_the_same_rewards(name: str) -> None:
     """Equal robots in equal states with equal motor targets get equal rewards."""
     found, target = [], torch.zeros(2, 10)
     for variant in ("default", name):
-        env = judge_of(variant)
+        env = evaluation_env_of(variant)
         start = TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
         td = env.reset(start)
         (delta,) = [t for t in env.transforms if isinstance(t, ActionDelta)]

@@ -240,14 +240,14 @@ def test_presets_set_their_environments() -> None:
     for name, (_, intervals) in found.items():
         one_speed = name in ("paper", "single-reference")
         assert intervals == [math.inf if one_speed else 8.0, math.inf]
-    trained, judged = found["robust"][0]
-    assert trained.reset()["observation"].shape == judged.reset()["observation"].shape
+    trained, evaluated = found["robust"][0]
+    assert trained.reset()["observation"].shape == evaluated.reset()["observation"].shape
     masses = trained.base_env.dynamics["mass"]
     assert masses[0] != masses[1]
-    assert (judged.base_env.dynamics["mass"] == 1.0).all()
+    assert (evaluated.base_env.dynamics["mass"] == 1.0).all()
     noise = [
         [type(t) for t in e.transforms if isinstance(t, ObservationNoise)]
-        for e in (trained, judged)
+        for e in (trained, evaluated)
     ]
     assert noise == [[RandomNoise], [ObservationNoise]]
     steps = [env.base_env.model.opt.timestep for env in found["coarse"][0]]

@@ -83,7 +83,7 @@ def test_normalize_keeps_the_bits_of_unit_quaternions() -> None:
 
 
 def test_headings_turn_orientations_and_vectors_alike() -> None:
-    """In a frame along its own yaw a body has no yaw, and its axes turn as vectors do."""
+    """In a frame along its own yaw, a body has zero yaw; its axes transform like vectors."""
     quaternions, vectors = _random_quaternions(50), np.random.default_rng(2).normal(size=(50, 3))
     turned = orientation_to_heading(yaw(quaternions), quaternions)
     np.testing.assert_allclose(yaw(turned), 0.0, atol=1e-14)

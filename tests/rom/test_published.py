@@ -98,6 +98,6 @@ def test_double_stance_shortens_with_speed(gaits):
 
 
 def test_integral_objective_gives_shorter_strides():
-    """At rest the formula as printed misses the published double stance by 8 ms."""
+    """At rest, the paper's formula misses the published double stance by 8 ms."""
     gait = optimize_gait(0.0, objective="integral")
     assert gait.double_stance == pytest.approx(0.095, abs=1e-3)

@@ -52,7 +52,7 @@ def _dynamics(td: TensorDictBase) -> dict[str, torch.Tensor]:
     return dict(td["dynamics"].items())
 
 
-# --------------------------------------------------------- what is not drawn
+# --------------------------------------------------------- no randomisation
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
