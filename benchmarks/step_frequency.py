@@ -44,7 +44,7 @@ from benchmarks.common import (
     write_report,
 )
 
-# duration before the measurement, and of it [s]
+# durations of settling and of the measurement [s]
 _SETTLE, _WALK = 4.0, 16.0
 
 

@@ -78,7 +78,7 @@ PUBLISHED: Final = MappingProxyType(
 _HOLD = 4.0  # [s]
 # duration after a change of command that the mean excludes [s]
 _TRANSIENT = 1.5
-# durations before and after a step change, and before and during the mean of the map [s]
+# durations before and after a step change, and of settling and averaging for the map [s]
 _BEFORE, _AFTER = 4.0, 4.0
 _SETTLE, _WALK = 4.0, 8.0
 # weight of the nominal robot [N]

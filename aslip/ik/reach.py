@@ -13,7 +13,7 @@ from aslip.robot import SIDES
 
 _LOOP_WEIGHT = 1e3  # closed loops come first
 _DIRECTION_WEIGHT = 0.3  # an error of 1 rad counts as much as one of 0.3 m
-_ALONG = 0.9  # cosine between leg and miss above which the leg is too short or too long
+_ALONG = 0.9  # if the cosine between leg and miss is above this, the leg is too short or too long
 
 
 def unreachable(

@@ -73,7 +73,7 @@ def read_library(
         table = _table(parts.pop("table"), robot)
         motions = [_motion(parts[f"motion{i:02d}"]) for i in range(len(parts))]
         made_by = dict(json.loads(entries[_MADE_BY]))
-    except Exception as error:  # any error that foreign arrays cause
+    except Exception as error:  # arrays of another kind may cause any error
         raise FORMAT.damaged(path, error) from error
     return motions, table, made_by
 

@@ -152,7 +152,7 @@ def _visual(
 
 def _origin(element: ET.Element, position: np.ndarray, rotation: np.ndarray) -> None:
     with warnings.catch_warnings():
-        # at a pitch of 90 degrees any of the equivalent angles will do
+        # at a pitch of 90 degrees, roll and yaw are not unique; any solution is valid
         warnings.filterwarnings("ignore", message="Gimbal lock")
         angles = Rotation.from_matrix(rotation).as_euler("xyz")
     ET.SubElement(element, "origin", xyz=_text(*position), rpy=_text(*angles))

@@ -1,7 +1,7 @@
 """Reduced-order model in the world, at the robot that it guides: for pictures, logs, live page.
 
-The reference of a library has no position in the world. The ghost has it: its body is at x and y of
-the robot's pelvis and at the height of the reference, and its feet are the reference's, rotated by
+The reference of a library has no position in the world, but the ghost has one. Its body is at x and
+y of the robot's pelvis, at the height of the reference. Its feet are the reference's, rotated by
 the yaw of the robot, as in the reward term of the feet.
 """
 

@@ -33,7 +33,7 @@ _COLLISION_GROUP = 3
 _COIL_RADIUS = 0.027
 _COILS = 7
 _SEGMENTS_PER_COIL = 12
-# share of a leg that is a straight rod, at each end
+# share of a leg, at each end, that is drawn as a straight rod
 _ROD_SHARE = 0.2
 
 
@@ -174,7 +174,7 @@ def spring_path(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     length = float(np.linalg.norm(axis))
     if length < 1e-9:
         return np.stack([start, end])
-    # two normals to the leg, which a forward walk never aligns with the world's y axis
+    # two normals to the leg; a leg that walks forward is never parallel to the world's y axis
     first = np.cross(axis / length, [0.0, 1.0, 0.0])
     if np.linalg.norm(first) < 1e-6:
         first = np.array([1.0, 0.0, 0.0])

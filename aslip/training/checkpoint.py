@@ -109,7 +109,7 @@ def _robots(env: RobotEnv) -> dict[str, Any]:
     return {
         "states": torch.from_numpy(env.states()),
         "dynamics": {name: torch.from_numpy(values) for name, values in env.dynamics.items()},
-        # torque delay that the model allows [s]; it stays long after a robot had a long delay
+        # longest torque delay that the model allows [s]; it never decreases
         "memory": longest_delay(env.model),
         "divergences": env.divergences,
     }

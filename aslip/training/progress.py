@@ -90,9 +90,8 @@ class Progress:
                 hook.remove()
             if data is None:
                 return
-            diverged = data.get(
-                ("next", "truth", "diverged"), None
-            )  # only simulated robots can diverge
+            # only simulated robots can diverge
+            diverged = data.get(("next", "truth", "diverged"), None)
             self._divergences += 0 if diverged is None else int(diverged.sum())
             bar.set_description("learning")
             yield data

@@ -81,7 +81,9 @@ def _join_ray(ray: Any, num_collectors: int) -> None:
     if address:
         try:
             ray.init(address=address, log_to_driver=False)
-        except Exception as error:  # Ray has an exception each for connection, token and version
+        except (
+            Exception
+        ) as error:  # Ray raises different exceptions for connection, token and version
             raise ConfigurationError(
                 f"the Ray cluster at RAY_ADDRESS = {address!r} cannot be joined"
                 f" ({type(error).__name__}: {error}); does it run, and are RAY_AUTH_MODE and"

@@ -182,7 +182,7 @@ class TrainingRun:
             try:
                 metadata = load_checkpoint(path, components)
             except FileDamagedError as error:
-                torchrl_logger.warning(f"{error}; falling back to the checkpoint before it")
+                torchrl_logger.warning(f"{error}; falling back to the previous checkpoint")
                 damaged[path] = error
                 continue
             # renamed only now: if no file loads, the cause may be elsewhere
@@ -262,7 +262,7 @@ class TrainingRun:
             self._check_settings()
         self._checkpoint_folder.mkdir(parents=True, exist_ok=True)
         write_text(settings_file, settings_text(self.settings, self.transforms))
-        # what a killed process was writing
+        # temporary files of a killed process
         for unfinished in self._checkpoint_folder.glob(".checkpoint-*"):
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()
 

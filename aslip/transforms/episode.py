@@ -40,7 +40,7 @@ class FirstStep(SeededTransform):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         del tensordict
-        # TorchRL takes only the rows of robots that are reset
+        # TorchRL uses only the rows of reset robots
         return self._write(tensordict_reset, True)
 
     def _write(self, tensordict: TensorDictBase, first: bool) -> TensorDictBase:

@@ -124,12 +124,12 @@ class EstimatedState(_Estimator):
         estimator: state estimator, whose robot gives the sizes of the entries.
         in_keys: keys of the packets (n, w, k), in the order of `Robot.packet_sizes`.
         out_keys: keys of estimate, odometry, and the estimator's own entries.
-        heading_key: key of the yaw (n, 1) that is straight ahead [rad], as `HeadingFrame` writes
-            it; where there is no such entry, the yaw of the first packet's orientation.
+        heading_key: key of the yaw (n, 1) that counts as straight ahead [rad], as `HeadingFrame`
+            writes it; without this entry, the yaw of the first packet's orientation is used.
     """
 
     num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
-    needs_env = "the estimator follows robots from their resets on"
+    needs_env = "the estimator tracks robots from their resets on"
 
     def __init__(
         self,
@@ -156,7 +156,7 @@ class EstimatedState(_Estimator):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        # TorchRL takes only the rows that are reset; to start the others would be for nothing
+        # TorchRL uses only the rows of reset robots, so the others are not started
         mask = tensordict.get("_reset", None)
         rows = torch.ones(tensordict_reset.batch_size, dtype=torch.bool)
         if mask is not None:

@@ -17,8 +17,8 @@ from aslip.transforms.estimate import ODOMETRY_SIZES
 from aslip.transforms.rotation import conjugate, multiply, rotate_inverse, upper_hemisphere, yaw
 
 _BODIES = ("pelvis", *(f"{side}_foot" for side in SIDES))
-# starts within this distance of the world's origin count as starts at it [m]: the reference's
-# body sways about its line by 0.02 m
+# distance from the world's origin within which a start counts as at the origin [m]; the
+# reference's body sways by 0.02 m
 _SWAY: Final = 0.05
 
 
@@ -101,7 +101,7 @@ def start_of(truth: Mapping[str, Tensor]) -> Tensor:
     x, y, z = truth["pelvis_position"].split(1, dim=-1)
     near = torch.hypot(x, y) < _SWAY
     x, y = (torch.where(near, 0.0, part) for part in (x, y))
-    # the floor is met along gravity
+    # the point below the pelvis along gravity
     return torch.cat([x - truth["slope"].tan() * z, y, torch.zeros_like(z)], dim=-1)
 
 

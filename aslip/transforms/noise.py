@@ -102,7 +102,7 @@ class ObservationNoise(SeededTransform):
         mask = tensordict.get("_reset", None)
         if mask is None or mask.all():
             return self._begin(tensordict_reset)
-        # TorchRL keeps only the rows of robots that are reset
+        # TorchRL uses only the rows of reset robots
         rows = mask.reshape(tensordict_reset.batch_size)
         chosen = self._begin(tensordict_reset.select(*self.in_keys)[rows].clone())
         for key in self.out_keys:

@@ -19,8 +19,8 @@ from aslip.transforms.noise import ObservationNoise
 
 DYNAMICS_RANGES: Final = MappingProxyType(
     {
-        # one factor for all bodies: the robot's weight has the standard deviation that a factor
-        # from 0.5 to 1.5 of its own for each body would give it, which is what `apex` draws
+        # one factor for all bodies; the robot's weight has the same standard deviation as with
+        # `apex`, which draws a factor from 0.5 to 1.5 for each body
         "mass": (0.8, 1.2),
         # as in `apex`
         "floor_friction": (0.4, 1.1),
@@ -32,7 +32,7 @@ DYNAMICS_RANGES: Final = MappingProxyType(
         "slope": (-0.03, 0.03),
         # ours; the other environment draws the gains of the PD loop from 0.7 to 1.3
         "motor_strength": (0.8, 1.2),
-        # ours, to twice the robot's own 3 ms
+        # ours, up to twice the robot's 3 ms
         "torque_delay": (0.001, 0.006),
         # ours
         "sensor_noise": (0.5, 1.5),
@@ -91,7 +91,7 @@ class RandomDynamics(SeededTransform):
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
-        # a column for every parameter there is, drawn or not
+        # a column for every parameter, also for those that are not drawn
         aside = _aside(self.generator)
         others = [name for name in DYNAMICS if name not in _GAINS]
         columns = _draw(tensordict.batch_size, others, self.generator)

@@ -133,10 +133,10 @@ class Feedforward(SeededTransform):
 
     .. math:: \hat a = \hat q + K_p^{-1} (\hat\tau + K_d \dot{\hat q})
 
-    With the reference's motor angles as targets, as in the paper, the legs lag 0.1 s behind, since
-    the loops' velocity target is zero, and the knee yields by 0.7 rad under the robot's weight. A
-    policy would first have to learn to correct both. The torques :math:`\hat\tau` come from the leg
-    forces of the reduced-order model.
+    In the paper, the targets are the reference's motor angles. With these the legs lag 0.1 s
+    behind, since the loops' velocity target is zero, and the knee yields by 0.7 rad under the
+    robot's weight. A policy would first have to learn to correct both. The torques
+    :math:`\hat\tau` come from the leg forces of the reduced-order model.
 
     Args:
         stiffness: (m,) gains K_p of the PD loops [N m/rad].

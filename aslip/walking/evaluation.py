@@ -22,7 +22,7 @@ from aslip.walking.tables import markdown
 TRACKING_TOLERANCE: Final = 0.2
 """Largest difference of mean and commanded speed of a walk that tracks its command [m/s]."""
 
-# least share of the weight on the feet, and allowance for a change of the vertical velocity
+# least share of the weight on the feet, and tolerance for a change of the vertical velocity
 _ON_FEET, _BOB = 0.95, 0.5  # [-], [m/s]
 _POSITION = ("true_odometry", "pelvis_position")
 _FORCE = ("truth", "ground_force")

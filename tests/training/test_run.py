@@ -344,7 +344,7 @@ def test_a_damaged_newest_checkpoint_falls_back_to_the_previous_one(
     assert kept == {"step": 10, "elapsed_s": 15.0}
     assert (net.weight == 10).all()
     assert any(
-        str(newest) in line and "falling back to the checkpoint before" in line for line in said
+        str(newest) in line and "falling back to the previous checkpoint" in line for line in said
     )
     assert [path.name for path in _checkpoints(settings)] == [
         "checkpoint-000000000010.zip",
