@@ -3,13 +3,13 @@
     python -m benchmarks.walking_quality                                 # the shipped policies
     python -m benchmarks.walking_quality --policy default=runs/default-{10,11} paper=runs/paper-10
 
-Each policy is a method of its own, or one of several seeds with `name=` before it. Forces, torques
-and positions are sampled by the physics at 2 kHz, over 8 s after 4 s of walking. Definitions and
+Each policy is a method of its own; `name=` before several policies makes them seeds of one method.
+Forces, torques and positions are sampled at 2 kHz, for 8 s after 4 s of walking. Definitions and
 their sources are in `aslip.walking.metrics`: `airborne_share`, `longest_airborne`, `slip_distance`,
 `touchdown_impact`, `largest_force`, `mechanical_power` and `cost_of_transport`.
 
-The spring-mass model's legs are nearly unloaded in mid-stance, so that robot and model are also
-compared by the share of time with less than 20 N on either foot.
+The spring-mass model nearly unloads its legs in mid-stance, so robot and model are also compared by
+the share of time in which each foot carries less than 20 N.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ from benchmarks.common import (
 )
 from benchmarks.ground_reaction import model_force
 
-# duration before the measurement, and of it [s]
+# durations of settling and of the measurement [s]
 _SETTLE, _WALK = 4.0, 8.0
 _MODEL = "spring-mass model"
 # a method's name before its policy
@@ -82,7 +82,7 @@ _NAMED = re.compile(r"([\w .-]+)=(.+)")
 
 @dataclass(frozen=True)
 class Quantity:
-    """Measured quantity, as the report shows it."""
+    """Measured quantity, and its display in the report."""
 
     column: str
     """Name and unit in the table."""
@@ -210,7 +210,7 @@ def model_rows(library: GaitLibrary, speeds: Sequence[float]) -> list[dict[str, 
     rows = []
     for speed in speeds:
         left = model_force(nearest_gait(library, speed))
-        # gaits are mirror symmetric: the right leg does the same half a stride later
+        # gaits are mirror symmetric: the right leg repeats the left half a stride later
         force = np.stack([left, np.roll(left, len(left) // 2)], axis=1)
         values = {
             **dict.fromkeys(QUANTITIES, float("nan")),

@@ -1,15 +1,15 @@
-"""Measured numbers of README and docs/: each is beside a command that makes it.
+"""Measured numbers of README and docs/ are next to a command that reproduces them.
 
-A section, from one heading to the next, that holds a measured number must hold one of
+A section, from one heading to the next, with a measured number must have one of
 
 - a command: in a block of shell, or in running text as code that starts with `python`,
 - a block of Python that prints (the tests run them),
-- in the lab book only, the commit with which an entry was made, and that its script was not kept,
-- a link to a section that holds one of these.
+- in the lab book only, the commit of an entry, and a note that its script was not kept,
+- a link to a section that has one of these.
 
 Measured numbers are decimals, numbers with a unit, counts such as "18 of 20", multiples such as
-"twice", returns and lengths of episodes, and cells of tables. Not measured are code, what the paper
-says where the sentence says so, and the constants listed below.
+"twice", returns and lengths of episodes, and cells of tables. Numbers in code, numbers that the
+sentence attributes to the paper, and the constants below do not count.
 """
 
 from __future__ import annotations
@@ -183,7 +183,7 @@ def test_a_lab_book_entry_names_its_commit_in_the_lab_book_only() -> None:
 
 
 def test_no_page_places_the_default_above_the_paper() -> None:
-    """Unless a run with the paper's settings is on record, of six million policy steps."""
+    """This needs a run of six million policy steps with the paper's settings on record."""
     runs = read_record(DOCS / "learning_curves.csv")
     long_runs = [v for (v, _), run in runs.items() if v == "paper" and run.steps >= 6_000_000]
     for page in PAGES:

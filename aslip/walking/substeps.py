@@ -2,7 +2,7 @@
 
     walk = record_substeps(policy, env, command)    # (m,) commanded speeds of one robot
 
-Means over policy steps, as `record_walks` has them, hide impacts and short losses of contact.
+The means over policy steps of `record_walks` hide impacts and short losses of contact.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Substeps:
     """True if the record ends in a fall."""
 
     def since(self, time: float) -> Substeps:
-        """Rest of the walk from a time after its start on [s]."""
+        """Part of the walk from a time after its start on [s]."""
         first = round(time / CASSIE.physics_timestep)
         arrays = {
             field.name: getattr(self, field.name)[first:]

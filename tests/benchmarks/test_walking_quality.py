@@ -29,7 +29,7 @@ WEIGHT, SECOND = 320.0, 2000
 
 
 def made_up_walk(speed: float) -> Substeps:
-    """Four seconds with footsteps of 0.4 s on 400 N, 0.1 s apart, each foot after the other.
+    """Four seconds of alternating footsteps: 400 N for 0.4 s, with gaps of 0.1 s.
 
     Feet land with 640 N and slide at 0.05 m/s; one motor works with 100 W and one brakes.
     """
@@ -112,7 +112,7 @@ def test_picture_has_a_line_for_each_method_and_says_one_seed() -> None:
 
 
 def test_model_carries_little_in_mid_stance() -> None:
-    """Up to 1.5 m/s both legs have less than 20 N for a while; at 2 m/s they never do."""
+    """Up to 1.5 m/s, both legs carry less than 20 N for some time; at 2 m/s never."""
     slow, fast = model_rows(GaitLibrary.load(), (0.0, 2.0))
     assert slow["unloaded"]["mean"] > 0.1
     assert fast["unloaded"]["mean"] == 0.0
