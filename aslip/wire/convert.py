@@ -1,7 +1,7 @@
-"""Packets of the wire from and to sensor packets, estimates, and motor targets.
+"""Conversions between packets of the wire and sensor packets, estimates or motor targets.
 
-Leading shape b: () for one packet, (n,) or (n, w) for many. Numbers pass through single precision:
-converting there and back rounds once, and is exact for numbers in single precision.
+Leading shape b: () for one packet, (n,) or (n, w) for many. The wire uses single precision: a
+conversion there and back rounds once, and is exact for single-precision numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from aslip.robot.rotation import rotate_inverse, upper_hemisphere
 from aslip.wire.packets import CASSIE_OUT, PD_IN, STATE_OUT, USER_IN
 
 STOP_CHANNEL: Final = 8
-"""Radio channel of the emergency stop; below zero the robot stops."""
+"""Radio channel of the emergency stop; a value below zero stops the robot."""
 
 _MOTORS, _JOINTS = 10, 6
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
@@ -140,10 +140,10 @@ def estimate_to_state_out(
 ) -> np.ndarray:
     """Pack estimates as `state_out_t`.
 
-    The heading frame of the estimate becomes the world of the wire, and its ground the height zero.
-    Feet are given as sole centres; the robot's own estimator sends a point 6 mm away. Their
-    orientations are the identity, as the frame on the wire is not documented; fields that nothing
-    here estimates are zero. The radio is good and the stop released.
+    The heading frame of the estimate becomes the world frame of the wire, with the ground at height
+    zero. Feet are given as sole centres; the robot's own estimator sends a point 6 mm away. Foot
+    orientations are the identity, as their frame on the wire is not documented; fields without an
+    estimate are zero. The radio is marked good and the stop released.
 
     Args:
         estimate: entries (*b, k) of `("estimate", ...)`.
@@ -261,7 +261,7 @@ def user_in_to_torque(records: np.ndarray) -> np.ndarray:
 
 
 def _write(group: np.ndarray, field: str, values: ArrayLike) -> None:
-    """Write a field of records; the loss of precision is the wire's."""
+    """Write a field of records, rounded to single precision."""
     group[field][...] = values
 
 

@@ -1,4 +1,4 @@
-"""UDP socket of one side: non-blocking, of several queued datagrams the newest counts."""
+"""UDP socket of one side: non-blocking; the newest of several queued datagrams counts."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from aslip.errors import ConfigurationError, NetworkError
 from aslip.wire.link import Link
 
 LOOPBACK: Final = "127.0.0.1"
-"""Address that only programs on this machine reach."""
+"""Address that only programs on this machine can reach."""
 
-# silence [s] after which another program may take the peer's place: the robot's PD time-out
+# silence [s] after which another program may become the peer: the robot's PD time-out
 _SILENCE = 0.1
-# datagrams that are read at once, so that a flood cannot keep the caller waiting
+# largest number of datagrams per call, so that a flood cannot block the caller
 _MOST_QUEUED = 256
 
 
@@ -47,19 +47,18 @@ ROBOT_PORTS: Final = (25010, 25011)
 class Endpoint:
     """Socket that exchanges packets with one peer.
 
-    A robot learns its peer from the first good datagram, and drops those of other programs until
-    the peer has been silent for 0.1 s; then another one may take its place. A client names its
-    peer.
+    For a robot, the sender of the first good datagram becomes its peer. Datagrams of other programs
+    are dropped until the peer has been silent for 0.1 s. A client names its peer.
 
     Args:
         link: kinds of packets, sequence numbers and counters.
         local: address to listen at; port 0 lets the system choose one.
         peer: address of the other side.
         beyond_loopback: allow addresses of other machines. Nothing on the wire is encrypted or
-            authenticated: whoever reaches the port can move the robot.
+            authenticated: anyone who reaches the port can move the robot.
 
     Raises:
-        ConfigurationError: an address is not IPv4, or not of this machine unless that is allowed.
+        ConfigurationError: an address is not IPv4, or is beyond this machine without permission.
         NetworkError: the port is in use, or the address is not this machine's.
     """
 
@@ -78,7 +77,7 @@ class Endpoint:
         self.peer = peer
         """Address of the other side; None until it is known."""
         self.unsent = 0
-        """Datagrams that the system would not take."""
+        """Number of datagrams that the system refused to send."""
         self._named = peer is not None
         self._heard = 0.0
         self._last: bytes | None = None
@@ -105,7 +104,7 @@ class Endpoint:
         self._socket.close()
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait for a datagram; return False if none has come in `timeout` [s]."""
+        """Wait for a datagram; return False if none arrives within `timeout` [s]."""
         return bool(select.select([self._socket], [], [], timeout)[0])
 
     def receive(self) -> np.ndarray | None:
@@ -132,7 +131,7 @@ class Endpoint:
         self.resend()
 
     def resend(self) -> None:
-        """Send the last datagram again, with all its bytes.
+        """Send the last datagram again, byte for byte.
 
         Raises:
             NetworkError: nothing has been sent, there is no peer yet, or no way to it.
@@ -149,7 +148,7 @@ class Endpoint:
     def request(
         self, record: np.ndarray, *, timeout: float = 1.0, repeat: float = 0.02
     ) -> np.ndarray:
-        """Send a packet and wait for the answer, sending the datagram again while none comes.
+        """Send a packet, and repeat the datagram until an answer arrives.
 
         A robot in lockstep answers repeated datagrams without acting on them twice.
 

@@ -22,7 +22,7 @@ class Field(NamedTuple):
     kind: str | tuple[Field, ...]
     """Type of a number in NumPy's notation, or the fields of a group."""
     count: int = 1
-    """Numbers of the field, or repetitions of the group; 1 adds no axis."""
+    """Count of numbers of the field, or of repetitions of the group; 1 adds no axis."""
     meaning: str = ""
     """Content, with unit and frame."""
 
@@ -44,7 +44,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Packet:
-    """Kind of packet that travels as a datagram's payload."""
+    """Kind of packet, the payload of a datagram."""
 
     name: str
     """Name in the public C headers."""
@@ -75,7 +75,7 @@ class Packet:
         return records.tobytes()
 
     def unpack(self, payload: bytes) -> np.ndarray:
-        """Convert a payload to a record of its own memory, shape ().
+        """Convert a payload to a record of shape (); copies.
 
         Raises:
             ShapeError: the payload has another size.
@@ -85,7 +85,7 @@ class Packet:
         return self.decode(np.frombuffer(payload, np.uint8))
 
     def decode(self, payloads: np.ndarray) -> np.ndarray:
-        """Convert bytes (*b, `size`) to records (*b); any byte but zero makes a flag true.
+        """Convert bytes (*b, `size`) to records (*b); any nonzero byte is a true flag.
 
         Raises:
             ShapeError: the last axis has another size.
@@ -101,14 +101,14 @@ class Packet:
         return raw.view(self.dtype)[..., 0]
 
     def is_finite(self, records: np.ndarray) -> np.ndarray:
-        """(*b) bool, True where no floating-point number of a record is NaN or infinite."""
+        """(*b) bool, True if all floating-point numbers of a record are finite."""
         raw = np.asarray(records, order="C")[..., None].view(np.uint8)
         # take: its result is contiguous, as the view needs
         return np.asarray(np.isfinite(raw.take(self._floats, axis=-1).view(FLOAT)).all(-1))
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
-        """Fields in the order of their bytes; those of a repeated group once each time."""
+        """Fields in the order of their bytes; repeated groups are expanded."""
         return tuple(_places(self.fields, "", 0))
 
     @cached_property

@@ -1,7 +1,7 @@
-"""Headers of datagrams: sequence numbers of both directions, and checks of what arrives.
+"""Headers of datagrams: sequence numbers of both directions, and checks of arriving datagrams.
 
-A datagram is a header of two bytes, the sender's sequence number and the number that it received
-last, followed by the packet. Numbers are signed bytes that wrap.
+A datagram is a header of two bytes followed by the packet. The header has the sender's sequence
+number and the last number that it received, as signed bytes that wrap around.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from aslip.wire.layout import Packet
 HEADER_SIZE: Final = 2
 """Bytes of a header."""
 
-# successive late datagrams, none older than the one before, that tell a peer that started anew
+# number of successive late datagrams in order after which the peer counts as restarted
 _RESTART = 3
 
 
@@ -26,7 +26,7 @@ class Header(NamedTuple):
     sequence: int
     """Number of this datagram."""
     received: int
-    """Number that the sender received last, looped back."""
+    """Last number that the sender received, looped back."""
 
     def to_bytes(self) -> bytes:
         """Convert to two bytes."""
@@ -39,7 +39,7 @@ class Header(NamedTuple):
 
 
 def wrapped(number: int) -> int:
-    """Signed byte that a number, or a difference of numbers, wraps to."""
+    """Wrap a number, or a difference of numbers, to a signed byte."""
     return (number + 128) % 256 - 128
 
 
@@ -48,23 +48,23 @@ class Counters:
     """Counts of the datagrams that have arrived at one side."""
 
     accepted: int = 0
-    """Read and passed on, or superseded."""
+    """Accepted, whether returned or superseded."""
     superseded: int = 0
-    """Accepted, but a newer one was queued behind."""
+    """Superseded: accepted, but a newer one was already queued."""
     wrong_size: int = 0
     """Dropped: not a header and a packet of the expected kind."""
     not_finite: int = 0
     """NaN or infinite number in the packet; dropped where the link refuses such packets."""
     repeated: int = 0
-    """Dropped: all bytes are those of the newest one."""
+    """Dropped: a copy of the newest one."""
     late: int = 0
     """Dropped: sent before the newest one."""
     lost: int = 0
-    """Missing numbers between accepted datagrams; they were lost or come late."""
+    """Missing numbers between accepted datagrams, lost or late."""
     foreign: int = 0
-    """Dropped: sent by another program than the peer."""
+    """Dropped: not sent by the peer."""
     restarts: int = 0
-    """Times that the peer started anew."""
+    """Number of restarts of the peer."""
 
 
 class Link:
@@ -73,17 +73,18 @@ class Link:
     Args:
         sends: kind of packets to the peer.
         receives: kind of packets from the peer.
-        refuse_not_finite: drop packets with NaN or infinite numbers. A robot must, as commands
-            are; a controller needs not, as its estimator bridges single bad readings.
+        refuse_not_finite: drop packets with NaN or infinite numbers. A robot must drop such
+            commands; a controller need not, as its estimator bridges single bad readings.
     """
 
     def __init__(self, sends: Packet, receives: Packet, *, refuse_not_finite: bool) -> None:
         self.sends, self.receives = sends, receives
         self.counters = Counters()
-        """Counts of what has arrived."""
+        """Counts of arrived datagrams."""
         self.delay: int | None = None
-        """Datagrams sent since the one that the peer answered last, plus one: times the period of
-        sending, the round trip; 1 in lockstep. None before the first datagram."""
+        """Number of datagrams sent since the one that the peer answered last, plus one. Times the
+        sending period it is the round-trip time; it is 1 in lockstep, None before the first
+        datagram."""
         self.step: int | None = None
         """Difference of the last two accepted numbers; 1 without loss."""
         self._refuse = refuse_not_finite
@@ -111,8 +112,8 @@ class Link:
     def open(self, datagram: bytes) -> np.ndarray | None:
         """Check and count a datagram; return its packet, None if it is dropped.
 
-        A number that repeats with other content is no repetition: the public simulator repeats its
-        numbers until it receives the next command.
+        A repeated number with other content is accepted: the public simulator repeats its numbers
+        until it receives the next command.
         """
         counters = self.counters
         if len(datagram) != self.size:
@@ -132,12 +133,12 @@ class Link:
         return record
 
     def restart(self) -> None:
-        """Forget the peer's numbers, as another peer takes over; keep counting."""
+        """Forget the peer's numbers for a new peer; the counts continue."""
         self._newest = self._late = self.delay = self.step = None
         self.counters.restarts += 1
 
     def _is_new(self, header: Header, datagram: bytes) -> bool:
-        """Whether a datagram is newer than the newest; counts it if not."""
+        """Check whether a datagram is newer than the newest one; count it if not."""
         if self._newest is None:
             return True
         step = wrapped(header.sequence - Header.from_bytes(self._newest).sequence)
@@ -151,7 +152,7 @@ class Link:
         return True
 
     def _has_restarted(self, sequence: int) -> bool:
-        """Whether late datagrams come from a peer that counts anew; counts this one as late."""
+        """Count a late datagram, and check whether the peer has restarted its numbers."""
         in_order = self._late is not None and wrapped(sequence - self._late) >= 0
         self._late_run = self._late_run + 1 if in_order else 1
         self._late = sequence

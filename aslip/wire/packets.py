@@ -2,7 +2,7 @@
 
 Left before right. Motors of a leg are hip roll, hip yaw, hip pitch, knee and foot; joints with an
 encoder of their own are shin, tarsus and foot. Quaternions are wxyz. Numbers that are doubles in C
-travel in single precision. The headers give no units and frames: those of `state_out_t` were
+are sent in single precision. The headers give no units and frames. Those of `state_out_t` were
 measured in the public simulator; temperatures, pressure and magnetic field are in the units of
 their devices.
 

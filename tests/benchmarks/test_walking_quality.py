@@ -97,7 +97,7 @@ def test_several_seeds_have_mean_and_interval_and_falls_are_counted() -> None:
     assert table([fell]).endswith("| m | 1.0 |  |  |  |  |  |  |  |  | 0 of 1 |")
 
 
-def test_picture_has_a_line_for_each_method_and_says_one_seed() -> None:
+def test_picture_has_a_line_for_each_method_and_labels_single_seeds() -> None:
     rows = [summary("one", v, [_seed(v)]) for v in (0.5, 1.0)]
     rows += [summary("more", v, [_seed(v), _seed(v + 0.1)]) for v in (0.5, 1.0)]
     figure = picture(rows, model_rows(GaitLibrary.load(), (0.5, 1.0)))

@@ -50,7 +50,7 @@ def test_log_that_appears_before_the_first_reset_is_not_overwritten(
     assert path.read_bytes() == b"precious"
 
 
-def test_log_is_overwritten_when_asked(make_recorded: MakeRecorded, path: Path) -> None:
+def test_log_is_overwritten_on_request(make_recorded: MakeRecorded, path: Path) -> None:
     path.write_bytes(b"old")
     env = make_recorded(path, overwrite=True)
     run(env, 2)

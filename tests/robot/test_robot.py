@@ -37,7 +37,7 @@ def test_both_legs_have_the_same_read_only_motors(name: str) -> None:
         values[0] = 1.0
 
 
-def test_joint_torque_and_no_load_speed_are_the_motors_through_the_gear() -> None:
+def test_joint_torque_and_no_load_speed_follow_from_motor_and_gear() -> None:
     torque = CASSIE.torque_limit * CASSIE.gear
     np.testing.assert_allclose(torque[:5], [112.5, 112.5, 195.2, 195.2, 45.0])
     speed = CASSIE.no_load_speed / CASSIE.gear

@@ -45,7 +45,7 @@ def test_gait_is_certified(gaits, index):
 
 
 @EVERY_SPEED
-def test_stride_is_periodic_with_the_speed_asked_for(gaits, index):
+def test_stride_is_periodic_with_the_requested_speed(gaits, index):
     g = gaits[index]
     moved = g.body.position[-1] - g.body.position[0]
     np.testing.assert_allclose(moved, [SPEEDS[index] * g.stride, 0.0, 0.0], atol=1e-9)

@@ -507,7 +507,7 @@ def test_a_partly_written_row_is_removed(
 # ---------------------------------------------------------------------- csv
 
 
-def test_the_history_is_what_was_logged(settings: Settings) -> None:
+def test_the_history_equals_the_logged_rows(settings: Settings) -> None:
     run = _open(settings)
     assert run.history() == {}
     run.log(10, {"value": 1.25, "other": float("nan")})

@@ -70,7 +70,7 @@ def test_a_simulation_s_sensor_packets_return_exactly() -> None:
     _assert_equal(cassie_out_to_sensors(sensors_to_cassie_out(sensors)), sensors)
 
 
-def test_readings_stand_in_the_order_of_the_wire() -> None:
+def test_readings_are_in_the_order_of_the_wire() -> None:
     sensors = {name: np.arange(float(size)) for name, size in CASSIE.packet_sizes.items()}
     out = sensors_to_cassie_out(sensors, np.arange(10.0) + 20)
     right = out["right_leg"]
@@ -165,7 +165,7 @@ def test_commands_in_single_precision_return_exactly(shape: tuple[int, ...]) -> 
     np.testing.assert_array_equal(user_in_to_torque(torque_to_user_in(torque)), torque)
 
 
-def test_targets_stand_in_the_order_of_the_wire() -> None:
+def test_targets_are_in_the_order_of_the_wire() -> None:
     """Numbers of `pd_in_t`: a leg's motor part begins at 30, the right leg at 55."""
     numbers = np.frombuffer(PD_IN.pack(command_to_pd_in(np.arange(10.0) + 1)), "<f4")
     expected = np.zeros(119, np.float32)

@@ -51,7 +51,7 @@ def test_the_newest_of_several_datagrams_counts(robot: Endpoint, client: Endpoin
     assert robot.receive() is None
 
 
-def test_a_robot_answers_whoever_sent_first(robot: Endpoint, client: Endpoint) -> None:
+def test_a_robot_answers_the_first_sender(robot: Endpoint, client: Endpoint) -> None:
     client.send(_command(1.0))
     _received(robot)
     assert robot.peer == client.local
@@ -84,7 +84,7 @@ def test_a_new_client_takes_the_place_of_a_silent_one(robot: Endpoint, client: E
 
 
 @pytest.mark.parametrize("size", [0, 1, 477, 479, 2000])
-def test_datagrams_of_the_wrong_size_make_nobody_a_peer(robot: Endpoint, size: int) -> None:
+def test_datagrams_of_the_wrong_size_do_not_set_the_peer(robot: Endpoint, size: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.sendto(bytes(size), robot.local)
         assert _received(robot) is None

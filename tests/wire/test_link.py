@@ -132,7 +132,7 @@ def test_a_client_reads_and_counts_states_that_are_not_finite(robot: Link, clien
 
 
 @pytest.mark.parametrize("numbers", [(0, 0, 0), (1, 2, 3)])
-def test_a_peer_that_starts_anew_is_heard_again(robot: Link, numbers: tuple[int, ...]) -> None:
+def test_a_restarted_peer_is_accepted_again(robot: Link, numbers: tuple[int, ...]) -> None:
     """A client that waits for its first answer repeats itself, or counts on."""
     robot.open(_command(57))
     heard = [robot.open(_command(number, 0.1)) is not None for number in numbers]
@@ -142,7 +142,7 @@ def test_a_peer_that_starts_anew_is_heard_again(robot: Link, numbers: tuple[int,
     assert robot.counters.lost == 0
 
 
-def test_single_late_datagrams_are_no_new_start(robot: Link) -> None:
+def test_single_late_datagrams_are_not_a_restart(robot: Link) -> None:
     for i in range(20):
         robot.open(_command(2 * i + 10))
         assert robot.open(_command(2 * i + 7)) is None
