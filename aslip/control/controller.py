@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -16,6 +16,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from aslip.control.own_estimate import is_estimate, join_estimate, next_entries, start_entries
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
 from aslip.estimation.packets import join
@@ -23,13 +24,16 @@ from aslip.library import GaitLibrary
 from aslip.policy import entry_names, load_policy, read_card
 from aslip.transforms.action import add_delta
 from aslip.transforms.command import advance_phase, clock_entries
-from aslip.transforms.estimate import estimate_entries
+from aslip.transforms.estimate import estimate_entries, estimate_sizes
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
 from aslip.transforms.reference import feedforward_target, reference_and_goal
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
 """Packets of n robots, oldest first: entries (n, w, k) with the names of `Robot.packet_sizes`, or
-all entries concatenated to (n, w, p). One packet of one robot has no leading axes."""
+all entries concatenated to (n, w, p). One packet of one robot has no leading axes.
+
+For robots that estimate their own state, entries (n, k) of `aslip.transforms.estimate_sizes`
+instead: the latest estimates, in frames with z up against gravity."""
 
 
 # groups of entries that each step overwrites
@@ -44,7 +48,8 @@ class ControllerState:
     """Inputs and outputs (n,) of the policy, with the keys of an environment's tensordict:
     `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and faults),
     `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`, `motor_target`,
-    and the hidden state of a recurrent policy."""
+    and the hidden state of a recurrent policy. For robots that estimate their own state there are
+    no `odometry` and `estimator`."""
 
     @property
     def motor_target(self) -> Tensor:
@@ -68,6 +73,10 @@ class Controller:
     A step takes all packets since the previous step. Fill lost packets with NaN, or pass None if
     all are lost; the estimator detects bad readings and bridges them (`aslip.estimation`). Speeds
     beyond the library are clipped to its range.
+
+    A robot that estimates its own state sends estimates in place of packets. They are turned to the
+    heading and otherwise taken as they are; the last one holds while none or one that is not finite
+    comes.
 
     Args:
         policy: name of a shipped policy, a policy file, or a module that maps `observation`, or any
@@ -180,12 +189,10 @@ class Controller:
             ConfigurationError: command, phase or heading is not finite.
         """
         past, num = state.tensordict, len(state.tensordict)
-        rows = self._rows(packets, num)
+        rows = self._lost(past) if packets is None else self._rows(packets)
         now = past["command"] if command is None else self._command(command, num)
-        tracking = Tracking.from_rows(past["estimator", "memory"].numpy(), self.estimator.robot)
-        if heading is not None:
-            tracking.heading = _column("heading", heading, num)[:, 0].double().numpy()
-        entries = estimate_entries(tracking, self.estimator.update(tracking, rows))
+        ahead = None if heading is None else _column("heading", heading, num)
+        entries = self._followed(past, rows, ahead)
         # a recurrent policy reads its memory under "next", as in TorchRL's `step_mdp`
         present = past.exclude("next", *_FRESH).update(past.get("next", {}))
         present.update(
@@ -201,7 +208,7 @@ class Controller:
         )
         if restart is not None and restart.any():
             robots, present = restart.reshape(num), present.clone()
-            ahead = None if heading is None else tracking.heading[robots.numpy()]
+            ahead = None if ahead is None else ahead[robots].double().numpy()
             begun = self._begin(
                 rows[robots.numpy()], now[robots], _column("phase", phase, num)[robots], ahead
             )
@@ -212,16 +219,36 @@ class Controller:
     def _begin(
         self, rows: np.ndarray, command: Tensor, phase: Tensor, heading: ArrayLike | None
     ) -> TensorDict:
-        """Entries of robots that begin with packets (n, w, p)."""
+        """Entries of robots that begin with packets (n, w, p), or with estimates (n, e)."""
+        if rows.ndim == 3:
+            entries = estimate_entries(*self.estimator.start(rows, heading))
+        else:
+            entries = start_entries(rows, heading, self.estimator.robot)
         return TensorDict(
             {
                 "command": command,
                 "phase": phase % 1.0,
                 "is_init": torch.ones(len(rows), 1, dtype=torch.bool),
-                **estimate_entries(*self.estimator.start(rows, heading)),
+                **entries,
             },
             batch_size=[len(rows)],
         )
+
+    def _followed(
+        self, past: TensorDictBase, rows: np.ndarray, heading: Tensor | None
+    ) -> dict[str, Any]:
+        """Entries of robots after packets (n, w, p), or after estimates (n, e) of their own."""
+        if (rows.ndim == 2) == ("estimator" in past):
+            kinds = ("packets", "estimates")
+            got, started = kinds if rows.ndim == 3 else kinds[::-1]
+            raise ConfigurationError(f"got {got}, but the robots started with {started}")
+        if rows.ndim == 2:
+            return next_entries(past, rows, heading, self.estimator.robot)
+        memory = cast("Tensor", past["estimator", "memory"])
+        tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
+        if heading is not None:
+            tracking.heading = heading[:, 0].double().numpy()
+        return estimate_entries(tracking, self.estimator.update(tracking, rows))
 
     @torch.no_grad()
     def _act(self, present: TensorDictBase) -> ControllerState:
@@ -244,16 +271,23 @@ class Controller:
         baseline, action = (cast("Tensor", present[key]) for key in (self.baseline, "action"))
         return ControllerState(present.set("motor_target", add_delta(baseline, action)))
 
-    def _rows(self, packets: Packets | None, num: int = 1) -> np.ndarray:
-        """Packets (n, w, p) from any accepted form; NaN for `num` robots if all are lost."""
+    def _rows(self, packets: Packets) -> np.ndarray:
+        """Packets (n, w, p) or estimates (n, e) from any accepted form."""
         robot = self.estimator.robot
-        if packets is None:
-            return np.full((num, 1, robot.packet_size), np.nan)
         if isinstance(packets, TensorDictBase | Mapping):
             named = {str(name): np.asarray(value) for name, value in packets.items()}
+            if is_estimate(named):
+                return join_estimate(named, robot)
             packets = join(named, robot)
         rows = np.asarray(packets, dtype=np.float64)
         return rows[None, None] if rows.ndim == 1 else rows
+
+    def _lost(self, past: TensorDictBase) -> np.ndarray:
+        """NaN in place of the packets, or of the estimates, of all robots."""
+        robot = self.estimator.robot
+        own = sum(estimate_sizes(robot).values())
+        size = (1, robot.packet_size) if "estimator" in past else (own,)
+        return np.full((len(past), *size), np.nan)
 
     def _command(self, command: float | Tensor, num: int) -> Tensor:
         """Command (num, 1) within the speeds of the library."""

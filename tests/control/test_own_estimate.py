@@ -1,0 +1,148 @@
+"""Controllers of robots that estimate their own state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import cast
+
+import numpy as np
+import pytest
+import torch
+from tensordict import TensorDictBase
+
+from aslip.control import Controller, ControllerState
+from aslip.envs import BatchEnv
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.library import GaitLibrary
+from aslip.robot.rotation import orientation_to_heading, vector_to_heading
+from aslip.transforms.estimate import ESTIMATE_SIZES
+
+Estimates = dict[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def controller() -> Controller:
+    return Controller("aslip", GaitLibrary.load())
+
+
+@pytest.fixture(scope="module")
+def walk(controller: Controller) -> list[ControllerState]:
+    """States of a controller that walks three robots on their packets for 0.6 s."""
+    env = BatchEnv(3, num_threads=1)
+    now = env.reset()
+    states = [controller.start(cast("TensorDictBase", now["sensors"]), 0.5)]
+    for _ in range(20):
+        now = env.step(now.set("motor_target", states[-1].motor_target))["next"]
+        states.append(controller.step(states[-1], cast("TensorDictBase", now["sensors"]))[0])
+    return states
+
+
+def estimates(state: ControllerState) -> Estimates:
+    return {name: state.tensordict["estimate", name].numpy().copy() for name in ESTIMATE_SIZES}
+
+
+def follow(
+    controller: Controller,
+    walk: list[ControllerState],
+    seen: Callable[[Estimates], Estimates],
+    heading: float | None,
+) -> list[ControllerState]:
+    """States of a controller that gets the estimates of a walk."""
+    first, *rest = (seen(estimates(state)) for state in walk)
+    states = [controller.start(first, 0.5, heading=heading)]
+    for estimate in rest:
+        states.append(controller.step(states[-1], estimate)[0])
+    return states
+
+
+def test_motor_targets_are_those_of_packets_that_give_the_same_estimates(
+    controller: Controller, walk: list[ControllerState]
+) -> None:
+    for ours, theirs in zip(follow(controller, walk, dict, 0.0), walk, strict=True):
+        assert torch.equal(ours.motor_target, theirs.motor_target)
+
+
+def test_estimates_are_turned_to_the_heading(
+    controller: Controller, walk: list[ControllerState]
+) -> None:
+    """The world of the estimates is turned by 2 rad against the robots' straight ahead."""
+
+    def turned(estimate: Estimates) -> Estimates:
+        back = np.full(3, -2.0)
+        return {
+            **estimate,
+            "orientation": orientation_to_heading(back, estimate["orientation"]),
+            "velocity": vector_to_heading(back, estimate["velocity"]),
+        }
+
+    for ours, theirs in zip(follow(controller, walk, turned, 2.0), walk, strict=True):
+        torch.testing.assert_close(ours.motor_target, theirs.motor_target, atol=1e-5, rtol=0)
+
+
+def test_the_first_estimate_s_yaw_is_straight_ahead_by_default(
+    controller: Controller, walk: list[ControllerState]
+) -> None:
+    estimate = estimates(walk[0])
+    turned = orientation_to_heading(np.array([0.3, -1.0, 3.0]), estimate["orientation"])
+    state = controller.start({**estimate, "orientation": turned}, 0.5)
+    np.testing.assert_allclose(state.tensordict["heading"][:, 0], [-0.3, 1.0, -3.0], atol=1e-6)
+
+
+def test_a_new_heading_turns_the_following_estimates(
+    controller: Controller, walk: list[ControllerState]
+) -> None:
+    state = controller.start(estimates(walk[0]), 0.5, heading=0.0)
+    state, _ = controller.step(state, estimates(walk[1]), heading=0.5)
+    state, _ = controller.step(state, estimates(walk[2]))
+    expected = vector_to_heading(np.full(3, 0.5), estimates(walk[2])["velocity"])
+    np.testing.assert_allclose(state.tensordict["estimate", "velocity"], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("lost", ["all", "one"])
+def test_the_last_estimate_holds_while_none_comes(
+    controller: Controller, walk: list[ControllerState], lost: str
+) -> None:
+    state = controller.start(estimates(walk[0]), 0.5, heading=0.0)
+    damaged = estimates(walk[1])
+    damaged["velocity"][1, 2] = np.nan
+    after, target = controller.step(state, None if lost == "all" else damaged)
+    held, kept = after.tensordict["estimate"], state.tensordict["estimate"]
+    for name in ESTIMATE_SIZES:
+        assert torch.equal(held[name][1], kept[name][1])
+    assert torch.equal(held["height"][0], kept["height"][0]) == (lost == "all")
+    assert target.isfinite().all()
+
+
+def test_restarted_robots_start_from_their_estimates(
+    controller: Controller, walk: list[ControllerState]
+) -> None:
+    state = controller.start(estimates(walk[0]), 0.5, heading=0.0)
+    again, _ = controller.step(
+        state, estimates(walk[5]), restart=torch.tensor([[True], [False], [False]]), heading=0.0
+    )
+    fresh = controller.start(estimates(walk[5]), 0.5, heading=0.0)
+    assert torch.equal(again.motor_target[0], fresh.motor_target[0])
+    assert not torch.equal(again.motor_target[1], fresh.motor_target[1])
+
+
+def test_packets_and_estimates_do_not_mix(
+    controller: Controller, walk: list[ControllerState]
+) -> None:
+    with pytest.raises(ConfigurationError, match="got estimates, but the robots started with pack"):
+        controller.step(walk[0], estimates(walk[1]))
+    own = controller.start(estimates(walk[0]))
+    with pytest.raises(ConfigurationError, match="got packets, but the robots started with est"):
+        controller.step(own, np.zeros((3, 1, controller.estimator.robot.packet_size)))
+
+
+def test_wrong_estimates_are_named(controller: Controller, walk: list[ControllerState]) -> None:
+    good = estimates(walk[0])
+    missing = {name: value for name, value in good.items() if name != "velocity"}
+    with pytest.raises(UnknownNameError, match="'velocity' is missing"):
+        controller.start(missing)
+    with pytest.raises(ShapeError, match=r"velocity of an estimate must have shape \(n, 3\)"):
+        controller.start({**good, "velocity": np.zeros((3, 2))})
+    with pytest.raises(ShapeError, match="differ in length"):
+        controller.start({**good, "velocity": np.zeros((2, 3))})
+    with pytest.raises(ConfigurationError, match="must be finite"):
+        controller.start({**good, "velocity": np.full((3, 3), np.nan)})
