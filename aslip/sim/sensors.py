@@ -80,6 +80,7 @@ class Sensors:
         self._velocity = np.zeros((robot.substeps, num, motors))
         self._joint_memory = np.zeros((_ORDER, num, joints))
         self._inertial = np.zeros((_ANGULAR.stop, robot.substeps, num))
+        self._joint_filter = _padded(*JOINT_VELOCITY_FILTER)
         self._constant = _settled(*JOINT_VELOCITY_FILTER)
         self._ramp, self._ramp_gain = _ramp_response(self._timestep)
         self._packets = {
@@ -168,7 +169,7 @@ class Sensors:
         joint_count = np.trunc(self._angle[..., self._motors :] / self._joint_step)
         joint_velocity = np.empty_like(joint_count)
         joint_angle = joint_count * self._joint_step
-        _filter(*_padded(*JOINT_VELOCITY_FILTER), joint_angle, self._joint_memory, joint_velocity)
+        _filter(*self._joint_filter, joint_angle, self._joint_memory, joint_velocity)
         everyone = slice(None)
         force = self._specific_force(self._inertial, everyone)
         force = force.reshape(3, self._window, self._sent.step, -1).sum(2) / self._sent.step
