@@ -28,6 +28,7 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "wire": {"robot"},
     "estimation": {"robot"},
     "sim": {"robot"},
+    "twin": {"robot", "wire", "estimation", "sim", "training"},
     "transforms": {"robot", "library", "estimation", "sim"},
     "policy": {"robot", "transforms"},
     "control": {"robot", "library", "estimation", "transforms", "policy"},
@@ -51,6 +52,7 @@ _FOREIGN = {
     "wire": _HEAVY,
     "estimation": _HEAVY,
     "sim": _HEAVY - {"mujoco"},
+    "twin": _HEAVY,
     "envs": {"casadi", "pinocchio"},
     "transforms": {"mujoco", "casadi", "pinocchio", "dm_control"},
 }

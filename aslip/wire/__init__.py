@@ -1,6 +1,7 @@
 """Cassie's network protocol: packets, datagrams, conversions and UDP sockets; no simulator."""
 
 from aslip.wire.convert import (
+    ESTIMATE_ENTRIES,
     MotorCommand,
     cassie_out_to_sensors,
     command_to_pd_in,
@@ -19,6 +20,7 @@ from aslip.wire.packets import CASSIE_OUT, PACKETS, PD_IN, STATE_OUT, USER_IN
 __all__ = [
     "CASSIE_OUT",
     "CLIENT",
+    "ESTIMATE_ENTRIES",
     "LOOPBACK",
     "PACKETS",
     "PD_IN",

@@ -20,7 +20,7 @@ from aslip.wire.packets import CASSIE_OUT, PD_IN, STATE_OUT, USER_IN
 STOP_CHANNEL: Final = 8
 """Radio channel of the emergency stop; a value below zero stops the robot."""
 
-_MOTORS, _JOINTS = 10, 6
+_MOTORS, _JOINTS = len(CASSIE.motor_names), len(CASSIE.joint_names)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 # entry of an estimate -> group and field of `state_out_t`
 _STATE_FIELDS = {
@@ -33,6 +33,8 @@ _STATE_FIELDS = {
     "joint_position": ("joint", "position"),
     "joint_velocity": ("joint", "velocity"),
 }
+ESTIMATE_ENTRIES: Final = ("height", *_STATE_FIELDS)
+"""Entries of an estimate, 46 numbers in all, by the names of `("estimate", ...)`."""
 
 
 class MotorCommand(NamedTuple):

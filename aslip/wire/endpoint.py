@@ -127,17 +127,19 @@ class Endpoint:
             NetworkError: there is no peer yet, or no way to it.
             ShapeError: the record is of another kind than the link sends.
         """
+        if self.peer is None:
+            raise NetworkError(f"{self.local} has no peer to send to before one has sent to it")
         self._last = self.link.datagram(record)
         self.resend()
 
     def resend(self) -> None:
-        """Send the last datagram again, byte for byte.
+        """Send the last datagram to this peer again, byte for byte; do nothing without one.
 
         Raises:
-            NetworkError: nothing has been sent, there is no peer yet, or no way to it.
+            NetworkError: there is no way to the peer.
         """
         if self._last is None or self.peer is None:
-            raise NetworkError(f"{self.local} has no peer to send to before one has sent to it")
+            return
         try:
             self._socket.sendto(self._last, self.peer)
         except BlockingIOError:
@@ -177,7 +179,7 @@ class Endpoint:
                 self.link.counters.foreign += 1
                 return None
             self.link.restart()
-            self.peer = None
+            self.peer = self._last = None
         record = self.link.open(datagram)
         if record is not None or self.peer is not None:
             self.peer, self._heard = sender, time.monotonic()

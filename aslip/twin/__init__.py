@@ -1,0 +1,26 @@
+"""Twin of a robot: the simulation behind the robot's network protocol.
+
+`python -m aslip.twin` waits for a client.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from aslip.twin.drive import CommandedPD
+    from aslip.twin.lockstep import serve_lockstep
+    from aslip.twin.robot import TwinRobot
+
+__all__ = ["CommandedPD", "TwinRobot", "serve_lockstep"]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "drive": ["CommandedPD"],
+        "lockstep": ["serve_lockstep"],
+        "robot": ["TwinRobot"],
+    },
+)

@@ -1,0 +1,146 @@
+"""A controller at the other end of a socket walks the twin as it walks the simulation."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import cast
+
+import numpy as np
+import pytest
+from tensordict import TensorDictBase
+
+from aslip.control import Controller
+from aslip.envs import BatchEnv
+from aslip.library import GaitLibrary
+from aslip.robot import CASSIE
+from aslip.twin import TwinRobot, serve_lockstep
+from aslip.wire import (
+    LOOPBACK,
+    PD_IN,
+    SIMULATOR,
+    STATE_OUT,
+    Address,
+    Endpoint,
+    Link,
+    command_to_pd_in,
+    state_out_to_estimate,
+)
+from tests.helpers import started
+from tests.twin.test_robot import ROUNDED
+
+ANY_PORT = Address(LOOPBACK, 0)
+STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
+
+
+def server_of() -> Endpoint:
+    return Endpoint(Link(STATE_OUT, PD_IN, refuse_not_finite=True), ANY_PORT)
+
+
+@contextmanager
+def serving(twin: TwinRobot) -> Iterator[Endpoint]:
+    """Serve a twin in a thread; yields its socket."""
+    ended = threading.Event()
+    with server_of() as endpoint:
+        thread = threading.Thread(target=serve_lockstep, args=(twin, endpoint, ended.is_set))
+        thread.start()
+        try:
+            yield endpoint
+        finally:
+            ended.set()
+            thread.join()
+
+
+def answered(
+    twin: TwinRobot, server: Endpoint, client: Endpoint, command: np.ndarray
+) -> np.ndarray:
+    """Answer to a command, of both sides in one thread."""
+    ticks = twin.ticks
+    client.send(command)
+    serve_lockstep(twin, server, lambda: twin.ticks > ticks)
+    assert client.wait(1.0)
+    answer = client.receive()
+    assert answer is not None
+    return answer
+
+
+def client_of(server: Address) -> Endpoint:
+    return Endpoint(Link(PD_IN, STATE_OUT, refuse_not_finite=False), ANY_PORT, server)
+
+
+@pytest.fixture(scope="module")
+def controller() -> Controller:
+    return Controller("aslip", GaitLibrary.load())
+
+
+def test_two_seconds_over_loopback_equal_the_simulation_in_one_process(
+    controller: Controller,
+) -> None:
+    """The client sees states only; the simulation beside it sees packets."""
+    twin, env = TwinRobot(), BatchEnv(1, num_threads=1, robot=ROUNDED)
+    now = env.reset()
+    with server_of() as server, client_of(server.local) as client:
+        state = answered(twin, server, client, PD_IN.zeros())
+        env.set_states(twin.states())
+        over_wire = controller.start(state_out_to_estimate(state), 0.5, heading=0.0)
+        in_process = controller.start(twin.packet(), 0.5, heading=0.0)
+        for _ in range(67):
+            target = over_wire.motor_target
+            np.testing.assert_array_equal(target, in_process.motor_target)
+            for _ in range(CASSIE.substeps):
+                state = answered(twin, server, client, command_to_pd_in(target[0].numpy()))
+            now = env.step(now.set("motor_target", in_process.motor_target))["next"]
+            np.testing.assert_array_equal(twin.states(), env.states())
+            over_wire, _ = controller.step(over_wire, state_out_to_estimate(state))
+            in_process, _ = controller.step(in_process, cast("TensorDictBase", now["sensors"]))
+        counters = (server.link.counters, client.link.counters)
+    assert twin.ticks == 1 + 67 * CASSIE.substeps == counters[0].accepted == counters[1].accepted
+    assert all(c.lost == c.late == c.wrong_size == c.not_finite == 0 for c in counters)
+    assert now["truth", "pelvis_position"][0, 0] > 0.5
+
+
+def test_a_repeated_command_is_answered_without_a_tick() -> None:
+    twin = TwinRobot()
+    with serving(twin) as server, client_of(server.local) as client:
+        state = client.request(command_to_pd_in(STANDING))
+        client.resend()
+        assert client.wait(1.0)
+        assert client.receive() is None
+        assert (twin.ticks, client.link.counters.repeated) == (1, 1)
+        again = client.request(command_to_pd_in(STANDING))
+        assert twin.ticks == 2
+        assert client.link.step == 1
+        assert state.shape == again.shape == ()
+
+
+def test_commands_that_are_not_finite_move_nothing() -> None:
+    twin = TwinRobot()
+    with serving(twin) as server, client_of(server.local) as client:
+        for _ in range(2):
+            client.send(command_to_pd_in(np.full(10, np.nan)))
+        client.resend()
+        client.request(command_to_pd_in(STANDING))
+        assert (twin.ticks, twin.divergences) == (1, 0)
+        assert server.link.counters.not_finite == 2
+
+
+def test_the_program_serves_a_client_and_reports_a_port_in_use() -> None:
+    program = [sys.executable, "-m", "aslip.twin", "--port"]
+    with started([*program, "0"]) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        port = line.split(f"{SIMULATOR.host}:")[1].split(";")[0]
+        with client_of(Address(LOOPBACK, int(port))) as client:
+            client.request(command_to_pd_in(STANDING), timeout=30.0)
+        other = subprocess.run([*program, port], capture_output=True, text=True, check=False)
+        assert other.returncode == 1
+        assert other.stderr.startswith(f"error: another program listens at 127.0.0.1:{port}")
+        process.send_signal(2)
+        assert "1 ticks, 0 divergences" in process.stdout.read()
+    wide = subprocess.run(
+        [*program, "0", "--address", "0.0.0.0"], capture_output=True, text=True, check=False
+    )
+    assert "beyond this machine" in wide.stderr
