@@ -25,3 +25,18 @@ class Common:
         """Check that there is a policy."""
         if not self.policy:
             raise ConfigurationError("name at least one policy")
+
+
+@dataclass(frozen=True)
+class Compared(Common):
+    """Flags of benchmarks that compare policies with the paper's settings and its baseline."""
+
+    paper: tuple[str, ...] = ()
+    """Policies of `ppo_aslip.py paper`."""
+    baseline: tuple[str, ...] = ()
+    """Policies of `ppo_aslip.py single-reference`."""
+
+    def __post_init__(self) -> None:
+        """Check that there is a policy of any kind."""
+        if not (self.policy or self.paper or self.baseline):
+            raise ConfigurationError("name at least one policy")

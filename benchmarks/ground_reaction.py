@@ -1,12 +1,15 @@
 """Vertical ground force over a stride: robot, reduced-order model and baseline.
 
     python -m benchmarks.ground_reaction                                    # the shipped policy
-    python -m benchmarks.ground_reaction --policy runs/seed0 runs/seed1 --baseline runs/baseline0
+    python -m benchmarks.ground_reaction --paper runs/paper0 runs/paper1 --baseline runs/baseline0
 
 The paper's figure has 0, 1 and 2 m/s. Forces are sampled by the physics at 2 kHz. Spring-mass
 walking has two humps per stance; walking at a constant body height has one. The dip ratio is the
 lowest force between the humps over the peak of the lower hump, after two passes of a 30 ms moving
 average.
+
+The default stack feeds the model's leg forces forward, the paper's does not: forces of policies
+with the default stack are partly an input (`benchmarks.open_loop_force`).
 """
 
 from __future__ import annotations
@@ -15,17 +18,15 @@ from dataclasses import dataclass
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Common
+from benchmarks.flags import Compared
 
 
 @dataclass(frozen=True)
-class Config(Common):
+class Config(Compared):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 1.0, 2.0)
     """Commanded speeds [m/s]."""
-    baseline: tuple[str, ...] = ()
-    """Policies of `ppo_aslip.py single-reference` to compare with."""
 
 
 if __name__ == "__main__":
@@ -35,7 +36,8 @@ if __name__ == "__main__":
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
-from typing import Any
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -59,12 +61,21 @@ from benchmarks.common import (
     write_report,
 )
 
+METHODS: Final = MappingProxyType(
+    {"policy": "ASLIP", "paper": "ASLIP, paper's settings", "baseline": "single reference"}
+)
+"""Kind of policies, as a setting of `Config` -> its method in tables and pictures."""
+
+VERTICAL: Final = (-4, -1)
+"""Columns of both feet's vertical force in `watched`."""
+
+_COLORS = {"policy": "tab:red", "paper": "tab:green", "baseline": "tab:blue"}
+
 # duration before the measurement, and of it [s]
 _SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
 # stances of a foot from which a robot counts as stepping
 _LEAST_STANCES = 3
-_VERTICAL = [-4, -1]  # columns of both feet's vertical force in `watched`
 
 
 @dataclass(frozen=True)
@@ -90,9 +101,14 @@ def main(
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
     curves: dict[tuple[str, float], list[Curve]] = {}
-    subjects = load_subjects(config, policy, make_env)
-    methods = {"ASLIP": subjects, "single reference": map(Subject.load, config.baseline)}
-    runs = [(m, one, v) for m, ones in methods.items() for one in ones for v in config.speeds]
+    kinds = {
+        "policy": load_subjects(config, policy, make_env),
+        "paper": [*map(Subject.load, config.paper)],
+        "baseline": [*map(Subject.load, config.baseline)],
+    }
+    runs = [
+        (METHODS[k], one, v) for k, ones in kinds.items() for one in ones for v in config.speeds
+    ]
     for method, subject, speed in tqdm(runs, unit="walk", leave=False):
         force = vertical_forces(config, library, subject, speed)
         rows.append({"method": method, "policy": subject.name, "speed": speed, **profile(force)})
@@ -134,7 +150,7 @@ def vertical_forces(
             if walker.fallen:
                 return None
             if walker.time > _SETTLE:
-                parts.append(env.base_env.watched[:, _VERTICAL].copy())
+                parts.append(env.base_env.watched[:, VERTICAL].copy())
     assert len(parts[0]) == CASSIE.substeps
     return np.concatenate(parts)
 
@@ -218,7 +234,8 @@ def picture(
         gait = nearest_gait(library, speed)
         model = model_force(gait)
         axis.plot(np.arange(len(model)) / len(model), model, "k--", label="model")
-        for method, color in (("ASLIP", "tab:red"), ("single reference", "tab:blue")):
+        for kind, method in METHODS.items():
+            color = _COLORS[kind]
             found = curves.get((method, speed), ())
             for i, one in enumerate(found):
                 style: dict[str, Any] = {} if len(found) == 1 else {"lw": 0.8, "alpha": 0.7}
