@@ -1,12 +1,16 @@
-"""Claims of the paper in numbers: sentence, published value, measured value, verdict.
+"""Sentences of the paper and targets of this project, judged by numbers of several seeds.
 
-    python -m benchmarks.claims --baseline single_reference      # the shipped policies
-    python -m benchmarks.claims --policy runs/seed0 runs/seed1 --baseline single_reference
+    python -m benchmarks.claims --baseline single_reference      # the shipped policies, one seed
+    python -m benchmarks.claims --policy runs/seed0 runs/seed1 --paper runs/paper0 runs/paper1
 
-Runs the other benchmarks and judges their results. Training costs are read from run folders, if
-policies are given as such. Rows with a section number are sentences of the paper; others are
-requirements of this project. The exit status is 1 if a claim that holds in the record
-(`docs/claims.json`, replaced by `--record`) no longer holds.
+Two tables. Sentences of the paper are judged on its settings (`--paper`) and its baseline
+(`--baseline`), with the default settings (`--policy`) beside them; targets are judged on the
+default settings. A row passes if the whole 95 % interval over seeds meets its limit, fails if the
+whole interval misses it or a seed has no value (it fell), and is undecided otherwise. Some rows
+demand the limit of each seed. Training costs are read from run folders.
+
+The exit status is 1 if a row that passes in the record (`docs/claims.json`, replaced by `--record`)
+is now measured and does not pass.
 """
 
 from __future__ import annotations
@@ -15,15 +19,13 @@ from dataclasses import dataclass
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Common
+from benchmarks.flags import Compared
 
 
 @dataclass(frozen=True)
-class Config(Common):
+class Config(Compared):
     """Settings of the benchmark."""
 
-    baseline: tuple[str, ...] = ()
-    """Policies of `ppo_aslip.py single-reference`, for the claims about the baseline."""
     record: bool = False
     """Replace the record."""
 
@@ -33,267 +35,312 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import json
-import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
-from aslip.robot import CASSIE
-from aslip.training.progress import read_progress
+from aslip.policy import read_card
+from aslip.training.provenance import provenance
 from aslip.training.run import write_text
-from aslip.walking import Walks, markdown
-from aslip.walking.metrics import Placement, leg_length_correlation
+from aslip.walking import markdown
 from benchmarks import foot_placement, ground_reaction, step_frequency, velocity_tracking
-from benchmarks.claim_list import CLAIMS
+from benchmarks.claim_list import SENTENCES, TARGETS, Claim
+from benchmarks.claim_values import (
+    SPEEDS,
+    Values,
+    correlation_claims,
+    foot_claims,
+    force_claims,
+    largest_by_seed,
+    speed_claims,
+    training_costs,
+)
 from benchmarks.common import (
-    WALKING_LENGTH,
     Interval,
     MakeEnv,
     Policy,
     constant_walks,
     load_subjects,
-    write_report,
+    policy_name,
+    write_results,
 )
 
 RECORD = Path("docs/claims.json")
-"""Record of the claims that hold for the shipped policies."""
+"""Record of the verdicts, and of the policies that they are about."""
 
-_SPEEDS = (0.0, 0.5, 1.0, 1.5, 2.0)
-_SLOW = 0.3
+COLUMNS: Final = {"paper": "paper's settings", "policy": "default", "baseline": "baseline"}
+"""Kind of policies, as a setting of `Config` -> its name in tables."""
+
 # duration before the correlation, and of it [s]
 _SETTLE, _WALK = 4.0, 8.0
 
 
 def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> int:
-    """Measure, print and write; returns the number of claims that no longer hold.
+    """Measure, print and write; returns the number of rows that passed and no longer pass.
 
     Args:
         config: the settings.
-        policy: policy to measure; by default as in the settings.
-        make_env: function that makes the environment, see `benchmarks.common`.
+        policy: policy to measure in place of `config.policy`.
+        make_env: function that makes the environment of `policy`, see `benchmarks.common`.
     """
-    values = claim_values(config, policy, make_env)
-    rows: list[dict[str, Any]] = []
-    for claim in CLAIMS:
-        if claim.name not in values:
-            continue
-        value = interval_over_seeds(values[claim.name])
-        holds = bool(claim.at_least <= value.mean <= claim.at_most)
-        each = [float(found) for found in values[claim.name]]
-        row = {**asdict(claim), **vars(value), "each": each, "limit": claim.limit, "holds": holds}
-        rows.append(row)
-    write_report(config, policy, "claims", {"claims": rows}, table(rows))
+    policies: dict[str, list[Policy]] = {kind: [*getattr(config, kind)] for kind in COLUMNS}
+    if policy is not None:
+        policies["policy"] = [policy]
+    values = measure(config, policy, make_env)
+    rows = judged_rows(values)
+    about = {kind: [describe(one) for one in ones] for kind, ones in policies.items()}
+    numbers = {"made_by": provenance(), "policies": about, **rows}
+    write_results(config.out, "claims", numbers, report(rows, about))
     lost = lost_claims(rows, read_record())
     for name in lost:
-        print(f"no longer holds: {name}")
+        print(f"no longer passes: {name}")
     if config.record:
-        write_record(config, rows)
+        write_record(rows, about)
     return len(lost)
-
-
-def write_record(config: Config, rows: Sequence[dict[str, Any]]) -> None:
-    """Write the record: which claims hold, and names of policies without folders."""
-    names = {
-        key: [Path(policy).name for policy in policies]
-        for key, policies in (("policies", config.policy), ("baseline", config.baseline))
-    }
-    kept = {**names, "claims": {row["name"]: row["holds"] for row in rows}}
-    write_text(RECORD, json.dumps(kept, indent=1) + "\n")
-
-
-def read_record() -> dict[str, bool]:
-    """Read which claims hold in the record; empty without a record."""
-    return json.loads(RECORD.read_text())["claims"] if RECORD.exists() else {}
-
-
-def lost_claims(rows: Sequence[dict[str, Any]], record: dict[str, bool]) -> list[str]:
-    """Names of claims that hold in the record and not in the rows."""
-    return [row["name"] for row in rows if record.get(row["name"]) and not row["holds"]]
-
-
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Table of claims."""
-    cells = [
-        [
-            row["name"],
-            row["sentence"],
-            f"{row['published']} {row['unit']}".strip() if row["published"] else "",
-            value_text(row),
-            row["limit"],
-            "PASS" if row["holds"] else "FAIL",
-        ]
-        for row in rows
-    ]
-    header = [
-        "claim",
-        "sentence of the paper, or requirement",
-        "published",
-        "measured",
-        "limit",
-        "",
-    ]
-    passed = sum(row["holds"] for row in rows)
-    align = ["---", "---", "---:", "---:", "---:", "---"]
-    text = markdown(header, cells, align)
-    return f"{text}\n\n{passed} of {len(rows)} hold; 95 % intervals over seeds."
-
-
-def value_text(row: dict[str, Any]) -> str:
-    """Value of a claim as text."""
-    if math.isnan(row["mean"]):
-        return "none"
-    interval = Interval.of_row(row)
-    return f"{interval.text(row['digits'])} {row['unit']}".rstrip()
 
 
 # ---------------------------------------------------------------------- values
 
-Values = Mapping[str, Sequence[float]]
-"""Name of a claim -> its value for each seed; NaN after a fall."""
 
-
-def claim_values(
+def measure(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> dict[str, Values]:
+    """Run the benchmarks; returns kind of policies -> claim -> value of each seed.
+
+    Pictures and tables of the benchmarks are written to a folder for each kind.
+    """
+    values: dict[str, Values] = {}
+    if config.policy or policy is not None:
+        values["policy"] = measure_kind(config, "policy", policy, make_env)
+    if config.paper:
+        values["paper"] = measure_kind(config, "paper")
+    settings = {name: getattr(config, name) for name in ("truth", "seed", "out", *COLUMNS)}
+    rows = ground_reaction.main(ground_reaction.Config(**settings), policy, make_env)
+    for kind, forces in force_claims(rows).items():
+        values[kind] = {**values.get(kind, {}), **forces}
+    return values
+
+
+def measure_kind(
+    config: Config, kind: str, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> Values:
-    """Run the benchmarks, and compute the value of each claim that can be judged."""
-    common: dict[str, Any] = {"policy": config.policy, "truth": config.truth}
-    common |= {"seed": config.seed, "out": config.out}
+    """Values of claims about one kind of policies, except for ground forces."""
+    common: dict[str, Any] = {"policy": getattr(config, kind), "truth": config.truth}
+    common |= {"seed": config.seed, "out": config.out / kind}
     of = (policy, make_env)
-    placements = foot_placement.main(foot_placement.Config(**common), *of)
-    speeds = velocity_tracking.main(velocity_tracking.Config(**common), *of)
+    settings = foot_placement.Config(**common)
+    walks = constant_walks(settings, load_subjects(settings, *of), SPEEDS, _SETTLE + _WALK)
     frequencies = step_frequency.main(step_frequency.Config(**common), *of)
-    forces = ground_reaction.main(ground_reaction.Config(**common, baseline=config.baseline), *of)
-    walks = constant_walks(config, load_subjects(config, *of), _SPEEDS, _SETTLE + _WALK)
     off = [[100 * abs(off) for off in row["each"]] for row in frequencies]
     return {
-        **training_costs(config.policy if policy is None else [policy]),
-        **speed_claims(speeds),
-        **foot_claims(placements),
-        **force_claims(forces),
-        **correlation_claims(walks),
+        **training_costs(common["policy"] if policy is None else [policy]),
+        **speed_claims(velocity_tracking.main(velocity_tracking.Config(**common), *of)),
+        **foot_claims(foot_placement.main(settings, *of)),
+        **correlation_claims(walks, _SETTLE),
         "step frequency": largest_by_seed(off),
     }
 
 
-def interval_over_seeds(values: Sequence[float]) -> Interval:
-    """Interval over seeds; NaN if any seed's value is missing, which would hide a failure."""
-    if not np.isfinite(values).all():
-        return Interval(math.nan, math.nan, math.nan)
-    return Interval.of([np.array([value]) for value in values])
+# -------------------------------------------------------------------- verdicts
 
 
-def largest_by_seed(values: Sequence[Sequence[float]]) -> list[float]:
-    """Largest value of each seed, from (conditions, seeds)."""
-    return np.max(values, axis=0).tolist()
+def judged_rows(values: Mapping[str, Values]) -> dict[str, list[dict[str, Any]]]:
+    """Rows of both tables: the claim, and values and verdict of each kind that it is about."""
 
+    def row(claim: Claim, kinds: Sequence[str]) -> dict[str, Any]:
+        found = {kind: judge(claim, values.get(kind, {}).get(claim.name, ())) for kind in kinds}
+        return {**vars(claim), "limit": claim.limit, "found": found}
 
-def smallest_by_seed(values: Sequence[Sequence[float]]) -> list[float]:
-    """Smallest value of each seed, from (conditions, seeds)."""
-    return np.min(values, axis=0).tolist()
-
-
-def training_costs(policies: Sequence[Policy]) -> Values:
-    """Samples, time and return of trainings, for policies given as run folders."""
-    samples, hours, returns = [], [], []
-    for policy in policies:
-        if not isinstance(policy, str | Path) or not Path(policy).is_dir():
-            continue
-        history = read_progress(Path(policy))
-        if not history:
-            continue
-        lengths = np.array(history["episode_length"])
-        walking = np.flatnonzero(lengths >= WALKING_LENGTH)
-        samples.append(history["step"][walking[0]] / 1e6 if len(walking) else math.nan)
-        hours.append(history["elapsed_s"][-1] / 3600)
-        evaluated = np.array(history["eval_return"])
-        returns.append([math.nan, *evaluated[np.isfinite(evaluated)]][-1])
-    found = {"samples": samples, "training time": hours, "return": returns}
-    return found if samples else {}
-
-
-def speed_claims(numbers: dict[str, Any]) -> Values:
-    """Values of claims on speed, from the numbers of `velocity_tracking`."""
-    rows = numbers["map"]
-    off = [[abs(mean - row["command"]) for mean in row["each"]] for row in rows]
-    slow = [off[i] for i, row in enumerate(rows) if row["command"] <= _SLOW + 1e-6]
-    steps, spikes = [row["each"] for row in numbers["steps"]], numbers["spike"]["each"]
     return {
-        "all speeds": np.sum([_all_held(row) for row in rows], axis=0).tolist(),
-        "velocity tracking": largest_by_seed(off),
-        "slow walking": largest_by_seed(slow),
-        "smooth transitions": np.isfinite([s["steady_error"] for s in steps]).sum(axis=0).tolist(),
-        "settling": largest_by_seed([s["settling"] for s in steps]),
-        "touchdown spikes": [s["robot"] / s["model"] for s in spikes],
+        "sentences": [
+            row(claim, ["baseline"] if claim.on_baseline else ["paper", "policy"])
+            for claim in SENTENCES
+        ],
+        "targets": [row(claim, ["policy"]) for claim in TARGETS],
     }
 
 
-def _all_held(row: dict[str, Any]) -> np.ndarray:
-    """(seeds,) whether the walk survived on its feet and tracked its command."""
-    return np.all([row[key] for key in ("survived", "on_feet", "tracked")], axis=0)
+def judge(claim: Claim, each: Sequence[float]) -> dict[str, Any]:
+    """Values of all seeds, their interval, and the verdict on them."""
+    each = [float(value) for value in each]
+    finite = bool(np.isfinite(each).all())
+    mean = Interval.of([np.array([value]) for value in each]) if each and finite else None
+    return {"each": each, "interval": mean and vars(mean), "verdict": verdict(claim, each, mean)}
 
 
-def foot_claims(placements: dict[float, list[Placement]]) -> Values:
-    """Values of claims on foot placement [cm]."""
-    error = {speed: _means([p.error for p in ps]) for speed, ps in placements.items()}
-    outward = [_means([p.outward for p in ps]) for ps in placements.values()]
-    slow = largest_by_seed([error[speed] for speed in placements if speed <= 1.0 + 1e-6])
-    return {
-        "wider feet": smallest_by_seed(outward),
-        "feet below 1 m/s": slow,
-        "feet above 1 m/s": np.subtract(error[2.0], error[1.0]).tolist(),
-        "feet to 1.0 m/s": slow,
-        "feet at 1.5 m/s": error[1.5],
-        "feet at 2.0 m/s": error[2.0],
+def verdict(claim: Claim, each: Sequence[float], interval: Interval | None) -> str:
+    """Verdict on the values of all seeds.
+
+    Args:
+        claim: the claim.
+        each: value of each seed.
+        interval: their mean and interval; None if a seed has no value.
+    """
+    if not each:
+        return "not measured"
+    if interval is None:
+        return "FAIL"
+    if len(each) == 1:
+        return "one seed"
+    ends = each if claim.every_seed else (interval.low, interval.high)
+    met = [claim.is_met(value) for value in ends]
+    if all(met):
+        return "PASS"
+    # a limit is one-sided: an interval with both ends outside misses it as a whole
+    return "FAIL" if claim.every_seed or not any(met) else "undecided"
+
+
+# ---------------------------------------------------------------------- tables
+
+
+def report(
+    rows: Mapping[str, Sequence[dict[str, Any]]], about: Mapping[str, Sequence[Mapping[str, Any]]]
+) -> str:
+    """Both tables, the counts of verdicts of each, and the policies."""
+    sentences, targets = rows["sentences"], rows["targets"]
+    counted = [
+        f"{COLUMNS[kind]}: {count_text(sentences, kind)}"
+        for kind in ("paper", "policy", "baseline")
+    ]
+    named = "\n".join(f"- {COLUMNS[kind]}: {policies_text(about[kind])}" for kind in COLUMNS)
+    return "\n\n".join(
+        [
+            sentence_table(sentences),
+            f"Sentences of the paper, {'; '.join(counted)}.",
+            target_table(targets),
+            f"Targets, {COLUMNS['policy']}: {count_text(targets, 'policy')}.",
+            "95 % intervals of the mean over seeds; lowest and highest seed where each seed has to"
+            f" meet the limit.\n\n{named}",
+        ]
+    )
+
+
+def sentence_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Table of the paper's sentences, judged on its settings, with the default beside."""
+    cells = []
+    for row in rows:
+        ours = " (ours)" if row["ours"] else ""
+        texts = [row["name"], row["sentence"], row["measure"], row["published"], row["released"]]
+        cells.append([*texts, row["limit"] + ours, *value_cells(row)])
+    header = [
+        "claim", "sentence of the paper", "measured here", "published", "released policies",
+        "limit", "paper's settings", "verdict", "default", "verdict on the default",
+    ]  # fmt: skip
+    return markdown(header, cells, [*["---"] * 3, *["---:"] * 4, "---", "---:", "---"])
+
+
+def value_cells(row: dict[str, Any]) -> list[str]:
+    """Value and verdict on the paper's settings, and on the default."""
+    found = row["found"]
+    if row["on_baseline"]:
+        text = value_text(row, found["baseline"])
+        return [f"baseline: {text}" if text else "", found["baseline"]["verdict"], "", ""]
+    paper, default = found["paper"], found["policy"]
+    fed = " (an input)" if row["fed_forward"] and default["each"] else ""
+    return [
+        value_text(row, paper), paper["verdict"],
+        value_text(row, default), default["verdict"] + fed,
+    ]  # fmt: skip
+
+
+def target_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Table of targets, judged on the default settings."""
+    cells = [
+        [
+            row["name"], row["measure"], row["published"], row["released"], row["limit"],
+            value_text(row, row["found"]["policy"]), row["found"]["policy"]["verdict"],
+        ]
+        for row in rows
+    ]  # fmt: skip
+    header = [
+        "target", "measured here", "published", "released policies", "limit (ours)", "default",
+        "verdict",
+    ]  # fmt: skip
+    return markdown(header, cells, [*["---"] * 2, *["---:"] * 4, "---"])
+
+
+def value_text(row: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    """Mean over seeds as text, with the interval or, if each seed counts, with the extremes."""
+    each, digits = found["each"], row["digits"]
+    if not each:
+        return ""
+    if found["interval"] is None:
+        return f"no value for {np.count_nonzero(~np.isfinite(each))} of {len(each)} seeds"
+    if row["every_seed"]:
+        low, high = (f"{value:.{digits}f}" for value in (min(each), max(each)))
+        return low if low == high else f"{np.mean(each):.{digits}f} ({low} to {high})"
+    return Interval.of_row(found["interval"]).text(digits)
+
+
+def count_text(rows: Sequence[Mapping[str, Any]], kind: str) -> str:
+    """Number of rows of each verdict on one kind of policies."""
+    verdicts = [row["found"][kind]["verdict"] for row in rows if kind in row["found"]]
+    count = Counter(verdicts)
+    order = ("PASS", "FAIL", "undecided", "one seed", "not measured")
+    return ", ".join(f"{count[name]} {name}" for name in order if count[name])
+
+
+def policies_text(policies: Sequence[Mapping[str, Any]]) -> str:
+    """Names, seeds, commits and budgets of policies."""
+    texts = []
+    for one in policies:
+        facts = [f"seed {one['seed']}" if one["seed"] is not None else ""]
+        facts += [f"commit {one['commit']}" if one["commit"] else ""]
+        facts += [f"{one['steps'] / 1e6:.2f} million policy steps" if one["steps"] else ""]
+        known = ", ".join(fact for fact in facts if fact)
+        texts.append(f"`{one['name']}`" + (f" ({known})" if known else ""))
+    return ", ".join(texts) or "none"
+
+
+# ---------------------------------------------------------------------- record
+
+
+def describe(policy: Policy) -> dict[str, Any]:
+    """Name of a policy without its folder, and seed, commit and policy steps of its training."""
+    about: dict[str, Any] = {"seed": None, "commit": None, "steps": None}
+    if not isinstance(policy, str | Path):
+        return {"name": policy_name(policy), **about}
+    made = read_card(policy).get("made_by", {})
+    about |= {"commit": made.get("commit"), "steps": made.get("steps")}
+    return {"name": Path(policy).name, **about, "seed": made.get("settings", {}).get("seed")}
+
+
+def write_record(
+    rows: Mapping[str, Sequence[dict[str, Any]]], about: Mapping[str, Sequence[Mapping[str, Any]]]
+) -> None:
+    """Write the record: verdicts of both tables, and policies with seeds and commits."""
+    verdicts = {
+        table: {
+            row["name"]: {kind: found["verdict"] for kind, found in row["found"].items()}
+            for row in of_table
+        }
+        for table, of_table in rows.items()
     }
+    kept = {"commit": provenance()["commit"], "policies": about, **verdicts}
+    write_text(RECORD, json.dumps(kept, indent=1) + "\n")
 
 
-def _means(lengths: Sequence[np.ndarray]) -> list[float]:
-    return [100 * float(length.mean()) if len(length) else math.nan for length in lengths]
+def read_record() -> dict[str, dict[str, dict[str, str]]]:
+    """Read the verdicts of the record, table -> claim -> kind; empty without a record."""
+    kept = json.loads(RECORD.read_text()) if RECORD.exists() else {}
+    return {table: kept.get(table, {}) for table in ("sentences", "targets")}
 
 
-def force_claims(rows: Sequence[dict[str, Any]]) -> Values:
-    """Values of claims on ground forces, from the rows of `ground_reaction`."""
-
-    def ratios(method: str, speed: float) -> list[float]:
-        found = [r for r in rows if (r["method"], r["speed"]) == (method, speed)]
-        return [r.get("dip_ratio", math.nan) for r in found]
-
-    values = {"double hump": largest_by_seed([ratios("ASLIP", speed) for speed in (0.0, 1.0)])}
-    if any(row["method"] == "single reference" for row in rows):
-        theirs = [ratios("single reference", speed) for speed in (0.0, 1.0, 2.0)]
-        values["baseline's single hump"] = smallest_by_seed(theirs)
-    return values
-
-
-def correlation_claims(walks: Sequence[Walks]) -> Values:
-    """Values of claims on similarity to the model: mean correlations over speeds."""
-    first = round(_SETTLE / CASSIE.policy_period)
-    speed, legs = [], []
-    for walk in walks:
-        if not walk.survived.all():
-            speed.append(math.nan)
-            legs.append(math.nan)
-            continue
-        ones = [walk.one(i, first) for i in range(len(_SPEEDS))]
-        # in place, the model's velocity does not oscillate
-        moving = [w for w in ones if w.command[0, 0] > 0]
-        speed.append(np.mean([_speed_correlation(w) for w in moving]))
-        legs.append(np.mean([_leg_correlation(w) for w in ones]))
-    return {"velocity oscillation": speed, "springy legs": legs}
-
-
-def _speed_correlation(walk: Walks) -> float:
-    robot, model = walk.pelvis_velocity[:, 0, 0], walk.body_velocity[:, 0, 0]
-    return float(np.corrcoef(robot, model)[0, 1])
-
-
-def _leg_correlation(walk: Walks) -> float:
-    robot = np.linalg.norm(walk.foot_position - walk.pelvis_position[:, :, None], axis=-1)
-    model = np.linalg.norm(walk.body_to_foot, axis=-1)
-    return leg_length_correlation(robot[:, 0], model[:, 0])
+def lost_claims(
+    rows: Mapping[str, Sequence[dict[str, Any]]], record: Mapping[str, Mapping[str, Any]]
+) -> list[str]:
+    """Rows that pass in the record, and are judged now without passing."""
+    return [
+        f"{row['name']} ({COLUMNS[kind]})"
+        for table, of_table in rows.items()
+        for row in of_table
+        for kind, found in row["found"].items()
+        if record.get(table, {}).get(row["name"], {}).get(kind) == "PASS"
+        and found["verdict"] in ("FAIL", "undecided")
+    ]
 
 
 if __name__ == "__main__":

@@ -167,7 +167,7 @@ def test_every_named_policy_ships_or_is_trained_on_a_page() -> None:
         for i, word in enumerate(words):
             if word == "--out":
                 made.add(words[i + 1])
-            if word in {"--policy", "--policies", "--baseline", "--run"}:
+            if word in {"--policy", "--policies", "--paper", "--baseline", "--run"}:
                 for policy in words[i + 1 :]:
                     if policy.startswith("--"):
                         break

@@ -1,10 +1,9 @@
-"""Benchmarks run on a policy or a log; claims pass or fail by their numbers."""
+"""Benchmarks of a policy run from a policy or a log."""
 
 from __future__ import annotations
 
 import json
 import math
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +13,24 @@ import pytest
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
-from aslip.walking import Walks
 from aslip.walking.metrics import Placement
-from benchmarks import claims, foot_placement, ground_reaction, step_frequency, velocity_tracking
+from benchmarks import (
+    claim_values,
+    foot_placement,
+    ground_reaction,
+    open_loop_force,
+    step_frequency,
+    velocity_tracking,
+)
 from benchmarks.common import Common, Interval, write_results
+from benchmarks.flags import Compared
 from recipes import walk
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Short walks, for fast tests."""
-    for module in (foot_placement, ground_reaction, step_frequency, velocity_tracking, claims):
+    for module in (foot_placement, ground_reaction, step_frequency, velocity_tracking):
         monkeypatch.setattr(module, "_SETTLE", 1.0)
         monkeypatch.setattr(module, "_WALK", 3.0)
     monkeypatch.setattr(foot_placement, "_FOOTSTEPS", 4)
@@ -49,6 +55,8 @@ def test_foot_placement_of_a_policy(tmp_path: Path) -> None:
     rows = written(tmp_path, "foot_placement")["rows"]
     assert [row["footsteps"] for row in rows] == [4, 4]
     assert rows[1]["published"] == 0.0922
+    assert [row["released"] for row in rows] == [[0.055, 0.045], [0.077, 0.076]]
+    assert "| 9.2 | 7.7, 7.6 |" in (tmp_path / "foot_placement.md").read_text()
     assert all(0 < row["mean"] < 0.15 for row in rows)
 
 
@@ -97,6 +105,14 @@ def test_ground_reaction(tmp_path: Path) -> None:
     written(tmp_path, "ground_reaction")
 
 
+def test_only_the_default_stack_feeds_forces_forward(tmp_path: Path) -> None:
+    config = open_loop_force.Config(speeds=(1.0,), out=tmp_path)
+    found = {row["stack"]: row["correlation"] for row in open_loop_force.main(config)}
+    assert found["aslip"] > 0.8
+    assert abs(found["paper"]) < 0.4
+    assert "| aslip | 1 |" in (tmp_path / "open_loop_force.md").read_text()
+
+
 @pytest.mark.parametrize(
     ("force", "failed"), [(None, "fell"), (np.full((4000, 2), 160.0), "did not step")]
 )
@@ -109,132 +125,14 @@ def test_report_names_fall_and_standing_robot(
     written(tmp_path, "ground_reaction")
     assert f"| ASLIP | 0.5 | {failed} |" in (tmp_path / "ground_reaction.md").read_text()
     rows = [{**rows[0], "speed": speed} for speed in (0.0, 1.0)]
-    assert np.isnan(claims.force_claims(rows)["double hump"]).all()
+    assert np.isnan(claim_values.force_claims(rows)["policy"]["double hump"]).all()
 
 
 def test_refuses_empty_list_of_policies() -> None:
-    with pytest.raises(ConfigurationError, match="policy"):
-        Common(policy=())
-
-
-# ----------------------------------------------------------------------- claims
-
-
-def placements(error: float, outward: float = 0.01, count: int = 6) -> list[Placement]:
-    """Placements of two seeds, with forward errors and feet slightly outward."""
-    side = np.arange(count) % 2
-    left = np.where(side == 0, outward, -outward)
-    offset = np.stack([np.full(count, error), left], axis=1)
-    return [Placement(side, offset, np.full(count, 0.2)) for _ in range(2)]
-
-
-def test_claims_on_feet() -> None:
-    by_speed = {0.0: placements(0.03), 1.0: placements(0.05, 0.002), 1.5: placements(0.1)}
-    by_speed[2.0] = placements(0.25)
-    # the second seed is worse at 0 m/s
-    by_speed[0.0][1] = placements(0.07)[0]
-    found = claims.foot_claims(by_speed)
-    worst = [100 * math.hypot(0.05, 0.002), 100 * math.hypot(0.07, 0.01)]
-    assert found["feet to 1.0 m/s"] == pytest.approx(worst)
-    assert found["feet at 2.0 m/s"] == pytest.approx([100 * math.hypot(0.25, 0.01)] * 2)
-    assert found["wider feet"] == pytest.approx([0.2, 0.2])
-    assert found["feet above 1 m/s"] == pytest.approx([20, 20], abs=0.1)
-    by_speed[1.0][1] = placements(0.05, count=0)[0]
-    assert np.isnan(claims.foot_claims(by_speed)["feet to 1.0 m/s"]).tolist() == [False, True]
-
-
-def test_claims_on_speed() -> None:
-    offs = ((0.0, 0.02, 0.01), (0.3, -0.04, 0.045), (2.0, -0.3, 0.1))
-    mapped = [
-        {
-            "command": c,
-            "each": [c + first, c + second],
-            "survived": [True, True],
-            "on_feet": [True, True],
-            "tracked": [abs(first) < 0.2, abs(second) < 0.2],
-        }
-        for c, first, second in offs
-    ]
-    steps = [
-        {"each": {"steady_error": [0.0, 0.1], "settling": [1.2, 1.0]}},
-        {"each": {"steady_error": [0.0, math.nan], "settling": [1.1, math.inf]}},
-    ]
-    spike = {"each": [{"robot": 0.1, "model": 0.4}, {"robot": 0.2, "model": 0.4}]}
-    numbers = {"map": mapped, "steps": steps, "spike": spike}
-    expected = {
-        "all speeds": [2, 3],
-        "velocity tracking": [0.3, 0.1],
-        "slow walking": [0.04, 0.045],
-        "smooth transitions": [2, 1],
-        "settling": [1.2, math.inf],
-        "touchdown spikes": [0.25, 0.5],
-    }
-    found = claims.speed_claims(numbers)
-    assert list(found) == list(expected)
-    for name, values in expected.items():
-        assert found[name] == pytest.approx(values), name
-    mapped[0]["on_feet"] = [False, True]  # a robot on its heels that keeps its speed
-    mapped[2] |= {"each": [2.0, math.nan], "survived": [True, False], "tracked": [True, False]}
-    found = claims.speed_claims(numbers)
-    assert found["all speeds"] == [2, 2]
-    assert np.isnan(found["velocity tracking"]).tolist() == [False, True]
-    assert found["slow walking"] == pytest.approx([0.04, 0.045])
-
-
-def test_claims_on_forces() -> None:
-    rows = [
-        {"method": "ASLIP", "speed": speed, "dip_ratio": ratio}
-        for speed, ratio in ((0.0, 0.3), (0.0, 0.7), (1.0, 0.6), (1.0, 0.5), (2.0, 1.0))
-    ]
-    assert claims.force_claims(rows) == {"double hump": [0.6, 0.7]}
-    rows += [
-        {"method": "single reference", "speed": speed, "dip_ratio": ratio}
-        for speed, ratio in ((0.0, 1.0), (1.0, 0.95), (2.0, 0.97))
-    ]
-    assert claims.force_claims(rows)["baseline's single hump"] == [0.95]
-    # a robot that fell has no dip ratio, and no single hump
-    del rows[-2]["dip_ratio"]
-    assert np.isnan(claims.force_claims(rows)["baseline's single hump"]).all()
-
-
-def test_missing_value_of_a_seed_gives_nan() -> None:
-    assert claims.interval_over_seeds([1.0, 3.0]).mean == 2.0
-    for missing in (math.nan, math.inf):
-        assert math.isnan(claims.interval_over_seeds([1.0, missing]).mean)
-
-
-def test_training_costs_are_read_from_run_folders(tmp_path: Path) -> None:
-    header = "step,elapsed_s,episode_length,eval_return"
-    rows = ["1000000,1800,200,nan", "2000000,3600,360,310", "3000000,7200,390,nan"]
-    (tmp_path / "progress.csv").write_text("\n".join([header, *rows]) + "\n")
-    found = claims.training_costs([str(tmp_path)])
-    assert found == {"samples": [2.0], "training time": [2.0], "return": [310.0]}
-    assert claims.training_costs(["aslip"]) == {}
-
-
-def test_claims_report_pass_fail_and_lost_claims(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    values = {"step frequency": 0.5, "settling": 2.0, "double hump": 0.4}
-    monkeypatch.setattr(
-        claims, "claim_values", lambda *_: {name: [v] for name, v in values.items()}
-    )
-    monkeypatch.setattr(claims, "RECORD", tmp_path / "record.json")
-    config = claims.Config(policy=("runs/seed0", "aslip"), out=tmp_path, record=True)
-    assert claims.main(config) == 0
-    kept = json.loads((tmp_path / "record.json").read_text())
-    assert kept["policies"] == ["seed0", "aslip"]
-    assert kept["claims"] == {"settling": False, "double hump": True, "step frequency": True}
-    printed = capsys.readouterr().out
-    assert printed.count("PASS") == 2
-    assert printed.count("FAIL") == 1
-    values["double hump"] = math.nan
-    assert claims.main(claims.Config(out=tmp_path)) == 1
-    printed = capsys.readouterr().out
-    assert "| none | ≤ 0.7 | FAIL |" in printed
-    assert "no longer holds: double hump" in printed
-    numbers = json.loads((tmp_path / "claims.json").read_text())["claims"]
-    assert [row["name"] for row in numbers if row["holds"]] == ["step frequency"]
+    for kind in (Common, Compared):
+        with pytest.raises(ConfigurationError, match="policy"):
+            kind(policy=())
+    assert Compared(policy=(), baseline=("single_reference",)).policy == ()
 
 
 def test_interval_over_seeds_or_values() -> None:
@@ -283,35 +181,6 @@ def test_foot_placement_table_counts_falls() -> None:
     assert "0 of 1" in foot_placement.table({1.0: [fell]})
 
 
-@pytest.mark.parametrize("fallen", [False, True])
-def test_correlation_of_fallen_seed_is_nan(fallen: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(claims, "_speed_correlation", lambda walk: 1.0)
-    monkeypatch.setattr(claims, "_leg_correlation", lambda walk: 1.0)
-    alive = np.ones((200, 5), dtype=bool)
-    alive[150:, 3] = not fallen
-    sizes = {field.name: np.zeros((200, 5)) for field in fields(Walks)}
-    found = claims.correlation_claims(
-        [Walks(**{**sizes, "command": alive.astype(float), "alive": alive})]
-    )
-    assert list(found) == ["velocity oscillation", "springy legs"]
-    assert all(np.isnan(values).tolist() == [fallen] for values in found.values())
-
-
-def test_velocity_correlation_excludes_stepping_in_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """At zero speed, the model's forward velocity is constant, so no correlation exists."""
-    monkeypatch.setattr(claims, "_leg_correlation", lambda walk: 1.0)
-    arrays: dict[str, Any] = {field.name: np.zeros((200, 5)) for field in fields(Walks)}
-    arrays["command"] = np.tile(claims._SPEEDS, (200, 1))
-    arrays["alive"] = np.ones((200, 5), dtype=bool)
-    robot = np.random.default_rng(0).normal(size=(200, 5, 3))
-    model = robot * [1.0, 0.0, 0.0] + 0.5
-    model[:, 0] = 0.01 * np.random.default_rng(1).normal(size=(200, 3))  # rounding errors
-    arrays |= {"pelvis_velocity": robot, "body_velocity": model}
-    assert claims.correlation_claims([Walks(**arrays)])["velocity oscillation"] == pytest.approx(
-        [1.0]
-    )
-
-
 def test_ground_reaction_draws_each_policy(library: GaitLibrary) -> None:
     ones = [ground_reaction.Curve(np.full(200, x), np.full(200, 5.0)) for x in (1.0, 2.0, 3.0)]
     config = ground_reaction.Config(speeds=(1.0,))
@@ -320,3 +189,6 @@ def test_ground_reaction_draws_each_policy(library: GaitLibrary) -> None:
     assert len(axis.lines) == 1 + 3 + 1
     assert len(axis.collections) == 1  # a single policy is drawn with a band
     assert axis.get_legend_handles_labels()[1] == ["model", "ASLIP", "single reference"]
+    curves["ASLIP, paper's settings", 1.0] = ones[:2]
+    (axis,) = ground_reaction.picture(config, curves, library).axes
+    assert len(axis.lines) == 1 + 3 + 2 + 1
