@@ -16,7 +16,7 @@ from aslip.rom.gait import Gait
 from aslip.rom.motion import Motion, SampledMotion
 
 FORMAT = ArchiveFormat(
-    "gait library", 4, advice="rebuild it with recipes/gait_library.py", compressed=True
+    "gait library", 5, advice="rebuild it with recipes/gait_library.py", compressed=True
 )
 """Entries: `table/FIELD.npy`, `motionNN/FIELD.npy`, `made_by.json`."""
 _MADE_BY = "made_by.json"

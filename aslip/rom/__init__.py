@@ -1,6 +1,7 @@
 """Reduced-order models and their motions: actuated SLIP, linear inverted pendulum, recorded walks.
 
     gait = optimize_gait(1.0)          # 1 m/s, in a fraction of a second
+    turn = optimize_gait([0.5, 0.2, 1.0])    # forward, sideways [m/s], yaw rate [rad/s]
     gait.stride, gait.double_stance    # [s]
     gait.sample(np.linspace(0, 1, 24, endpoint=False)).body.position    # (24, 3) [m]
 
@@ -15,6 +16,7 @@ import lazy_loader
 if TYPE_CHECKING:
     from aslip.rom.certificate import Certificate
     from aslip.rom.gait import Gait, GaitSample
+    from aslip.rom.mirror import mirror
     from aslip.rom.motion import (
         PHASE_SAMPLES,
         Angle,
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
 _FILES = {
     "certificate": ["Certificate"],
     "gait": ["Gait", "GaitSample"],
+    "mirror": ["mirror"],
     "motion": ["PHASE_SAMPLES", "Angle", "Motion", "MotionSample", "SampledMotion", "Track"],
     "optimize": ["optimize_gait", "optimize_gaits"],
     "pendulum": ["PendulumWalk", "pendulum_walks"],
@@ -50,6 +53,7 @@ __all__ = [
     "SampledMotion",
     "SlipParameters",
     "Track",
+    "mirror",
     "optimize_gait",
     "optimize_gaits",
     "pendulum_walks",

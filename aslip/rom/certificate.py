@@ -10,7 +10,7 @@ KKT_TOLERANCE = 1e-8
 """Largest KKT residual of a certified gait."""
 DEFECT_TOLERANCE = 1e-8
 """Largest collocation defect of a certified gait [state units]."""
-INTEGRATION_TOLERANCE = 1e-3
+INTEGRATION_TOLERANCE = 1e-4
 """Largest distance between collocated and integrated body position at the end of a mode [m]."""
 MARGIN_TOLERANCE = 1e-8
 """Largest violation of a bound in a certified gait [units of the bound]."""
@@ -39,13 +39,14 @@ class Certificate:
     integration_error: float
     """Largest error of the body position at the end of a contact mode [m].
 
-    Each mode is integrated from its first point with an adaptive eighth-order Runge-Kutta method
-    and the piecewise quadratic input of the collocation.
+    The modes are integrated in one go, from the first point of the stride, with an adaptive
+    eighth-order Runge-Kutta method and the piecewise quadratic input of the collocation.
     """
     margins: Mapping[str, float]
     """Distance to each bound at the closest collocation point, negative where violated.
 
-    Leg force [N], leg lengths, body height and set point [m], double stance [s].
+    Leg force [N], leg lengths, body height, set point and distance of the feet [m], double stance
+    [s].
     """
 
     def __post_init__(self) -> None:

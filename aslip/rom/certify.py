@@ -1,12 +1,14 @@
 """Checks on a solved problem: optimality conditions, re-integration, margins."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from aslip.rom import collocation
 from aslip.rom.certificate import Certificate
 from aslip.rom.dynamics import flow_function
-from aslip.rom.problem import INTERVALS, HalfStride, WalkingProblem
+from aslip.rom.program import GaitProgram, ModeSolution, Solution
 from aslip.rom.slip import Mode, SlipParameters
 
 _RELATIVE, _ABSOLUTE = 1e-10, 1e-12
@@ -65,26 +67,19 @@ def integrate_mode(
     return state
 
 
-def integration_error(half: HalfStride, speed: float, p: SlipParameters) -> float:
-    """Largest error of the body position at the end of both modes of half a stride [m].
+def integration_error(modes: Sequence[ModeSolution], p: SlipParameters) -> float:
+    """Largest error of the body position at the end of a mode [m].
 
-    The other half is an exact mirror image, so its errors are the same.
+    Consecutive modes are integrated in one go, from the first state of the first one.
     """
-    step = speed * (p.single_stance + half.double_stance)
-    left = np.array([half.right_foothold + step, p.foot_separation / 2, 0.0])
-    right = np.array([half.right_foothold, -p.foot_separation / 2, 0.0])
-    touchdown = 2 * INTERVALS
-    errors = []
-    for mode, first, last, control, duration in (
-        (Mode.RIGHT, 0, touchdown, half.single_control, p.single_stance),
-        (Mode.DOUBLE, touchdown, 2 * touchdown, half.double_control, half.double_stance),
-    ):
-        end = integrate_mode(mode, half.state[:, first], control, (left, right), duration, p)
-        errors.append(np.linalg.norm(end[:3] - half.state[:3, last]))
+    state, errors = modes[0].state[:, 0], []
+    for m in modes:
+        state = integrate_mode(m.mode, state, m.control, m.feet, m.duration, p)
+        errors.append(np.linalg.norm(state[:3] - m.state[:3, -1]))
     return float(max(errors))
 
 
-def rows(problem: WalkingProblem) -> dict[str, slice]:
+def rows(problem: GaitProgram) -> dict[str, slice]:
     """Name of each group of constraints -> its rows in the problem's g."""
     ends = np.cumsum([count for _, count in problem.constraints])
     return {
@@ -94,7 +89,7 @@ def rows(problem: WalkingProblem) -> dict[str, slice]:
 
 
 def slacks(
-    problem: WalkingProblem, g: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    problem: GaitProgram, g: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> dict[str, float]:
     """Name of each group of constraints -> distance to its nearest bound, negative if violated.
 
@@ -104,18 +99,20 @@ def slacks(
     return {name: float(nearest[part].min()) for name, part in rows(problem).items()}
 
 
-def certify(problem: WalkingProblem, half: HalfStride, speed: float, seconds: float) -> Certificate:
+def certify(
+    problem: GaitProgram[Solution], solution: Solution, command: np.ndarray, seconds: float
+) -> Certificate:
     """Certificate of a problem that has just been solved.
 
     Args:
         problem: problem whose solver has just succeeded.
-        half: its solution.
-        speed: mean speed [m/s].
+        solution: its solution.
+        command: (c,) its command.
         seconds: wall-clock time the solver took [s].
     """
     opti, stats, p = problem.opti, problem.opti.stats(), problem.parameters
     lam = np.ravel(opti.value(opti.lam_g))
-    values = problem.optimality(opti.value(opti.x), lam, speed)
+    values = problem.optimality(opti.value(opti.x), lam, command)
     gradient, g, lower, upper = (value.full().ravel() for value in values)
     nearest = slacks(problem, g, lower, upper)
     margins = {n: s * (p.weight if "force" in n else 1.0) for n, s in nearest.items()}
@@ -127,6 +124,6 @@ def certify(problem: WalkingProblem, half: HalfStride, speed: float, seconds: fl
         cost=float(opti.value(opti.f)),
         kkt_residual=kkt_residual(gradient, g, lower, upper, lam),
         max_defect=max(-slack for name, slack in nearest.items() if "defect" in name),
-        integration_error=integration_error(half, speed, p),
+        integration_error=integration_error(problem.modes(solution, command), p),
         margins={name: m for name, m in margins.items() if name not in equalities},
     )

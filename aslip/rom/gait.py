@@ -12,12 +12,12 @@ from aslip.rom.arc import displacement
 from aslip.rom.certificate import Certificate
 from aslip.rom.motion import Angle, MotionSample, Track, split_phase
 from aslip.rom.slip import Mode, SlipParameters, leg_force
-from aslip.rom.swing import swing_foot
+from aslip.rom.swing import swing_foot, travel
 
 _TRACKS = {"body": ("body_position", "body_velocity"), "feet": ("foot_position", "foot_velocity")}
 """Track of a gait -> names of its arrays in a file."""
 _COLUMNS = ("leg_force", "set_point", "set_point_velocity", "control")
-_SCALARS = ("speed", "stride", "cost")
+_SCALARS = ("stride", "cost")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,14 +38,15 @@ class GaitSample(MotionSample):
 class Gait:
     """One stride, from left lift-off (time 0) to the next left lift-off, both included.
 
-    World frame: x forward, y left, z up, ground at z = 0. The body starts at x = 0 and its mean
-    lateral position is 0. Positions along x grow over the stride. Times increase strictly; at the
+    Frame: heading at time 0; x forward, y left, z up, ground at z = 0. Body and feet move on over
+    the stride. With one speed, the body starts at x = 0 and its mean lateral position is 0; with
+    three commands its mean position is on the arc of the commands. Times increase strictly; at the
     instant of a mode change, mode, force and control are those of the mode that begins. All arrays
     are read-only. The four modes of a stride are right, double, left, double.
     """
 
-    speed: float
-    """Mean forward speed [m/s]."""
+    command: np.ndarray
+    """(1,) mean forward speed [m/s], or (3,) with sideways speed [m/s] and yaw rate [rad/s]."""
     stride: float
     """Duration of the stride [s]."""
     time: np.ndarray
@@ -77,7 +78,11 @@ class Gait:
         if len(shape) != 1 or shape[0] < 2:
             raise ShapeError(f"time must be (n,) with n >= 2, got {shape}")
         (n,) = shape
+        command = np.array(self.command, dtype=float)
+        if command.shape not in ((1,), (3,)):
+            raise ShapeError(f"command must have shape (1,) or (3,), got {command.shape}")
         arrays = {"time": _frozen("time", self.time, (n,))}
+        arrays["command"] = _frozen("command", command, command.shape)
         arrays["mode"] = _frozen("mode", self.mode, (n,), int)
         arrays |= {name: _frozen(name, getattr(self, name), (n, 2)) for name in _COLUMNS}
         body = _frozen_track("body", self.body, (n, 3))
@@ -86,9 +91,14 @@ class Gait:
             object.__setattr__(self, name, value)
 
     @property
-    def command(self) -> np.ndarray:
-        """(1,) mean forward speed [m/s]."""
-        return np.array([self.speed])
+    def speed(self) -> float:
+        """Mean forward speed [m/s]."""
+        return float(self.command[0])
+
+    @property
+    def yaw_rate(self) -> float:
+        """Mean yaw rate [rad/s]."""
+        return float(self.command[2]) if len(self.command) == 3 else 0.0
 
     @property
     def single_stance(self) -> float:
@@ -97,12 +107,12 @@ class Gait:
 
     @property
     def double_stance(self) -> float:
-        """Duration of one double stance [s]."""
+        """Duration of each double stance [s]."""
         return self.stride / 2 - self.single_stance
 
     @property
     def step_length(self) -> float:
-        """Distance along x from one foothold to the next one, of the other foot [m]."""
+        """Distance that the body moves forward per footstep, in the mean [m]."""
         return self.speed * self.stride / 2
 
     @property
@@ -119,7 +129,7 @@ class Gait:
 
         Args:
             phase: (m,) stride fractions, 0 at left lift-off. Phases outside [0, 1) belong to other
-                strides, whole stride lengths ahead or behind.
+                strides, further along the path or behind.
 
         Returns:
             Arrays with leading dimension m.
@@ -134,20 +144,21 @@ class Gait:
         body, velocity = self._interpolate(self.body.position, self.body.velocity, time)
         set_point, rate = self._interpolate(self.set_point, self.set_point_velocity, time)
         footholds = np.stack([self.feet.position[0], self.feet.position[-1]], axis=1)
-        feet = swinging_feet(time, self.stride, footholds, self.parameters)
+        turn, p = self.yaw_rate * self.stride, self.parameters
+        feet = swinging_feet(time, self.stride, footholds, p, turn=turn)
         # (m, 2, 3): from each foot to the body
         leg = body[:, None, :] - feet.position
         length = np.linalg.norm(leg, axis=2)
         length_rate = np.einsum("mlk,mk->ml", leg, velocity) / length
-        force = leg_force(length, length_rate, set_point, rate, self.parameters)
+        force = leg_force(length, length_rate, set_point, rate, p)
         in_swing = np.stack([mode == Mode.RIGHT, mode == Mode.LEFT], axis=1)
         force = np.where(in_swing, 0.0, force)
         sample = GaitSample(
             body=Track(body, velocity),
             feet=feet,
             ground_force=force[..., None] * leg / length[..., None],
-            heading=Angle.zeros(len(time)),
-            foot_heading=np.zeros((len(time), 2)),
+            heading=Angle(self.yaw_rate * time, np.full(len(time), self.yaw_rate)),
+            foot_heading=_foot_heading(time, self.stride, turn, p),
             mode=mode,
             leg_force=force,
             set_point=set_point,
@@ -166,7 +177,7 @@ class Gait:
 
         Scalars become zero-dimensional; certificate and parameters become strings of JSON.
         """
-        named = (*_SCALARS, "time", "mode", *_COLUMNS)
+        named = ("command", *_SCALARS, "time", "mode", *_COLUMNS)
         plain = {name: np.array(getattr(self, name)) for name in named}
         for track, (position, velocity) in _TRACKS.items():
             plain[position] = np.array(getattr(self, track).position)
@@ -184,7 +195,8 @@ class Gait:
             ShapeError: an array has the wrong shape.
         """
         tracks = [name for names in _TRACKS.values() for name in names]
-        needed = (*_SCALARS, "time", "mode", *_COLUMNS, *tracks, "certificate", "parameters")
+        columns = ("command", "time", "mode", *_COLUMNS)
+        needed = (*_SCALARS, *columns, *tracks, "certificate", "parameters")
         missing = [name for name in needed if name not in arrays]
         if missing:
             raise FileDamagedError(f"a gait needs {', '.join(missing)}; got {sorted(arrays)}")
@@ -196,10 +208,9 @@ class Gait:
                 f"certificate or parameters of a gait are unreadable: {error}"
             ) from error
         return cls(
-            speed=float(arrays["speed"]),
             stride=float(arrays["stride"]),
             cost=float(arrays["cost"]),
-            **{name: arrays[name] for name in ("time", "mode", *_COLUMNS)},
+            **{name: arrays[name] for name in columns},
             body=Track(*(arrays[name] for name in _TRACKS["body"])),
             feet=Track(*(arrays[name] for name in _TRACKS["feet"])),
             certificate=certificate,
@@ -208,7 +219,7 @@ class Gait:
 
 
 def swinging_feet(
-    time: np.ndarray, stride: float, footholds: np.ndarray, p: SlipParameters
+    time: np.ndarray, stride: float, footholds: np.ndarray, p: SlipParameters, *, turn: float = 0.0
 ) -> Track:
     """Feet of a gait, (m, 2, 3): the left swings from time 0, the right half a stride later.
 
@@ -217,17 +228,32 @@ def swinging_feet(
         stride: duration of a stride [s].
         footholds: (2, 2, 3) start and end of the left and of the right swing [m].
         p: model parameters, with duration and clearance of the swing.
+        turn: angle of the arc that a foot follows, that of a stride [rad].
     """
+    swing = {"duration": p.single_stance, "clearance": p.swing_clearance, "turn": turn}
     feet = [
-        swing_foot(
-            time - lift_off, start, end, duration=p.single_stance, clearance=p.swing_clearance
-        )
+        swing_foot(time - lift_off, start, end, **swing)
         for lift_off, (start, end) in zip((0.0, stride / 2), footholds, strict=True)
     ]
     return Track(
         np.stack([foot.position for foot in feet], axis=1),
         np.stack([foot.velocity for foot in feet], axis=1),
     )
+
+
+def _foot_heading(time: np.ndarray, stride: float, turn: float, p: SlipParameters) -> np.ndarray:
+    """Direction of the toes (m, 2) [rad]: the heading at mid-stance, turned in swing.
+
+    Args:
+        time: (m,) since left lift-off, at most a stride [s].
+        stride: duration of a stride [s].
+        turn: angle by which a stride turns [rad].
+        p: model parameters, with the duration of the swing.
+    """
+    lift_off = np.array([0.0, stride / 2])
+    mid_stance = lift_off + (p.single_stance - stride) / 2
+    share = travel((time[:, None] - lift_off) / p.single_stance)
+    return turn * (mid_stance / stride + share)
 
 
 def _frozen(

@@ -1,34 +1,45 @@
-"""Optimal walking gaits of the actuated SLIP, one mean speed or a range of them.
+"""Optimal walking gaits of the actuated SLIP, at one command or several.
 
 Guarantees: equal arguments give bit-equal gaits on one machine; every gait returned carries a
 certificate without failures; nothing is printed. Trap: IPOPT and the problem it works on are kept
 between calls, so call from one thread at a time.
 """
 
-import math
 import time
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from aslip.errors import GaitOptimizationError, SpeedOutOfRangeError
+from aslip.errors import GaitOptimizationError, ShapeError, SpeedOutOfRangeError
+from aslip.rom.certificate import Certificate
 from aslip.rom.certify import certify, slacks
 from aslip.rom.gait import Gait
-from aslip.rom.problem import HalfStride, WalkingProblem, walking_problem
+from aslip.rom.problem import HalfStride, walking_problem
+from aslip.rom.program import GaitProgram
 from aslip.rom.slip import Objective, SlipParameters
+from aslip.rom.stride import WholeStride, stride_problem
+from aslip.rom.turn import gait_of_stride, stride_of_gait
 from aslip.rom.unfold import fold, unfold
+
+_Solution = TypeVar("_Solution", HalfStride, WholeStride)
 
 
 def optimize_gait(
-    speed: float,
+    command: ArrayLike,
     *,
     parameters: SlipParameters | None = None,
     guess: Gait | None = None,
     objective: Objective = "mean",
 ) -> Gait:
-    r"""Optimise the most economical periodic gait at a mean speed.
+    r"""Optimise the most economical periodic gait at a speed, or at a command with three numbers.
 
     .. math:: \min \frac1T \int_0^T (u_l^2 + u_r^2)\,dt
+
+    A speed gives the paper's gaits: straight ahead, one half of the stride the exact mirror image
+    of the other. A forward speed, sideways speed and yaw rate give a gait in that direction, solved
+    over the whole stride; straight ahead it is the paper's, with another origin along the path.
 
     Paper says the integral is minimised; the gaits released by its authors minimise the mean over
     the stride, which lengthens double stance by 8 %. We minimise the mean, because the released
@@ -37,69 +48,103 @@ def optimize_gait(
     `objective="integral"` follows the paper's formula.
 
     Args:
-        speed: mean forward speed [m/s], from 0 to `parameters.max_speed`.
+        command: mean forward speed [m/s], from 0 to `parameters.max_speed`; or three numbers:
+            forward speed, sideways speed [m/s] and yaw rate [rad/s], within
+            the largest values of `parameters`.
         parameters: model and bounds; Table I by default.
-        guess: gait to start from, for instance at a nearby speed; a rough guess by default.
+        guess: gait to start from, for instance at a nearby command; a rough guess by default.
         objective: "mean" or "integral" of u_l^2 + u_r^2 over the stride.
 
     Returns:
         The gait, with a certificate without failures.
 
     Raises:
-        SpeedOutOfRangeError: the speed is not finite or out of range.
+        ShapeError: the command has neither one number nor three.
+        SpeedOutOfRangeError: a number is not finite or out of range.
         GaitOptimizationError: the solver found no gait, or a check of its certificate failed.
     """
     p = parameters or SlipParameters()
-    _check_speed(speed, p)
-    problem = walking_problem(p, objective)
-    start = problem.rough_guess(speed) if guess is None else fold(guess)
-    return _solve(problem, float(speed), start)
+    numbers = _checked(command, p)
+    if len(numbers) == 1:
+        problem = walking_problem(p, objective)
+        start = problem.rough_guess(float(numbers[0])) if guess is None else fold(guess)
+        return unfold(*_solve(problem, numbers, start), p)
+    problem = stride_problem(p, objective)
+    start = problem.rough_guess(numbers) if guess is None else stride_of_gait(guess, numbers)
+    return gait_of_stride(*_solve(problem, numbers, start), p)
 
 
 def optimize_gaits(
-    speeds: Sequence[float],
+    commands: Sequence[ArrayLike],
     *,
     parameters: SlipParameters | None = None,
     objective: Objective = "mean",
     progress: Callable[[int, int, Gait], None] | None = None,
 ) -> list[Gait]:
-    """Optimise gaits at several speeds, each from the previous one as initial guess.
+    """Optimise gaits at several commands, each from the nearest one before it as initial guess.
 
     Args:
-        speeds: mean forward speeds [m/s], best in ascending or descending order.
+        commands: as in `optimize_gait`, best in an order in which neighbours follow each other.
         parameters: model and bounds; Table I by default.
         objective: as in `optimize_gait`.
         progress: called after each gait with its index, the number of gaits and the gait.
 
     Returns:
-        One gait per speed, in the order given.
+        One gait per command, in the order given.
 
     Raises:
-        SpeedOutOfRangeError: a speed is not finite or out of range; raised before any solve.
+        ShapeError: a command has neither one number nor three; raised before any solve.
+        SpeedOutOfRangeError: a number is not finite or out of range; raised before any solve.
         GaitOptimizationError: as in `optimize_gait`.
     """
-    for speed in speeds:
-        _check_speed(speed, parameters or SlipParameters())
+    checked = [_checked(command, parameters or SlipParameters()) for command in commands]
     gaits: list[Gait] = []
-    for index, speed in enumerate(speeds):
-        guess = gaits[-1] if gaits else None
-        gait = optimize_gait(speed, parameters=parameters, guess=guess, objective=objective)
+    for index, command in enumerate(checked):
+        guess = _nearest(gaits, command)
+        gait = optimize_gait(command, parameters=parameters, guess=guess, objective=objective)
         gaits.append(gait)
         if progress is not None:
-            progress(index, len(speeds), gait)
+            progress(index, len(checked), gait)
     return gaits
 
 
-def _check_speed(speed: float, p: SlipParameters) -> None:
-    if not (math.isfinite(speed) and 0.0 <= speed <= p.max_speed):
-        raise SpeedOutOfRangeError(
-            f"walking speed must be between 0 and {p.max_speed:g} m/s, got {speed}"
+def _nearest(gaits: Sequence[Gait], command: np.ndarray) -> Gait | None:
+    """Gait with the nearest command of equal length, the latest of several."""
+    alike = [gait for gait in gaits if len(gait.command) == len(command)]
+    distances = [np.linalg.norm(gait.command - command) for gait in reversed(alike)]
+    return alike[-1 - int(np.argmin(distances))] if alike else None
+
+
+def _checked(command: ArrayLike, p: SlipParameters) -> np.ndarray:
+    """Command as an array (1,) or (3,) within its range."""
+    numbers = np.atleast_1d(np.asarray(command, dtype=float))
+    if numbers.shape == (1,):
+        ranges = [("walking speed", 0.0, p.max_speed, "m/s")]
+    elif numbers.shape == (3,):
+        ranges = [
+            ("forward speed", -p.max_backward_speed, p.max_speed, "m/s"),
+            ("sideways speed", -p.max_sideways_speed, p.max_sideways_speed, "m/s"),
+            ("yaw rate", -p.max_yaw_rate, p.max_yaw_rate, "rad/s"),
+        ]
+    else:
+        raise ShapeError(
+            "a command must be a forward speed or (forward speed, sideways speed, yaw rate), got"
+            f" shape {np.shape(command)}"
         )
+    for number, (name, low, high, unit) in zip(numbers.tolist(), ranges, strict=True):
+        if not low <= number <= high:
+            raise SpeedOutOfRangeError(
+                f"{name} must be between {low:g} and {high:g} {unit}, got {number}"
+            )
+    return numbers
 
 
-def _solve(problem: WalkingProblem, speed: float, start: HalfStride) -> Gait:
+def _solve(
+    problem: GaitProgram[_Solution], command: np.ndarray, start: _Solution
+) -> tuple[_Solution, np.ndarray, Certificate]:
+    """Solution, command and certificate of a problem."""
     opti = problem.opti
-    opti.set_value(problem.speed, speed)
+    opti.set_value(problem.command, command)
     # multipliers start from zero, so that the gait depends on the arguments alone
     opti.set_initial(opti.lam_g, 0.0)
     problem.start_from(start)
@@ -107,26 +152,34 @@ def _solve(problem: WalkingProblem, speed: float, start: HalfStride) -> Gait:
     try:
         opti.solve()
     except RuntimeError:
-        raise GaitOptimizationError(_failure(problem, speed)) from None
+        raise GaitOptimizationError(_failure(problem, command)) from None
     seconds = time.perf_counter() - began
-    half = problem.solution()
-    certificate = certify(problem, half, speed, seconds)
+    solution = problem.solution()
+    certificate = certify(problem, solution, command, seconds)
     if not certificate.ok:
         raise GaitOptimizationError(
-            f"the gait at {speed:g} m/s is not certified: {'; '.join(certificate.failures())}"
+            f"the gait at {_text(command)} is not certified: {'; '.join(certificate.failures())}"
         )
-    return unfold(half, speed, certificate, problem.parameters)
+    return solution, command, certificate
 
 
-def _failure(problem: WalkingProblem, speed: float) -> str:
+def _text(command: np.ndarray) -> str:
+    """Command with its units."""
+    if len(command) == 1:
+        return f"{command[0]:g} m/s"
+    forward, sideways, yaw_rate = command
+    return f"{forward:g} m/s forward, {sideways:g} m/s sideways, {yaw_rate:g} rad/s"
+
+
+def _failure(problem: GaitProgram, command: np.ndarray) -> str:
     """Error message from the solver's last iterate."""
     opti = problem.opti
     x, lam = opti.debug.value(opti.x), np.zeros(opti.ng)
-    _, g, lower, upper = (v.full().ravel() for v in problem.optimality(x, lam, speed))
+    _, g, lower, upper = (v.full().ravel() for v in problem.optimality(x, lam, command))
     nearest = slacks(problem, g, lower, upper)
     worst = min(nearest, key=lambda name: nearest[name])
     return (
-        f"no gait found at {speed:g} m/s: IPOPT stopped with {opti.stats()['return_status']} after "
-        f"{opti.stats()['iter_count']} iterations; worst constraint: {worst}, "
+        f"no gait found at {_text(command)}: IPOPT stopped with {opti.stats()['return_status']}"
+        f" after {opti.stats()['iter_count']} iterations; worst constraint: {worst}, "
         f"violated by {max(-nearest[worst], 0.0):.2e}"
     )

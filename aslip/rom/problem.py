@@ -11,37 +11,20 @@ integration of a contact mode ends within a micrometre of the collocated state.
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
 
 from aslip.rom import collocation
 from aslip.rom.dynamics import CONTROL_SIZE, STATE_SIZE, flow_function, leg_function
+from aslip.rom.program import INTERVALS, GaitProgram, ModeSolution, effort
 from aslip.rom.slip import Mode, Objective, SlipParameters
-
-INTERVALS = 25
-"""Hermite-Simpson intervals per contact mode: 51 points; the published gaits have 50."""
 
 MIRROR = np.array([0, 1, 2, 3, 4, 5, 7, 6, 9, 8])
 """Order of the state with left and right exchanged."""
 MIRROR_SIGN = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
 """Sign of the state with left and right exchanged: y and its rate change sign."""
-
-_IPOPT = {
-    "print_level": 0,
-    "sb": "yes",
-    "max_iter": 500,
-    # all below the 1e-8 that a certificate asks for, on the unscaled problem too
-    "tol": 1e-10,
-    "dual_inf_tol": 1e-9,
-    "constr_viol_tol": 1e-10,
-    "compl_inf_tol": 1e-10,
-    # bounds are kept exactly, not relaxed by 1e-8
-    "bound_relax_factor": 0.0,
-    # stop rather than accept a gait of lower accuracy
-    "acceptable_iter": 0,
-}
 
 
 @dataclass(frozen=True)
@@ -64,27 +47,14 @@ class HalfStride:
     """x of the right foot [m], relative to the body at left lift-off."""
 
 
-class WalkingProblem:
-    """Nonlinear program of half a stride, with the speed as its only parameter.
-
-    Attributes:
-        opti: CasADi problem; its solver is silent.
-        constraints: (name, number of rows) in the order of the rows.
-    """
-
-    def __init__(self, parameters: SlipParameters, objective: Objective = "mean") -> None:
-        self.parameters = parameters
-        self.objective = objective
-        self.opti = ca.Opti()
-        self.constraints: list[tuple[str, int]] = []
-        self._formulate()
-        self.opti.solver("ipopt", {"expand": True, "print_time": False}, _IPOPT)
+class WalkingProblem(GaitProgram[HalfStride]):
+    """Nonlinear program of half a stride; its command is the speed alone."""
 
     def _formulate(self) -> None:
         p, opti, points = self.parameters, self.opti, 2 * INTERVALS + 1
 
         # variables ------------------------------------------------------------------------------
-        self.speed = opti.parameter()
+        self.command = opti.parameter()
         self.state = state = opti.variable(STATE_SIZE, 2 * points - 1)
         self.single_control = opti.variable(CONTROL_SIZE, points)
         self.double_control = opti.variable(CONTROL_SIZE, points)
@@ -92,14 +62,14 @@ class WalkingProblem:
         self.right_foothold = opti.variable()
 
         half_period = p.single_stance + self.double_stance
-        step = self.speed * half_period
+        step = self.command * half_period
         left = ca.vertcat(self.right_foothold + step, p.foot_separation / 2, 0)
         right = ca.vertcat(self.right_foothold, -p.foot_separation / 2, 0)
         single, double = state[:, :points], state[:, points - 1 :]
 
         # objective ------------------------------------------------------------------------------
-        integral = p.single_stance / INTERVALS * _effort(self.single_control)
-        integral += self.double_stance / INTERVALS * _effort(self.double_control)
+        integral = p.single_stance / INTERVALS * effort(self.single_control)
+        integral += self.double_stance / INTERVALS * effort(self.double_control)
         opti.minimize(integral / half_period if self.objective == "mean" else 2 * integral)
 
         # dynamics -------------------------------------------------------------------------------
@@ -141,21 +111,6 @@ class WalkingProblem:
         self._require("periodicity and mean speed", gap, gap == 0)
         self._require("origin", state[0, 0], state[0, 0] == 0)
 
-    def _require(self, name: str, value: ca.MX, constraint: ca.MX) -> None:
-        self.constraints.append((name, value.numel()))
-        self.opti.subject_to(constraint)
-
-    @cached_property
-    def optimality(self) -> ca.Function:
-        """CasADi function (variables, multipliers, speed) -> (stationarity, g, lower, upper).
-
-        Stationarity is the gradient of f + multipliers . g; g must lie between the bounds.
-        """
-        opti = self.opti
-        gradient = ca.gradient(opti.f + ca.dot(opti.lam_g, opti.g), opti.x)
-        bounds = [ca.densify(opti.lbg), ca.densify(opti.ubg)]
-        return ca.Function("optimality", [opti.x, opti.lam_g, opti.p], [gradient, opti.g, *bounds])
-
     def solution(self) -> HalfStride:
         """Values of all variables after a successful solve."""
         value = self.opti.value
@@ -167,10 +122,20 @@ class WalkingProblem:
             right_foothold=float(value(self.right_foothold)),
         )
 
-    def start_from(self, guess: HalfStride) -> None:
-        """Set every variable's initial value."""
-        for name, value in vars(guess).items():
-            self.opti.set_initial(getattr(self, name), value)
+    def modes(self, solution: HalfStride, command: np.ndarray) -> list[ModeSolution]:
+        """Right single stance and double stance."""
+        p, touchdown = self.parameters, 2 * INTERVALS
+        step = float(command[0]) * (p.single_stance + solution.double_stance)
+        left = np.array([solution.right_foothold + step, p.foot_separation / 2, 0.0])
+        right = np.array([solution.right_foothold, -p.foot_separation / 2, 0.0])
+        single, double = solution.state[:, : touchdown + 1], solution.state[:, touchdown:]
+        return [
+            ModeSolution(mode, state, control, (left, right), duration)
+            for mode, state, control, duration in (
+                (Mode.RIGHT, single, solution.single_control, p.single_stance),
+                (Mode.DOUBLE, double, solution.double_control, solution.double_stance),
+            )
+        ]
 
     def rough_guess(self, speed: float) -> HalfStride:
         """Initial guess: a sine-like vault at constant speed, sufficient from 0 to 2 m/s."""
@@ -185,11 +150,6 @@ class WalkingProblem:
         state[6:8] = 0.92
         control = np.full((CONTROL_SIZE, points), 15.0)
         return HalfStride(state, control, control, double_stance, speed * p.single_stance / 2)
-
-
-def _effort(control: ca.MX) -> ca.MX:
-    """Simpson sum of u_l^2 + u_r^2 for intervals of unit duration."""
-    return ca.sum1(control**2) @ ca.DM(collocation.weights(INTERVALS))
 
 
 @lru_cache(maxsize=4)

@@ -52,6 +52,11 @@ class SlipParameters:
     """Longest double stance allowed [s]; inactive in every gait from 0 to 2 m/s."""
     foot_separation: float = 0.200
     """Lateral distance between the footholds [m] (published gaits)."""
+    min_foot_distance: float = 0.120
+    """Least sideways distance between the feet, across the heading [m].
+
+    Sidesteps need wider footholds to keep it; straight gaits never come near.
+    """
     swing_clearance: float = 0.200
     """Height of the swing foot at half swing [m] (Sec. III-A)."""
 
@@ -80,6 +85,12 @@ class SlipParameters:
 
     From 2.5 m/s on no gait of this model satisfies the bounds above.
     """
+    max_backward_speed: float = 1.2
+    """Largest mean speed of a gait backward [m/s]."""
+    max_sideways_speed: float = 0.6
+    """Largest mean speed of a gait to either side [m/s]."""
+    max_yaw_rate: float = 1.5
+    """Largest mean yaw rate of a gait in either direction [rad/s]."""
 
     def __post_init__(self) -> None:
         """Check that values are positive and finite and bounds in order."""

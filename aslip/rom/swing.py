@@ -3,7 +3,8 @@ r"""Swing foot: path of least integrated squared jerk between two footholds (Sec
 Paper says the profile has minimum jerk and a given clearance at the midpoint. Its public gaits land
 one collocation node early, after 48/49 of the single stance; ours fills the single stance exactly,
 lift-off to touchdown, because a foot on the ground is in stance. The forward profile is one
-rest-to-rest quintic, the vertical profile two quintics that meet at the clearance height.
+rest-to-rest quintic, the vertical profile two quintics that meet at the clearance height. Seen from
+above, the path is straight, or the arc on which a turning stride carries the foot.
 
 Both profiles are functions of swing fraction s in [0, 1]; derivatives are per unit of s. Outside
 [0, 1] a profile holds the value of the nearer end.
@@ -11,6 +12,7 @@ Both profiles are functions of swing fraction s in [0, 1]; derivatives are per u
 
 import numpy as np
 
+from aslip.rom.arc import rotate
 from aslip.rom.motion import Track
 
 # s^3 (10 - 15 s + 6 s^2), the quintic with zero velocity and acceleration at 0 and 1
@@ -53,7 +55,13 @@ def lift(fraction: np.ndarray, order: int = 0) -> np.ndarray:
 
 
 def swing_foot(
-    time: np.ndarray, start: np.ndarray, end: np.ndarray, *, duration: float, clearance: float
+    time: np.ndarray,
+    start: np.ndarray,
+    end: np.ndarray,
+    *,
+    duration: float,
+    clearance: float,
+    turn: float = 0.0,
 ) -> Track:
     """Motion of a foot that swings once.
 
@@ -63,15 +71,25 @@ def swing_foot(
         end: foothold from touchdown on (3,) [m], at equal height.
         duration: duration of the swing [s].
         clearance: height at half swing [m].
+        turn: angle between the directions at both ends of the path, seen from above [rad]; 0 is
+            straight.
 
     Returns:
         Track of shape (m, 3).
     """
     fraction = time / duration
-    way, up = np.subtract(end, start), np.array([0.0, 0.0, clearance])
+    share, share_rate = travel(fraction), travel(fraction, 1)
+    # an arc is the way of a constant twist, see `aslip.rom.arc.twist_pose`
+    tangent = np.subtract(end, start) / _sinc(turn / 2)
+    path = np.multiply.outer(share * _sinc(share * turn / 2), tangent)
+    velocity = rotate(np.multiply.outer(share_rate, tangent), (share - 0.5) * turn)
+    up = np.array([0.0, 0.0, clearance])
+    rise, rise_rate = (np.multiply.outer(lift(fraction, order), up) for order in (0, 1))
+    return Track(
+        rotate(path, (share - 1.0) * turn / 2) + rise + start, (velocity + rise_rate) / duration
+    )
 
-    def motion(order: int) -> np.ndarray:
-        path = np.multiply.outer(travel(fraction, order), way)
-        return (path + np.multiply.outer(lift(fraction, order), up)) / duration**order
 
-    return Track(motion(0) + start, motion(1))
+def _sinc(angle: np.ndarray | float) -> np.ndarray:
+    """Unnormalised sine cardinal."""
+    return np.sinc(np.asarray(angle) / np.pi)

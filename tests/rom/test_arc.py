@@ -69,5 +69,8 @@ def test_infinite_strides_are_refused():
     class Standing:
         command, stride = np.zeros(3), np.inf
 
+        def sample(self, phase):
+            raise NotImplementedError
+
     with pytest.raises(ConfigurationError, match="positive and finite, got inf"):
         displacement(Standing(), np.zeros(1))

@@ -10,7 +10,7 @@ import pytest
 from aslip.errors import FileDamagedError, ShapeError
 from aslip.rom import Certificate, Gait, Mode, Track
 from aslip.rom.collocation import weights
-from aslip.rom.problem import INTERVALS
+from aslip.rom.program import INTERVALS
 
 from .conftest import SPEEDS
 from .energy import energy_function
@@ -20,7 +20,7 @@ QUARTER = 2 * INTERVALS
 """Points per contact mode."""
 PATHS = ("body.position", "body.velocity", "feet.position", "feet.velocity")
 LEGS = ("leg_force", "set_point", "set_point_velocity")
-ARRAYS = ("time", "mode", "control", *PATHS, *LEGS)
+ARRAYS = ("command", "time", "mode", "control", *PATHS, *LEGS)
 
 
 def vertical_force(gait):
@@ -41,7 +41,7 @@ def test_gait_is_certified(gaits, index):
     certificate = gaits[index].certificate
     assert certificate.ok, certificate.failures()
     assert certificate.kkt_residual <= 1e-8
-    assert certificate.integration_error <= 1e-3
+    assert certificate.integration_error <= 1e-4
 
 
 @EVERY_SPEED
@@ -197,7 +197,7 @@ def test_arrays_survive_a_file_without_pickle(gait, tmp_path):
         again = Gait.from_arrays(dict(file))
     for name in ARRAYS:
         np.testing.assert_array_equal(attrgetter(name)(again), attrgetter(name)(gait))
-    assert (again.speed, again.stride, again.cost) == (gait.speed, gait.stride, gait.cost)
+    assert (again.stride, again.cost) == (gait.stride, gait.cost)
     assert (again.certificate, again.parameters) == (gait.certificate, gait.parameters)
 
 
@@ -241,7 +241,7 @@ def test_certificate_names_each_failed_check(gait):
     [
         ("kkt_residual", 9e-9, 2e-8),
         ("max_defect", 9e-9, 2e-8),
-        ("integration_error", 9e-4, 2e-3),
+        ("integration_error", 9e-5, 2e-4),
         ("margins", {"body height": -9e-9}, {"body height": -2e-8}),
     ],
 )

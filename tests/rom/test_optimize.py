@@ -15,6 +15,27 @@ def test_impossible_speed_is_refused_with_the_range(speed):
         optimize_gait(speed)
 
 
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ([2.5, 0.0, 0.0], r"forward speed must be between -1\.2 and 2\.4 m/s, got 2\.5"),
+        ([-1.3, 0.0, 0.0], r"forward speed must be between -1\.2 and 2\.4 m/s, got -1\.3"),
+        ([0.0, 0.7, 0.0], r"sideways speed must be between -0\.6 and 0\.6 m/s, got 0\.7"),
+        ([0.0, 0.0, -2.0], r"yaw rate must be between -1\.5 and 1\.5 rad/s, got -2"),
+        ([0.0, np.nan, 0.0], "sideways speed .* got nan"),
+    ],
+)
+def test_impossible_command_is_refused_with_the_range(command, message):
+    with pytest.raises(SpeedOutOfRangeError, match=message):
+        optimize_gait(command)
+
+
+@pytest.mark.parametrize("command", [[], [1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [[1.0, 0.0, 0.0]]])
+def test_command_of_another_length_is_refused(command):
+    with pytest.raises(ShapeError, match=r"\(forward speed, sideways speed, yaw rate\), got"):
+        optimize_gait(command)
+
+
 def test_bad_speed_in_a_range_is_refused_before_any_work():
     seen = []
     with pytest.raises(SpeedOutOfRangeError, match="9"):

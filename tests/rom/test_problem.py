@@ -75,11 +75,11 @@ def test_kkt_residual_detects_each_violation(gradient, g, lam, expected):
 def test_multipliers_of_inactive_bounds_fail_the_certificate(monkeypatch):
     """Complementarity: after bounds move away by 0.1, their multipliers belong to no bound."""
     problem, speed = walking_problem(SlipParameters(), "mean"), 1.0
-    problem.opti.set_value(problem.speed, speed)
+    problem.opti.set_value(problem.command, speed)
     problem.start_from(problem.rough_guess(speed))
     problem.opti.solve()
     half = problem.solution()
-    assert certify(problem, half, speed, 0.0).kkt_residual <= KKT_TOLERANCE
+    assert certify(problem, half, np.array([speed]), 0.0).kkt_residual <= KKT_TOLERANCE
     optimality, lam = problem.optimality, np.ravel(problem.opti.value(problem.opti.lam_g))
 
     def moved(*args):
@@ -87,7 +87,7 @@ def test_multipliers_of_inactive_bounds_fail_the_certificate(monkeypatch):
         return 0 * gradient, g, lower - 0.1, upper + 0.1
 
     monkeypatch.setitem(vars(problem), "optimality", moved)
-    certificate = certify(problem, half, speed, 0.0)
+    certificate = certify(problem, half, np.array([speed]), 0.0)
     assert certificate.kkt_residual == pytest.approx(0.1 * np.abs(lam).max(), rel=1e-3)
     assert certificate.kkt_residual > 1e-2
     assert not certificate.ok
