@@ -171,7 +171,7 @@ def test_every_named_policy_ships_or_is_trained_on_a_page() -> None:
                 for policy in words[i + 1 :]:
                     if policy.startswith("--"):
                         break
-                    named.add(policy)
+                    named.add(policy.rpartition("=")[2])  # or method=policy
     shipped = {path.stem for path in (ROOT / "assets" / "policies").glob("*.zip")}
     unknown = [
         policy
