@@ -253,5 +253,5 @@ def test_decreasing_time_is_found(log: Path, tmp_path: Path) -> None:
         writer.finish()
     problems = " ".join(check(path))
     assert "time goes back" in problems
-    assert "two times" in problems
+    assert "two messages" in problems
     assert "'/bare' has no schema" in problems
