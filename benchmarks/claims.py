@@ -74,7 +74,7 @@ RECORD = Path("docs/claims.json")
 COLUMNS: Final = {"paper": "paper's settings", "policy": "default", "baseline": "baseline"}
 """Kind of policies, as a setting of `Config` -> its name in tables."""
 
-# duration before the correlation, and of it [s]
+# durations of settling and of the correlation [s]
 _SETTLE, _WALK = 4.0, 8.0
 
 

@@ -83,7 +83,7 @@ from benchmarks.common import (
 )
 
 _FOOTSTEPS = 15
-# duration before the measurement, and of it [s]
+# durations of settling and of the measurement [s]
 _SETTLE, _WALK = 4.0, 12.0
 
 

@@ -71,10 +71,10 @@ VERTICAL: Final = (-4, -1)
 
 _COLORS = {"policy": "tab:red", "paper": "tab:green", "baseline": "tab:blue"}
 
-# duration before the measurement, and of it [s]
+# durations of settling and of the measurement [s]
 _SETTLE, _WALK = 4.0, 8.0
 _SAMPLES = 200
-# stances of a foot from which a robot counts as stepping
+# smallest number of stances of a foot with which a robot counts as stepping
 _LEAST_STANCES = 3
 
 

@@ -74,9 +74,9 @@ class Controller:
     all are lost; the estimator detects bad readings and bridges them (`aslip.estimation`). Speeds
     beyond the library are clipped to its range.
 
-    A robot that estimates its own state sends estimates in place of packets. They are turned to the
-    heading and otherwise taken as they are; the last one holds while none or one that is not finite
-    comes.
+    A robot that estimates its own state sends estimates instead of packets. The controller rotates
+    them to the heading and does not filter them. If an estimate is missing or not finite, the last
+    one is kept.
 
     Args:
         policy: name of a shipped policy, a policy file, or a module that maps `observation`, or any
