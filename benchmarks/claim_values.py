@@ -68,17 +68,19 @@ def speed_claims(numbers: dict[str, Any]) -> Values:
     """Values of claims on speed, from the numbers of `velocity_tracking`."""
     rows = numbers["map"]
     off = [[abs(mean - row["command"]) for mean in row["each"]] for row in rows]
-    settling, spikes = (
-        [row["each"]["settling"] for row in numbers["steps"]],
-        numbers["spike"]["each"],
-    )
+    settling = [row["each"]["settling"] for row in numbers["steps"]]
     return {
         "all speeds": np.sum([_all_held(row) for row in rows], axis=0).tolist(),
         "velocity tracking": largest_by_seed(off),
         "smooth transitions": np.isfinite(settling).sum(axis=0).tolist(),
         "settling": largest_by_seed(settling),
-        "touchdown spikes": [s["robot"] / s["model"] for s in spikes],
+        "touchdown spikes": spike_ratios(numbers),
     }
+
+
+def spike_ratios(numbers: dict[str, Any]) -> list[float]:
+    """Range of speed around touchdowns of each seed, robot over model; NaN after a fall."""
+    return [one["robot"] / one["model"] for one in numbers["spike"]["each"]]
 
 
 def _all_held(row: dict[str, Any]) -> np.ndarray:

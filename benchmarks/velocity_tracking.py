@@ -170,7 +170,9 @@ def spike_numbers(walks: list[Walks]) -> dict[str, Any]:
 
 
 def walk_spikes(walk: Walks) -> dict[str, float]:
-    """Mean range of speed around the model's touchdowns of one walk, robot and model [m/s]."""
+    """Mean range of speed around the model's touchdowns of one walk; NaN after a fall [m/s]."""
+    if not walk.survived.all():
+        return {"robot": math.nan, "model": math.nan}
     # the model's foot is in stance where its height is zero
     height = walk.body_position[:, :1, 2] + walk.body_to_foot[:, 0, :, 2]
     model, robot = walk.body_velocity[:, 0, 0], walk.pelvis_velocity[:, 0, 0]

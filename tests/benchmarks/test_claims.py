@@ -123,6 +123,17 @@ def test_claims_on_speed() -> None:
     assert np.isnan(found["velocity tracking"]).tolist() == [False, True]
 
 
+def test_spikes_of_fallen_seed_have_no_ratio() -> None:
+    """A robot on the floor has no spikes, which must not pass for a smooth walk."""
+    arrays: dict[str, Any] = {field.name: np.zeros((20, 1, 3)) for field in fields(Walks)}
+    arrays |= {"command": np.ones((20, 1)), "alive": np.arange(20)[:, None] < 12}
+    fell = Walks(**arrays)
+    spikes = velocity_tracking.spike_numbers([fell])
+    numbers = {"map": [], "steps": [], "spike": spikes}
+    assert np.isnan(spikes["robot"])
+    assert np.isnan(claim_values.spike_ratios(numbers)).all()
+
+
 def test_claims_on_forces() -> None:
     """Largest ratio of 0 and 1.0 m/s for humps, smallest of all speeds for a single hump."""
 
