@@ -19,7 +19,15 @@ from aslip.errors import (
 )
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.training.progress import steps_done
-from benchmarks import black_box, collectors, estimator, film_strip, learning_curves, throughput
+from benchmarks import (
+    black_box,
+    collectors,
+    estimator,
+    film_strip,
+    gaits,
+    learning_curves,
+    throughput,
+)
 from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
 from recipes.ppo_settings import PRESETS, training_settings
@@ -76,6 +84,17 @@ def test_throughput_reports_every_candidate(capsys: pytest.CaptureFixture[str]) 
     rows = [line for line in capsys.readouterr().out.splitlines() if line[:3] in ("| 2", "| 3")]
     assert len(rows) == 9 + 7
     assert all(row.endswith("% |") for row in rows)
+
+
+@pytest.mark.slow
+def test_draws_gaits_in_several_directions(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = gaits.Config(commands=((0.5, 0.2, 0.3),), picture=tmp_path / "paths.png")
+    (gait,) = gaits.main(config)
+    assert gait.command.tolist() == [0.5, 0.2, 0.3]
+    assert config.picture.read_bytes().startswith(b"\x89PNG")
+    assert "| 0.5, 0.2, 0.3 |" in capsys.readouterr().out
 
 
 @pytest.mark.slow
