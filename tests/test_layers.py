@@ -171,7 +171,7 @@ def test_a_look_up_needs_torch_only() -> None:
     code = "import aslip, torch\nzero = torch.zeros(1, 1)\n"
     loaded = _loaded_after(f"{code}aslip.GaitLibrary.load().lookup(zero, zero)")
     assert "torch" in loaded
-    assert not loaded & (_HEAVY - {"torch", "tensordict"})
+    assert not loaded & (_HEAVY - {"torch", "tensordict"} | {"scipy"})
 
 
 def test_the_inverse_kinematics_needs_pinocchio_only() -> None:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.estimation.filter import TUNED_PERIOD, ContactFilter, FilterNoise, Motion, P, V
@@ -15,7 +14,13 @@ from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.estimation.packets import PacketMemory, Screen, Screened, read_windows
 from aslip.estimation.state import Estimate, Tracking
 from aslip.robot import CASSIE, STANDARD_GRAVITY, Robot
-from aslip.robot.rotation import normalize, orientation_to_heading, vector_to_heading, yaw
+from aslip.robot.rotation import (
+    normalize,
+    orientation_to_heading,
+    quaternion_to_matrix,
+    vector_to_heading,
+    yaw,
+)
 
 # standard deviation [m/s^2] of the mean over 3 ms of an acceleration without a good reading
 _DOUBT = 5.0
@@ -154,11 +159,8 @@ class StateEstimator:
     ) -> tuple[list[Motion], _Geometry]:
         """Motion at each packet for the filter, and more geometry at the last one."""
         readings, age = screened.readings, screened.age
-        num, window, _ = readings.shape
         both = np.concatenate([before[:, None], readings], axis=1)
-        orientation = both[..., self._at["orientation"]].reshape(-1, 4)
-        turn = Rotation.from_quat(orientation, scalar_first=True).as_matrix()
-        turn = turn.reshape(num, window + 1, 3, 3)
+        turn = quaternion_to_matrix(both[..., self._at["orientation"]])
         gyro = both[..., self._at["gyro"]]
         angular = self._angular_acceleration(gyro, angular_before, age[..., :3])
         # an accelerometer's mean covers the time since the previous packet, also after a gap
@@ -223,9 +225,7 @@ class StateEstimator:
         velocity = (soles[1] - soles[0]) / (2 * _DIFFERENCE)
         gyro = reading[:, None, self._at["gyro"]]
         velocity += np.cross(gyro, (soles[0] + soles[1]) / 2)
-        turn = Rotation.from_quat(
-            reading[:, self._at["orientation"]], scalar_first=True
-        ).as_matrix()
+        turn = quaternion_to_matrix(reading[:, self._at["orientation"]])
         return velocity @ turn.swapaxes(-1, -2)
 
     def _describe(

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aslip.errors import ShapeError
 from aslip.estimation.filter import Belief
 from aslip.estimation.packets import PacketMemory
 from aslip.robot import CASSIE, Robot
-from aslip.robot.rotation import cross
+from aslip.robot.rotation import cross, matrix_to_quaternion
 
 
 @dataclass
@@ -135,5 +134,4 @@ class Estimate:
     def foot_orientation(self) -> np.ndarray:
         """(n, 2, 4) soles to heading frame, wxyz, w >= 0; identity if level with toes along x."""
         frame = np.stack([self.forward, self.left, self.up], axis=-1)
-        turn = Rotation.from_matrix(frame.reshape(-1, 3, 3))
-        return turn.as_quat(canonical=True, scalar_first=True).reshape(-1, 2, 4)
+        return matrix_to_quaternion(frame)

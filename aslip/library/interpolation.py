@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from scipy.interpolate import CubicSpline, PchipInterpolator
 from torch import Tensor, nn
 
 
@@ -68,14 +67,9 @@ class PeriodicTable(nn.Module):
 
     def __init__(self, values: np.ndarray, jumps: np.ndarray | None = None) -> None:
         super().__init__()
-        samples = values.shape[1]
-        closed = np.concatenate([values, values[:, :1]], axis=1)
-        spline = CubicSpline(np.arange(samples + 1), closed, axis=1, bc_type="periodic")
-        slopes = spline(np.arange(samples), 1)
+        slopes = periodic_slopes(values)
         if jumps is not None and jumps.any():
-            around = np.concatenate([values[:, -1:], closed], axis=1)[..., jumps]
-            monotone = PchipInterpolator(np.arange(-1, samples + 1), around, axis=1)
-            slopes[..., jumps] = monotone(np.arange(samples), 1)
+            slopes[..., jumps] = _monotone_slopes(values[..., jumps])
         nodes = torch.as_tensor(np.stack([values, slopes], axis=2), dtype=torch.float64)
         self.register_buffer("nodes", nodes, persistent=False)
 
@@ -93,6 +87,45 @@ class PeriodicTable(nn.Module):
         """Nodes (*b, 2, k) by index; selecting rows is several times faster than indexing twice."""
         nodes = self.nodes.flatten(0, 1).index_select(0, index.flatten())
         return nodes.reshape(*index.shape, *nodes.shape[1:])
+
+
+def periodic_slopes(values: np.ndarray) -> np.ndarray:
+    """Slopes (n, m, k) per sample of the periodic cubic splines through samples (n, m, k).
+
+    Those of `scipy.interpolate.CubicSpline`, bit for bit, without its import of 0.3 s. The system
+    s[j - 1] + 4 s[j] + s[j + 1] = 3 (y[j + 1] - y[j - 1]) is reduced by its last unknown to a
+    tridiagonal one, which Gaussian elimination solves.
+    """
+    steps = np.diff(values, axis=1, append=values[:, :1]).swapaxes(0, 1)
+    right = 3 * (steps + np.roll(steps, 1, axis=0))
+    ends = np.zeros((len(right) - 1, 1, 1))
+    ends[[0, -1]] = -1.0
+    free, bound = _tridiagonal(right[:-1]), _tridiagonal(ends)
+    last = (right[-1] - free[0] - free[-1]) / (4 + bound[0] + bound[-1])
+    return np.concatenate([free + last * bound, last[None]]).swapaxes(0, 1)
+
+
+def _tridiagonal(right: np.ndarray) -> np.ndarray:
+    """Solution (m, ...) of x[j - 1] + 4 x[j] + x[j + 1] = right[j], zero beyond both ends."""
+    x, diagonal = right.copy(), np.full(len(right), 4.0)
+    for j in range(1, len(x)):
+        factor = 1 / diagonal[j - 1]
+        diagonal[j] -= factor
+        x[j] -= factor * x[j - 1]
+    x[-1] /= diagonal[-1]
+    for j in reversed(range(len(x) - 1)):
+        x[j] = (x[j] - x[j + 1]) / diagonal[j]
+    return x
+
+
+def _monotone_slopes(values: np.ndarray) -> np.ndarray:
+    """Slopes (n, m, k) per sample of monotone cubics through samples (n, m, k) of a period."""
+    from scipy.interpolate import PchipInterpolator
+
+    around = np.concatenate([values[:, -1:], values, values[:, :1]], axis=1)
+    samples = values.shape[1]
+    monotone = PchipInterpolator(np.arange(-1, samples + 1), around, axis=1)
+    return monotone(np.arange(samples), 1)
 
 
 def _hermite(left: Tensor, right: Tensor, t: Tensor) -> Tensor:

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from aslip.errors import FileDamagedError, ShapeError
 from aslip.rom.arc import displacement
@@ -169,6 +168,9 @@ class Gait:
     def _interpolate(
         self, value: np.ndarray, slope: np.ndarray, time: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
+        # its import takes 0.3 s, and loading a library interpolates no gait
+        from scipy.interpolate import CubicHermiteSpline
+
         spline = CubicHermiteSpline(self.time, value, slope)
         return spline(time), spline(time, 1)
 

@@ -18,13 +18,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
 from aslip.rom.arc import Pose, displacement
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 PHASE_SAMPLES = 128
 """Samples of a stride in a table: one every 6 ms, five per policy step."""
@@ -234,6 +236,9 @@ class SampledMotion:
 
     def _hermite(self, value: np.ndarray, rate: np.ndarray) -> CubicHermiteSpline:
         """Cubic spline over phase through m + 1 samples with given time derivatives."""
+        # its import takes 0.3 s, and loading a library interpolates no motion
+        from scipy.interpolate import CubicHermiteSpline
+
         return CubicHermiteSpline(np.linspace(0.0, 1.0, len(value)), value, self.stride * rate)
 
 

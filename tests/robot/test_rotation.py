@@ -8,11 +8,13 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from aslip.robot.rotation import (
     matrix_to_quaternion,
     normalize,
     orientation_to_heading,
+    quaternion_to_matrix,
     rotate_inverse,
     upper_hemisphere,
     vector_to_heading,
@@ -55,6 +57,14 @@ def test_matrix_to_quaternion_takes_any_leading_shape() -> None:
     found = matrix_to_quaternion(matrices)
     expected = matrix_to_quaternion(matrices.reshape(6, 3, 3))
     np.testing.assert_array_equal(found.reshape(6, 4), expected)
+
+
+def test_quaternion_to_matrix_equals_scipy_at_any_length() -> None:
+    quaternions = _random_quaternions(100) * np.linspace(0.1, 3.0, 100)[:, None]
+    expected = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    found = quaternion_to_matrix(quaternions.reshape(4, 25, 4)).reshape(-1, 3, 3)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found, _matrices(_random_quaternions(100)), atol=1e-14)
 
 
 def test_rotate_inverse_equals_mujoco() -> None:
