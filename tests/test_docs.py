@@ -18,6 +18,7 @@ import aslip
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
 from aslip.training.command_line import command_line, preset_command_line
+from benchmarks import step_frequency
 from recipes.ppo_settings import PRESETS
 from tests.pages import DOCS, PAGES, ROOT, blocks, commands, links, page_name, prose, sections
 
@@ -25,7 +26,8 @@ LARGEST_README = 9000
 """Bytes."""
 
 # settings of the pages' trainings -> smaller settings for tests
-_SMALLER = {"total_steps=300_000": "total_steps=64, num_envs=8, samples=64, minibatch=32"}
+_LITTLE = "total_steps=64, num_envs=8, samples=64, minibatch=32, eval_steps=20"
+_SMALLER = {"total_steps=300_000": _LITTLE}
 # programs outside this repository
 _FOREIGN = {"pip", "ray", "rerun", "plotjuggler"}
 # recipes that have presets
@@ -69,7 +71,11 @@ def _record(path: Path) -> None:
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if blocks(page.read_text(), "python")], ids=page_name
 )
-def test_the_python_blocks_of_a_page_run_in_order(page: Path, folder: Path) -> None:
+def test_the_python_blocks_of_a_page_run_in_order(
+    page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(step_frequency, "_SETTLE", 0.3)
+    monkeypatch.setattr(step_frequency, "_WALK", 1.2)
     code = _program(page)
     if "walk.mcap" in code and "Recorder(" not in code:
         _record(folder / "walk.mcap")

@@ -237,8 +237,8 @@ def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
     except RenderingError as error:
         pytest.skip(str(error))
     path = tmp_path / "walk.mp4"
-    walk.main(Config(command="1.0", duration=0.15, video=path, width=160, height=120))
+    walk.main(Config(command="1.0", duration=0.06, video=path, width=160, height=120))
     about, decoded = decoded_film(path)
     assert about["size"] == (160, 120)
-    assert len(decoded) == 6
+    assert len(decoded) == 3
     assert decoded.std() > 10  # the picture is not uniform
