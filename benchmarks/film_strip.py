@@ -101,7 +101,7 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
         make_env: function that makes the environment, see `benchmarks.common`.
     """
     library = aslip.GaitLibrary.load()
-    speed = library.check_speed(config.speed)
+    (speed,) = library.check_command(config.speed)
     wanted = np.arange(config.frames) / config.frames
     if config.reference:
         stride = kinematic_stride(library, speed, wanted)

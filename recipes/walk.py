@@ -188,7 +188,7 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     """Robot in its environment, with a recorder if there is a log to write."""
     library = aslip.GaitLibrary.load()
     for speed in schedule.speeds:
-        library.check_speed(speed)
+        library.check_command(speed)
     stack = STACKS[policy_stack(config.policy)]()
     edits = ON_TRUTH if config.truth else {}
     if config.log is not None:

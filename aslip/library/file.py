@@ -18,8 +18,12 @@ from aslip.rom.motion import Motion, SampledMotion
 FORMAT = ArchiveFormat(
     "gait library", 5, advice="rebuild it with recipes/gait_library.py", compressed=True
 )
-"""Entries: `table/FIELD.npy`, `motionNN/FIELD.npy`, `made_by.json`."""
+"""Entries: `table/FIELD.npy`, `motionNN/FIELD.npy`, `made_by.json`.
+
+Headings that are 0 everywhere and the mask of a full grid are left out.
+"""
 _MADE_BY = "made_by.json"
+_HEADINGS = {"body_heading": (), "foot_heading": (2,)}
 
 
 def write_library(
@@ -40,6 +44,11 @@ def write_library(
         OSError: the file cannot be written; an existing one is unchanged.
     """
     arrays = {f"table/{name}": getattr(table, name) for name in (*ARRAYS, "torque_jumps")}
+    for name in _HEADINGS:
+        if not getattr(table, name).any():
+            del arrays[f"table/{name}"]
+    if table.present is not None:
+        arrays["table/present"] = table.present
     arrays |= {f"table/axis{i}": axis for i, axis in enumerate(table.axes)}
     samples = table.qpos.shape[-2]
     for i, motion in enumerate(motions):
@@ -56,7 +65,7 @@ def write_library(
 def read_library(
     path: Path, robot: Robot = CASSIE
 ) -> tuple[list[Motion], GaitTable, dict[str, str]]:
-    """Read motions, table and origin of a library of a robot.
+    """Read motions, table and origin of a library of a robot; no motions if it stores none.
 
     Raises:
         AssetError: there is no such file.
@@ -79,9 +88,18 @@ def read_library(
 
 
 def _table(arrays: Mapping[str, np.ndarray], robot: Robot) -> GaitTable:
-    axes = tuple(arrays[f"axis{i}"] for i in range(len(arrays.keys() - {*ARRAYS, "torque_jumps"})))
-    columns = {name: arrays[name] for name in ARRAYS}
-    return GaitTable(axes=axes, torque_jumps=bool(arrays["torque_jumps"]), robot=robot, **columns)
+    axes = tuple(arrays[f"axis{i}"] for i in range(sum(name.startswith("axis") for name in arrays)))
+    qpos = arrays["qpos"]
+    level = {n: np.zeros((*qpos.shape[:-1], *s), qpos.dtype) for n, s in _HEADINGS.items()}
+    columns = {name: level[name] if name in level else arrays[name] for name in ARRAYS}
+    columns |= {name: arrays[name] for name in _HEADINGS if name in arrays}
+    return GaitTable(
+        axes=axes,
+        torque_jumps=bool(arrays["torque_jumps"]),
+        robot=robot,
+        present=arrays.get("present"),
+        **columns,
+    )
 
 
 def _motion(arrays: Mapping[str, np.ndarray]) -> Motion:

@@ -8,22 +8,64 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from aslip.library.region import hull_gauge
+
+_BLOCK = 256  # motions whose splines are computed at once
+
 
 class CommandGrid(nn.Module):
     """Grid of commands, one ascending row of values per axis.
 
     Args:
         axes: values along each axis.
+        missing: (n,) True at points without a motion; the region is then the convex hull of the
+            others instead of the box.
+
+    Raises:
+        ConfigurationError: a motion is missing amid others.
     """
 
-    def __init__(self, axes: Sequence[np.ndarray]) -> None:
+    def __init__(self, axes: Sequence[np.ndarray], missing: np.ndarray | None = None) -> None:
         super().__init__()
         self._count = len(axes)
         for i, axis in enumerate(axes):
             self.register_buffer(f"_axis{i}", torch.tensor(np.array(axis)), persistent=False)
+        self._cut = missing is not None and bool(missing.any())
+        self._wide = [i for i, axis in enumerate(axes) if len(axis) > 1]
+        if self._cut:
+            mesh = np.meshgrid(*(axes[i] for i in self._wide), indexing="ij")
+            gauge = hull_gauge(np.stack([m.ravel() for m in mesh], axis=1), missing)
+            for name, array in zip(("_normals", "_centre"), gauge, strict=True):
+                self.register_buffer(name, torch.tensor(array), persistent=False)
+
+    def gauge(self, command: Tensor) -> Tensor:
+        """Distance (*b, 1) of commands from the centre of a cut region, 1 at its border."""
+        normals = self.get_buffer("_normals")
+        way = command[..., self._wide].to(normals.dtype) - self.get_buffer("_centre")
+        return (way @ normals.T).amax(-1, keepdim=True)
+
+    def clamp(self, command: Tensor) -> Tensor:
+        """Commands (*b, c) moved into the region, continuously.
+
+        Each axis is clamped; commands outside a convex hull then move towards its centre, which is
+        the zero command if the hull contains it.
+        """
+        axes = [self.get_buffer(f"_axis{i}") for i in range(self._count)]
+        command = torch.cat(
+            [
+                command[..., i : i + 1].to(axis.dtype).clamp(axis[0], axis[-1])
+                for i, axis in enumerate(axes)
+            ],
+            dim=-1,
+        )
+        if self._cut:
+            centre = torch.zeros_like(axes[0][0]).repeat(self._count)
+            centre[self._wide] = self.get_buffer("_centre")
+            command = centre + (command - centre) / self.gauge(command).clamp(min=1.0)
+        return command
 
     def corners(self, command: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Corners of the grid cells around commands (*b, c), which are clamped to the grid.
+        """Corners of the grid cells around commands (*b, c), which are clamped to the region.
 
         Returns:
             Indices (*b, 2^c) of the corners in the flattened grid, and for each axis the weight
@@ -31,12 +73,13 @@ class CommandGrid(nn.Module):
         """
         index = torch.zeros_like(command[..., :1], dtype=torch.long)
         weights = []
+        command = self.clamp(command)
         for i in range(self._count):
             axis = self.get_buffer(f"_axis{i}")
             size = len(axis)
             if size == 1:
                 continue
-            value = command[..., i : i + 1].to(axis.dtype).clamp(axis[0], axis[-1])
+            value = command[..., i : i + 1]
             # with so few values, counting the smaller ones is faster than a search
             row = (value.unsqueeze(-1) >= axis[1:-1]).sum(-1)
             low, high = axis[row], axis[row + 1]
@@ -50,7 +93,7 @@ def multilinear(values: Tensor, weights: Sequence[Tensor]) -> Tensor:
     """Values (*b, 2^c, k) at the corners of cells, interpolated to (*b, k)."""
     for weight in reversed(weights):
         low, high = values.unflatten(-2, (-1, 2)).unbind(-2)
-        values = torch.lerp(low, high, weight.unsqueeze(-1))
+        values = torch.lerp(low, high, weight.unsqueeze(-1).to(values.dtype))
     return values.squeeze(-2)
 
 
@@ -58,7 +101,7 @@ class PeriodicTable(nn.Module):
     """Interpolation of n motions over phase, from m samples of k values at phases j / m.
 
     Args:
-        values: (n, m, k) samples.
+        values: (n, m, k) samples, in the precision of the table.
         jumps: (k,) mask of columns interpolated monotonically; the others are twice differentiable.
     """
 
@@ -67,11 +110,18 @@ class PeriodicTable(nn.Module):
 
     def __init__(self, values: np.ndarray, jumps: np.ndarray | None = None) -> None:
         super().__init__()
-        slopes = periodic_slopes(values)
-        if jumps is not None and jumps.any():
-            slopes[..., jumps] = _monotone_slopes(values[..., jumps])
-        nodes = torch.as_tensor(np.stack([values, slopes], axis=2), dtype=torch.float64)
-        self.register_buffer("nodes", nodes, persistent=False)
+        n, samples, columns = values.shape
+        nodes = np.empty((n, samples, 2, columns), values.dtype)
+        nodes[:, :, 0] = values
+        for i in range(0, n, _BLOCK):
+            nodes[i : i + _BLOCK, :, 1] = _slopes(values[i : i + _BLOCK], jumps)
+        self.register_buffer("nodes", torch.from_numpy(nodes), persistent=False)
+
+    def values(self) -> np.ndarray:
+        """(n, m, k) samples: a read-only view of the nodes."""
+        view = self.nodes.numpy()[:, :, 0]
+        view.setflags(write=False)
+        return view
 
     def forward(self, phase: Tensor, motion: Tensor) -> Tensor:
         """Values (*b, r, k) of motions (*b, r), by index, at phases (*b, 1)."""
@@ -126,6 +176,15 @@ def _monotone_slopes(values: np.ndarray) -> np.ndarray:
     samples = values.shape[1]
     monotone = PchipInterpolator(np.arange(-1, samples + 1), around, axis=1)
     return monotone(np.arange(samples), 1)
+
+
+def _slopes(values: np.ndarray, jumps: np.ndarray | None) -> np.ndarray:
+    """Slopes (n, m, k) at samples, in double precision; see `PeriodicTable`."""
+    values = values.astype(np.float64, copy=False)
+    slopes = periodic_slopes(values)
+    if jumps is not None and jumps.any():
+        slopes[..., jumps] = _monotone_slopes(values[..., jumps])
+    return slopes
 
 
 def _hermite(left: Tensor, right: Tensor, t: Tensor) -> Tensor:

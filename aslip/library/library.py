@@ -7,9 +7,11 @@ the command of a motion and the phase of a sample it is that sample.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 import torch
@@ -20,21 +22,38 @@ from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.files.assets import asset_path
 from aslip.library.file import read_library, write_library
 from aslip.library.interpolation import CommandGrid, PeriodicTable, multilinear
+from aslip.library.region import describe, listed
 from aslip.library.table import GaitTable
 from aslip.robot import CASSIE, SIDES, Robot
 from aslip.rom.gait import Gait
 from aslip.rom.motion import PHASE_SAMPLES, Motion
 
+if TYPE_CHECKING:
+    from aslip.library.tabulate import BuildOptions
+
 SHIPPED = ("gaits", "single_reference")
 """Names of shipped libraries."""
+
+_FEET = ("foot_position", "foot_velocity", "foot_heading")
+_COLUMNS = (
+    *("motor_position", "motor_velocity", "motor_torque"),
+    *("body_position", "body_velocity", "body_heading"),
+    *_FEET,
+)
+_BORDER = 1e-6  # rounding of a command at the border of a region
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Reference motion at one instant, walking frame: x forward, y left, z up; batch shape b.
+    """Reference motion at one instant, in the moving frame; batch shape b.
 
-    Body and feet are the reduced-order model's. The body is mapped to the pelvis origin, a foot to
-    the centre of the sole.
+    The moving frame: its origin goes along the mean path on the ground, at the commanded speeds
+    along its own axes x and y; x points along the mean heading, y left, z up, and the frame turns
+    at the commanded yaw rate. On a straight path its axes stay those of the walk.
+
+    Velocities are over ground, expressed in the axes of the frame, so that a foot in stance has
+    none. Body and feet are the reduced-order model's. The body is mapped to the pelvis origin, a
+    foot to the centre of the sole.
     """
 
     motor_position: Tensor
@@ -44,11 +63,11 @@ class Reference:
     motor_torque: Tensor
     """(*b, 10) joint torques that balance the model's leg forces [N m]."""
     body_position: Tensor
-    """(*b, 3) forward deviation from uniform motion at the mean speed, sway, height above ground
-    [m]. Public code lets x grow over a stride and jump back to 0; we subtract uniform motion so
-    that the reference is continuous."""
+    """(*b, 3) position in the moving frame: forward and sideways deviation from the mean path,
+    height above ground [m]. Public code lets x grow over a stride and jump back to 0; we subtract
+    uniform motion so that the reference is continuous."""
     body_velocity: Tensor
-    """(*b, 3) [m/s]."""
+    """(*b, 3) velocity over ground, commanded speeds included [m/s]."""
     left_foot_position: Tensor
     """(*b, 3) sole centre minus body [m]."""
     left_foot_velocity: Tensor
@@ -57,6 +76,13 @@ class Reference:
     """(*b, 3) sole centre minus body [m]."""
     right_foot_velocity: Tensor
     """(*b, 3) velocity over ground, zero in stance [m/s]."""
+    body_heading: Tensor
+    """(*b, 1) deviation of the body's heading from the mean heading [rad]."""
+    left_foot_heading: Tensor
+    """(*b, 1) direction of the toes, from the x axis of the frame; in stance it changes by minus
+    the yaw rate [rad]."""
+    right_foot_heading: Tensor
+    """(*b, 1) direction of the toes, from the x axis of the frame [rad]."""
 
     def to_tensordict(self) -> TensorDict:
         """Convert to a tensordict with one entry per field."""
@@ -71,40 +97,42 @@ class GaitLibrary(nn.Module):
     left out of `state_dict`, because they come from a file. Environments may share a library.
 
     Args:
-        motions: motions in order of the table's commands.
+        motions: motions in order of the table's commands, or None to keep the table only.
         table: table of the motions, from `tabulate`.
         made_by: origin, such as the command and package versions; saved in the file.
 
     Raises:
-        ConfigurationError: commands of the motions are not those of the table.
+        ConfigurationError: commands of the motions are not those of the table, or the table lacks a
+            motion amid others.
     """
 
     def __init__(
         self,
-        motions: Sequence[Motion],
+        motions: Sequence[Motion] | None,
         table: GaitTable,
         *,
         made_by: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__()
         self.made_by = dict(made_by or {})
-        self.motions = tuple(motions)
-        commands = [np.asarray(motion.command).tolist() for motion in motions]
-        if commands != table.commands.tolist():
+        self.motions = tuple(motions or ())
+        commands = [np.asarray(motion.command).tolist() for motion in self.motions]
+        expected = table.commands[~table.missing].tolist()
+        if motions is not None and commands != expected:
             raise ConfigurationError(
-                f"commands of motions must be those of the table, {table.commands.tolist()}, got"
-                f" {commands}"
+                f"commands of motions must be those of the table, {listed(expected)}, got"
+                f" {listed(commands)}"
             )
-        self.table = table
-        columns = _reference_columns(table)
-        self._widths = [column.shape[-1] for column in columns.values()]
+        columns = [_flat(table, getattr(table, name)) for name in _COLUMNS]
+        self._widths = [column.shape[-1] for column in columns]
         jumps = np.repeat(
-            [table.torque_jumps and name == "motor_torque" for name in columns], self._widths
+            [table.torque_jumps and name == "motor_torque" for name in _COLUMNS], self._widths
         )
-        self._grid = CommandGrid(table.axes)
-        self._reference = PeriodicTable(np.concatenate(list(columns.values()), axis=-1), jumps)
+        self._grid = CommandGrid(table.axes, table.missing)
+        self._reference = PeriodicTable(np.concatenate(columns, axis=-1), jumps)
         self._qpos = PeriodicTable(_flat(table, table.qpos))
         self._qvel = PeriodicTable(_flat(table, table.qvel))
+        self.table = self._shared(table)
         self._strides: Tensor
         strides = torch.tensor(table.strides.reshape(-1, 1))
         self.register_buffer("_strides", strides, persistent=False)
@@ -117,16 +145,29 @@ class GaitLibrary(nn.Module):
         *,
         samples: int = PHASE_SAMPLES,
         torque_jumps: bool = False,
+        single_precision: bool = False,
+        missing: bool = False,
+        keep_motions: bool = True,
         made_by: Mapping[str, str] | None = None,
+        **build: Unpack[BuildOptions],
     ) -> GaitLibrary:
         """Tabulate motions and make a library of them.
 
-        Arguments and errors are those of `tabulate` and of the class.
+        Arguments and errors are those of `tabulate` and of the class. A library of thousands of
+        gaits fits into 100 MB with 48 samples in single precision and `keep_motions=False`.
         """
         from aslip.library.tabulate import tabulate
 
-        table = tabulate(motions, robot, samples=samples, torque_jumps=torque_jumps)
-        return cls(motions, table, made_by=made_by)
+        table = tabulate(
+            motions,
+            robot,
+            samples=samples,
+            torque_jumps=torque_jumps,
+            single_precision=single_precision,
+            missing=missing,
+            **build,
+        )
+        return cls(motions if keep_motions else None, table, made_by=made_by)
 
     @classmethod
     def load(cls, path: str | Path = "gaits", robot: Robot = CASSIE) -> GaitLibrary:
@@ -143,7 +184,7 @@ class GaitLibrary(nn.Module):
         """
         file = asset_path(f"{path}.npz") if path in SHIPPED else Path(path)
         motions, table, made_by = read_library(file, robot)
-        return cls(motions, table, made_by=made_by)
+        return cls(motions or None, table, made_by=made_by)
 
     def save(self, path: str | Path) -> None:
         """Write motions and table; `load` returns the same bits.
@@ -171,25 +212,39 @@ class GaitLibrary(nn.Module):
             ConfigurationError: a motion is not an optimal gait; `motions` has all motions.
         """
         gaits = tuple(motion for motion in self.motions if isinstance(motion, Gait))
-        if len(gaits) < len(self.motions):
+        if len(gaits) < len(self.motions) or not gaits:
             kinds = sorted({type(motion).__name__ for motion in self.motions})
             raise ConfigurationError(
-                f"motions must be optimal gaits, got motions of type {', '.join(kinds)}"
+                f"motions must be optimal gaits, got motions of type {', '.join(kinds) or 'none'}"
             )
         return gaits
 
-    def check_speed(self, speed: float) -> float:
-        """Check that the library covers a speed, and return it.
+    def check_command(self, command: float | Sequence[float]) -> tuple[float, ...]:
+        """Check that the library covers a command, and return it.
+
+        Args:
+            command: one number per axis of the grid; a number alone for a single axis.
 
         Raises:
-            SpeedOutOfRangeError: the speed is outside the library.
+            SpeedOutOfRangeError: the command is outside the library.
+            ShapeError: it has not one number per axis.
         """
-        low, high = self.speeds[0], self.speeds[-1]
-        if not low <= speed <= high:
+        numbers = tuple(map(float, np.atleast_1d(np.asarray(command, dtype=float))))
+        axes = self.table.axes
+        if len(numbers) != len(axes):
+            raise ShapeError(f"a command of this library has {len(axes)} numbers, got {command}")
+        limits = zip(axes, numbers, strict=True)
+        if not all(axis[0] <= value <= axis[-1] for axis, value in limits):
+            bounds = f"{axes[0][0]:g} to {axes[0][-1]:g} m/s" if len(axes) == 1 else describe(axes)
+            raise SpeedOutOfRangeError(f"{_named(numbers)} is outside the gait library: {bounds}")
+        found = torch.tensor(numbers, dtype=torch.float64)
+        nearest = self._grid.clamp(found)
+        if not torch.allclose(found, nearest, rtol=0, atol=_BORDER):
             raise SpeedOutOfRangeError(
-                f"speed {speed:g} m/s is outside the gait library: {low:g} to {high:g} m/s"
+                f"{_named(numbers)} is outside the region of the gait library, which is no box;"
+                f" look-ups would take {_named(nearest.tolist())} instead"
             )
-        return float(speed)
+        return numbers
 
     def forward(self, phase: Tensor, command: Tensor) -> Reference:
         """Reference motion, see `lookup`."""
@@ -203,7 +258,8 @@ class GaitLibrary(nn.Module):
 
         Args:
             phase: (*b, 1) stride fraction; 0 is left lift-off.
-            command: (*b, c) one value per axis of the grid; today forward speed [m/s], c = 1.
+            command: (*b, c) one value per axis of the grid: forward speed, sideways speed [m/s],
+                yaw rate [rad/s].
 
         Returns:
             Reference with batch shape b, single precision.
@@ -212,7 +268,11 @@ class GaitLibrary(nn.Module):
             ShapeError: an argument is not a tensor of its shape.
         """
         values = self._interpolate(self._reference, phase, command).float()
-        return Reference(*values.split(self._widths, dim=-1))
+        columns = dict(zip(_COLUMNS, values.split(self._widths, dim=-1), strict=True))
+        for name in _FEET:
+            pair = columns.pop(name).chunk(2, dim=-1)
+            columns |= {f"{side}_{name}": v for side, v in zip(SIDES, pair, strict=True)}
+        return Reference(**columns)
 
     def stride(self, command: Tensor) -> Tensor:
         """Duration of a stride [s], (*b, 1); multilinear between motions, clamped outside."""
@@ -228,20 +288,29 @@ class GaitLibrary(nn.Module):
             command: (*b, c) as in `lookup`.
 
         Returns:
-            `qpos` (*b, 35) and `qvel` (*b, 32), double precision, MuJoCo's conventions; the pelvis
-            is at x = 0. Between motions, interpolation opens the loops by a fraction of a
-            millimetre.
+            `qpos` (*b, 35) and `qvel` (*b, 32), double precision, MuJoCo's conventions. The moving
+            frame is the world: the pelvis is at its deviation from the mean path, with the velocity
+            and yaw rate of the path. Between motions, interpolation opens the loops by a fraction
+            of a millimetre.
         """
-        qpos = self._interpolate(self._qpos, phase, command)
+        qpos = self._interpolate(self._qpos, phase, command).double()
         for quaternion in self.table.robot.indices.quaternions:
             qpos[..., quaternion] = nn.functional.normalize(qpos[..., quaternion], dim=-1)
-        return qpos, self._interpolate(self._qvel, phase, command)
+        return qpos, self._interpolate(self._qvel, phase, command).double()
 
     def _interpolate(self, table: PeriodicTable, phase: Tensor, command: Tensor) -> Tensor:
         _check_width("phase", phase, 1)
         _check_width("command", command, len(self.table.axes))
         motion, weights = self._grid.corners(command)
         return multilinear(table(phase, motion), weights)
+
+    def _shared(self, table: GaitTable) -> GaitTable:
+        """Table whose arrays are views of the nodes, so that no number is stored twice."""
+        parts = np.split(self._reference.values(), np.cumsum(self._widths)[:-1], axis=-1)
+        views = dict(zip(_COLUMNS, parts, strict=True))
+        views |= {"qpos": self._qpos.values(), "qvel": self._qvel.values()}
+        shaped = {n: view.reshape(getattr(table, n).shape, copy=False) for n, view in views.items()}
+        return replace(table, **shaped)
 
 
 def _check_width(name: str, value: Tensor, width: int) -> None:
@@ -250,19 +319,14 @@ def _check_width(name: str, value: Tensor, width: int) -> None:
         raise ShapeError(f"{name} must be a tensor of shape (..., {width}), got {got!r}")
 
 
-def _reference_columns(table: GaitTable) -> dict[str, np.ndarray]:
-    """Fields of a `Reference` by name, (n, m, k) for n points of the grid."""
-    feet = {
-        f"{side}_foot_{kind}": getattr(table, f"foot_{kind}")[..., i, :]
-        for i, side in enumerate(SIDES)
-        for kind in ("position", "velocity")
-    }
-    return {
-        f.name: _flat(table, feet[f.name] if f.name in feet else getattr(table, f.name))
-        for f in fields(Reference)
-    }
-
-
 def _flat(table: GaitTable, values: np.ndarray) -> np.ndarray:
-    """(*g, m, k) values as (n, m, k)."""
-    return values.reshape(-1, *values.shape[len(table.axes) :])
+    """(*g, m, ...) values as (n, m, k) for n points of the grid."""
+    samples = values.shape[len(table.axes)]
+    return values.reshape(math.prod(table.grid), samples, -1)
+
+
+def _named(command: Sequence[float]) -> str:
+    """Command in an error message."""
+    if len(command) == 1:
+        return f"speed {command[0]:g} m/s"
+    return f"command ({', '.join(f'{value:.4g}' for value in command)})"

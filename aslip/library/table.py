@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -21,28 +22,33 @@ class GaitTable:
     """Motions over a grid of commands, sampled at equal steps of phase.
 
     In shapes, g is the shape of the grid, with one axis per axis of the command, and m the number
-    of phases, the first at left lift-off. Walking frame: x forward, y left, z up. Body and feet are
-    those of `aslip.library.Reference`. Arrays are read-only.
+    of phases, the first at left lift-off. Moving frame: that of `aslip.library.Reference`, and so
+    are body and feet. Arrays are read-only, in double or single precision.
 
     Raises:
-        ConfigurationError: an axis does not ascend, a stride is not positive, or an entry is not
-            finite.
+        ConfigurationError: an axis does not ascend, a stride is not positive, an entry is not
+            finite, or the grid has no motions.
         ShapeError: arrays differ in their number of motions or samples, have the wrong number of
             columns, or fewer than four samples.
     """
 
     axes: tuple[np.ndarray, ...]
-    """Values of the command along each axis, ascending; the first is forward speed [m/s]."""
+    """Values of the command along each axis, ascending: forward speed, sideways speed [m/s], yaw
+    rate [rad/s]."""
     strides: np.ndarray
     """(*g,) duration of a stride [s]."""
     body_position: np.ndarray
-    """(*g, m, 3) position, x as deviation from uniform motion [m]."""
+    """(*g, m, 3) position: deviation from the mean path, and height [m]."""
     body_velocity: np.ndarray
-    """(*g, m, 3) [m/s]."""
+    """(*g, m, 3) over ground [m/s]."""
+    body_heading: np.ndarray
+    """(*g, m) deviation of the body's heading from the mean heading [rad]."""
     foot_position: np.ndarray
     """(*g, m, 2, 3) left and right relative to the body [m]."""
     foot_velocity: np.ndarray
     """(*g, m, 2, 3) left and right over ground [m/s]."""
+    foot_heading: np.ndarray
+    """(*g, m, 2) direction of the left and right toes, from the x axis of the frame [rad]."""
     motor_position: np.ndarray
     """(*g, m, 10) [rad]."""
     motor_velocity: np.ndarray
@@ -50,14 +56,17 @@ class GaitTable:
     motor_torque: np.ndarray
     """(*g, m, 10) joint torques that balance the model's leg forces [N m]."""
     qpos: np.ndarray
-    """(*g, m, 35) configuration; x of the pelvis is a deviation from uniform motion, too."""
+    """(*g, m, 35) configuration, with the moving frame as the world."""
     qvel: np.ndarray
-    """(*g, m, 32) velocity."""
+    """(*g, m, 32) velocity, that of the pelvis over ground."""
     torque_jumps: bool = False
     """Motor torques may jump between samples, as at a pendulum's change of stance; they are then
     interpolated monotonically, without overshoot."""
     robot: Robot = CASSIE
     """Robot of configurations and motors."""
+    present: np.ndarray | None = None
+    """(*g,) True at commands with a motion, everywhere by default; entries elsewhere are
+    extrapolated."""
 
     def __post_init__(self) -> None:
         """Make the arrays read-only, and check that they fit together."""
@@ -65,6 +74,7 @@ class GaitTable:
         for name in ARRAYS:
             object.__setattr__(self, name, _read_only(getattr(self, name)))
         self._check_axes()
+        self._check_present()
         for name in ARRAYS:
             self._check(name)
         if not (self.strides > 0).all():
@@ -81,6 +91,24 @@ class GaitTable:
         mesh = np.meshgrid(*self.axes, indexing="ij")
         return np.stack([axis.ravel() for axis in mesh], axis=1)
 
+    @property
+    def missing(self) -> np.ndarray:
+        """(n,) True at points of the grid, in the order of `commands`, without a motion."""
+        if self.present is None:
+            return np.zeros(math.prod(self.grid), dtype=bool)
+        return ~self.present.ravel()
+
+    def _check_present(self) -> None:
+        if self.present is None:
+            return
+        present = np.array(self.present, dtype=bool)
+        if present.shape != self.grid:
+            raise ShapeError(f"present must have shape {self.grid}, got {present.shape}")
+        if not present.any():
+            raise ConfigurationError("a table needs a motion at one command or more, got none")
+        present.setflags(write=False)
+        object.__setattr__(self, "present", None if present.all() else present)
+
     def _check_axes(self) -> None:
         if not self.axes or not all(
             axis.ndim == 1 and len(axis) and np.isfinite(axis).all() and (np.diff(axis) > 0).all()
@@ -96,7 +124,12 @@ class GaitTable:
         kind, indices = name.split("_")[0], self.robot.indices
         if kind == "motor":
             return (len(self.robot.motor_names),)
-        shapes = {"qpos": (indices.num_qpos,), "qvel": (indices.num_qvel,)}
+        shapes = {
+            "qpos": (indices.num_qpos,),
+            "qvel": (indices.num_qvel,),
+            "body_heading": (),
+            "foot_heading": (2,),
+        }
         return shapes.get(name, (2, 3) if kind == "foot" else (3,))
 
     def _check(self, name: str) -> None:
@@ -112,13 +145,17 @@ class GaitTable:
             raise ConfigurationError(f"{name} has non-finite entries")
 
 
-_SETTINGS = ("axes", "torque_jumps", "robot")
+_SETTINGS = ("axes", "torque_jumps", "robot", "present")
 
 ARRAYS = tuple(f.name for f in fields(GaitTable) if f.name not in _SETTINGS)
 """Names of a table's arrays over the grid."""
 
 
 def _read_only(values: np.ndarray) -> np.ndarray:
-    array = np.array(values, dtype=np.float64)
-    array.setflags(write=False)
+    """Read-only array in the precision of `values`; a copy, unless these are read-only already."""
+    single = np.asarray(values).dtype == np.float32
+    array = np.asarray(values, dtype=np.float32 if single else np.float64)
+    if array.flags.writeable:
+        array = array.copy()
+        array.setflags(write=False)
     return array

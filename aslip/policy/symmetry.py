@@ -38,6 +38,9 @@ _SIGNS = {
     "left_foot_velocity": _VECTOR,
     "right_foot_position": _VECTOR,
     "right_foot_velocity": _VECTOR,
+    "body_heading": (-1.0,),
+    "left_foot_heading": (-1.0,),
+    "right_foot_heading": (-1.0,),
     "command": (1.0,),
     # mirroring shifts the phase by half a stride, which flips the signs of sine and cosine
     "sin": (-1.0,),

@@ -75,7 +75,7 @@ class SpeedCommand(SeededTransform):
             raise ConfigurationError("speeds is empty; give at least one speed in m/s")
         self.register_buffer(
             "speeds",
-            torch.tensor([library.check_speed(v) for v in chosen], dtype=torch.float32),
+            torch.tensor([library.check_command(v)[0] for v in chosen], dtype=torch.float32),
         )
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
@@ -103,7 +103,7 @@ class SpeedCommand(SeededTransform):
         # the bounds are in single precision, as the command is
         outside = (command < self._bounds[0]) | (command > self._bounds[1])
         if outside.any():
-            self.library.check_speed(float(command[outside][0]))
+            self.library.check_command(float(command[outside][0]))
         return command
 
     def draw(self, shape: tuple[int, ...]) -> Tensor:

@@ -83,7 +83,7 @@ class Walker:
 
     @command.setter
     def command(self, speed: float) -> None:
-        self.td["command"] = torch.full((1, 1), self.library.check_speed(speed))
+        self.td["command"] = torch.tensor([self.library.check_command(speed)])
 
     def push(self, force: Sequence[float], duration: float = 4 * CASSIE.policy_period) -> None:
         """Push the pelvis from the next policy step on; replaces the current push.
@@ -111,7 +111,7 @@ class Walker:
         Raises:
             SpeedOutOfRangeError: the library does not cover the speed.
         """
-        speed = self.command if speed is None else self.library.check_speed(speed)
+        speed = self.command if speed is None else self.library.check_command(speed)[0]
         self.td: TensorDictBase = reset_walks(self.env, np.array([speed]))
         """Current tensordict, input of the next policy step."""
         self.steps = 0

@@ -54,7 +54,8 @@ def test_lookup_at_samples_returns_the_table(library: GaitLibrary, gait: int) ->
     for name in NAMES:
         side, _, kind = name.partition("_")
         rows = getattr(library.table, kind if side in SIDES else name)[gait]
-        expected = torch.tensor(rows[:, SIDES.index(side)] if side in SIDES else rows).float()
+        rows = rows[:, SIDES.index(side)] if side in SIDES else rows
+        expected = torch.tensor(rows.reshape(samples, -1)).float()
         torch.testing.assert_close(getattr(reference, name), expected, rtol=0, atol=1e-6)
 
 
@@ -143,7 +144,8 @@ def test_lookup_accepts_any_batch_shape(library: GaitLibrary, shape: tuple[int, 
     reference = library.lookup(phase, speed)
     for name in NAMES:
         value = getattr(reference, name)
-        assert value.shape == (*shape, 10 if name.startswith("motor") else 3)
+        size = {"motor": 10, "body_heading": 1, "left_foot_heading": 1, "right_foot_heading": 1}
+        assert value.shape == (*shape, size.get(name, size.get(name.split("_")[0], 3)))
         assert value.dtype == torch.float32
     qpos, qvel = library.initial_state(phase, speed)
     assert qpos.shape == (*shape, 35)
@@ -174,16 +176,16 @@ def test_speeds_outside_are_clamped(library: GaitLibrary, outside: float, bound:
 
 
 @pytest.mark.parametrize("speed", [-0.01, 2.01, math.nan, math.inf])
-def test_check_speed_names_value_and_range(library: GaitLibrary, speed: float) -> None:
+def test_check_command_names_value_and_range(library: GaitLibrary, speed: float) -> None:
     with pytest.raises(SpeedOutOfRangeError, match=rf"{speed!r} m/s .*0 to 2 m/s"):
-        library.check_speed(speed)
+        library.check_command(speed)
     with pytest.raises(ValueError, match="gait library"):
-        library.check_speed(speed)
+        library.check_command(speed)
 
 
 @pytest.mark.parametrize("speed", [0, 0.0, 1.05, 2.0])
-def test_check_speed_returns_covered_speeds(library: GaitLibrary, speed: float) -> None:
-    assert library.check_speed(speed) == speed
+def test_check_command_returns_covered_speeds(library: GaitLibrary, speed: float) -> None:
+    assert library.check_command(speed) == (speed,)
 
 
 def test_strides_are_linear_between_gaits(library: GaitLibrary) -> None:

@@ -1,0 +1,152 @@
+"""Rows of many motions: on all cores, resumed from a folder."""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from aslip.errors import FileDamagedError
+from aslip.files.archive import ArchiveFormat, from_npy, npy
+from aslip.ik import Kinematics
+from aslip.library.rows import FramedMotion, Rows
+from aslip.robot import Robot
+from aslip.rom.motion import Motion
+
+Progress = Callable[[int, int], None]
+"""Called with the number of finished motions and of all motions."""
+
+ONE_PROCESS: Final = 128
+"""Most motions that are worked on in this process by default; more than these repay the seconds in
+which other processes start."""
+
+_CHUNK = 16  # motions per task and per file
+_FORMAT = ArchiveFormat("rows of a gait library", 1)
+
+
+def build_rows(
+    motions: Sequence[Motion],
+    robot: Robot,
+    phase: np.ndarray,
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    folder: Path | None = None,
+) -> list[Rows]:
+    """Rows of a table for each motion, in order.
+
+    Args:
+        motions: motions; several processes need motions that can be pickled.
+        robot: robot that they are mapped to.
+        phase: (m,) phases of the samples.
+        workers: number of processes; by default all cores for more than `ONE_PROCESS` motions.
+            Processes are spawned: a script must start under `if __name__ == "__main__":`.
+        progress: called whenever motions are finished.
+        folder: folder that keeps finished rows, one file for 16 motions. A build that was cut off
+            goes on from there; files of other motions or robots are not used.
+
+    Raises:
+        ConfigurationError: a stride does not end where the command leads.
+        UnreachablePoseError: the robot cannot take a pose of a motion.
+        OSError: a file cannot be written.
+    """
+    chunks = [
+        _Chunk(motions[i : i + _CHUNK], robot, phase, folder)
+        for i in range(0, len(motions), _CHUNK)
+    ]
+    if workers is None:
+        workers = _cores() if len(motions) > ONE_PROCESS else 1
+    found, done = {}, 0
+    for i, rows in _worked(chunks, min(workers, len(chunks))):
+        found[i], done = rows, done + len(rows)
+        if progress:
+            progress(done, len(motions))
+    return [row for i in range(len(chunks)) for row in found[i]]
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    """Motions that one process works on."""
+
+    motions: Sequence[Motion]
+    robot: Robot
+    phase: np.ndarray
+    folder: Path | None
+
+    def rows(self) -> list[Rows]:
+        """Rows of the motions, from their file if there is one."""
+        framed = [FramedMotion.of(motion, self.phase) for motion in self.motions]
+        file = self.folder and self.folder / f"{_digest(framed, self.robot)}.npz"
+        rows = _read(file) if file else None
+        if rows is None:
+            kinematics = Kinematics(self.robot)
+            rows = [motion.rows(kinematics) for motion in framed]
+            if file:
+                _write(file, rows)
+        return rows
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    usable = getattr(os, "sched_getaffinity", None)
+    return len(usable(0)) if usable else os.cpu_count() or 1
+
+
+def _worked(chunks: Sequence[_Chunk], workers: int) -> Iterator[tuple[int, list[Rows]]]:
+    """Rows of chunks by index, in the order in which they are finished."""
+    if workers <= 1:
+        yield from ((i, chunk.rows()) for i, chunk in enumerate(chunks))
+        return
+    # threads would wait for each other, and forks of a process with threads may hang
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, context) as pool:
+        tasks = {pool.submit(_Chunk.rows, chunk): i for i, chunk in enumerate(chunks)}
+        try:
+            for task in as_completed(tasks):
+                yield tasks[task], task.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _digest(motions: Sequence[FramedMotion], robot: Robot) -> str:
+    """Name of the file of a chunk: a hash of motions and robot."""
+    digest = hashlib.sha256(robot.mjcf.read_bytes())
+    for motion in motions:
+        s = motion.sample
+        for array in (
+            *(motion.command, np.array(motion.stride), motion.origin, motion.toe_rate),
+            *(s.body.position, s.body.velocity, s.feet.position, s.feet.velocity),
+            *(s.ground_force, s.heading.angle, s.heading.rate, s.foot_heading),
+        ):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()[:32]
+
+
+def _read(file: Path) -> list[Rows] | None:
+    """Rows of a chunk, if they were kept and are whole."""
+    if not file.is_file():
+        return None
+    try:
+        entries = _FORMAT.read(file)
+    except FileDamagedError:
+        return None
+    rows: dict[int, Rows] = {}
+    for entry, data in entries.items():
+        place, name = entry.removesuffix(".npy").split("/")
+        rows.setdefault(int(place), {})[name] = from_npy(data)
+    return [rows[i] for i in range(len(rows))]
+
+
+def _write(file: Path, rows: Sequence[Rows]) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    _FORMAT.write(
+        file,
+        {f"{i}/{name}.npy": npy(v) for i, row in enumerate(rows) for name, v in row.items()},
+    )

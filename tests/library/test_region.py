@@ -1,0 +1,93 @@
+"""Convex regions of commands inside a grid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
+from aslip.library import GaitLibrary, tabulate
+from aslip.library.interpolation import CommandGrid
+from aslip.library.region import extrapolate
+
+from .conftest import Shuffle
+
+AXES = (np.array([0.0, 0.5, 1.0, 2.0]), np.array([-1.0, 0.0, 1.0]), np.array([-0.5, 0.0, 0.5]))
+X, Y, W = np.meshgrid(*AXES, indexing="ij")
+MISSING = ((np.abs(Y) + np.abs(W) > 1.01) | ((X == 2) & (np.abs(Y) + np.abs(W) > 0))).ravel()
+
+
+def _box(count: int) -> torch.Tensor:
+    """Commands in and around the box of the axes."""
+    generator = torch.Generator().manual_seed(3)
+    draw = torch.rand(count, 3, generator=generator, dtype=torch.float64)
+    return torch.tensor([-0.5, -1.5, -1.0]) + draw * torch.tensor([3.0, 3.0, 2.0])
+
+
+def test_commands_move_into_the_region_continuously() -> None:
+    grid, command = CommandGrid(AXES, MISSING), _box(2000)
+    inside = grid.clamp(command)
+    assert grid.gauge(inside).max() <= 1 + 1e-12
+    torch.testing.assert_close(grid.clamp(inside), inside, rtol=0, atol=1e-12)
+    step = 1e-6 * torch.randn(2000, 3, dtype=torch.float64, generator=torch.manual_seed(1))
+    moved = (grid.clamp(command + step) - inside).norm(dim=1)
+    assert (moved <= 20 * step.norm(dim=1)).all()
+    assert (inside - command).norm(dim=1).max() > 0.5
+
+
+def test_commands_of_motions_stay_where_they_are() -> None:
+    grid = CommandGrid(AXES, MISSING)
+    command = torch.tensor(np.stack([X.ravel(), Y.ravel(), W.ravel()], axis=1))
+    moved = (grid.clamp(command) - command).abs().amax(1) > 1e-12
+    assert moved.tolist() == MISSING.tolist()
+
+
+def test_linear_values_are_extrapolated_exactly() -> None:
+    x, y, w = np.meshgrid(*(np.arange(5.0), np.arange(4.0), np.arange(3.0)), indexing="ij")
+    values = np.stack([1 + x - 2 * y + 3 * w, 0 * x + 7], axis=-1)
+    present = x + y + w < 4.5
+    holes = np.where(present[..., None], values, np.nan)
+    filled = extrapolate(holes, present)
+    near = x + y + w < 6.5
+    np.testing.assert_allclose(filled[near], values[near], atol=1e-12)
+    assert np.isfinite(filled).all()
+
+
+def test_library_of_a_convex_region_is_built_saved_and_looked_up(tmp_path: Path) -> None:
+    """The corners of fast drifts are missing."""
+    kept = [(x, y) for x in (0.2, 0.4, 0.6) for y in (-0.1, 0.0, 0.1) if x < 0.5 or y == 0]
+    library = GaitLibrary.from_motions([Shuffle(*c) for c in kept], samples=8, missing=True)
+    library.save(tmp_path / "cut.npz")
+    loaded = GaitLibrary.load(tmp_path / "cut.npz")
+    assert library.table.missing.sum() == 2
+    np.testing.assert_array_equal(loaded.table.missing, library.table.missing)
+    assert len(loaded.motions) == 7
+    phase, border = torch.tensor([[0.3]]), torch.tensor([[0.5, 0.05]])
+    assert loaded.check_command((0.5, 0.05)) == (0.5, 0.05)
+    velocity = loaded.lookup(phase, border).body_velocity[0, :2]
+    expected = [Shuffle(x, 0.05).sample(np.array([0.3])).body.velocity[0] for x in (0.4, 0.6)]
+    np.testing.assert_allclose(velocity, np.mean(expected, axis=0)[:2], atol=0.01)
+    with pytest.raises(SpeedOutOfRangeError, match=r"outside the region .*\(0\.4875, 0\.05625\)"):
+        loaded.check_command((0.6, 0.1))
+
+
+def test_region_must_be_convex() -> None:
+    kept = [(x, y) for x in (0.2, 0.4, 0.6) for y in (-0.1, 0.0, 0.1) if (x, y) != (0.4, 0.0)]
+    with pytest.raises(ConfigurationError, match=r"missing at \[0\.4, 0\.0\], in the middle"):
+        GaitLibrary.from_motions([Shuffle(*c) for c in kept], samples=4, missing=True)
+
+
+def test_commands_on_a_line_span_no_region() -> None:
+    motions = [Shuffle(x, x / 2) for x in (0.2, 0.4)]
+    with pytest.raises(ConfigurationError, match="must span the grid"):
+        GaitLibrary.from_motions(motions, samples=4, missing=True)
+
+
+def test_mask_of_wrong_shape_is_refused() -> None:
+    table = tabulate([Shuffle(0.2, 0.0), Shuffle(0.4, 0.0)], samples=4)
+    for present, error in ((np.ones(2), ShapeError), (np.zeros((2, 1)), ConfigurationError)):
+        with pytest.raises(error, match=r"present|motion at one command"):
+            type(table)(**{**vars(table), "present": present})
