@@ -17,7 +17,7 @@ class Bent:
 
     def __init__(self, gait: Gait, sideways: float = 0.0, yaw_rate: float = 0.0) -> None:
         self.gait = gait
-        self.command = np.array([gait.speed, sideways, yaw_rate])
+        self.command = np.array([gait.command[0], sideways, yaw_rate])
         self.stride = gait.stride
         self.swing = gait.single_stance / gait.stride
 

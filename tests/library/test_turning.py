@@ -254,7 +254,7 @@ def test_motion_that_does_not_follow_its_command_is_refused(turning: Bent) -> No
     class Wrong(Bent):
         def __init__(self, yaw_rate: float, sideways: float) -> None:
             super().__init__(turning.gait, -0.25, 0.9)
-            self.command = np.array([self.gait.speed, -0.25 + sideways, 0.9 + yaw_rate])
+            self.command = np.array([self.gait.command[0], -0.25 + sideways, 0.9 + yaw_rate])
 
         def sample(self, phase: np.ndarray) -> MotionSample:
             return turning.sample(phase)
