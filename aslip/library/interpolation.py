@@ -30,9 +30,10 @@ class CommandGrid(nn.Module):
         self._count = len(axes)
         for i, axis in enumerate(axes):
             self.register_buffer(f"_axis{i}", torch.tensor(np.array(axis)), persistent=False)
-        self._cut = missing is not None and bool(missing.any())
+        self._cut = False
         self._wide = [i for i, axis in enumerate(axes) if len(axis) > 1]
-        if self._cut:
+        if missing is not None and missing.any():
+            self._cut = True
             mesh = np.meshgrid(*(axes[i] for i in self._wide), indexing="ij")
             gauge = hull_gauge(np.stack([m.ravel() for m in mesh], axis=1), missing)
             for name, array in zip(("_normals", "_centre"), gauge, strict=True):

@@ -15,13 +15,11 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 
 from aslip.envs import make_env
 from aslip.errors import ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary, Reference
-from aslip.library.interpolation import periodic_slopes
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
 
@@ -127,15 +125,6 @@ def test_derivative_in_phase_is_continuous(library: GaitLibrary) -> None:
             left, right = (at - before) / step, (after - at) / step
             # the tolerance is the second derivative times the step
             torch.testing.assert_close(left, right, rtol=0, atol=2e-3)
-
-
-def test_slopes_are_those_of_periodic_cubic_splines() -> None:
-    for samples in (4, 5, 128):
-        values = np.random.default_rng(samples).normal(size=(2, samples, 3))
-        closed = np.concatenate([values, values[:, :1]], axis=1)
-        spline = CubicSpline(np.arange(samples + 1), closed, axis=1, bc_type="periodic")
-        expected = spline(np.arange(samples), 1)
-        np.testing.assert_allclose(periodic_slopes(values), expected, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("shape", [(), (4,), (2, 3), (0,)])

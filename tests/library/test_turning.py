@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 import pytest
@@ -175,7 +173,7 @@ def test_torques_carry_the_ground_forces_of_a_turning_motion(
 # ------------------------------------------------------------------ look-up
 
 
-def _commands(values: Sequence[Sequence[float]]) -> Tensor:
+def _command(*values: float) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
 
 
@@ -197,7 +195,7 @@ def test_lookup_over_three_axes_is_continuous_and_clamped(bent: GaitLibrary) -> 
     """Across cells, at the border and beyond."""
     generator = torch.Generator().manual_seed(0)
     phase = torch.rand(60, 1, generator=generator, dtype=torch.float64)
-    command = _commands([[0.3, -0.5, -1.5]]) + torch.rand(
+    command = _command(0.3, -0.5, -1.5) + torch.rand(
         60, 3, generator=generator, dtype=torch.float64
     ) * torch.tensor([1.2, 1.0, 3.0])
     command[:20, 2] = 0.0
@@ -207,7 +205,7 @@ def test_lookup_over_three_axes_is_continuous_and_clamped(bent: GaitLibrary) -> 
         for name, value in vars(above).items():
             torch.testing.assert_close(value, getattr(below, name), rtol=0, atol=2e-4)
     inside = torch.maximum(
-        torch.minimum(command, _commands([1.2, 0.3, 1.0])), _commands([0.5, -0.2, -0.8])
+        torch.minimum(command, _command(1.2, 0.3, 1.0)), _command(0.5, -0.2, -0.8)
     )
     beyond, border = (bent.lookup(phase, c).motor_position for c in (command, inside))
     assert torch.equal(beyond, border)
