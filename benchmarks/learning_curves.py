@@ -62,7 +62,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Final
@@ -72,7 +72,7 @@ from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from aslip.policy import POLICY_FILE, read_card
-from aslip.show.plots import save_figure
+from aslip.show.plots import compare_learning, save_figure
 from aslip.training.command_line import preset_command_line
 from aslip.training.progress import read_progress, steps_done
 from aslip.training.run import write_text
@@ -96,11 +96,6 @@ VARIANTS: Final = MappingProxyType(
 )  # fmt: skip
 """Variant -> flags of the recipe. Only `truth` observes the true state. `baseline` is the paper's
 baseline with the learning settings of `paper`; its returns are of its own reward."""
-
-_COLORS = {
-    "truth": "black", "default": "tab:red", "robust": "tab:orange", "paper": "tab:blue",
-    "baseline": "tab:green",
-}  # fmt: skip
 
 _OWN_REWARD = {"baseline": " (return of its own reward)"}
 
@@ -305,40 +300,12 @@ def _cell(values: np.ndarray, most: float) -> str:
 
 def picture(runs: Sequence[Run]) -> Figure:
     """Draw length and return of episodes and evaluations, mean and range over seeds."""
-    figure = Figure(figsize=(12, 4), layout="constrained")
-    axes = figure.subplots(1, 3, sharex=True)
+    groups: dict[str, list[Mapping[str, np.ndarray]]] = {}
     for variant in dict.fromkeys(run.variant for run in runs):
         group = [run for run in runs if run.variant == variant]
-        _draw(axes, variant, group)
-    for axis, label in zip(
-        axes, ("episode length [policy steps]", "episode return", "evaluation: return"), strict=True
-    ):
-        axis.set(xlabel="million policy steps", ylabel=label, ylim=(0, 400))
-        axis.grid(alpha=0.3)
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=max(len(labels), 1))
-    return figure
-
-
-def _draw(axes: np.ndarray, variant: str, runs: Sequence[Run]) -> None:
-    """Draw one variant in all panels, up to the end of its shortest run."""
-    shortest = min(runs, key=lambda run: run.steps).columns
-    for axis, column in zip(axes, ("episode_length", "episode_return", "eval_return"), strict=True):
-        steps = shortest["step"][np.isfinite(shortest[column])]
-        values = np.stack([_at(run, column, steps) for run in runs])
-        # shorter curves on top, as those of truth and default coincide
-        style = {"color": _COLORS[variant], "zorder": 3 - shortest["step"][-1] / 1e8}
-        marker = "o" if column == "eval_return" else ""
-        seeds = _seeds_text([run.seed for run in runs])
-        axis.plot(
-            steps / 1e6,
-            values.mean(0),
-            marker=marker,
-            ms=3,
-            label=f"{variant}{_OWN_REWARD.get(variant, '')}, {seeds}",
-            **style,
-        )
-        axis.fill_between(steps / 1e6, values.min(0), values.max(0), alpha=0.25, lw=0, **style)
+        seeds = _seeds_text([run.seed for run in group])
+        groups[f"{variant}{_OWN_REWARD.get(variant, '')}, {seeds}"] = [run.columns for run in group]
+    return compare_learning(groups)
 
 
 def _seeds_text(seeds: Sequence[int]) -> str:
@@ -347,14 +314,6 @@ def _seeds_text(seeds: Sequence[int]) -> str:
     if len(seeds) > 2 and sorted(seeds) == [*range(first, last + 1)]:
         return f"seeds {first} to {last}"
     return f"seed{'s' * (len(seeds) > 1)} {', '.join(map(str, seeds))}"
-
-
-def _at(run: Run, column: str, steps: np.ndarray) -> np.ndarray:
-    """Values of a column at policy steps, interpolated."""
-    known = np.isfinite(run.columns[column])
-    if not known.any():
-        return np.full(len(steps), math.nan)
-    return np.interp(steps, run.columns["step"][known], run.columns[column][known])
 
 
 if __name__ == "__main__":

@@ -20,6 +20,9 @@ from aslip.errors import ConfigurationError
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, RIGHT
 
+History = Mapping[str, Sequence[float] | np.ndarray]
+"""Columns of a run's `progress.csv` by name."""
+
 MODE_COLORS = {Mode.LEFT: LEFT, Mode.RIGHT: RIGHT, Mode.DOUBLE: "tab:purple"}
 _PATHS: dict[str, dict[str, Any]] = {
     "body": {"lw": 2.5},
@@ -93,7 +96,7 @@ def gait_sheet(gaits: Sequence[Gait]) -> Figure:
     return figure
 
 
-def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure:
+def learning_curve(history: History, title: str) -> Figure:
     """Figure of episode length, return and reward terms over policy steps.
 
     Args:
@@ -120,7 +123,7 @@ def learning_curve(history: Mapping[str, Sequence[float]], title: str) -> Figure
     return figure
 
 
-def compare_learning(groups: Mapping[str, Sequence[Mapping[str, Sequence[float]]]]) -> Figure:
+def compare_learning(groups: Mapping[str, Sequence[History]]) -> Figure:
     """Figure of several trainings: mean over seeds, and range from the worst to the best seed.
 
     A curve ends where the shortest training of its group ends. Panels without any value, such as
@@ -132,7 +135,9 @@ def compare_learning(groups: Mapping[str, Sequence[Mapping[str, Sequence[float]]
     Raises:
         ConfigurationError: no training has any progress.
     """
-    groups = {name: [run for run in runs if run.get("step")] for name, runs in groups.items()}
+    groups = {
+        name: [run for run in runs if len(run.get("step", ()))] for name, runs in groups.items()
+    }
     panels = [
         (column, label)
         for column, label in _COMPARED.items()
@@ -146,13 +151,11 @@ def compare_learning(groups: Mapping[str, Sequence[Mapping[str, Sequence[float]]
     ):
         for i, (name, runs) in enumerate(groups.items()):
             if runs:
-                _draw_seeds(axes, f"{name} ({len(runs)})", f"C{i}", column, runs)
+                _draw_seeds(axes, name, f"C{i}", column, runs)
         axes.set(xlabel="policy steps [million]", ylabel=label, xlim=(0, None), ylim=(0, 410))
         axes.grid(alpha=0.3)
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="outside upper center", ncols=5, fontsize=8, title="name (seeds)"
-    )
+    figure.legend(handles, labels, loc="outside upper center", ncols=5, fontsize=8)
     return figure
 
 
@@ -163,9 +166,7 @@ _COMPARED = {
 }
 
 
-def _draw_seeds(
-    axes: Axes, label: str, color: str, column: str, runs: Sequence[Mapping[str, Sequence[float]]]
-) -> None:
+def _draw_seeds(axes: Axes, label: str, color: str, column: str, runs: Sequence[History]) -> None:
     """Draw mean and range of a column over seeds, at the steps of the shortest run."""
     known = [np.isfinite(run[column]) for run in runs]
     if not all(values.any() for values in known):

@@ -106,7 +106,7 @@ def test_finished_trainings_are_not_repeated(
 def test_an_interrupted_training_gives_no_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The same command with the same budget continues the ablation where it stopped."""
+    """An ablation continues where it stopped if command and budget are the same."""
     config = ablate.replace(tiny(tmp_path, "default", "no_symmetry"), total_steps=32)
     update, calls = ablate.ppo_aslip.update, []
 

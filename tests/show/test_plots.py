@@ -69,7 +69,7 @@ def test_trainings_are_compared_by_mean_and_range_up_to_the_shortest() -> None:
     (line,) = evaluations.lines
     np.testing.assert_array_equal(line.get_xydata(), [[2, 70]])
     (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["mine (2)", "other (1)"]
+    assert [text.get_text() for text in legend.get_texts()] == ["mine", "other"]
 
 
 def test_panels_without_values_are_left_out() -> None:

@@ -370,7 +370,7 @@ def test_a_run_with_only_damaged_checkpoints_cannot_resume(settings: Settings, h
 
 
 def test_a_checkpoint_with_other_components_is_refused(settings: Settings) -> None:
-    """As after a change of the recipe: the error names them, and nothing is loaded."""
+    """A checkpoint of a changed recipe names the missing components, and nothing is loaded."""
     _save(_open(settings), 10)
     others = ({"net": torch.nn.Linear(4, 2)}, {"net": _net(0.0), "other": _net(0.0)})
     for components, word in zip(others, ("size mismatch", "lacks.*other"), strict=True):

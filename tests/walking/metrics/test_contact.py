@@ -111,7 +111,7 @@ def test_refuses_invalid_force() -> None:
 
 
 def test_longest_unloaded_mid_stance_needs_longer_swing() -> None:
-    """As in spring-mass walking: 0.12 s without load in each stance, swings of 0.3 s."""
+    """Unloaded parts of a stance last 0.12 s in spring-mass walking, swings 0.3 s."""
     stance = np.concatenate([np.full(400, 300.0), np.zeros(240), np.full(400, 300.0)])
     left = np.tile(np.concatenate([stance, np.zeros(600)]), 6)
     right = np.roll(left, len(left) // 12)
