@@ -25,19 +25,23 @@ POINTS = 2 * INTERVALS
 P = SlipParameters(min_stance_force=0.15)
 """Model of the gaits."""
 COMMANDS = [
-    (0.0, 0.0, 0.0),
     (1.0, 0.0, 0.0),
+    (1.0, -0.4, 0.5),
+    (0.5, 0.5, 1.0),
+]
+"""Commands straight ahead and in curves."""
+SLOW = [
+    (0.0, 0.0, 0.0),
     (2.0, 0.0, 0.0),
     (2.0, 0.0, 0.3),
     (1.2, 0.2, 0.8),
-    (1.0, -0.4, 0.5),
-    (0.5, 0.5, 1.0),
     (0.0, 0.5, 0.0),
     (0.0, 0.0, 1.0),
     (-0.8, 0.0, -0.4),
     (-0.8, 0.3, -1.0),
 ]
-"""Commands all over the region."""
+"""Further commands, all over the region, for slow tests."""
+CASES = [*COMMANDS, *(pytest.param(command, marks=pytest.mark.slow) for command in SLOW)]
 ARRAYS = ("control", "leg_force", "set_point", "set_point_velocity")
 
 
@@ -46,9 +50,19 @@ def gaits():
     return dict(zip(COMMANDS, optimize_gaits(COMMANDS, parameters=P), strict=True))
 
 
-@pytest.fixture(params=COMMANDS, ids=str)
-def gait(request, gaits):
-    return gaits[request.param]
+@pytest.fixture(scope="module")
+def slow_gaits():
+    return dict(zip(SLOW, optimize_gaits(SLOW, parameters=P), strict=True))
+
+
+def gait_at(command, request):
+    """Gait of the fixture that has the command."""
+    return request.getfixturevalue("gaits" if command in COMMANDS else "slow_gaits")[command]
+
+
+@pytest.fixture(params=CASES, ids=str)
+def gait(request):
+    return gait_at(request.param, request)
 
 
 def test_gait_is_certified(gait):
@@ -206,10 +220,18 @@ def test_next_stride_continues_along_the_arc(gait):
         np.testing.assert_allclose(array[0], array[1], atol=1e-6)
 
 
-@pytest.mark.parametrize("command", [c for c in COMMANDS if not any(c[1:]) and c[0] >= 0], ids=str)
-def test_straight_gaits_are_those_of_half_a_stride(gaits, command):
+STRAIGHT = [
+    (1.0, 0.0, 0.0),
+    pytest.param((0.0, 0.0, 0.0), marks=pytest.mark.slow),
+    pytest.param((2.0, 0.0, 0.0), marks=pytest.mark.slow),
+]
+"""Straight commands forward."""
+
+
+@pytest.mark.parametrize("command", STRAIGHT, ids=str)
+def test_straight_gaits_are_those_of_half_a_stride(request, command):
     """Up to the origin along the path."""
-    gait, straight = gaits[command], optimize_gait(command[0], parameters=P)
+    gait, straight = gait_at(command, request), optimize_gait(command[0], parameters=P)
     assert gait.certificate.cost == pytest.approx(straight.certificate.cost, rel=1e-9)
     assert gait.stride == pytest.approx(straight.stride, abs=1e-7)
     shift = gait.body.position[0, 0] * np.array([1.0, 0.0, 0.0])
@@ -254,13 +276,13 @@ def test_gait_does_not_depend_on_the_initial_guess(gaits):
 
 
 def test_arrays_of_turning_gaits_are_restored(gaits):
-    gait = gaits[1.2, 0.2, 0.8]
+    gait = gaits[1.0, -0.4, 0.5]
     again = type(gait).from_arrays(gait.to_arrays())
     np.testing.assert_equal(again.to_arrays(), gait.to_arrays())
 
 
 def test_sampled_turn_follows_the_gait_from_stride_to_stride(gaits):
-    gait = gaits[1.2, 0.2, 0.8]
+    gait = gaits[1.0, -0.4, 0.5]
     sampled, phase = SampledMotion.from_motion(gait, 128), np.linspace(-1.2, 2.3, 200)
     found, exact = sampled.sample(phase), gait.sample(phase)
     np.testing.assert_allclose(found.body.position, exact.body.position, atol=1e-4)
@@ -270,9 +292,9 @@ def test_sampled_turn_follows_the_gait_from_stride_to_stride(gaits):
 
 
 def test_gait_without_a_certificate_is_refused_with_its_command(gaits, monkeypatch):
-    gait = gaits[1.2, 0.2, 0.8]
+    gait = gaits[1.0, -0.4, 0.5]
     failed = dataclasses.replace(gait.certificate, kkt_residual=1.0)
     monkeypatch.setattr(optimize, "certify", lambda *_: failed)
-    message = r"at 1\.2 m/s forward, 0\.2 m/s sideways, 0\.8 rad/s is not certified: kkt_residual"
+    message = r"at 1 m/s forward, -0\.4 m/s sideways, 0\.5 rad/s is not certified: kkt_residual"
     with pytest.raises(GaitOptimizationError, match=message):
         optimize_gait(gait.command, parameters=P, guess=gait)
