@@ -142,7 +142,10 @@ _TINY = (
 )
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+# tests/training/test_run.py and test_resume.py hold SIGTERM in the process of the test
+@pytest.mark.parametrize(
+    "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_a_training_that_is_interrupted_saves_and_reports_how_to_resume(
     tmp_path: Path, number: signal.Signals
 ) -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from aslip.errors import (
     RenderingError,
     SpeedOutOfRangeError,
     UnknownNameError,
+    one_line_errors,
 )
 from aslip.log import read, replay
 from aslip.log.__main__ import main as log_main
@@ -129,7 +131,10 @@ def test_a_walk_without_files_says_how_to_write_them(capsys: pytest.CaptureFixtu
     assert "nothing was written; add --log" in told
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(signal.SIGTERM, 143), pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow)],
+)
 def test_stopped_walk_leaves_a_complete_log(
     tmp_path: Path, number: signal.Signals, status: int
 ) -> None:
@@ -138,9 +143,10 @@ def test_stopped_walk_leaves_a_complete_log(
     command = [sys.executable, "recipes/walk.py", "--command", "0.5", "--duration", "100000"]
     part = path.with_name("walk.mcap.part")
     with started([*command, "--log", str(path)], cwd=root) as process:
+        # 400 kB of attachments and a second of the walk
         wait_until(lambda: part.exists() and part.stat().st_size > 500_000, process)
         process.send_signal(number)
-        told = process.communicate(timeout=60)[0]
+        told = process.communicate(timeout=_HANGING)[0]
     assert process.returncode == status
     assert "stopped after" in told
     assert f"wrote {path}" in told
@@ -148,9 +154,36 @@ def test_stopped_walk_leaves_a_complete_log(
     assert log_main(["check", str(path)]) == 0
 
 
+def test_walk_stopped_with_ctrl_c_leaves_a_complete_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "walk.mcap"
+    step, left = walk.Walker.step, [40]
+
+    def stopped(*args: Any, **settings: Any) -> Any:
+        left[0] -= 1
+        if left[0] == 0:
+            signal.raise_signal(signal.SIGINT)
+        return step(*args, **settings)
+
+    monkeypatch.setattr(walk.Walker, "step", stopped)
+    with pytest.raises(SystemExit) as info, one_line_errors():
+        walk.main(Config(command="0.5", duration=1000.0, log=path))
+    assert info.value.code == 130
+    told = capsys.readouterr().out
+    assert "stopped after 1.17 s" in told
+    assert f"wrote {path}" in told
+    assert [p.name for p in tmp_path.iterdir()] == ["walk.mcap"]
+    assert log_main(["check", str(path)]) == 0
+
+
+_HANGING = 900.0
+"""Time after which a process counts as hanging, however slow the machine [s]."""
+
+
 def wait_until(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
-    """Wait until a condition is true, while a process runs; for two minutes at most."""
-    deadline = time.monotonic() + 120
+    """Wait until a condition is true, while a process runs that does not hang."""
+    deadline = time.monotonic() + _HANGING
     while not condition():
         assert process.poll() is None, "the process has ended"
         assert time.monotonic() < deadline
