@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from aslip.errors import FileDamagedError, ShapeError
-from aslip.rom.arc import displacement
+from aslip.rom.arc import displacement, twist_pose
 from aslip.rom.certificate import Certificate
 from aslip.rom.motion import Angle, MotionSample, Track, split_phase
 from aslip.rom.slip import Mode, SlipParameters, leg_force
@@ -113,6 +113,17 @@ class Gait:
     def step_length(self) -> float:
         """Distance that the body moves forward per footstep, in the mean [m]."""
         return self.speed * self.stride / 2
+
+    @property
+    def step_width(self) -> float:
+        """Sideways distance between the footholds, each in the heading frame of its mid-stance [m].
+
+        It is negative if the feet cross.
+        """
+        ground = np.stack([self.feet.position[-1, 0], self.feet.position[0, 1]])
+        mid_stance = (self.single_stance + np.array([self.stride, 0.0])) / 2
+        left, right = twist_pose(self.command, mid_stance).inverse().transform(ground)
+        return float(left[1] - right[1])
 
     @property
     def duty_factor(self) -> float:

@@ -37,7 +37,8 @@ def mirror(gait: Gait) -> Gait:
     margins = gait.certificate.margins
     return replace(
         gait,
-        command=gait.command * np.array([1.0, -1.0, -1.0])[: len(gait.command)],
+        # adding 0 turns -0 into 0
+        command=gait.command * np.array([1.0, -1.0, -1.0])[: len(gait.command)] + 0.0,
         mode=swapped[gait.mode[order]],
         body=image(gait.body),
         feet=Track(feet.position[:, ::-1], feet.velocity[:, ::-1]),
