@@ -17,6 +17,12 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
+    from aslip.library.directions import (
+        DirectionGrid,
+        GaitFolder,
+        convex_gaits,
+        solve_directions,
+    )
     from aslip.library.library import GaitLibrary, Reference
     from aslip.library.pendulum import pendulum_library, single_reference_library
     from aslip.library.table import PAPER_SPEEDS, GaitTable
@@ -24,17 +30,22 @@ if TYPE_CHECKING:
 
 __all__ = [
     "PAPER_SPEEDS",
+    "DirectionGrid",
+    "GaitFolder",
     "GaitLibrary",
     "GaitTable",
     "Reference",
+    "convex_gaits",
     "pendulum_library",
     "single_reference_library",
+    "solve_directions",
     "tabulate",
 ]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
+        "directions": ["DirectionGrid", "GaitFolder", "convex_gaits", "solve_directions"],
         "library": ["GaitLibrary", "Reference"],
         "pendulum": ["pendulum_library", "single_reference_library"],
         "table": ["PAPER_SPEEDS", "GaitTable"],

@@ -62,7 +62,7 @@ def build_rows(
         for i in range(0, len(motions), _CHUNK)
     ]
     if workers is None:
-        workers = _cores() if len(motions) > ONE_PROCESS else 1
+        workers = usable_cores() if len(motions) > ONE_PROCESS else 1
     found, done = {}, 0
     for i, rows in _worked(chunks, min(workers, len(chunks))):
         found[i], done = rows, done + len(rows)
@@ -93,7 +93,7 @@ class _Chunk:
         return rows
 
 
-def _cores() -> int:
+def usable_cores() -> int:
     """Cores that this process may use."""
     usable = getattr(os, "sched_getaffinity", None)
     return len(usable(0)) if usable else os.cpu_count() or 1

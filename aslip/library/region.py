@@ -32,17 +32,10 @@ def hull_gauge(commands: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, n
         ConfigurationError: the commands with motions span no volume, or a command without a motion
             is among them.
     """
-    from scipy.spatial import ConvexHull, QhullError  # slow to import
-
     solved = commands[~missing]
-    try:
-        planes = np.unique(ConvexHull(solved).equations.round(12), axis=0)
-    except QhullError as error:
-        raise ConfigurationError(
-            f"commands of motions must span the grid, got {solved.tolist()}"
-        ) from error
+    planes = _hull_planes(solved)
     normals, offsets = planes[:, :-1], planes[:, -1]
-    inside = (commands @ normals.T + offsets <= _ROUNDING).all(axis=1) & missing
+    inside = inside_hull(commands, ~missing)
     if inside.any():
         raise ConfigurationError(
             "the region of a library must be convex: a motion is missing at"
@@ -52,6 +45,32 @@ def hull_gauge(commands: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, n
     centre = origin if (offsets < -_ROUNDING).all() else solved.mean(axis=0)
     room = -(normals @ centre + offsets)
     return normals / room[:, None], centre
+
+
+def inside_hull(commands: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Mask (n,) of the commands that are not kept, but in the convex hull of those that are.
+
+    Args:
+        commands: (n, c) commands.
+        kept: (n,) True at commands of the hull.
+
+    Raises:
+        ConfigurationError: the commands that are kept span no volume.
+    """
+    planes = _hull_planes(commands[kept])
+    return (commands @ planes[:, :-1].T + planes[:, -1] <= _ROUNDING).all(axis=1) & ~kept
+
+
+def _hull_planes(commands: np.ndarray) -> np.ndarray:
+    """Normals and offsets (h, c + 1) of the facets of a convex hull."""
+    from scipy.spatial import ConvexHull, QhullError  # slow to import
+
+    try:
+        return np.unique(ConvexHull(commands).equations.round(12), axis=0)
+    except QhullError as error:
+        raise ConfigurationError(
+            f"commands of motions must span the grid, got {listed(commands.tolist())}"
+        ) from error
 
 
 def extrapolate(values: np.ndarray, present: np.ndarray) -> np.ndarray:

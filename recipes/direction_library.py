@@ -1,0 +1,249 @@
+r"""Build a library of gaits in all directions from an empty folder, or go on with a build.
+
+python recipes/direction_library.py                        # 1675 gaits, in runs/directions
+python recipes/direction_library.py --out runs/small --forward 0 0.5 1 --sideways 0 0.2 \
+    --yaw-rates 0 0.5 --limits --checks 0
+
+The gaits to the left are solved on all cores, each from a neighbour, and those to the right are
+their mirror images. Every solved gait is stored at once, so that the same command goes on after an
+interruption. Gaits that do not exist, or that the robot cannot reach, are left out and listed; the
+region stays convex, because it is an intersection of half-spaces (`--limits`), and is cut further
+where a gait is missing amid others.
+
+Files of the folder: the library `gaits.npz`, the certificates of all gaits `certificates.csv`, the
+picture `region.png`, and in `solved` and `rows` the gaits and their inverse kinematics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from aslip.errors import ConfigurationError, one_line_errors
+from aslip.rom import Objective, SlipParameters
+from aslip.training.command_line import command_line
+
+LIMITS = (
+    (1.0, 1.6, 1.6, 2.8),
+    (1.0, 1.6, -1.6, 2.8),
+    (1.0, 0.4, 0.4, 2.2),
+    (1.0, 0.4, -0.4, 2.2),
+    (-1.0, 1.0, -1.0, 2.2),
+)
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings of the library."""
+
+    out: Path = Path("runs/directions")
+    """Folder of the library."""
+    forward: tuple[float, ...] = (
+        *(-0.8, -0.4, 0.0, 0.4, 0.7, 0.95, 1.15, 1.35, 1.5, 1.65, 1.8, 1.9, 2.0, 2.1, 2.2),
+    )
+    """Ascending forward speeds [m/s]."""
+    sideways: tuple[float, ...] = (0.0, 0.06, 0.12, 0.17, 0.22, 0.27, 0.33, 0.41, 0.5)
+    """Sideways speeds to the left, from 0 [m/s]; those to the right are their mirror images."""
+    yaw_rates: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+    """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
+    limits: tuple[tuple[float, float, float, float], ...] = LIMITS
+    """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; by default the
+    reach of Cassie's hips and feet."""
+    samples: int = 48
+    """Samples of a stride."""
+    model: SlipParameters = field(default_factory=lambda: SlipParameters(min_stance_force=0.15))
+    """Model and bounds of the gaits."""
+    objective: Objective = "mean"
+    """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral."""
+    workers: int | None = None
+    """Number of processes, all cores by default."""
+    checks: int = 50
+    """Gaits solved at random commands and compared with look-ups."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers that nothing below checks at once."""
+        if self.checks < 0 or (self.workers is not None and self.workers < 1):
+            raise ConfigurationError(
+                "checks must be 0 or more and workers 1 or more, got"
+                f" {self.checks} and {self.workers}"
+            )
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = command_line(Config)
+
+import csv
+import io
+import time
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from aslip.errors import SpeedOutOfRangeError
+from aslip.files.writing import replacing
+from aslip.library import (
+    DirectionGrid,
+    GaitFolder,
+    GaitLibrary,
+    convex_gaits,
+    solve_directions,
+)
+from aslip.robot import SIDES
+from aslip.rom import Gait
+from aslip.show.plots import save_figure
+from aslip.show.region import region_figure
+from aslip.training.provenance import provenance, versions
+from aslip.walking import markdown
+
+_HEADER = (
+    *("forward", "sideways", "yaw_rate", "stride", "double_stance", "step_width", "cost"),
+    *("kkt_residual", "max_defect", "integration_error", "margin", "iterations", "left_out"),
+)
+
+
+def main(config: Config) -> GaitLibrary:
+    """Solve, tabulate, store, draw and check; returns the library."""
+    start = time.perf_counter()
+    grid = DirectionGrid(config.forward, config.sideways, config.yaw_rates, config.limits)
+    store = GaitFolder(
+        config.out / "solved", config.model, config.objective, samples=config.samples
+    )
+    gaits, missing = _solve(config, grid, store)
+    _write_certificates(config.out / "certificates.csv", gaits, missing)
+    save_figure(region_figure(gaits, [np.array(c) for c in missing]), config.out / "region.png")
+    library = _tabulate(config, gaits)
+    library.save(config.out / "gaits.npz")
+    print(_summary(gaits, missing, library))
+    if config.checks:
+        print(_accuracy(config, library, gaits, store))
+    print(f"\n{time.perf_counter() - start:.0f} s -> {config.out / 'gaits.npz'}, region.png")
+    return library
+
+
+Missing = Mapping[tuple[float, ...], str]
+"""Command without a gait -> the reason."""
+
+
+def _solve(
+    config: Config, grid: DirectionGrid, store: GaitFolder
+) -> tuple[list[Gait], dict[tuple[float, ...], str]]:
+    """Gaits of a convex region in order, and the commands that are left out."""
+    with tqdm(total=len(grid.half), desc="gaits", unit="gait", smoothing=0.05) as bar:
+
+        def progress(done: int, count: int, stored: bool) -> None:
+            # stored gaits take no time and would spoil the estimate
+            bar.initial += stored
+            bar.update(done - bar.n)
+
+        outcomes = solve_directions(grid, store, workers=config.workers, progress=progress)
+    gaits, left_out = convex_gaits(grid, outcomes)
+    return gaits, {tuple(grid.command(p).tolist()): why for p, why in left_out.items()}
+
+
+def _tabulate(config: Config, gaits: Sequence[Gait]) -> GaitLibrary:
+    with tqdm(total=len(gaits), desc="inverse kinematics", unit="gait") as bar:
+
+        def progress(done: int, count: int) -> None:
+            bar.update(done - bar.n)
+
+        return GaitLibrary.from_motions(
+            gaits,
+            samples=config.samples,
+            single_precision=True,
+            missing=True,
+            keep_motions=False,
+            workers=config.workers,
+            folder=config.out / "rows",
+            progress=progress,
+            made_by=_made_by(),
+        )
+
+
+def _made_by() -> dict[str, str]:
+    """Command, commit and versions, which are saved in the file."""
+    origin = provenance()
+    named = {"command": origin["command"], "commit": origin["commit"]}
+    packages = versions(("aslip", "casadi", "pin", "numpy", "scipy"))
+    return {name: str(value or "") for name, value in {**named, **packages}.items()}
+
+
+def _write_certificates(path: Path, gaits: Sequence[Gait], missing: Missing) -> None:
+    """Write a row per command: residuals, errors and the smallest margin, or why it is left out."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(_HEADER)
+    for gait in gaits:
+        c = gait.certificate
+        numbers = (gait.stride, gait.double_stance, gait.step_width, c.cost, c.kkt_residual)
+        errors = (c.max_defect, c.integration_error, min(c.margins.values()), c.iterations)
+        table.writerow([*gait.command.tolist(), *numbers, *errors, ""])
+    for command, why in missing.items():
+        table.writerow([*command, *[""] * (len(_HEADER) - 4), why])
+    with replacing(path) as file:
+        file.write(text.getvalue().encode())
+
+
+def _summary(gaits: Sequence[Gait], missing: Missing, library: GaitLibrary) -> str:
+    """Worst certificate, memory, and the commands that are left out with the reasons."""
+    certificates = [gait.certificate for gait in gaits]
+    memory = sum(buffer.nbytes for buffer in library.buffers())
+    lines = [f"left out {command}: {why}" for command, why in missing.items()]
+    return "\n".join(
+        [
+            *lines,
+            f"{len(gaits)} gaits, {len(missing)} left out; largest KKT residual"
+            f" {max(c.kkt_residual for c in certificates):.0e}, largest error of integration"
+            f" {1e3 * max(c.integration_error for c in certificates):.4f} mm;"
+            f" tables of {memory / 1e6:.1f} MB",
+        ]
+    )
+
+
+def _accuracy(
+    config: Config, library: GaitLibrary, gaits: Sequence[Gait], store: GaitFolder
+) -> str:
+    """Table of the largest differences between look-ups and gaits solved at random commands."""
+    rng = np.random.default_rng(0)
+    low, high = np.transpose([axis[[0, -1]] for axis in library.table.axes])
+    draws = torch.tensor(rng.uniform(low, high, (20 * config.checks, 3)))
+    commands = [c.numpy() for c in draws if _covered(library, c)][: config.checks]
+    rows = []
+    for command in tqdm(commands, desc="checks", unit="gait"):
+        nearest = min(gaits, key=lambda gait: np.linalg.norm(gait.command - command))
+        gait = store.read(command) or store.solve(command, nearest)
+        if isinstance(gait, Gait):
+            rows.append([*command, *_differences(library, gait, config.samples)])
+    worst = np.max(rows, axis=0)[3:]
+    names = ("body [mm]", "feet [mm]", "velocity [m/s]", "toes [rad]", "motors [rad]")
+    cells = [[f"{value:.2g}" for value in worst]]
+    return f"largest error at {len(rows)} random commands:\n\n{markdown(names, cells)}"
+
+
+def _covered(library: GaitLibrary, command: torch.Tensor) -> bool:
+    """True if look-ups do not move a command into the region."""
+    try:
+        library.check_command(command.tolist())
+    except SpeedOutOfRangeError:
+        return False
+    return True
+
+
+def _differences(library: GaitLibrary, gait: Gait, samples: int) -> list[float]:
+    """Largest differences of positions [mm], velocities [m/s] and angles [rad] over a stride."""
+    exact = GaitLibrary.from_motions([gait], library.table.robot, samples=samples)
+    phase = torch.arange(samples, dtype=torch.float64)[:, None] / samples
+    command = torch.tensor(gait.command).expand(samples, 3)
+    found, true = (one.lookup(phase, command) for one in (library, exact))
+    worst = {n: (v - getattr(true, n)).abs().max().item() for n, v in vars(found).items()}
+    position = 1e3 * max(worst[f"{side}_foot_position"] for side in SIDES)
+    toes = max(worst[f"{side}_foot_heading"] for side in SIDES)
+    velocity = max(worst["body_velocity"], *(worst[f"{side}_foot_velocity"] for side in SIDES))
+    return [1e3 * worst["body_position"], position, velocity, toes, worst["motor_position"]]
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)
