@@ -35,90 +35,7 @@ from aslip.policy import (
 )
 from benchmarks.faults.archives import forge_archive, read_zip
 from tests.helpers import MakeEnv
-
-
-def _observations(num: int, seed: int = 0) -> torch.Tensor:
-    generator = torch.Generator().manual_seed(seed)
-    scale, shift = 10 ** torch.linspace(-2, 3, 64), torch.linspace(-50, 50, 64)
-    return shift + scale * torch.randn(num, 64, generator=generator)
-
-
-# -------------------------------------------------------------- normaliser
-
-
-def test_normalizer_statistics_equal_numpy() -> None:
-    normalizer = RunningNormalizer(64)
-    batches = [_observations(num, seed) for seed, num in enumerate((1, 7, 500, 2, 64))]
-    for batch in batches:
-        normalizer.update(batch)
-    everything = torch.cat(batches).double().numpy()
-    assert normalizer.count == len(everything)
-    np.testing.assert_allclose(normalizer.mean, everything.mean(axis=0), rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(normalizer.variance, everything.var(axis=0), rtol=1e-9)
-    normalised = normalizer(torch.cat(batches)).numpy()
-    expected = (everything - everything.mean(axis=0)) / everything.std(axis=0)
-    np.testing.assert_allclose(normalised, expected.clip(-10, 10), atol=0.01)
-
-
-def test_batch_dimensions_do_not_matter() -> None:
-    flat, shaped = RunningNormalizer(64), RunningNormalizer(64)
-    values = _observations(60)
-    flat.update(values)
-    shaped.update(values.reshape(3, 20, 64))
-    torch.testing.assert_close(flat.mean, shaped.mean)
-    torch.testing.assert_close(flat(values).reshape(3, 20, 64), shaped(values.reshape(3, 20, 64)))
-
-
-def test_constant_input_is_normalised_to_zero() -> None:
-    normalizer = RunningNormalizer(3)
-    values = torch.tensor([[0.95, 0.0, -1234.567]]).expand(1000, 3)
-    for _ in range(5):
-        normalizer.update(values)
-    assert torch.isfinite(normalizer(values)).all()
-    torch.testing.assert_close(normalizer(values), torch.zeros(1000, 3), atol=1e-3, rtol=0)
-    far = normalizer(values + 1e6)
-    assert torch.isfinite(far).all()
-    assert far.abs().max() <= 10
-
-
-def test_constant_input_is_not_scaled() -> None:
-    normalizer = RunningNormalizer(2)
-    values = torch.stack([torch.full((1000,), 0.95), torch.randn(1000)], dim=-1)
-    normalizer.update(values)
-    moved = normalizer(values + torch.tensor([1e-3, 0.0])) - normalizer(values)
-    assert moved.abs().max() < 1.1e-3
-    loaded = RunningNormalizer(2)
-    loaded.load_state_dict(normalizer.state_dict())
-    torch.testing.assert_close(loaded(values), normalizer(values), rtol=0, atol=0)
-
-
-@pytest.mark.parametrize(
-    ("name", "constant"), [("aslip", [56, 62]), ("robust", [56, 62]), ("single_reference", [])]
-)
-def test_action_is_insensitive_to_entry_constant_in_training(
-    name: str, constant: list[int]
-) -> None:
-    """A reference whose feet move sideways by 1 mm/s must not turn the actions of a policy."""
-    policy = aslip.load_policy(name)
-    normalizer = next(m for m in policy.modules() if isinstance(m, RunningNormalizer))
-    assert (normalizer.variance < 1e-8).nonzero()[:, 0].tolist() == constant
-    observation = normalizer.mean.float().repeat(1 + len(constant), 1)
-    for row, entry in enumerate(constant, 1):
-        observation[row, entry] += 1e-3
-    action = policy(TensorDict(observation=observation, batch_size=len(observation)))["action"]
-    assert ((action - action[0]).abs() < 1e-2).all()
-
-
-def test_new_normalizer_is_identity() -> None:
-    values = torch.randn(5, 64).clamp(-3, 3)
-    torch.testing.assert_close(RunningNormalizer(64)(values), values, rtol=0, atol=0)
-
-
-def test_normalizer_has_no_parameters() -> None:
-    assert list(RunningNormalizer(64).parameters()) == []
-
-
-# ------------------------------------------------------------- actor, critic
+from tests.policy.inputs import random_observations
 
 
 @pytest.fixture
@@ -126,7 +43,7 @@ def actor() -> ProbabilisticActor:
     """Policy with a trained normaliser, whose actions are well away from zero."""
     torch.manual_seed(0)
     normalizer = RunningNormalizer(64)
-    normalizer.update(_observations(100))
+    normalizer.update(random_observations(100))
     actor = make_actor(normalizer)
     with torch.no_grad():
         for parameter in actor.parameters():
@@ -135,7 +52,7 @@ def actor() -> ProbabilisticActor:
 
 
 def _input(num: int = 20) -> TensorDict:
-    return TensorDict(observation=_observations(num, seed=9), batch_size=num)
+    return TensorDict(observation=random_observations(num, seed=9), batch_size=num)
 
 
 def test_the_actor_is_deterministic_unless_asked_to_explore(
@@ -155,7 +72,7 @@ def test_exploration_has_the_fixed_standard_deviation(
 ) -> None:
     """It is exp(-2), about 0.135 rad, for any input."""
     assert PolicyShape().std == pytest.approx(math.exp(-2))
-    td = TensorDict(observation=_observations(1).expand(4000, 64), batch_size=4000)
+    td = TensorDict(observation=random_observations(1).expand(4000, 64), batch_size=4000)
     with torch.no_grad():
         mean = actor(td.clone())["action"][0]
         with set_exploration_type(ExplorationType.RANDOM):
