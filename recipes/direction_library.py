@@ -1,6 +1,6 @@
 r"""Build a library of gaits in all directions from an empty folder, or go on with a build.
 
-python recipes/direction_library.py                        # 1675 gaits, in runs/directions
+python recipes/direction_library.py                        # 1297 gaits, in runs/directions
 python recipes/direction_library.py --out runs/small --forward 0 0.5 1 --sideways 0 0.2 \
     --yaw-rates 0 0.5 --limits --checks 0
 
@@ -39,10 +39,10 @@ class Config:
     out: Path = Path("runs/directions")
     """Folder of the library."""
     forward: tuple[float, ...] = (
-        *(-0.8, -0.4, 0.0, 0.4, 0.7, 0.95, 1.15, 1.35, 1.5, 1.65, 1.8, 1.9, 2.0, 2.1, 2.2),
+        *(-0.8, -0.4, 0.0, 0.4, 0.7, 1.0, 1.25, 1.5, 1.7, 1.85, 2.0, 2.1, 2.2),
     )
     """Ascending forward speeds [m/s]."""
-    sideways: tuple[float, ...] = (0.0, 0.06, 0.12, 0.17, 0.22, 0.27, 0.33, 0.41, 0.5)
+    sideways: tuple[float, ...] = (0.0, 0.08, 0.14, 0.2, 0.26, 0.32, 0.41, 0.5)
     """Sideways speeds to the left, from 0 [m/s]; those to the right are their mirror images."""
     yaw_rates: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
     """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
