@@ -14,6 +14,7 @@ from aslip.rom.program import INTERVALS
 
 from .conftest import SPEEDS
 from .energy import energy_function
+from .velocities import check_velocities
 
 EVERY_SPEED = pytest.mark.parametrize("index", range(len(SPEEDS)), ids=SPEEDS.astype(str))
 QUARTER = 2 * INTERVALS
@@ -161,13 +162,7 @@ def test_sampling_at_collocation_points_returns_their_values(gait):
 
 
 def test_sampled_velocities_are_derivatives(gait):
-    step = 1e-6
-    phase = np.linspace(0.003, 0.997, 200)
-    before, middle, after = (gait.sample(phase + d) for d in (-step, 0.0, step))
-    for name in ("body", "feet"):
-        ends = getattr(before, name).position, getattr(after, name).position
-        difference = (ends[1] - ends[0]) / (2 * step * gait.stride)
-        np.testing.assert_allclose(getattr(middle, name).velocity, difference, atol=1e-4)
+    check_velocities(gait, atol=1e-4)
 
 
 def test_sample_one_stride_later_is_one_stride_ahead(gait):

@@ -20,6 +20,8 @@ from aslip.rom.arc import twist_pose
 from aslip.rom.collocation import weights
 from aslip.rom.program import INTERVALS
 
+from .velocities import check_velocities
+
 POINTS = 2 * INTERVALS
 """Points per contact mode."""
 P = SlipParameters(min_stance_force=0.15)
@@ -189,13 +191,7 @@ def test_feet_stand_still_and_toes_point_along_the_heading_of_mid_stance(gait):
 
 
 def test_sampled_velocities_are_derivatives(gait):
-    step = 1e-6
-    phase = np.linspace(0.003, 0.997, 200)
-    before, middle, after = (gait.sample(phase + d) for d in (-step, 0.0, step))
-    for name in ("body", "feet"):
-        ends = getattr(before, name).position, getattr(after, name).position
-        difference = (ends[1] - ends[0]) / (2 * step * gait.stride)
-        np.testing.assert_allclose(getattr(middle, name).velocity, difference, atol=2e-4)
+    check_velocities(gait, atol=2e-4)
 
 
 def test_samples_agree_with_the_collocation_points(gait):
