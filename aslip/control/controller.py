@@ -23,9 +23,11 @@ from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, load_policy, read_card
 from aslip.transforms.action import add_delta
-from aslip.transforms.command import advance_phase, clock_entries
-from aslip.transforms.estimate import estimate_entries, estimate_sizes
+from aslip.transforms.clock import advance_phase, clock_entries
+from aslip.transforms.command import COMMAND_RATES, approach_command, checked_rates
+from aslip.transforms.estimate import estimate_entries, estimate_sizes, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
+from aslip.transforms.path import advance_heading
 from aslip.transforms.reference import feedforward_target, reference_and_goal
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
@@ -48,8 +50,8 @@ class ControllerState:
     """Inputs and outputs (n,) of the policy, with the keys of an environment's tensordict:
     `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and faults),
     `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`, `motor_target`,
-    and the hidden state of a recurrent policy. For robots that estimate their own state there are
-    no `odometry` and `estimator`."""
+    and the hidden state of a recurrent policy. With a library of several axes, `filtered_command`,
+    too. For robots that estimate their own state there are no `odometry` and `estimator`."""
 
     @property
     def motor_target(self) -> Tensor:
@@ -71,8 +73,13 @@ class Controller:
             state, target = controller.step(state, packets, command=0.5)
 
     A step takes all packets since the previous step. Fill lost packets with NaN, or pass None if
-    all are lost; the estimator detects bad readings and bridges them (`aslip.estimation`). Speeds
-    beyond the library are clipped to its range.
+    all are lost; the estimator detects bad readings and bridges them (`aslip.estimation`). Commands
+    beyond the library become the nearest that it covers.
+
+    Commands have one value per axis of the library, c in all: forward speed, sideways speed [m/s],
+    yaw rate [rad/s]. A number alone is a forward speed. With several axes, reference and clock
+    follow a filtered command (`CommandFilter`), and heading and origin of the odometry move along
+    its path (`HeadingFrame`), so the heading need not be written to turn.
 
     A robot that estimates its own state sends estimates instead of packets. The controller rotates
     them to the heading and does not filter them. If an estimate is missing or not finite, the last
@@ -89,6 +96,8 @@ class Controller:
         estimator: state estimator; its robot defines packets, gains and the policy period.
         motor_lead: time by which the motor references are ahead of the phase, in policy steps; see
             `ReferenceInjection`.
+        command_rates: largest rates of the filtered command with a library of several axes
+            [m/s^2, rad/s^2], see `CommandFilter`.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
@@ -104,6 +113,7 @@ class Controller:
         baseline: NestedKey | None = None,
         estimator: StateEstimator | None = None,
         motor_lead: float = 1.0,
+        command_rates: Sequence[float] = COMMAND_RATES,
     ) -> None:
         if isinstance(policy, str | Path):
             card = read_card(policy)
@@ -121,6 +131,8 @@ class Controller:
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         self.estimator = StateEstimator() if estimator is None else estimator
         self.motor_lead = motor_lead
+        self.command_rates = checked_rates(command_rates)
+        self._along_path = library.command_size > 1
         robot = self.estimator.robot
         self._period = robot.policy_period
         self._gains = [
@@ -130,7 +142,7 @@ class Controller:
     def start(
         self,
         packets: Packets,
-        command: float | Tensor = 0.0,
+        command: float | Sequence[float] | Tensor = 0.0,
         *,
         phase: float | Tensor = 0.0,
         heading: ArrayLike | None = None,
@@ -139,7 +151,7 @@ class Controller:
 
         Args:
             packets: packets; only the last of each robot is used.
-            command: forward speed [m/s], one or (n, 1).
+            command: command, one for all robots or (n, c).
             phase: stride fraction to begin at, one or (n, 1).
             heading: yaw that counts as straight ahead, in the frame of the IMU's attitude [rad],
                 one or (n, 1); by default the yaw in the packets.
@@ -160,7 +172,7 @@ class Controller:
         self,
         state: ControllerState,
         packets: Packets | None,
-        command: float | Tensor | None = None,
+        command: float | Sequence[float] | Tensor | None = None,
         *,
         heading: float | Tensor | None = None,
         restart: Tensor | None = None,
@@ -171,9 +183,9 @@ class Controller:
         Args:
             state: state that `start` or the previous step returned.
             packets: packets since then, oldest first; None if all are lost.
-            command: new forward speed [m/s], one or (n, 1). It counts from the last policy step on,
-                as when a caller writes `command` between the steps of an environment. By default
-                the command does not change.
+            command: new command, one for all robots or (n, c). It counts from the last policy step
+                on, as when a caller writes `command` between the steps of an environment. By
+                default the command does not change.
             heading: new yaw that counts as straight ahead [rad], one or (n, 1). By default it does
                 not change.
             restart: (n, 1) bool, robots that restart with these packets, as after a reset of an
@@ -192,14 +204,19 @@ class Controller:
         rows = self._lost(past) if packets is None else self._rows(packets)
         now = past["command"] if command is None else self._command(command, num)
         ahead = None if heading is None else _column("heading", heading, num)
+        steer = cast("Tensor", past["filtered_command"] if self._along_path else now)
         entries = self._followed(past, rows, ahead)
+        if self._along_path:
+            entries["filtered_command"] = approach_command(
+                steer, now, self.command_rates, self._period
+            )
         # a recurrent policy reads its memory under "next", as in TorchRL's `step_mdp`
         present = past.exclude("next", *_FRESH).update(past.get("next", {}))
         present.update(
             {
                 "command": now,
                 "phase": advance_phase(
-                    self.library, cast("Tensor", past["phase"]), now, self._period
+                    self.library, cast("Tensor", past["phase"]), steer, self._period
                 ),
                 "last_action": past["action"],
                 "is_init": torch.zeros(num, 1, dtype=torch.bool),
@@ -221,10 +238,11 @@ class Controller:
     ) -> TensorDict:
         """Entries of robots that begin with packets (n, w, p), or with estimates (n, e)."""
         if rows.ndim == 3:
-            entries = estimate_entries(*self.estimator.start(rows, heading))
+            origin = torch.zeros(len(rows), 3) if self._along_path else None
+            entries = estimate_entries(*self.estimator.start(rows, heading), origin)
         else:
             entries = start_entries(rows, heading, self.estimator.robot)
-        return TensorDict(
+        begun = TensorDict(
             {
                 "command": command,
                 "phase": phase % 1.0,
@@ -233,6 +251,7 @@ class Controller:
             },
             batch_size=[len(rows)],
         )
+        return begun.set("filtered_command", command.clone()) if self._along_path else begun
 
     def _followed(
         self, past: TensorDictBase, rows: np.ndarray, heading: Tensor | None
@@ -242,18 +261,27 @@ class Controller:
             kinds = ("packets", "estimates")
             got, started = kinds if rows.ndim == 3 else kinds[::-1]
             raise ConfigurationError(f"got {got}, but the robots started with {started}")
+        command = cast("Tensor | None", past.get("filtered_command", None))
         if rows.ndim == 2:
+            if command is not None:
+                before = cast("Tensor", past["heading"]) if heading is None else heading
+                heading = advance_heading(before, command, self._period)
             return next_entries(past, rows, heading, self.estimator.robot)
         memory = cast("Tensor", past["estimator", "memory"])
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
-        if heading is not None:
+        origin = None
+        if command is not None:
+            origin = cast("Tensor", past["odometry", "origin"])
+            origin = follow_path(tracking, origin, command, heading, self._period)
+        elif heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
-        return estimate_entries(tracking, self.estimator.update(tracking, rows))
+        return estimate_entries(tracking, self.estimator.update(tracking, rows), origin)
 
     @torch.no_grad()
     def _act(self, present: TensorDictBase) -> ControllerState:
         """Act on estimate, command and phase."""
-        command, phase = (cast("Tensor", present[key]) for key in ("command", "phase"))
+        steer = "filtered_command" if self._along_path else "command"
+        command, phase = (cast("Tensor", present[key]) for key in (steer, "phase"))
         reference, goal = reference_and_goal(
             self.library, command, phase, motor_lead=self.motor_lead, period=self._period
         )
@@ -289,10 +317,13 @@ class Controller:
         size = (1, robot.packet_size) if "estimator" in past else (own,)
         return np.full((len(past), *size), np.nan)
 
-    def _command(self, command: float | Tensor, num: int) -> Tensor:
-        """Command (num, 1) within the speeds of the library."""
-        low, high = float(self.library.speeds[0]), float(self.library.speeds[-1])
-        return _column("command", command, num).clamp(low, high)
+    def _command(self, command: float | Sequence[float] | Tensor, num: int) -> Tensor:
+        """Command (num, c) in the region of the library."""
+        size = self.library.command_size
+        value = torch.as_tensor(command, dtype=torch.float32)
+        if size > 1 and value.ndim == 0:
+            value = torch.nn.functional.pad(value[None], (0, size - 1))
+        return self.library.nearest(_columns("command", value, num, size))
 
 
 def _completed(begun: TensorDict, like: TensorDictBase) -> TensorDictBase:
@@ -302,18 +333,24 @@ def _completed(begun: TensorDict, like: TensorDictBase) -> TensorDictBase:
 
 
 def _column(name: str, value: float | Tensor, num: int) -> Tensor:
-    """Column (num, 1) in single precision, from one number for all robots or one per robot.
+    """Column (num, 1) from one number for all robots or one per robot; see `_columns`."""
+    return _columns(name, torch.as_tensor(value, dtype=torch.float32), num, 1)
+
+
+def _columns(name: str, value: Tensor, num: int, size: int) -> Tensor:
+    """Values (num, size), from one for all robots or one per robot.
 
     Raises:
-        ShapeError: `value` is neither one number nor (num, 1).
+        ShapeError: `value` has another shape.
         ConfigurationError: a number is not finite.
     """
-    column = torch.as_tensor(value, dtype=torch.float32)
-    if column.shape not in ((), (num, 1)):
-        raise ShapeError(f"{name} must be one number or ({num}, 1), got {tuple(column.shape)}")
-    if not column.isfinite().all():
-        raise ConfigurationError(f"{name} must be finite, got {column.tolist()}")
-    return column.expand(num, 1).clone()
+    one = () if size == 1 else (size,)
+    if value.shape not in (one, (num, size)):
+        what = "one number" if size == 1 else f"{size} numbers"
+        raise ShapeError(f"{name} must be {what} or ({num}, {size}), got {tuple(value.shape)}")
+    if not value.isfinite().all():
+        raise ConfigurationError(f"{name} must be finite, got {value.tolist()}")
+    return value.expand(num, size).clone()
 
 
 def _key(name: str) -> NestedKey:

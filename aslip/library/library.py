@@ -219,6 +219,29 @@ class GaitLibrary(nn.Module):
             )
         return gaits
 
+    @property
+    def command_size(self) -> int:
+        """Number c of axes of a command: 1 for straight libraries, up to 3."""
+        return len(self.table.axes)
+
+    def nearest(self, command: Tensor) -> Tensor:
+        """Commands (*b, c) whose motions `lookup` gives: those outside the region move into it.
+
+        Raises:
+            ShapeError: `command` is not a tensor of that shape.
+        """
+        _check_width("command", command, self.command_size)
+        return self._grid.clamp(command).to(command.dtype)
+
+    def covers(self, command: Tensor) -> Tensor:
+        """(*b, 1) bool, commands (*b, c) in the region, to the rounding of single precision.
+
+        Raises:
+            ShapeError: `command` is not a tensor of that shape.
+        """
+        beyond = (self.nearest(command) - command).abs()
+        return (beyond <= _BORDER).all(-1, keepdim=True)
+
     def check_command(self, command: float | Sequence[float]) -> tuple[float, ...]:
         """Check that the library covers a command, and return it.
 

@@ -10,7 +10,7 @@ from typing import Any
 from torchrl.envs.transforms import StepCounter
 
 from aslip.envs import StackEnv, command_speeds, describe_transforms
-from aslip.transforms import SpeedCommand, StaggeredEnds
+from aslip.transforms import RandomCommand, StaggeredEnds
 
 MakeEnv = Callable[..., StackEnv]
 """Function of the keywords `num_envs` and `seed`, such as `aslip.make_env`; for robots in other
@@ -25,7 +25,7 @@ def make_training_env(
     Args:
         make_env: makes the environment.
         command_interval: mean time between changes of the commanded speed [s]; infinite for a
-            constant speed per episode. A `SpeedCommand` with a finite interval keeps its own.
+            constant speed per episode. A `RandomCommand` with a finite interval keeps its own.
         settings: keywords of `make_env`.
     """
     env = make_env(**settings)
@@ -34,7 +34,7 @@ def make_training_env(
         env.append_transform(StaggeredEnds(limits[0]))
         env.set_seed(env.seed)
     for transform in env.transforms:
-        if isinstance(transform, SpeedCommand) and math.isinf(transform.interval):
+        if isinstance(transform, RandomCommand) and math.isinf(transform.interval):
             transform.interval = command_interval
     return env
 

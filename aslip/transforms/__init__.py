@@ -8,12 +8,26 @@ Transforms that draw random numbers own a generator, which `env.set_seed` seeds.
 from aslip.robot import NoiseLevel
 from aslip.transforms.action import ActionDelta, LastAction
 from aslip.transforms.base import SeededTransform, extend_spec
-from aslip.transforms.command import ClockInput, PhaseClock, SpeedCommand
+from aslip.transforms.clock import ClockInput, PhaseClock
+from aslip.transforms.command import (
+    COMMAND_RATES,
+    CommandFilter,
+    RandomCommand,
+    SpeedCommand,
+    VelocityCommand,
+)
 from aslip.transforms.episode import Fall, FirstStep, LowReward, StaggeredEnds
-from aslip.transforms.estimate import ESTIMATE_SIZES, ODOMETRY_SIZES, EstimatedState, TrueState
+from aslip.transforms.estimate import (
+    ESTIMATE_SIZES,
+    ODOMETRY_SIZES,
+    PATH_SIZES,
+    EstimatedState,
+    TrueState,
+)
 from aslip.transforms.heading import HeadingFrame
 from aslip.transforms.noise import ObservationNoise
 from aslip.transforms.observation import (
+    DIRECTION_TABLE,
     OBSERVATION_TABLE,
     SINGLE_REFERENCE_TABLE,
     AssembleObservation,
@@ -28,14 +42,18 @@ from aslip.transforms.reference import (
 from aslip.transforms.reward import EpisodeSum, RewardTerm, WeightedReward
 
 __all__ = [
+    "COMMAND_RATES",
+    "DIRECTION_TABLE",
     "DYNAMICS_RANGES",
     "ESTIMATE_SIZES",
     "OBSERVATION_TABLE",
     "ODOMETRY_SIZES",
+    "PATH_SIZES",
     "SINGLE_REFERENCE_TABLE",
     "ActionDelta",
     "AssembleObservation",
     "ClockInput",
+    "CommandFilter",
     "EpisodeSum",
     "EstimatedState",
     "Fall",
@@ -47,6 +65,7 @@ __all__ = [
     "NoiseLevel",
     "ObservationNoise",
     "PhaseClock",
+    "RandomCommand",
     "RandomDynamics",
     "RandomNoise",
     "ReferenceDistance",
@@ -57,6 +76,7 @@ __all__ = [
     "SpeedCommand",
     "StaggeredEnds",
     "TrueState",
+    "VelocityCommand",
     "WeightedReward",
     "extend_spec",
 ]

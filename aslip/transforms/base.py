@@ -187,15 +187,15 @@ def require_keys(transform: Transform, spec: TensorSpec, keys: Sequence[NestedKe
             )
 
 
-def checked_column(tensordict: TensorDictBase, key: NestedKey) -> torch.Tensor:
-    """Entry (*b, 1) that a caller may have written, in single precision.
+def checked_column(tensordict: TensorDictBase, key: NestedKey, size: int = 1) -> torch.Tensor:
+    """Entry (*b, size) that a caller may have written, in single precision.
 
     Raises:
-        ShapeError: the entry does not have one number per robot.
+        ShapeError: the entry does not have `size` numbers per robot.
         ConfigurationError: a number is not finite.
     """
     value = torch.as_tensor(tensordict[key])
-    expected = (*tensordict.batch_size, 1)
+    expected = (*tensordict.batch_size, size)
     if tuple(value.shape) != expected:
         raise ShapeError(f"{key} must have shape {expected}, got {tuple(value.shape)}")
     if not torch.isfinite(value).all():

@@ -1,12 +1,13 @@
-"""Commanded speed, and the clock of the stride (Fig. 2)."""
+"""Commands: drawn, and limited in their rate."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from numbers import Real
-from typing import cast
+from typing import Final, cast
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.utils import NestedKey
@@ -24,27 +25,30 @@ from aslip.transforms.base import (
     require_keys,
 )
 
+COMMAND_RATES: Final = (2.0, 1.5, 2.0)
+"""Largest rates of a filtered command: forward, sideways [m/s^2], yaw [rad/s^2]."""
 
-class SpeedCommand(SeededTransform):
-    """Draw the commanded forward speed at each reset, and at random times if `interval` is finite.
+_REDRAWS: Final = 100  # rounds of draws of commands in a region that is no box
+
+
+class RandomCommand(SeededTransform):
+    """Draw the command at each reset, and at random times if `interval` is finite.
 
     To set the command yourself, write `td["command"]` between steps, or pass it to `env.reset`. A
     new command changes the next reference that the policy sees, and the rewards from the step
     after; the phase does not jump. A partial reset (with a `_reset` mask) draws new commands for
-    the reset robots only. Override `draw` for another distribution.
+    the reset robots only. Subclasses choose the distribution: override `draw`.
 
     Args:
-        library: gaits; its slowest and fastest gait bound the command.
-        speeds: speeds to draw from [m/s]; all gaits of the library by default ("a reference
-            trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
+        library: gaits, whose region bounds the command and whose c axes give its size.
         interval: mean time between changes within an episode [s]; each policy step has the same
-            probability of a change. Infinite in the paper: the speed is constant in an episode.
-        out_keys: key of the command (n, 1) [m/s].
+            probability of a change. Infinite: the command is constant in an episode.
+        out_keys: key of the command (n, c): forward speed, sideways speed [m/s], yaw rate [rad/s].
         period: duration of a policy step [s].
 
     Raises:
-        SpeedOutOfRangeError: a speed, or later a command, is outside the library's range.
-        ConfigurationError: `speeds` is empty, or `interval` is shorter than a policy step.
+        SpeedOutOfRangeError: a command is outside the region of the library.
+        ConfigurationError: `interval` is shorter than a policy step.
     """
 
     num_in_keys, num_out_keys = 0, 1
@@ -53,7 +57,6 @@ class SpeedCommand(SeededTransform):
     def __init__(
         self,
         library: GaitLibrary,
-        speeds: Sequence[float] | None = None,
         interval: float = math.inf,
         *,
         out_keys: Sequence[NestedKey] = ("command",),
@@ -67,20 +70,10 @@ class SpeedCommand(SeededTransform):
             )
         self.interval, self._period = interval, period
         self.library = library
-        self._bounds = torch.tensor([library.speeds[0], library.speeds[-1]], dtype=torch.float32)
-        self.speeds: Tensor
-        chosen = list(library.speeds if speeds is None else speeds)
-        chosen = [check_number("a speed", v, what="in m/s") for v in chosen]
-        if not chosen:
-            raise ConfigurationError("speeds is empty; give at least one speed in m/s")
-        self.register_buffer(
-            "speeds",
-            torch.tensor([library.check_command(v)[0] for v in chosen], dtype=torch.float32),
-        )
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
-        draw = self.draw((*tensordict.batch_size, 1))
+        draw = self.draw(self._shape(tensordict))
         tensordict = self._draw_into_reset(tensordict, self.out_keys[0], draw)
         return tensordict.set(self.out_keys[0], self._checked(tensordict))
 
@@ -92,137 +85,231 @@ class SpeedCommand(SeededTransform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         command = self._checked(tensordict)
         if math.isfinite(self.interval):
-            chance = torch.rand(command.shape, generator=self.generator)
+            chance = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
             changes = chance < self._period / self.interval
-            command = torch.where(changes, self.draw((*tensordict.batch_size, 1)), command)
+            command = torch.where(changes, self.draw(self._shape(tensordict)), command)
         return next_tensordict.set(self.out_keys[0], command)
 
+    def _shape(self, tensordict: TensorDictBase) -> tuple[int, ...]:
+        return (*tensordict.batch_size, self.library.command_size)
+
     def _checked(self, tensordict: TensorDictBase) -> Tensor:
-        """Command within the range of the library."""
-        command = checked_column(tensordict, self.out_keys[0])
-        # the bounds are in single precision, as the command is
-        outside = (command < self._bounds[0]) | (command > self._bounds[1])
+        """Command in the region of the library."""
+        command = checked_column(tensordict, self.out_keys[0], self.library.command_size)
+        outside = ~self.library.covers(command)[..., 0]
         if outside.any():
-            self.library.check_command(float(command[outside][0]))
+            self.library.check_command(command[outside][0].tolist())
         return command
+
+    def draw(self, shape: tuple[int, ...]) -> Tensor:
+        """Random commands of the shape (*b, c), drawn by `self.generator`, which is seeded.
+
+        Raises:
+            NotImplementedError: the subclass has no distribution.
+        """
+        raise NotImplementedError
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the command."""
+        return extend_spec(observation_spec, {self.out_keys[0]: self.library.command_size})
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare the command as an entry that a caller may set."""
+        return extend_spec(state_spec, {self.out_keys[0]: self.library.command_size})
+
+
+class SpeedCommand(RandomCommand):
+    """Draw the commanded forward speed (n, 1) from a list; see `RandomCommand`.
+
+    Args:
+        library: straight gaits; the slowest and fastest one bound the command.
+        speeds: speeds to draw from [m/s]; all gaits of the library by default ("a reference
+            trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
+        interval: mean time between changes within an episode [s]; infinite in the paper.
+        out_keys: key of the command (n, 1) [m/s].
+        period: duration of a policy step [s].
+
+    Raises:
+        SpeedOutOfRangeError: a speed, or later a command, is outside the library's range.
+        ConfigurationError: `speeds` is empty, the library has several axes, or `interval` is
+            shorter than a policy step.
+    """
+
+    def __init__(
+        self,
+        library: GaitLibrary,
+        speeds: Sequence[float] | None = None,
+        interval: float = math.inf,
+        *,
+        out_keys: Sequence[NestedKey] = ("command",),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(library, interval, out_keys=out_keys, period=period)
+        if library.command_size > 1:
+            raise ConfigurationError(
+                "SpeedCommand draws forward speeds only, and commands of this library have"
+                f" {library.command_size} numbers; use VelocityCommand"
+            )
+        self.speeds: Tensor
+        chosen = list(library.speeds if speeds is None else speeds)
+        chosen = [check_number("a speed", v, what="in m/s") for v in chosen]
+        if not chosen:
+            raise ConfigurationError("speeds is empty; give at least one speed in m/s")
+        self.register_buffer(
+            "speeds",
+            torch.tensor([library.check_command(v)[0] for v in chosen], dtype=torch.float32),
+        )
 
     def draw(self, shape: tuple[int, ...]) -> Tensor:
         """Random speeds [m/s] of the given shape, drawn by `self.generator`, which is seeded."""
         return self.speeds[torch.randint(len(self.speeds), shape, generator=self.generator)]
 
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the command."""
-        return extend_spec(observation_spec, {self.out_keys[0]: 1})
 
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare the command as an entry that a caller may set."""
-        return extend_spec(state_spec, {self.out_keys[0]: 1})
+class VelocityCommand(RandomCommand):
+    """Draw commands (n, c) uniformly over the region of the library; see `RandomCommand`.
 
-
-class PhaseClock(SeededTransform):
-    r"""Advance the phase, the stride fraction in [0, 1), by time; draw it at each reset.
-
-    .. math:: \phi \leftarrow (\phi + \Delta t / T(v)) \bmod 1
-
-    The public code counts whole samples and so plays the stride 12 to 16 % too fast; sampling by
-    time keeps step length, frequency and speed consistent. A change of command keeps the phase.
+    Shares of the draws are special cases, which a uniform distribution never hits: straight ahead
+    or backward, a turn on the spot, and stepping in place.
 
     Args:
-        library: gaits, which give the stride duration T at speed v.
-        in_keys: key of the command (n, 1) [m/s].
-        out_keys: key of the phase (n, 1).
+        library: gaits over forward speed, sideways speed and yaw rate.
+        interval: mean time between changes within an episode [s].
+        straight: share of commands without sideways speed and yaw rate.
+        turning: share of commands with a yaw rate only.
+        in_place: share of zero commands.
+        out_keys: key of the command (n, c).
         period: duration of a policy step [s].
-    """
 
-    num_in_keys, num_out_keys = 1, 1
-    needs_env = "it draws phases at resets"
+    Raises:
+        SpeedOutOfRangeError: a share is positive and the zero command is outside the region; or
+            later, a command is.
+        ConfigurationError: a share is negative, their sum exceeds 1, or `interval` is shorter than
+            a policy step.
+    """
 
     def __init__(
         self,
         library: GaitLibrary,
+        interval: float = math.inf,
+        *,
+        straight: float = 0.2,
+        turning: float = 0.1,
+        in_place: float = 0.05,
+        out_keys: Sequence[NestedKey] = ("command",),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(library, interval, out_keys=out_keys, period=period)
+        shares = {"straight": straight, "turning": turning, "in_place": in_place}
+        shares = {name: check_number(name, share, 0, 1) for name, share in shares.items()}
+        self.straight, self.turning, self.in_place = shares.values()
+        if sum(shares.values()) > 1 + 1e-9:
+            raise ConfigurationError(f"shares of commands must add up to at most 1, got {shares}")
+        if any(shares.values()):
+            library.check_command([0.0] * library.command_size)
+        ends = [(axis[0], axis[-1]) for axis in library.table.axes]
+        self._low, self._high = torch.tensor(ends, dtype=torch.float32).T
+
+    def draw(self, shape: tuple[int, ...]) -> Tensor:
+        """Random commands of the shape (*b, c), drawn by `self.generator`, which is seeded."""
+        kept = self._kept(shape)
+        command = self._within_box(shape, kept)
+        for _ in range(_REDRAWS):
+            outside = ~self.library.covers(command)
+            if not outside.any():
+                return command
+            command = torch.where(outside, self._within_box(shape, kept), command)
+        return self.library.nearest(command)
+
+    def _kept(self, shape: tuple[int, ...]) -> Tensor:
+        """Mask (*b, c) of the components that are not zero."""
+        moves = [[1, 1, 1], [1, 0, 0], [0, 0, 1], [0, 0, 0]]
+        ends = torch.tensor([self.straight, self.turning, self.in_place]).cumsum(0)
+        chance = torch.rand((*shape[:-1], 1), generator=self.generator)
+        kind = (chance < ends).sum(-1)  # 0: any, 1: in place, 2: turning, 3: straight
+        return torch.tensor(moves)[-kind][..., : shape[-1]]
+
+    def _within_box(self, shape: tuple[int, ...], kept: Tensor) -> Tensor:
+        share = torch.rand(shape, generator=self.generator)
+        return (self._low + share * (self._high - self._low)) * kept
+
+
+class CommandFilter(SeededTransform):
+    """Limit the rate of the command that clock, reference and path follow.
+
+    The reference then neither jumps nor asks for accelerations that legs cannot give when the
+    command jumps. The filtered command starts at the command, and moves straight towards it, so it
+    stays in a convex region. `command` stays as the caller wrote it.
+
+    Args:
+        rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
+        in_keys: key of the command (n, c).
+        out_keys: key of the filtered command (n, c).
+        period: duration of a policy step [s].
+
+    Raises:
+        ConfigurationError: a rate is not a positive finite number.
+    """
+
+    num_in_keys, num_out_keys = 1, 1
+
+    def __init__(
+        self,
+        rates: Sequence[float] = COMMAND_RATES,
         *,
         in_keys: Sequence[NestedKey] = ("command",),
-        out_keys: Sequence[NestedKey] = ("phase",),
+        out_keys: Sequence[NestedKey] = ("filtered_command",),
         period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self.library = library
+        self.rates = checked_rates(rates)
         self._period = period
-
-    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
-        tensordict = self._request(tensordict)
-        shape = (*tensordict.batch_size, 1)
-        draw = torch.rand(shape, generator=self.generator, dtype=torch.float32)
-        key = self.out_keys[0]
-        tensordict = self._draw_into_reset(tensordict, key, draw)
-        return tensordict.set(key, checked_column(tensordict, key) % 1.0)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
+        del tensordict
+        return tensordict_reset.set(self.out_keys[0], tensordict_reset[self.in_keys[0]].clone())
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        # a caller may have overwritten both, the command even with integers
-        keys = (*self.in_keys, *self.out_keys)
-        command, phase = (checked_column(tensordict, key) for key in keys)
-        following = advance_phase(self.library, phase, command, self._period)
+        past = cast("Tensor", tensordict[self.out_keys[0]])
+        command = cast("Tensor", next_tensordict[self.in_keys[0]])
+        following = approach_command(past, command, self.rates, self._period)
         return next_tensordict.set(self.out_keys[0], following)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the phase."""
-        return extend_spec(observation_spec, {self.out_keys[0]: 1})
+        """Add the filtered command."""
+        require_keys(self, observation_spec, self.in_keys)
+        size = observation_spec[self.in_keys[0]].shape[-1]
+        if size > len(self.rates):
+            raise ConfigurationError(
+                f"rates must have a number for each of the {size} components of a command, got"
+                f" {self.rates}"
+            )
+        return extend_spec(observation_spec, {self.out_keys[0]: size})
 
-    def transform_state_spec(self, state_spec: Composite) -> Composite:
-        """Declare the phase as an entry that a caller may set."""
-        return extend_spec(state_spec, {self.out_keys[0]: 1})
+
+def checked_rates(rates: Sequence[float]) -> tuple[float, ...]:
+    """Largest rates of a command's components, as floats.
+
+    Raises:
+        ConfigurationError: a rate is not a positive finite number.
+    """
+    least = float(np.finfo(np.float32).tiny)
+    return tuple(check_number("a rate", rate, least, what="per s^2") for rate in rates)
 
 
-def advance_phase(
-    library: GaitLibrary, phase: Tensor, command: Tensor, period: float = CASSIE.policy_period
+def approach_command(
+    past: Tensor, command: Tensor, rates: Sequence[float], period: float = CASSIE.policy_period
 ) -> Tensor:
-    """Stride fraction (*b, 1) a policy step later.
+    """Filtered command (*b, c) a policy step later, on the straight line to the command.
 
     Args:
-        library: gaits, which give the stride duration.
-        phase: (*b, 1) stride fraction.
-        command: (*b, 1) forward speed [m/s].
+        past: (*b, c) filtered command.
+        command: (*b, c) command to approach.
+        rates: largest rate of each component [m/s^2, rad/s^2].
         period: duration of a policy step [s].
     """
-    return (phase + period / library.stride(command)) % 1.0
-
-
-def clock_entries(phase: Tensor) -> dict[str, Tensor]:
-    """Sine and cosine (*b, 1) of a stride fraction."""
-    angle = 2 * torch.pi * phase
-    return {"sin": angle.sin(), "cos": angle.cos()}
-
-
-class ClockInput(SeededTransform):
-    """Write sine and cosine of the phase, as inputs of a policy.
-
-    Args:
-        in_keys: key of the phase (n, 1).
-        out_keys: keys of sine and cosine (n, 1).
-    """
-
-    num_in_keys, num_out_keys = 1, 2
-
-    def __init__(
-        self,
-        *,
-        in_keys: Sequence[NestedKey] = ("phase",),
-        out_keys: Sequence[NestedKey] = (("clock", "sin"), ("clock", "cos")),
-    ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        entries = clock_entries(cast("Tensor", next_tensordict[self.in_keys[0]]))
-        for key, entry in zip(self.out_keys, entries.values(), strict=True):
-            next_tensordict.set(key, entry)
-        return next_tensordict
-
-    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add sine and cosine."""
-        require_keys(self, observation_spec, self.in_keys)
-        return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
+    way = command - past
+    limit = period * torch.tensor(rates[: way.shape[-1]], dtype=way.dtype)
+    steps = (way.abs() / limit).amax(-1, keepdim=True)
+    return torch.where(steps <= 1, command, past + way / steps.clamp(min=1))

@@ -22,6 +22,8 @@ from aslip.estimation import (
 )
 from aslip.robot import CASSIE, SIDES, Robot
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
+from aslip.transforms.path import advance_heading, arc, move_origin, place_in_path
+from aslip.transforms.rotation import rotate_about_vertical
 
 
 def estimate_sizes(robot: Robot) -> dict[str, int]:
@@ -62,6 +64,10 @@ heading. Heights are above the ground below the robot. Distances along the groun
 start, and drift; the policy does not see them, but rewards can use them. `HeadingFrame` writes
 perfect odometry as `("true_odometry", ...)`."""
 
+PATH_SIZES: Final = MappingProxyType({"origin": 3, "path_error": 2})
+"""Further entries of `("odometry", ...)` if the frame moves along the commanded path: its origin
+[m, frame of the IMU's attitude], and forward and sideways distance of the pelvis from it [m]."""
+
 # keys of the entries of a perfect estimate
 _TRUTH_OF = {name: ("truth", name) for name in ESTIMATE_SIZES} | {
     "height": ("true_odometry", "pelvis_position"),
@@ -76,11 +82,13 @@ class _Estimator(SeededTransform):
     """Base class of transforms that write estimate and odometry under their first two keys."""
 
     _robot = CASSIE
+    _path = False
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the entries of `ESTIMATE_SIZES` and `ODOMETRY_SIZES`."""
         require_keys(self, observation_spec, self.in_keys)
-        groups = (estimate_sizes(self._robot), ODOMETRY_SIZES)
+        along = PATH_SIZES if self._path else {}
+        groups = (estimate_sizes(self._robot), {**ODOMETRY_SIZES, **along})
         for key, sizes in zip(self.out_keys, groups, strict=False):
             group = Composite(shape=observation_spec.shape)
             observation_spec[key] = extend_spec(group, sizes)
@@ -103,10 +111,17 @@ class TrueState(_Estimator):
         keys.update(_TRUTH_OF.values())
         super().__init__(in_keys=sorted(keys, key=str), out_keys=out_keys)
 
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the entries of `ODOMETRY_SIZES` and, along a path, of `PATH_SIZES`."""
+        self._path = observation_spec.get(("true_odometry", "path_error"), None) is not None
+        return super().transform_observation_spec(observation_spec)
+
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         estimate = {name: cast("Tensor", next_tensordict[key]) for name, key in _TRUTH_OF.items()}
         estimate["height"] = estimate["height"][..., 2:]
-        odometry = {name: next_tensordict["true_odometry", name] for name in ODOMETRY_SIZES}
+        true = cast("TensorDictBase", next_tensordict["true_odometry"])
+        along = PATH_SIZES if "path_error" in true else {}
+        odometry = {name: true[name] for name in (*ODOMETRY_SIZES, *along)}
         for key, entries in zip(self.out_keys, (estimate, odometry), strict=True):
             next_tensordict.set(key, TensorDict(entries, next_tensordict.batch_size))
         return next_tensordict
@@ -120,12 +135,17 @@ class EstimatedState(_Estimator):
     `aslip.estimation.FAULTS`; `("estimator", "contact")` (n, 2), loaded feet. After a reset the
     estimate starts afresh from the robot's first packets.
 
+    With a `command_key` the odometry moves along the path of that command, as the true one of
+    `HeadingFrame` does; it has the entries of `PATH_SIZES`, too.
+
     Args:
         estimator: state estimator, whose robot gives the sizes of the entries.
         in_keys: keys of the packets (n, w, k), in the order of `Robot.packet_sizes`.
         out_keys: keys of estimate, odometry, and the estimator's own entries.
         heading_key: key of the yaw (n, 1) that counts as straight ahead [rad], as `HeadingFrame`
             writes it; without this entry, the yaw of the first packet's orientation is used.
+        command_key: key of the command (n, c) whose path the odometry follows; None for odometry
+            from the start.
     """
 
     num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
@@ -138,20 +158,31 @@ class EstimatedState(_Estimator):
         in_keys: Sequence[NestedKey] = tuple(("sensors", name) for name in CASSIE.packet_sizes),
         out_keys: Sequence[NestedKey] = ("estimate", "odometry", "estimator"),
         heading_key: NestedKey = "heading",
+        command_key: NestedKey | None = None,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self._heading_key = heading_key
+        self._heading_key, self._command_key = heading_key, command_key
+        self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
         self._robot = self.estimator.robot
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         memory = cast("torch.Tensor", tensordict[unravel_key((self.out_keys[2], "memory"))])
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
+        origin = None
+        if self._command_key is not None:
+            before, origin = (
+                tensordict.get(key, None)
+                for key in (self._heading_key, unravel_key((self.out_keys[1], "origin")))
+            )
+            command = cast("Tensor", tensordict[self._command_key])
+            period = self._robot.policy_period
+            origin = follow_path(tracking, origin, command, before, period)
         heading = next_tensordict.get(self._heading_key, None)
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
-        return next_tensordict.update(self._grouped(estimate_entries(tracking, estimate)))
+        return next_tensordict.update(self._grouped(estimate_entries(tracking, estimate, origin)))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -165,7 +196,8 @@ class EstimatedState(_Estimator):
         heading = tensordict_reset.get(self._heading_key, None)
         if heading is not None:
             heading = heading[rows].double().numpy()
-        started = self._grouped(estimate_entries(*self.estimator.start(packets, heading)))
+        origin = torch.zeros(len(packets), 3) if self._path else None
+        started = self._grouped(estimate_entries(*self.estimator.start(packets, heading), origin))
         if rows.all():
             return tensordict_reset.update(started)
         for key, value in started.items(True, True):
@@ -200,8 +232,44 @@ class EstimatedState(_Estimator):
         return spec
 
 
-def estimate_entries(tracking: Tracking, estimate: Estimate) -> dict[str, dict[str, torch.Tensor]]:
-    """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes."""
+def follow_path(
+    tracking: Tracking,
+    origin: Tensor,
+    command: Tensor,
+    heading: Tensor | None,
+    period: float = CASSIE.policy_period,
+) -> Tensor:
+    """Turn the heading of `tracking` with a command, in place; return the origin of its path.
+
+    Args:
+        tracking: memory of the estimator before a policy step.
+        origin: (n, 3) origin before the step [m, frame of the IMU's attitude].
+        command: (n, c) command during the step.
+        heading: (n, 1) yaw before the step [rad], as a caller may have changed it; by default that
+            of `tracking`.
+        period: duration of a policy step [s].
+
+    Returns:
+        (n, 3) origin after the step.
+    """
+    before = torch.from_numpy(tracking.heading)[:, None] if heading is None else heading
+    before = before.float()
+    after = advance_heading(before, command, period)
+    tracking.heading = after[:, 0].double().numpy()
+    return move_origin(origin, before, arc(command, period))
+
+
+def estimate_entries(
+    tracking: Tracking, estimate: Estimate, origin: Tensor | None = None
+) -> dict[str, dict[str, torch.Tensor]]:
+    """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes.
+
+    Args:
+        tracking: memory of the estimator.
+        estimate: its estimate.
+        origin: (n, 3) origin of the odometry if it moves along a path [m, frame of the IMU's
+            attitude]; None for odometry from the start.
+    """
     odometry = {
         "pelvis_position": estimate.position,
         "pelvis_orientation": estimate.orientation,
@@ -218,9 +286,24 @@ def estimate_entries(tracking: Tracking, estimate: Estimate) -> dict[str, dict[s
         group: {name: torch.tensor(value, dtype=torch.float32) for name, value in values.items()}
         for group, values in single.items()
     }
+    if origin is not None:
+        entries["odometry"] = _along_path(entries["odometry"], tracking, origin)
     entries["estimator"] = {
         "memory": torch.from_numpy(tracking.to_rows()),
         "faults": torch.from_numpy(estimate.faults),
         "contact": torch.tensor(estimate.contact),
     }
     return entries
+
+
+def _along_path(
+    odometry: Mapping[str, Tensor], tracking: Tracking, origin: Tensor
+) -> dict[str, Tensor]:
+    """Odometry from the start, moved to an origin (n, 3) that the pelvis drags along."""
+    heading = torch.from_numpy(tracking.heading)[:, None].float()
+    way = rotate_about_vertical(origin, -heading)
+    moved = {
+        name: value - way if name.endswith("_position") else value
+        for name, value in odometry.items()
+    }
+    return place_in_path(moved, origin, heading)

@@ -1,4 +1,4 @@
-"""Heading frame: origin at the start of the episode, x axis straight ahead, z axis up."""
+"""Heading frame: x axis straight ahead, z axis up; at rest or along the commanded path."""
 
 from __future__ import annotations
 
@@ -11,10 +11,18 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.robot import SIDES
+from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
-from aslip.transforms.rotation import conjugate, multiply, rotate_inverse, upper_hemisphere, yaw
+from aslip.transforms.path import advance_heading, arc, move_origin, place_in_path
+from aslip.transforms.rotation import (
+    conjugate,
+    heading_to_world,
+    multiply,
+    rotate_inverse,
+    upper_hemisphere,
+    yaw,
+)
 
 _BODIES = ("pelvis", *(f"{side}_foot" for side in SIDES))
 # distance from the world's origin within which a start counts as at the origin [m]; the
@@ -39,9 +47,17 @@ class HeadingFrame(SeededTransform):
     the world's origin if the pelvis starts within 0.05 m of it: the reference sways by 0.02 m about
     its line.
 
+    With a `command_key` the frame moves along the commanded path: at each step, heading and origin
+    follow the twist of that command, and a pelvis further than `aslip.transforms.path.LEASH` from
+    the origin drags it along. `("true_odometry", "path_error")` (n, 2) is then the distance of the
+    pelvis from the origin, forward and sideways [m].
+
     Args:
         truth_key: key of the truth; the entries of `ODOMETRY_SIZES` and `slope` are read.
+        command_key: key of the command (n, c) whose path the frame follows; None for a frame at
+            rest.
         out_keys: keys of heading and perfect odometry.
+        period: duration of a policy step [s].
     """
 
     num_out_keys = 2
@@ -51,11 +67,14 @@ class HeadingFrame(SeededTransform):
         self,
         *,
         truth_key: str = "truth",
+        command_key: NestedKey | None = None,
         out_keys: Sequence[NestedKey] = ("heading", "true_odometry"),
+        period: float = CASSIE.policy_period,
     ) -> None:
-        names = (*ODOMETRY_SIZES, "slope")
-        super().__init__(in_keys=[(truth_key, name) for name in names], out_keys=out_keys)
-        self._truth_key = truth_key
+        keys: list[NestedKey] = [(truth_key, name) for name in (*ODOMETRY_SIZES, "slope")]
+        commands = [] if command_key is None else [command_key]
+        super().__init__(in_keys=[*keys, *commands], out_keys=out_keys)
+        self._truth_key, self._command_key, self._period = truth_key, command_key, period
         self._origin_key = unravel_key((self.out_keys[1], "origin"))
 
     def _reset(
@@ -70,19 +89,30 @@ class HeadingFrame(SeededTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         heading = checked_column(tensordict, self.out_keys[0])
-        return self._written(next_tensordict, heading, cast("Tensor", tensordict[self._origin_key]))
+        origin = cast("Tensor", tensordict[self._origin_key])
+        if self._command_key is not None:
+            command = cast("Tensor", tensordict[self._command_key])
+            slope = cast("Tensor", next_tensordict[self._truth_key, "slope"])
+            origin = move_origin(origin, heading, arc(command, self._period), slope)
+            heading = advance_heading(heading, command, self._period)
+        return self._written(next_tensordict, heading, origin)
 
     def _written(self, into: TensorDictBase, heading: Tensor, origin: Tensor) -> TensorDictBase:
         truth = cast("Mapping[str, Tensor]", into[self._truth_key])
         into.set(self.out_keys[0], heading)
         entries = {"origin": origin, **in_heading_frame(truth, heading, origin)}
+        if self._command_key is not None:
+            entries = place_in_path(entries, origin, heading, truth["slope"])
         return into.set(self.out_keys[1], TensorDict(entries, into.batch_size))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add heading, origin and the entries of `ODOMETRY_SIZES`."""
         require_keys(self, observation_spec, self.in_keys)
         group = Composite(shape=observation_spec.shape)
-        observation_spec[self.out_keys[1]] = extend_spec(group, {"origin": 3, **ODOMETRY_SIZES})
+        sizes = {"origin": 3, **ODOMETRY_SIZES}
+        if self._command_key is not None:
+            sizes["path_error"] = 2
+        observation_spec[self.out_keys[1]] = extend_spec(group, sizes)
         return extend_spec(observation_spec, {self.out_keys[0]: 1})
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:
@@ -92,7 +122,7 @@ class HeadingFrame(SeededTransform):
 
 def true_heading(truth: Mapping[str, Tensor]) -> Tensor:
     """(*b, 1) yaw of the pelvis about the vertical [rad], as a perfect IMU would measure it."""
-    upright = _to_world(truth["slope"], torch.zeros_like(truth["slope"]))
+    upright = heading_to_world(truth["slope"], torch.zeros_like(truth["slope"]))
     return yaw(_seen_from(upright, truth["pelvis_orientation"]))
 
 
@@ -119,7 +149,7 @@ def in_heading_frame(
         The entries of `ODOMETRY_SIZES`; heights are above the ground straight below the pelvis. If
         heading, slope and origin are zero, they equal those of `truth` bit for bit.
     """
-    to_world = _to_world(truth["slope"], heading).unsqueeze(-2)
+    to_world = heading_to_world(truth["slope"], heading).unsqueeze(-2)
     places = [truth[f"{body}_position"] - origin for body in _BODIES]
     vectors = torch.stack([*places, truth["pelvis_velocity"]], dim=-2)
     *places, velocity = rotate_inverse(to_world, vectors).unbind(-2)
@@ -133,21 +163,6 @@ def in_heading_frame(
         entries[f"{body}_position"] = places[i] + lift
         entries[f"{body}_orientation"] = turned[..., i, :]
     return {name: entries[name] for name in ODOMETRY_SIZES}
-
-
-def _to_world(slope: Tensor, heading: Tensor) -> Tensor:
-    """Quaternion (*b, 4) wxyz, heading frame to world, from floor slope and heading [rad]."""
-    tilt, turn = slope / 2, heading / 2
-    cosine, sine = turn.cos(), turn.sin()
-    return torch.cat(
-        [
-            tilt.cos() * cosine,
-            tilt.sin() * sine,
-            tilt.sin() * cosine,
-            tilt.cos() * sine,
-        ],
-        dim=-1,
-    )
 
 
 def _seen_from(frame: Tensor, orientation: Tensor) -> Tensor:

@@ -37,6 +37,17 @@ SINGLE_REFERENCE_TABLE: Final[tuple[NestedKey, ...]] = (
 )
 """Keys of the 49 numbers of the single-reference method: estimate, clock and speed [m/s]."""
 
+DIRECTION_TABLE: Final[tuple[NestedKey, ...]] = (
+    *OBSERVATION_TABLE,
+    ("reference", "body_heading"),
+    ("reference", "left_foot_heading"),
+    ("reference", "right_foot_heading"),
+    "filtered_command",
+    ("odometry", "path_error"),
+)
+"""Keys of the 72 numbers for walks in all directions: the default 64, headings of the reference
+[rad], filtered command, and the estimated distance from the moving frame's origin [m]."""
+
 
 class AssembleObservation(SeededTransform):
     """Concatenate entries, by default estimate and reference into `observation`.

@@ -45,7 +45,7 @@ class ReferenceInjection(SeededTransform):
     Args:
         library: gaits.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
-        in_keys: keys of command (n, 1) [m/s] and phase (n, 1).
+        in_keys: keys of command (n, c) and phase (n, 1).
         out_keys: keys of reference and goal.
         period: duration of a policy step [s].
 
@@ -81,8 +81,8 @@ class ReferenceInjection(SeededTransform):
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of reference and goal."""
         require_keys(self, observation_spec, self.in_keys)
-        start = torch.zeros(1)
-        found = reference_and_goal(self.library, start, start, motor_lead=self.motor_lead)
+        command, phase = torch.zeros(self.library.command_size), torch.zeros(1)
+        found = reference_and_goal(self.library, command, phase, motor_lead=self.motor_lead)
         for key, entries in zip(self.out_keys, found, strict=True):
             group = Composite(shape=observation_spec.shape)
             sizes = {name: entry.shape[-1] for name, entry in entries.items()}
@@ -102,7 +102,7 @@ def reference_and_goal(
 
     Args:
         library: gaits.
-        command: (*b, 1) forward speed [m/s].
+        command: (*b, c) one value per axis of the library.
         phase: (*b, 1) stride fraction.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
         period: duration of a policy step [s].
@@ -111,7 +111,7 @@ def reference_and_goal(
     # one lookup for all instants takes half the time of two lookups
     leads = list(dict.fromkeys([0.0, 1.0, motor_lead]))
     phases = torch.stack([phase + lead * period / stride for lead in leads])
-    found = library.lookup(phases, command.expand_as(phases))
+    found = library.lookup(phases, command.expand(*phases.shape[:-1], command.shape[-1]))
     motors = leads.index(motor_lead)
     reference = {name: getattr(found, name)[motors] for name in _MOTORS}
     reference |= {name: getattr(found, name)[0] for name in _BODY}
@@ -231,7 +231,7 @@ class ReferenceStart(SeededTransform):
     To start elsewhere, pass `("initial", "qpos")`, `("initial", "qvel")` or both to `env.reset`.
     A partial reset (with a `_reset` mask) always starts the reset robots on the reference.
 
-    Must come before `SpeedCommand` and `PhaseClock` in the stack: TorchRL prepares resets from the
+    Must come before `RandomCommand` and `PhaseClock` in the stack: TorchRL prepares resets from the
     last transform to the first.
 
     Paper: the robot "is set to a random starting position in the trajectory's walk cycle", without
@@ -241,7 +241,7 @@ class ReferenceStart(SeededTransform):
     Args:
         library: gaits.
         velocity: "reference", or "rest" as in the public code.
-        in_keys: keys of command (n, 1) [m/s] and phase (n, 1).
+        in_keys: keys of command (n, c) and phase (n, 1).
 
     Raises:
         ConfigurationError: `velocity` is neither.

@@ -1,4 +1,4 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B).
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B); also for any direction.
 
 Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the
 paper; the public code sums absolute values per axis for velocity and feet. Shapes:
@@ -13,7 +13,15 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from aslip.transforms.rotation import rotate_inverse, yaw_quaternion
+from aslip.transforms.path import path_distance
+from aslip.transforms.rotation import (
+    conjugate,
+    multiply,
+    rotate_about_vertical,
+    rotate_inverse,
+    vertical_quaternion,
+    yaw_quaternion,
+)
 
 PAPER_WEIGHTS: Final = MappingProxyType(
     {
@@ -27,7 +35,19 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 """Weights of the paper's reward; they sum to one."""
 
 
-def com_vel(pelvis_orientation: Tensor, pelvis_velocity: Tensor, body_velocity: Tensor) -> Tensor:
+DIRECTION_WEIGHTS: Final = MappingProxyType(
+    {"path_diff" if name == "straight_diff" else name: w for name, w in PAPER_WEIGHTS.items()}
+)
+"""Weights of the reward for walks in all directions: the paper's, with `path_diff` in place of
+`straight_diff`."""
+
+
+def com_vel(
+    pelvis_orientation: Tensor,
+    pelvis_velocity: Tensor,
+    body_velocity: Tensor,
+    body_heading: Tensor | None = None,
+) -> Tensor:
     r""":math:`\exp(-\|v_{CoM} - v_{refCoM}\|)`, both in the local pelvis frame (Eq. 2).
 
     The velocity is that of the pelvis' origin ("center of mass (pelvis) velocity"). The frame keeps
@@ -38,9 +58,11 @@ def com_vel(pelvis_orientation: Tensor, pelvis_velocity: Tensor, body_velocity: 
         pelvis_orientation: (*b, 4) wxyz, pelvis to world.
         pelvis_velocity: (*b, 3) [m/s, world].
         body_velocity: (*b, 3) of the reference [m/s, walking frame].
+        body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its velocity,
+            too, is seen from its body.
     """
     velocity_b = rotate_inverse(pelvis_orientation, pelvis_velocity)
-    return torch.exp(-_norm(velocity_b - body_velocity))
+    return torch.exp(-_norm(velocity_b - _from_body(body_velocity, body_heading)))
 
 
 def foot_pos(
@@ -50,6 +72,7 @@ def foot_pos(
     right_foot_position: Tensor,
     left_reference: Tensor,
     right_reference: Tensor,
+    body_heading: Tensor | None = None,
 ) -> Tensor:
     r""":math:`\exp(-\|l - \hat l\| - \|r - \hat r\|)`, feet relative to the body.
 
@@ -63,11 +86,15 @@ def foot_pos(
         right_foot_position: (*b, 3) [m, world].
         left_reference: (*b, 3) left foot minus body [m, walking frame].
         right_reference: (*b, 3) right foot minus body [m, walking frame].
+        body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its feet, too,
+            are seen from its body.
     """
     yaw = yaw_quaternion(pelvis_orientation)
     left = rotate_inverse(yaw, left_foot_position - pelvis_position)
     right = rotate_inverse(yaw, right_foot_position - pelvis_position)
-    return torch.exp(-_norm(left - left_reference) - _norm(right - right_reference))
+    left = left - _from_body(left_reference, body_heading)
+    right = right - _from_body(right_reference, body_heading)
+    return torch.exp(-_norm(left) - _norm(right))
 
 
 def straight_diff(pelvis_position: Tensor) -> Tensor:
@@ -81,7 +108,24 @@ def straight_diff(pelvis_position: Tensor) -> Tensor:
     return torch.exp(-pelvis_position[..., 1:2].abs())
 
 
-def foot_orient(left_foot_orientation: Tensor, right_foot_orientation: Tensor) -> Tensor:
+def path_diff(pelvis_position: Tensor, command: Tensor) -> Tensor:
+    r""":math:`\exp(-d)`, d the distance from the commanded path; see `path_distance`.
+
+    On a straight path ahead it equals `straight_diff` at 0.1 m/s and more.
+
+    Args:
+        pelvis_position: (*b, 3) in a frame that moves along the path [m].
+        command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s].
+    """
+    return torch.exp(-path_distance(pelvis_position, command))
+
+
+def foot_orient(
+    left_foot_orientation: Tensor,
+    right_foot_orientation: Tensor,
+    left_foot_heading: Tensor | None = None,
+    right_foot_heading: Tensor | None = None,
+) -> Tensor:
     r""":math:`\exp(-\|q_l - q^*\| - \|q_r - q^*\|)`: "forward pointing toes", feet level.
 
     :math:`q^*` is the identity: sole level, toes along the world's x. The paper gives no formula.
@@ -92,10 +136,13 @@ def foot_orient(left_foot_orientation: Tensor, right_foot_orientation: Tensor) -
     Args:
         left_foot_orientation: (*b, 4) wxyz, sole to world.
         right_foot_orientation: (*b, 4) wxyz, sole to world.
+        left_foot_heading: (*b, 1) direction of the reference's toes [rad, walking frame], which
+            :math:`q^*` then has; straight ahead by default.
+        right_foot_heading: (*b, 1) [rad, walking frame].
     """
-    return torch.exp(
-        -_from_identity(left_foot_orientation) - _from_identity(right_foot_orientation)
-    )
+    left = _from_toes(left_foot_orientation, left_foot_heading)
+    right = _from_toes(right_foot_orientation, right_foot_heading)
+    return torch.exp(-_from_identity(left) - _from_identity(right))
 
 
 def action_diff(action: Tensor, last_action: Tensor) -> Tensor:
@@ -116,3 +163,15 @@ def _from_identity(quaternion: Tensor) -> Tensor:
     """Distance (*b, 1) of quaternions (*b, 4) from the identity; their signs do not matter."""
     w, vector = quaternion[..., :1].abs(), quaternion[..., 1:]
     return _norm(torch.cat([w - 1, vector], dim=-1))
+
+
+def _from_body(vector: Tensor, heading: Tensor | None) -> Tensor:
+    """Vectors (*b, 3) in the axes of a body with a heading (*b, 1), by default zero."""
+    return vector if heading is None else rotate_about_vertical(vector, -heading)
+
+
+def _from_toes(orientation: Tensor, heading: Tensor | None) -> Tensor:
+    """Orientations (*b, 4) relative to level feet with a heading (*b, 1), by default zero."""
+    if heading is None:
+        return orientation
+    return multiply(conjugate(vertical_quaternion(heading)), orientation)

@@ -54,6 +54,36 @@ def yaw(quaternion: Tensor) -> Tensor:
 
 def yaw_quaternion(quaternion: Tensor) -> Tensor:
     """Rotation (*b, 4) about z by the `yaw` of `quaternion` (*b, 4)."""
-    half = 0.5 * yaw(quaternion)
+    return vertical_quaternion(yaw(quaternion))
+
+
+def heading_to_world(slope: Tensor, heading: Tensor) -> Tensor:
+    """Quaternion (*b, 4), heading frame to world, from floor slope and heading (*b, 1) [rad].
+
+    The floor is the world's xy plane; z of the heading frame is up against gravity.
+    """
+    tilt, turn = slope / 2, heading / 2
+    cosine, sine = turn.cos(), turn.sin()
+    return torch.cat(
+        [
+            tilt.cos() * cosine,
+            tilt.sin() * sine,
+            tilt.sin() * cosine,
+            tilt.cos() * sine,
+        ],
+        dim=-1,
+    )
+
+
+def rotate_about_vertical(vector: Tensor, angle: Tensor) -> Tensor:
+    """Vectors (*b, 3), rotated about z by angles (*b, 1) [rad]; exactly equal for zero angles."""
+    x, y, z = vector.split(1, dim=-1)
+    cosine, sine = angle.cos(), angle.sin()
+    return torch.cat([cosine * x - sine * y, sine * x + cosine * y, z], dim=-1)
+
+
+def vertical_quaternion(angle: Tensor) -> Tensor:
+    """Rotations (*b, 4) about z by angles (*b, 1) [rad]."""
+    half = 0.5 * angle
     zero = torch.zeros_like(half)
     return torch.cat([half.cos(), zero, zero, half.sin()], dim=-1)

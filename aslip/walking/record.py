@@ -26,7 +26,7 @@ from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.policy import add_memory
 from aslip.robot import SIDES
-from aslip.transforms import SpeedCommand
+from aslip.transforms import RandomCommand
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
@@ -48,12 +48,13 @@ class Walks:
     """n walks of m policy steps; rows are the ends of the steps.
 
     Rows after a fall are NaN, except for `alive` and `command`. Positions, orientations and
-    velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`. Without
-    a simulation, pelvis and feet come from the state estimator, and ground forces are NaN.
+    velocities are in the robot's heading frame, see `aslip.transforms.HeadingFrame`, which moves
+    along the path in stacks with several axes of commands. Without a simulation, pelvis and feet
+    come from the state estimator, and ground forces are NaN.
     """
 
     command: np.ndarray
-    """(m, n) commanded speed during the step [m/s]."""
+    """(m, n) commanded speed during the step [m/s], or (m, n, c) for c axes of commands."""
     alive: np.ndarray
     """(m, n) true until the fall."""
     phase: np.ndarray
@@ -87,9 +88,9 @@ class Walks:
         """
         for field in fields(self):
             shape = getattr(self, field.name).shape
-            if shape[:2] != self.command.shape:
+            if shape[:2] != (expected := self.command.shape[:2]):
                 raise ShapeError(
-                    f"{field.name} must begin with {self.command.shape} as the command, got {shape}"
+                    f"{field.name} must begin with {expected} as the command, got {shape}"
                 )
 
     @property
@@ -134,7 +135,8 @@ def walk(
         env: environment of n robots, in the state that belongs to the tensordict.
         td: start of the first step.
         steps: number of policy steps m.
-        command: (m, n) commanded speed of each step [m/s]; by default the tensordict's.
+        command: (m, n) commanded speed of each step [m/s], or (m, n, c) for c axes of commands; by
+            default the tensordict's.
         push: (n, 3) force on the pelvis throughout [N, world].
 
     Yields:
@@ -143,7 +145,7 @@ def walk(
     td = td.clone()
     for i in range(steps):
         if command is not None:
-            td["command"] = torch.from_numpy(command[i])[:, None].float()
+            td["command"] = _columns(command[i])
         if push is not None:
             td["push"] = torch.from_numpy(push).float()
         td = take_step(policy, env, td)
@@ -158,12 +160,18 @@ def reset_walks(
 
     Args:
         env: environment of n robots.
-        command: (n,) commanded speeds [m/s].
+        command: (n,) commanded speeds [m/s], or (n, c) for c axes of commands.
         phase: stride fraction, one or (n,).
     """
-    values = {"command": command, "phase": np.broadcast_to(phase, np.shape(command))}
-    request = {name: torch.tensor(value)[:, None].float() for name, value in values.items()}
+    values = {"command": command, "phase": np.broadcast_to(phase, len(command))}
+    request = {name: _columns(value) for name, value in values.items()}
     return env.reset(TensorDict(request, batch_size=env.num_envs))
+
+
+def _columns(values: np.ndarray) -> torch.Tensor:
+    """Entry (n, k) from values (n,) or (n, k), in single precision."""
+    entry = torch.tensor(values).float()
+    return entry[:, None] if entry.ndim == 1 else entry
 
 
 def record(
@@ -179,7 +187,7 @@ def record(
     Args:
         policy: maps the environment's tensordict to `action`.
         env: environment of n robots; `add_memory` prepares it for a recurrent policy.
-        command: (m, n) commanded speed of each policy step [m/s].
+        command: (m, n) commanded speed of each policy step [m/s], or (m, n, c) for c axes.
         keys: entries of a policy step to record; absent ones are left out.
         until_all_ended: stop once the episode of every robot has ended.
 
@@ -201,7 +209,7 @@ def record(
 @contextmanager
 def commands_kept(env: StackEnv) -> Iterator[None]:
     """Suspend the environment's own changes of the command."""
-    transforms = [t for t in env.transforms if isinstance(t, SpeedCommand)]
+    transforms = [t for t in env.transforms if isinstance(t, RandomCommand)]
     intervals = [transform.interval for transform in transforms]
     for transform in transforms:
         transform.interval = math.inf
@@ -222,7 +230,7 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
         policy: maps the environment's tensordict to `action`.
         env: environment of n robots; without its `aslip.envs.EPISODE_ENDS` transforms walks end in
             falls only.
-        command: (m, n) commanded speed of each policy step [m/s].
+        command: (m, n) commanded speed of each policy step [m/s], or (m, n, c) for c axes.
 
     Raises:
         ShapeError: `command` is not for n robots, or has no policy step.
@@ -230,8 +238,11 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
             estimated.
     """
     command = np.asarray(command, dtype=np.float32)
-    if command.ndim != 2 or command.shape[1] != env.num_envs:
-        raise ShapeError(f"command must be (m, {env.num_envs}), got {command.shape}")
+    size = env.observation_spec["command"].shape[-1]
+    expected = (env.num_envs,) if size == 1 else (env.num_envs, size)
+    if not command.ndim or command.shape[1:] != expected:
+        shown = ", ".join(map(str, expected))
+        raise ShapeError(f"command must be (m, {shown}), got {command.shape}")
     if not len(command):
         raise ShapeError(f"command must have a row for each policy step, got {command.shape}")
     if not np.isfinite(command).all():

@@ -61,15 +61,17 @@ def record_substeps(policy: TensorDictModuleBase, env: StackEnv, command: np.nda
         policy: maps the environment's tensordict to `action`.
         env: environment of one simulated robot; without its `aslip.envs.EPISODE_ENDS` transforms
             the walk ends in a fall only.
-        command: (m,) commanded speed of each policy step [m/s].
+        command: (m,) commanded speed of each policy step [m/s], or (m, c) for c axes of commands.
 
     Raises:
-        ShapeError: `command` is not (m,) with a policy step or more.
+        ShapeError: `command` has another shape, or no policy step.
         ConfigurationError: the environment has several robots, or no simulated one.
     """
     command = np.asarray(command, dtype=np.float32)
-    if command.ndim != 1 or not len(command):
-        raise ShapeError(f"command must be (m,) with a policy step or more, got {command.shape}")
+    size = env.observation_spec["command"].shape[-1]
+    expected, shown = ((), "(m,)") if size == 1 else ((size,), f"(m, {size})")
+    if not command.ndim or not len(command) or command.shape[1:] != expected:
+        raise ShapeError(f"command must be {shown} with a policy step or more, got {command.shape}")
     base = env.base_env
     if env.num_envs != 1 or not isinstance(base, SimulatedEnv):
         raise ConfigurationError(

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
+from aslip.library import GaitLibrary
 from aslip.rom import Angle, Gait, MotionSample, Track
 from aslip.rom.arc import Pose, displacement
 
@@ -61,3 +64,12 @@ class Bent:
         seen = seen - displacement(self.gait, middle).position
         place: Pose = displacement(self, middle)
         return place.transform(seen), place.angle
+
+
+@cache
+def symmetric_library() -> GaitLibrary:
+    """Library over three commands whose mirror images it contains; -0.2 to 0.2 m/s, -0.8 to 0.8."""
+    gaits = GaitLibrary.load().gaits
+    grid = [(i, y, w) for i in (0, 8) for y in (-0.2, 0.2) for w in (-0.8, 0.8)]
+    motions = [Bent(gaits[i], y, w) for i, y, w in grid]
+    return GaitLibrary.from_motions(motions, samples=32)

@@ -27,11 +27,12 @@ PUBLIC = {
     for name in transforms.__all__
     if isinstance(value := getattr(transforms, name), type)
     and issubclass(value, SeededTransform)
-    and value is not SeededTransform
+    and value not in (SeededTransform, transforms.RandomCommand)
 }
 
 ONLY_INSIDE = {
     transforms.SpeedCommand: "writes the request of the robots' own reset",
+    transforms.VelocityCommand: "writes the request of the robots' own reset",
     transforms.PhaseClock: "writes the request of the robots' own reset",
     transforms.ReferenceStart: "writes the request of the robots' own reset",
     transforms.RandomDynamics: "writes the request of the robots' own reset",
@@ -53,6 +54,8 @@ def make_env(seed: int = 0) -> StackEnv:
         "observation",
         random_noise=transforms.RandomNoise,
         clock_input=transforms.ClockInput,
+        other_command=partial(transforms.VelocityCommand, library, out_keys=["other_command"]),
+        command_filter=transforms.CommandFilter,
         distance=transforms.ReferenceDistance,
         truth=partial(transforms.TrueState, out_keys=("true_estimate", "copied_odometry")),
     )
@@ -161,7 +164,8 @@ def test_without_environment_in_a_compose_and_in_a_model(
     kind: type[SeededTransform],
     wrap: Callable[[Transform], Callable[[TensorDictBase], TensorDictBase]],
 ) -> None:
-    if kind in {transforms.LastAction, transforms.FirstStep, transforms.ReferenceDistance}:
+    since_reset = (transforms.FirstStep, transforms.ReferenceDistance, transforms.CommandFilter)
+    if kind in {transforms.LastAction, *since_reset}:
         recorded = recorded[~recorded["next", "done"][:, 0]]
     transform = of_class(env, kind)
     found = wrap(transform)(without_outputs(recorded, transform))

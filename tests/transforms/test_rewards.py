@@ -181,3 +181,55 @@ def test_the_sign_of_a_quaternion_does_not_matter(name: str) -> None:
     flipped = {**x, name: -x[name]}
     for term, reward in _terms(x).items():
         torch.testing.assert_close(_terms(flipped)[term], reward, atol=1e-4, rtol=1e-3)
+
+
+# -------------------------------------------------------------------- on turns
+
+
+def test_straight_ahead_terms_for_any_direction_are_the_papers_bit_for_bit() -> None:
+    x, zero = _random(7), torch.zeros(500, 1)
+    feet = (x["left"], x["right"], x["left_ref"], x["right_ref"])
+    found = {
+        "com_vel": rewards.com_vel(x["orientation"], x["velocity"], x["body"], zero),
+        "foot_pos": rewards.foot_pos(x["orientation"], x["position"], *feet, zero),
+        "foot_orient": rewards.foot_orient(x["left_q"], x["right_q"], zero, zero),
+        "straight_diff": rewards.path_diff(x["position"], 0.1 + x["velocity"][:, :1].abs()),
+    }
+    expected = _terms(x)
+    for name, term in found.items():
+        assert torch.equal(term, expected[name]), name
+    ahead = torch.nn.functional.pad(0.1 + x["velocity"][:, :1].abs(), (0, 2))
+    assert torch.equal(rewards.path_diff(x["position"], ahead), expected["straight_diff"])
+
+
+def test_terms_do_not_depend_on_the_direction_of_the_reference() -> None:
+    """Robot and reference turned together earn the same."""
+    x, angle = _random(8, 50), torch.linspace(-2, 2, 50)[:, None]
+    x = {name: value.double() for name, value in x.items()}
+    half = angle.double() / 2
+    turn = torch.cat([half.cos(), 0 * half, 0 * half, half.sin()], dim=-1)
+    body = {name: rotate_inverse(conjugate(turn), x[name]) for name in ("body", "velocity")}
+    turned = multiply(turn, x["orientation"])
+    torch.testing.assert_close(
+        rewards.com_vel(turned, body["velocity"], body["body"], 2 * half),
+        rewards.com_vel(x["orientation"], x["velocity"], x["body"]),
+    )
+    feet = multiply(turn, x["left_q"]), multiply(turn, x["right_q"])
+    torch.testing.assert_close(
+        rewards.foot_orient(*feet, 2 * half, 2 * half),
+        rewards.foot_orient(x["left_q"], x["right_q"]),
+    )
+    names = ("position", "left", "right", "left_ref", "right_ref")
+    places = [rotate_inverse(conjugate(turn), x[name]) for name in names]
+    torch.testing.assert_close(
+        rewards.foot_pos(turned, *places, 2 * half),
+        rewards.foot_pos(x["orientation"], *(x[name] for name in names)),
+    )
+
+
+def test_toes_are_compared_with_those_of_the_reference() -> None:
+    toes = _about((0, 0, 1), 0.3)
+    angle = torch.tensor([0.3])
+    assert rewards.foot_orient(toes, LEVEL, angle, 0 * angle).item() == pytest.approx(1)
+    swapped = rewards.foot_orient(toes, LEVEL, 0 * angle, angle)
+    assert swapped.item() == pytest.approx(math.exp(-4 * math.sin(0.075)), abs=1e-5)

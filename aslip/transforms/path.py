@@ -1,0 +1,137 @@
+"""Path that a command describes: headings and origins of frames that move along it.
+
+The moving frame of `aslip.library.Reference` in the world: over a policy step it moves and turns
+with the twist of the command, the same for true and estimated robots.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import torch
+from torch import Tensor
+
+from aslip.robot import CASSIE
+from aslip.transforms.rotation import conjugate, heading_to_world, rotate_inverse
+
+LEASH: Final = 0.3
+"""Largest distance of the pelvis from the origin of the moving frame along the ground [m]; beyond
+it the robot drags the origin along, so that it does not return to where it was pushed from."""
+
+# speed below which the place on the path counts, too, in full at rest [m/s]
+_SLOW: Final = 0.1
+
+
+def advance_heading(
+    heading: Tensor, command: Tensor, period: float = CASSIE.policy_period
+) -> Tensor:
+    """Yaw (*b, 1) of the moving frame a policy step later [rad].
+
+    Args:
+        heading: (*b, 1) yaw [rad].
+        command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
+        period: duration of a policy step [s].
+    """
+    if command.shape[-1] < 3:
+        return heading
+    return heading + period * command[..., 2:3]
+
+
+def arc(command: Tensor, period: float = CASSIE.policy_period) -> Tensor:
+    """Way (*b, 3) of the moving frame in a policy step, in the frame at its start [m].
+
+    A circular arc: its chord has the length v T sin(a)/a for a = w T/2, and is turned by a.
+
+    Args:
+        command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
+        period: duration of a policy step [s].
+    """
+    forward, sideways, yaw_rate = _complete(command).split(1, dim=-1)
+    angle = period * yaw_rate / 2
+    chord = period * torch.sinc(angle / math.pi)
+    cosine, sine = angle.cos(), angle.sin()
+    x, y = cosine * forward - sine * sideways, sine * forward + cosine * sideways
+    return torch.cat([chord * x, chord * y, torch.zeros_like(x)], dim=-1)
+
+
+def move_origin(
+    origin: Tensor, heading: Tensor, way: Tensor, slope: Tensor | None = None
+) -> Tensor:
+    """Origin (*b, 3) after a way along the ground [m, world].
+
+    Args:
+        origin: (*b, 3) point on the floor [m, world].
+        heading: (*b, 1) yaw of the heading frame [rad].
+        way: (*b, 3) [m, heading frame], level.
+        slope: (*b, 1) of the floor, which is the world's xy plane [rad]; level by default.
+    """
+    slope = torch.zeros_like(heading) if slope is None else slope
+    from_world = conjugate(heading_to_world(slope, heading))
+    moved = origin + rotate_inverse(from_world, way)
+    # back to the floor along gravity, which leaves the place in the heading frame
+    up = torch.cat([slope.sin(), torch.zeros_like(slope), slope.cos()], dim=-1)
+    return moved - up * (moved[..., 2:] / up[..., 2:])
+
+
+def beyond_leash(pelvis_position: Tensor) -> Tensor:
+    """Level way (*b, 3) that brings the origin within `LEASH` of the pelvis [m, heading frame].
+
+    Args:
+        pelvis_position: (*b, 3) in the moving frame [m, heading frame].
+    """
+    level = torch.nn.functional.pad(pelvis_position[..., :2], (0, 1))
+    distance = torch.linalg.vector_norm(level, dim=-1, keepdim=True)
+    return level * (1 - LEASH / distance.clamp(min=LEASH))
+
+
+def place_in_path(
+    entries: Mapping[str, Tensor],
+    origin: Tensor,
+    heading: Tensor,
+    slope: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """Odometry whose origin the pelvis drags along, with the entries `origin` and `path_error`.
+
+    Args:
+        entries: positions, orientations and velocities of `ODOMETRY_SIZES`, relative to `origin`.
+        origin: (*b, 3) origin of the moving frame [m, world].
+        heading: (*b, 1) yaw of the frame [rad].
+        slope: (*b, 1) of the floor [rad]; level by default.
+
+    Returns:
+        The entries; `origin` (*b, 3) [m, world]; and `path_error` (*b, 2), forward and sideways
+        distance of the pelvis from the origin [m, heading frame].
+    """
+    way = beyond_leash(entries["pelvis_position"])
+    placed = {
+        name: value - way if name.endswith("_position") else value
+        for name, value in entries.items()
+    }
+    error = placed["pelvis_position"][..., :2].clone()
+    return {**placed, "origin": move_origin(origin, heading, way, slope), "path_error": error}
+
+
+def path_distance(place: Tensor, command: Tensor) -> Tensor:
+    """Distance (*b, 1) of a place from the commanded path [m].
+
+    Perpendicular to the commanded motion, as the way ahead is a matter of speed; below 0.1 m/s the
+    distance along the motion counts, too, and at rest in full.
+
+    Args:
+        place: (*b, k) position in the moving frame, forward and sideways first [m].
+        command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
+    """
+    x, y = place[..., 0:1], place[..., 1:2]
+    forward, sideways, _ = _complete(command).split(1, dim=-1)
+    speed = torch.hypot(forward, sideways)
+    still = speed == 0
+    ahead = torch.where(still, 1.0, forward / speed), torch.where(still, 0.0, sideways / speed)
+    along, across = x * ahead[0] + y * ahead[1], y * ahead[0] - x * ahead[1]
+    return torch.hypot(across, along * (1 - speed / _SLOW).clamp(min=0))
+
+
+def _complete(command: Tensor) -> Tensor:
+    """Commands (*b, 3) from (*b, c)."""
+    return torch.nn.functional.pad(command, (0, 3 - command.shape[-1]))

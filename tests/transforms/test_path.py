@@ -1,0 +1,83 @@
+"""Path of a command: arcs, origins on slopes, distances."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.rom.arc import twist_pose
+from aslip.transforms.path import (
+    LEASH,
+    advance_heading,
+    arc,
+    beyond_leash,
+    move_origin,
+    path_distance,
+    place_in_path,
+)
+from aslip.transforms.rotation import heading_to_world, rotate_inverse
+
+PERIOD = 0.03
+
+
+@pytest.mark.parametrize("command", [(1.0, 0.3, 0.9), (0.5, 0.0, 0.0), (0.0, 0.0, -1.5)])
+def test_origin_and_heading_follow_the_twist_of_the_command(
+    command: tuple[float, float, float],
+) -> None:
+    """100 policy steps end where the model's motion ends."""
+    twist = torch.tensor([command], dtype=torch.float64)
+    heading = torch.zeros(1, 1, dtype=torch.float64)
+    origin = torch.zeros(1, 3, dtype=torch.float64)
+    for _ in range(100):
+        origin = move_origin(origin, heading, arc(twist, PERIOD))
+        heading = advance_heading(heading, twist, PERIOD)
+    expected = twist_pose(np.array(command), np.array([100 * PERIOD]))
+    zero = np.zeros((1, 3))
+    np.testing.assert_allclose(origin, expected.transform(zero), atol=1e-12)
+    np.testing.assert_allclose(heading[:, 0], expected.angle, atol=1e-12)
+
+
+def test_on_a_slope_the_origin_stays_on_the_floor_below_the_way() -> None:
+    slope, heading = torch.full((1, 1), 0.1), torch.full((1, 1), 0.7)
+    way = torch.tensor([[0.2, -0.1, 0.0]])
+    origin = move_origin(torch.zeros(1, 3), heading, way, slope)
+    assert origin[0, 2].abs() < 1e-7
+    seen = rotate_inverse(heading_to_world(slope, heading), origin)
+    torch.testing.assert_close(seen[:, :2], way[:, :2])
+
+
+def test_a_pelvis_far_from_the_origin_drags_it_along() -> None:
+    place = torch.tensor([[0.1, -0.2, 0.9], [3.0, 4.0, 0.9]])
+    heading = torch.full((2, 1), math.pi / 2)
+    entries = {"pelvis_position": place, "pelvis_velocity": torch.ones(2, 3)}
+    found = place_in_path(entries, torch.ones(2, 3) * torch.tensor([1, 1, 0]), heading)
+    assert torch.equal(found["pelvis_position"][0], place[0])
+    torch.testing.assert_close(
+        found["path_error"], torch.tensor([[0.1, -0.2], [0.6 * LEASH, 0.8 * LEASH]])
+    )
+    assert torch.equal(found["pelvis_position"][:, 2], place[:, 2])
+    assert torch.equal(found["pelvis_velocity"], entries["pelvis_velocity"])
+    # the frame's x is the world's y
+    moved = (5 - LEASH) * torch.tensor([-0.8, 0.6, 0.0])
+    expected = torch.stack([torch.zeros(3), moved]) + torch.tensor([1.0, 1.0, 0.0])
+    torch.testing.assert_close(found["origin"], expected)
+    assert torch.equal(beyond_leash(place[:1]), torch.zeros(1, 3))
+
+
+def test_distance_is_across_the_motion_and_at_rest_from_the_place() -> None:
+    place = torch.tensor([[0.3, 0.4, 0.9]])
+    cases = {
+        (1.0, 0.0, 0.5): 0.4,
+        (-0.2, 0.0, 0.0): 0.4,
+        (0.0, 0.3, 0.0): 0.3,
+        (0.6, 0.8, 0.0): 0.0,
+        (0.0, 0.0, 1.0): 0.5,
+        (0.05, 0.0, 0.0): math.hypot(0.4, 0.15),
+    }
+    for command, distance in cases.items():
+        found = path_distance(place, torch.tensor([command]))
+        assert found.item() == pytest.approx(distance, abs=1e-7), command
+    assert path_distance(place, torch.tensor([[0.7]])).item() == place[0, 1]
