@@ -25,6 +25,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.envs.batch import BatchEnv
+    from aslip.envs.directions import directions_stack
     from aslip.envs.dm_control import DmControlEnv, Walk, walk_environment
     from aslip.envs.gymnasium import GymEnv, GymVectorEnv
     from aslip.envs.interface import (
@@ -89,6 +90,7 @@ __all__ = [
     "command_speeds",
     "default_stack",
     "describe_transforms",
+    "directions_stack",
     "edit_stack",
     "evaluation_stack",
     "insert_before",
@@ -108,6 +110,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "batch": ["BatchEnv"],
+        "directions": ["directions_stack"],
         "dm_control": ["DmControlEnv", "Walk", "walk_environment"],
         "gymnasium": ["GymEnv", "GymVectorEnv"],
         "interface": [

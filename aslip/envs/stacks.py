@@ -45,7 +45,7 @@ from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.transforms.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 
 # groups with the same entries in the same frame, the robot's heading frame
-_REWARD_SOURCES: Final[Mapping[RewardSource, str]] = MappingProxyType(
+REWARD_SOURCES: Final[Mapping[RewardSource, str]] = MappingProxyType(
     {"truth": "true_odometry", "estimate": "odometry"}
 )
 
@@ -70,7 +70,7 @@ def reward_terms(reward_on: RewardSource = "truth") -> Stack:
     Args:
         reward_on: source of pelvis and feet: the simulator's truth or the estimator's odometry.
     """
-    source = _REWARD_SOURCES[reward_on]
+    source = REWARD_SOURCES[reward_on]
 
     def body(*names: str) -> list[NestedKey]:
         return [(source, name) for name in names]
@@ -155,7 +155,7 @@ def single_reference_stack(
         reward_on: source of pelvis and feet in the rewards; joints and springs are always true.
     """
     library = _pendulum() if library is None else library
-    source = _REWARD_SOURCES[reward_on]
+    source = REWARD_SOURCES[reward_on]
     feet = ("left_foot_velocity", "right_foot_velocity")
     terms: Stack = {
         "joints": lambda: RewardTerm(

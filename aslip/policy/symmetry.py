@@ -41,7 +41,10 @@ _SIGNS = {
     "body_heading": (-1.0,),
     "left_foot_heading": (-1.0,),
     "right_foot_heading": (-1.0,),
+    # commands of one axis; those of three mirror as filtered ones do
     "command": (1.0,),
+    "filtered_command": (1.0, -1.0, -1.0),
+    "path_error": (1.0, -1.0),
     # mirroring shifts the phase by half a stride, which flips the signs of sine and cosine
     "sin": (-1.0,),
     "cos": (-1.0,),

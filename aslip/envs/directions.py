@@ -1,0 +1,87 @@
+"""Stack for walks in all directions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from types import MappingProxyType
+from typing import Final
+
+from tensordict.utils import NestedKey
+from torchrl.envs.transforms import Transform
+
+from aslip.envs import RewardSource
+from aslip.envs.stacks import REWARD_SOURCES, Stack, default_stack, insert_before
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.transforms import (
+    DIRECTION_TABLE,
+    AssembleObservation,
+    CommandFilter,
+    EstimatedState,
+    HeadingFrame,
+    PhaseClock,
+    ReferenceInjection,
+    RewardTerm,
+    VelocityCommand,
+    WeightedReward,
+    rewards,
+)
+from aslip.transforms.rewards import DIRECTION_WEIGHTS
+
+# headings of the goal that reward terms read on turns
+_HEADINGS: Final = MappingProxyType(
+    {
+        "com_vel": ("body_heading",),
+        "foot_pos": ("body_heading",),
+        "foot_orient": ("left_foot_heading", "right_foot_heading"),
+    }
+)
+_STEER: Final = "filtered_command"
+
+
+def directions_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> Stack:
+    """Stack for walks in all directions: commands of forward speed, sideways speed and yaw rate.
+
+    It is the default stack, with a filter of the command (`CommandFilter`), which clock, reference
+    and path follow, and with rewards and odometry in a frame that moves along that path.
+
+    Args:
+        library: gait library over three commands.
+        reward_on: source of pelvis and feet in the rewards.
+
+    Raises:
+        ConfigurationError: commands of the library have not three numbers.
+    """
+    if library.command_size != 3:
+        raise ConfigurationError(
+            "a stack for all directions needs a library over forward speed, sideways speed and yaw"
+            f" rate, got one whose commands have {library.command_size} numbers"
+        )
+    stack = default_stack(library, reward_on) | {
+        "command": lambda: VelocityCommand(library),
+        "clock": lambda: PhaseClock(library, in_keys=[_STEER]),
+        "reference": lambda: ReferenceInjection(library, in_keys=[_STEER, "phase"]),
+        "heading": lambda: HeadingFrame(command_key=_STEER),
+        "estimator": lambda: EstimatedState(command_key=_STEER),
+        "observation": lambda: AssembleObservation(DIRECTION_TABLE),
+        "reward": lambda: WeightedReward(DIRECTION_WEIGHTS),
+    }
+    place: list[NestedKey] = [(REWARD_SOURCES[reward_on], "pelvis_position")]
+    terms: Stack = {
+        "path_diff": partial(RewardTerm, "path_diff", rewards.path_diff, place, [_STEER])
+    }
+    for name in _HEADINGS:
+        stack[name] = partial(_with_headings, stack[name])
+    stack = insert_before(stack, "clock", command_filter=CommandFilter)
+    stack = insert_before(stack, "straight_diff", **terms)
+    return {name: make for name, make in stack.items() if name != "straight_diff"}
+
+
+def _with_headings(make: Callable[[], Transform]) -> RewardTerm:
+    """Make a reward term that reads headings of the goal, too."""
+    term = make()
+    assert isinstance(term, RewardTerm)
+    name = str(term.out_keys[0][-1])
+    goals: list[NestedKey] = [("goal", heading) for heading in _HEADINGS[name]]
+    return RewardTerm(name, term.function, term.next_keys, [*term.root_keys, *goals])

@@ -1,0 +1,163 @@
+"""Stack for all directions: filtered commands, moving frames, mirrored walks."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+import aslip
+from aslip.envs import EPISODE_ENDS, StackEnv, directions_stack, robot_stack
+from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
+from aslip.library import GaitLibrary
+from aslip.policy.symmetry import action_mirror, observation_mirror
+from aslip.robot import CASSIE
+from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, TrueState
+from aslip.transforms.command import approach_command
+from aslip.transforms.path import LEASH, advance_heading, arc
+from tests.library.bent import symmetric_library
+
+PERIOD = CASSIE.policy_period
+FLIP = torch.tensor([1.0, -1.0, -1.0])
+
+
+def make(num: int = 2, **settings: object) -> StackEnv:
+    stack = directions_stack(symmetric_library())
+    drop = (*EPISODE_ENDS, "noise", "fall")
+    return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=drop, **settings)  # pyright: ignore[reportArgumentType]
+
+
+def start(env: StackEnv, command: list[list[float]], phase: list[float]) -> TensorDictBase:
+    request = {"command": torch.tensor(command), "phase": torch.tensor(phase)[:, None]}
+    return env.reset(TensorDict(request, batch_size=env.num_envs))  # pyright: ignore
+
+
+def step(env: StackEnv, td: TensorDictBase, action: Tensor | None = None) -> TensorDictBase:
+    """Take a policy step, with zero actions by default."""
+    td["action"] = torch.zeros(env.num_envs, 10) if action is None else action
+    return cast("TensorDictBase", env.step(td)["next"])
+
+
+def test_the_reference_follows_the_filtered_command_and_the_entry_stays() -> None:
+    env, library = make(1), symmetric_library()
+    td = start(env, [[0.8, 0.0, 0.0]], [0.3])
+    assert torch.equal(td["filtered_command"], td["command"])
+    wish = torch.tensor([[0.2, 0.2, -0.8]])
+    td["command"] = wish
+    filtered, phase = td["filtered_command"], td["phase"]
+    for _ in range(8):
+        goal = td["goal"]
+        td = step(env, td)
+        # the clock runs with the command during the step
+        phase = (phase + PERIOD / library.stride(filtered)) % 1
+        filtered = approach_command(filtered, wish, COMMAND_RATES, PERIOD)
+        assert torch.equal(td["command"], wish)
+        assert torch.equal(td["filtered_command"], filtered)
+        assert torch.equal(td["phase"], phase)
+        found = library.lookup(phase, filtered)
+        assert torch.equal(td["reference", "left_foot_heading"], found.left_foot_heading)
+        # neither body nor feet jump: the largest change of speed in a step is 0.06 m/s
+        for name in ("body_position", "left_foot_position", "right_foot_position"):
+            torch.testing.assert_close(td["reference", name], goal[name], atol=0.02, rtol=0)
+    assert torch.equal(td["observation"][:, -5:-2], filtered)
+
+
+def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None:
+    """Truth and estimate, with the heading advanced by the yaw rate; a fixed frame would not."""
+    env = make()
+    command = torch.tensor([[0.8, 0.1, 0.8], [0.4, 0.0, -0.5]])
+    td = start(env, command.tolist(), [0.1, 0.6])
+    heading, begun = td["heading"], td["true_odometry", "origin"]
+    for _ in range(20):
+        td = step(env, td)
+        heading = advance_heading(heading, command, PERIOD)
+        assert torch.equal(td["heading"], heading)
+        for group in ("true_odometry", "odometry"):
+            place = td[group, "pelvis_position"]
+            assert torch.equal(td[group, "path_error"], place[:, :2])
+            assert (place[:, :2].norm(dim=-1) <= LEASH + 1e-5).all()
+    travelled = (td["true_odometry", "origin"] - begun).norm(dim=-1)
+    assert (travelled > 0.1).all()
+    torch.testing.assert_close(
+        td["odometry", "path_error"], td["true_odometry", "path_error"], atol=0.08, rtol=0
+    )
+    assert (td["reward_terms", "path_diff"] > 0.7).all()
+
+
+def test_on_the_reference_the_terms_of_turns_are_near_one() -> None:
+    """At the first step robots are where the reference starts, whatever the direction."""
+    env = make(4)
+    command = [[0.8, 0.2, 0.8], [0.0, -0.2, 0.0], [0.0, 0.0, 0.8], [0.8, 0.0, -0.8]]
+    td = step(env, start(env, command, [0.05, 0.2, 0.55, 0.8]))
+    terms = td["reward_terms"]
+    assert (terms["foot_orient"] > 0.85).all()
+    assert (terms["foot_pos"] > 0.9).all()
+    assert (terms["com_vel"] > 0.75).all()
+    assert (terms["path_diff"] > 0.95).all()
+
+
+def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:
+    """Robot 1 starts half a stride later with sideways speed and yaw rate reversed.
+
+    The pelvis is not quite symmetric, so the images diverge slowly.
+    """
+    env = make(replace={"estimator": TrueState()})
+    command = torch.tensor([0.5, 0.15, 0.6])
+    td = start(env, [command.tolist(), (command * FLIP).tolist()], [0.2, 0.7])
+    mirror, mirror_action = observation_mirror(DIRECTION_TABLE), action_mirror()
+    generator = torch.Generator().manual_seed(0)
+    # contacts and the stiff loops amplify the pelvis' asymmetry most in accelerations
+    slow = torch.ones(72, dtype=torch.bool)
+    slow[8:14] = slow[24:34] = slow[40:46] = False
+    wish = torch.tensor([0.2, -0.1, -0.5])
+    for i in range(4):
+        image, other = mirror(td["observation"][1]), td["observation"][0]
+        torch.testing.assert_close(image[slow], other[slow], atol=3e-3, rtol=0)
+        if i == 1:
+            td["command"] = torch.stack([wish, wish * FLIP])
+        action = 0.1 * torch.randn(10, generator=generator)
+        td = step(env, td, torch.stack([action, mirror_action(action)]))
+        for name, term in td["reward_terms"].items():
+            torch.testing.assert_close(term[0], term[1], atol=5e-3, rtol=0, msg=name)
+    # the entries that turns add were compared at values other than zero, but for the body's heading
+    assert (td["observation"][:, -7:].abs() > 1e-4).all()
+
+
+def test_commands_outside_the_region_are_refused() -> None:
+    env = make(1)
+    with pytest.raises(SpeedOutOfRangeError, match=r"yaw rate -0\.8 to 0\.8"):
+        start(env, [[0.5, 0.0, 0.9]], [0.0])
+    td = start(env, [[0.5, 0.0, 0.5]], [0.0])
+    td["command"] = torch.ones(1, 1)
+    with pytest.raises(ShapeError, match=r"command must have shape \(1, 3\)"):
+        step(env, td)
+
+
+def test_commands_at_the_border_survive_single_precision() -> None:
+    library = symmetric_library()
+    corner = [float(axis[-1]) for axis in library.table.axes]
+    td = step(env := make(1), start(env, [corner], [0.0]))
+    torch.testing.assert_close(td["command"], torch.tensor([corner]))
+
+
+def test_a_straight_library_is_refused(library: GaitLibrary) -> None:
+    with pytest.raises(ConfigurationError, match="commands have 1 numbers"):
+        directions_stack(library)
+
+
+def test_the_stack_of_a_real_robot_turns_without_the_truth() -> None:
+    """The estimator itself advances the heading that it took from the first packet."""
+    stack = robot_stack(directions_stack(symmetric_library(), reward_on="estimate"))
+    assert "heading" not in stack
+    env = aslip.make_env(stack=stack, num_threads=1, drop=EPISODE_ENDS)
+    td = env.reset(TensorDict(command=torch.tensor([[0.0, 0.0, 0.8]]), batch_size=1))
+    before = td["estimate", "orientation"]
+    td = step(env, td)
+    # the frame turned, the robot has hardly begun to
+    turned = float(td["estimate", "orientation"][0, 3] - before[0, 3])
+    assert turned < -0.5 * 0.8 * PERIOD / 2
+    way = arc(torch.tensor([[0.0, 0.0, 0.8]]), PERIOD)
+    torch.testing.assert_close(td["odometry", "origin"], way, atol=1e-6, rtol=0)
