@@ -74,7 +74,8 @@ class GymEnv(gymnasium.Env):
 
         Args:
             seed: seed of all random numbers from now on.
-            options: entries of the stack's reset request, such as `{"command": 1.0}`.
+            options: entries of the stack's reset request, such as `{"command": 1.0}`, or with a
+                library over three commands `{"command": [0.5, 0.0, 0.3]}`.
 
         Raises:
             UnknownNameError: a reset of the stack does not take such an option.
@@ -224,8 +225,9 @@ def _reset(env: StackEnv, seed: int | None, options: Info | None) -> TensorDictB
     for name, value in (options or {}).items():
         if name not in known:
             raise UnknownNameError.among("option of reset", name, known)
-        column = torch.as_tensor(value, dtype=torch.float32).reshape(-1, 1)
-        request[name] = column.expand(*env.batch_size, 1).clone()
+        size = env.state_spec[name].shape[-1]
+        column = torch.as_tensor(value, dtype=torch.float32).reshape(-1, size)
+        request[name] = column.expand(*env.batch_size, size).clone()
     return env.reset(request)
 
 
@@ -253,8 +255,11 @@ def _outcome(state: TensorDictBase) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def _info(state: TensorDictBase) -> Info:
-    """(n,) commands and reward terms."""
-    info: Info = {"command": _column(state, "command")} if "command" in state else {}
+    """Commands, (n,) speeds or (n, c), and reward terms (n,)."""
+    info: Info = {}
+    if "command" in state:
+        command = cast("Tensor", state["command"]).detach().numpy().copy()
+        info["command"] = command[:, 0] if command.shape[1] == 1 else command
     if "reward_terms" in state:
         terms = cast("TensorDictBase", state["reward_terms"])
         info["reward_terms"] = {str(name): _column(terms, str(name)) for name in terms.keys()}  # noqa: SIM118
@@ -264,7 +269,7 @@ def _info(state: TensorDictBase) -> Info:
 def _first(info: Info) -> Info:
     """Numbers of the first robot."""
     return {
-        name: _first(value) if isinstance(value, dict) else value[0].item()
+        name: _first(value) if isinstance(value, dict) else value[0].tolist()
         for name, value in info.items()
     }
 
