@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from contextlib import closing
-from typing import Any
+from typing import Any, Final
 
 from torchrl.envs.transforms import StepCounter
 
 from aslip.envs import StackEnv, command_speeds, describe_transforms
-from aslip.transforms import RandomCommand, StaggeredEnds
+from aslip.transforms import RandomCommand, StaggeredEnds, VelocityCommand
+
+DIRECTIONS: Final = 32
+"""Number of commands in all directions that an evaluation walks."""
 
 MakeEnv = Callable[..., StackEnv]
 """Function of the keywords `num_envs` and `seed`, such as `aslip.make_env`; for robots in other
@@ -39,16 +42,27 @@ def make_training_env(
     return env
 
 
-def make_evaluation_env(make_env: MakeEnv, seed: int) -> tuple[StackEnv, list[float]]:
-    """Environment with one robot for each speed of its command, and the speeds [m/s].
+def make_evaluation_env(
+    make_env: MakeEnv, seed: int
+) -> tuple[StackEnv, list[float] | list[list[float]]]:
+    """Environment with one robot for each command of an evaluation, and the commands.
+
+    These are all speeds [m/s] of a `SpeedCommand`, or `DIRECTIONS` draws of a `VelocityCommand`,
+    the same for each seed.
 
     Args:
         make_env: makes the environment.
         seed: seed of the environment.
     """
     with closing(make_env(num_envs=1, seed=seed)) as env:
-        speeds = command_speeds(env)
-    return make_env(num_envs=len(speeds), seed=seed), speeds
+        drawn = [t for t in env.transforms if isinstance(t, VelocityCommand)]
+        commands = _directions(drawn[0]) if drawn else command_speeds(env)
+    return make_env(num_envs=len(commands), seed=seed), commands
+
+
+def _directions(command: VelocityCommand) -> list[list[float]]:
+    command.set_seed(0)
+    return command.draw((DIRECTIONS, command.library.command_size)).tolist()
 
 
 def describe_environments(env: StackEnv, make_train_env: MakeEnv) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, Final
 
@@ -16,16 +16,21 @@ from tensordict.utils import NestedKey
 from aslip.envs import MAX_EPISODE_STEPS, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.transforms.rotation import conjugate, multiply, yaw
 from aslip.walking.record import record
 from aslip.walking.tables import markdown
 
 TRACKING_TOLERANCE: Final = 0.2
-"""Largest difference of mean and commanded speed of a walk that tracks its command [m/s]."""
+"""Largest difference of mean and commanded velocity of a walk that tracks its command [m/s, rad/s].
+"""
 
 # least share of the weight on the feet, and tolerance for a change of the vertical velocity
 _ON_FEET, _BOB = 0.95, 0.5  # [-], [m/s]
 _POSITION = ("true_odometry", "pelvis_position")
 _FORCE = ("truth", "ground_force")
+_VELOCITY = ("true_odometry", "pelvis_velocity")
+_ORIENTATION = ("true_odometry", "pelvis_orientation")
+_POSES: Final[list[NestedKey]] = [("next", *_VELOCITY), _ORIENTATION, ("next", *_ORIENTATION)]
 _RECORDED: Final[list[NestedKey]] = [
     _POSITION,
     ("next", *_POSITION),
@@ -53,14 +58,23 @@ class WalkResult:
     total: float
     """Sum of rewards."""
     mean_speed: float
-    """Distance along the heading over time [m/s]."""
+    """Distance along the heading over time; in a frame that moves along a path, mean of the forward
+    speed at the ends of policy steps [m/s]."""
     lateral_drift: float
-    """Final distance of the pelvis from the line along the heading [m]."""
+    """Final distance of the pelvis from the line along the heading, or from the path [m]."""
     weight_ratio: float
     """Mean vertical ground force over the simulated robot's weight, payload included; 1 if the feet
     carry it all."""
     terms: dict[str, float]
     """Mean of each reward term."""
+    sideways_speed: float = 0.0
+    """Commanded sideways speed [m/s]; like the numbers below, 0 with a straight library."""
+    yaw_rate: float = 0.0
+    """Commanded yaw rate [rad/s]."""
+    mean_sideways_speed: float = 0.0
+    """Mean speed to the left, along the y axis of the moving frame [m/s]."""
+    mean_yaw_rate: float = 0.0
+    """Turn of the pelvis about the vertical over time [rad/s]."""
 
     @property
     def on_feet(self) -> bool:
@@ -69,8 +83,13 @@ class WalkResult:
 
     @property
     def tracked(self) -> bool:
-        """True if the mean speed is within `TRACKING_TOLERANCE` of the command."""
-        return tracks_command(self.speed, self.mean_speed)
+        """True if each mean velocity is within `TRACKING_TOLERANCE` of the command."""
+        pairs = (
+            (self.speed, self.mean_speed),
+            (self.sideways_speed, self.mean_sideways_speed),
+            (self.yaw_rate, self.mean_yaw_rate),
+        )
+        return all(tracks_command(*pair) for pair in pairs)
 
 
 def is_on_feet(weight_ratio: float, duration: float) -> bool:
@@ -87,8 +106,8 @@ def tracks_command(speed: float, mean_speed: float) -> bool:
     """Check that a mean speed is within `TRACKING_TOLERANCE` of the command; false for NaN.
 
     Args:
-        speed: commanded [m/s].
-        mean_speed: measured [m/s].
+        speed: commanded [m/s, rad/s].
+        mean_speed: measured [m/s, rad/s].
     """
     return abs(mean_speed - speed) <= TRACKING_TOLERANCE
 
@@ -96,18 +115,18 @@ def tracks_command(speed: float, mean_speed: float) -> bool:
 def evaluate(
     policy: TensorDictModuleBase,
     env: StackEnv,
-    speeds: Sequence[float],
+    speeds: Sequence[float] | Sequence[Sequence[float]],
     num_steps: int = MAX_EPISODE_STEPS,
 ) -> list[WalkResult]:
-    """Evaluate one walk at each speed, from phase 0, without exploration noise.
+    """Evaluate one walk at each command, from phase 0, without exploration noise.
 
-    Commands stay constant: `SpeedCommand` does not change them. A walk ends with its
+    Commands stay constant: `RandomCommand` does not change them. A walk ends with its
     episode or after `num_steps`.
 
     Args:
         policy: maps the environment's tensordict to `action`.
         env: environment with one robot for each speed.
-        speeds: commanded speeds [m/s].
+        speeds: commanded speeds [m/s]; in a stack for all directions, (n, 3) commands.
         num_steps: largest number of policy steps of a walk, 1 or more.
 
     Raises:
@@ -128,9 +147,13 @@ def evaluate(
             f"an evaluation needs the entries {missing}, which simulated robots have and `keep`"
             " must not hide"
         )
-    command = np.tile(np.asarray(speeds, dtype=np.float32), (num_steps, 1))
-    rows = record(policy, env, command, _RECORDED, until_all_ended=True)
-    return _results(rows, speeds, env.base_env.weight)
+    command = np.asarray(speeds, dtype=np.float32)
+    repeated = np.repeat(command[None], num_steps, axis=0)
+    keys = [*_RECORDED, *_POSES] if command.ndim == 2 else _RECORDED
+    rows = record(policy, env, repeated, keys, until_all_ended=True)
+    given = np.asarray(speeds, dtype=np.float64).reshape(len(speeds), -1)
+    results = _results(rows, given[:, 0], env.base_env.weight)
+    return _turned(results, rows, given) if command.ndim == 2 else results
 
 
 def evaluation_means(results: Sequence[WalkResult]) -> dict[str, float]:
@@ -143,7 +166,7 @@ def evaluation_means(results: Sequence[WalkResult]) -> dict[str, float]:
     }
 
 
-def _results(rows: TensorDict, speeds: Sequence[float], weight: Any) -> list[WalkResult]:
+def _results(rows: TensorDict, speeds: np.ndarray, weight: Any) -> list[WalkResult]:
     """Results of (m, n) recorded policy steps of robots of some weight (n,) [N]."""
     after = rows["next"]
     assert isinstance(after, TensorDictBase)
@@ -171,6 +194,31 @@ def _results(rows: TensorDict, speeds: Sequence[float], weight: Any) -> list[Wal
     ]
 
 
+def _turned(
+    results: Sequence[WalkResult], rows: TensorDict, command: np.ndarray
+) -> list[WalkResult]:
+    """Results with the mean velocities of walks (m, n) along the paths of commands (n, 3)."""
+    before, after = rows[_ORIENTATION], rows["next", *_ORIENTATION]
+    turns = yaw(multiply(after, conjugate(before)))[..., 0].double().numpy()
+    velocity = rows["next", *_VELOCITY].double().numpy()
+    turned = []
+    for i, result in enumerate(results):
+        forward, sideways, _ = velocity[: result.steps, i].mean(axis=0)
+        # the frame turns at the commanded rate, the pelvis turns in the frame
+        rate = command[i, 2] + turns[: result.steps, i].mean() / CASSIE.policy_period
+        turned.append(
+            replace(
+                result,
+                sideways_speed=float(command[i, 1]),
+                yaw_rate=float(command[i, 2]),
+                mean_speed=float(forward),
+                mean_sideways_speed=float(sideways),
+                mean_yaw_rate=float(rate),
+            )
+        )
+    return turned
+
+
 def _sum(values: torch.Tensor, walking: torch.Tensor) -> torch.Tensor:
     """(n,) sums of (m, n, 1) values over each robot's walk, in the order of the steps."""
     total = torch.zeros(values.shape[1])
@@ -182,21 +230,25 @@ def _sum(values: torch.Tensor, walking: torch.Tensor) -> torch.Tensor:
 def walk_table(results: Sequence[WalkResult]) -> str:
     """Markdown table of results, one row for each speed, and a line of totals."""
     names = list(results[0].terms)
+    turning = any(r.sideways_speed or r.yaw_rate for r in results)
+    unit = "m/s, m/s, rad/s" if turning else "m/s"
     header = [
-        "command [m/s]",
+        f"command [{unit}]",
         "steps",
         "return",
-        "speed [m/s]",
+        f"speed [{unit}]",
         "drift [m]",
         "force/weight",
         *names,
     ]
     rows = [
         [
-            str(round(r.speed, 3)),
+            _listed(r.speed, r.sideways_speed, r.yaw_rate) if turning else str(round(r.speed, 3)),
             f"{r.steps}" + ("" if r.survived else " fell"),
             f"{r.total:.1f}",
-            f"{r.mean_speed:.3f}",
+            _listed(r.mean_speed, r.mean_sideways_speed, r.mean_yaw_rate)
+            if turning
+            else f"{r.mean_speed:.3f}",
             f"{r.lateral_drift:.3f}",
             f"{r.weight_ratio:.4f}",
             *(f"{r.terms[name]:.3f}" for name in names),
@@ -212,3 +264,7 @@ def walk_table(results: Sequence[WalkResult]) -> str:
         f" {tracked} tracked within {TRACKING_TOLERANCE:g} m/s; mean return {mean:.1f}"
     )
     return f"{markdown(header, rows)}\n\n{summary}"
+
+
+def _listed(*velocity: float) -> str:
+    return ", ".join(f"{value:.3f}" for value in velocity)

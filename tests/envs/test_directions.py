@@ -10,7 +10,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 import aslip
-from aslip.envs import EPISODE_ENDS, StackEnv, directions_stack, robot_stack
+from aslip.envs import EPISODE_ENDS, GymEnv, StackEnv, directions_stack, robot_stack
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.policy.symmetry import action_mirror, observation_mirror
@@ -161,3 +161,11 @@ def test_the_stack_of_a_real_robot_turns_without_the_truth() -> None:
     assert turned < -0.5 * 0.8 * PERIOD / 2
     way = arc(torch.tensor([[0.0, 0.0, 0.8]]), PERIOD)
     torch.testing.assert_close(td["odometry", "origin"], way, atol=1e-6, rtol=0)
+
+
+def test_options_of_gymnasium_take_a_command_of_three_numbers() -> None:
+    env = GymEnv(stack=directions_stack(symmetric_library()), num_threads=1)
+    _, info = env.reset(seed=1, options={"command": [0.5, -0.1, 0.25]})
+    assert info["command"] == [0.5, pytest.approx(-0.1), 0.25]
+    assert env.observation_space.shape == (72,)
+    env.close()
