@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Integral
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 import torch
@@ -198,9 +198,10 @@ def _turned(
     results: Sequence[WalkResult], rows: TensorDict, command: np.ndarray
 ) -> list[WalkResult]:
     """Results with the mean velocities of walks (m, n) along the paths of commands (n, 3)."""
-    before, after = rows[_ORIENTATION], rows["next", *_ORIENTATION]
+    keys = (_ORIENTATION, ("next", *_ORIENTATION), ("next", *_VELOCITY))
+    before, after, speeds = (cast("torch.Tensor", rows[key]) for key in keys)
     turns = yaw(multiply(after, conjugate(before)))[..., 0].double().numpy()
-    velocity = rows["next", *_VELOCITY].double().numpy()
+    velocity = speeds.double().numpy()
     turned = []
     for i, result in enumerate(results):
         forward, sideways, _ = velocity[: result.steps, i].mean(axis=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import pytest
 import torch
 from tensordict import TensorDict
@@ -11,7 +13,7 @@ import aslip
 from aslip.control import Controller
 from aslip.envs import directions_stack
 from aslip.errors import ShapeError
-from aslip.transforms import DIRECTION_TABLE
+from aslip.transforms import DIRECTION_TABLE, VelocityCommand
 from tests.library.bent import symmetric_library
 
 
@@ -37,12 +39,12 @@ def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
     stack = directions_stack(library)
     env = aslip.make_env(stack=stack, num_envs=num, seed=5, num_threads=1, drop=["low_reward"])
     policy, controller, restarts = _policy(), _controller(), 0
-    draw = env.transforms[env.transform_names.index("command")].draw  # pyright: ignore
+    command = cast("VelocityCommand", env.transforms[env.transform_names.index("command")])
     td = env.reset(TensorDict(heading=torch.linspace(0.1, 1.5, num)[:, None], batch_size=num))
     state = controller.start(td["sensors"], td["command"], phase=td["phase"], heading=td["heading"])
     for step in range(70):
         if step % 13 == 8:
-            td["command"] = draw((num, 3))
+            td["command"] = command.draw((num, 3))
         if step == 15:
             td["heading"] = td["heading"] + 1.0
         turned = td["heading"]

@@ -49,7 +49,7 @@ def test_the_reference_follows_the_filtered_command_and_the_entry_stays() -> Non
     td["command"] = wish
     filtered, phase = td["filtered_command"], td["phase"]
     for _ in range(8):
-        goal = td["goal"]
+        goal = cast("TensorDictBase", td["goal"])
         td = step(env, td)
         # the clock runs with the command during the step
         phase = (phase + PERIOD / library.stride(filtered)) % 1
@@ -61,7 +61,7 @@ def test_the_reference_follows_the_filtered_command_and_the_entry_stays() -> Non
         assert torch.equal(td["reference", "left_foot_heading"], found.left_foot_heading)
         # neither body nor feet jump: the largest change of speed in a step is 0.06 m/s
         for name in ("body_position", "left_foot_position", "right_foot_position"):
-            torch.testing.assert_close(td["reference", name], goal[name], atol=0.02, rtol=0)
+            torch.testing.assert_close(td["reference", name], goal.get(name), atol=0.02, rtol=0)
     assert torch.equal(td["observation"][:, -5:-2], filtered)
 
 
@@ -76,10 +76,10 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
         heading = advance_heading(heading, command, PERIOD)
         assert torch.equal(td["heading"], heading)
         for group in ("true_odometry", "odometry"):
-            place = td[group, "pelvis_position"]
+            place = cast("Tensor", td[group, "pelvis_position"])
             assert torch.equal(td[group, "path_error"], place[:, :2])
-            assert (place[:, :2].norm(dim=-1) <= LEASH + 1e-5).all()
-    travelled = (td["true_odometry", "origin"] - begun).norm(dim=-1)
+            assert (torch.linalg.vector_norm(place[:, :2], dim=-1) <= LEASH + 1e-5).all()
+    travelled = torch.linalg.vector_norm(td["true_odometry", "origin"] - begun, dim=-1)
     assert (travelled > 0.1).all()
     torch.testing.assert_close(
         td["odometry", "path_error"], td["true_odometry", "path_error"], atol=0.08, rtol=0
@@ -92,11 +92,11 @@ def test_on_the_reference_the_terms_of_turns_are_near_one() -> None:
     env = make(4)
     command = [[0.8, 0.2, 0.8], [0.0, -0.2, 0.0], [0.0, 0.0, 0.8], [0.8, 0.0, -0.8]]
     td = step(env, start(env, command, [0.05, 0.2, 0.55, 0.8]))
-    terms = td["reward_terms"]
-    assert (terms["foot_orient"] > 0.85).all()
-    assert (terms["foot_pos"] > 0.9).all()
-    assert (terms["com_vel"] > 0.75).all()
-    assert (terms["path_diff"] > 0.95).all()
+    terms = cast("TensorDictBase", td["reward_terms"])
+    assert float(terms.get("foot_orient").min()) > 0.85
+    assert float(terms.get("foot_pos").min()) > 0.9
+    assert float(terms.get("com_vel").min()) > 0.75
+    assert float(terms.get("path_diff").min()) > 0.95
 
 
 def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:

@@ -220,10 +220,10 @@ def test_terms_do_not_depend_on_the_direction_of_the_reference() -> None:
         rewards.foot_orient(x["left_q"], x["right_q"]),
     )
     names = ("position", "left", "right", "left_ref", "right_ref")
-    places = [rotate_inverse(conjugate(turn), x[name]) for name in names]
+    place, left, right, *goal = (rotate_inverse(conjugate(turn), x[name]) for name in names)
     torch.testing.assert_close(
-        rewards.foot_pos(turned, *places, 2 * half),
-        rewards.foot_pos(x["orientation"], *(x[name] for name in names)),
+        rewards.foot_pos(turned, place, left, right, goal[0], goal[1], 2 * half),
+        _terms(x)["foot_pos"],
     )
 
 
