@@ -12,12 +12,15 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
-from aslip.envs import StackEnv
+from aslip.envs import STACKS, StackEnv
 from aslip.robot import CASSIE
 from aslip.sim import PD
 from recipes.ppo_settings import Config
 
 MakeEnv = Callable[..., StackEnv]
+
+SHIPPED_STACKS = [name for name in STACKS if name != "directions"]
+"""Stacks whose library ships."""
 
 MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}
 

@@ -97,7 +97,8 @@ class Controller:
         motor_lead: time by which the motor references are ahead of the phase, in policy steps; see
             `ReferenceInjection`.
         command_rates: largest rates of the filtered command with a library of several axes
-            [m/s^2, rad/s^2], see `CommandFilter`.
+            [m/s^2, rad/s^2], see `CommandFilter`; by default those in the policy's file, or
+            `COMMAND_RATES`.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
@@ -113,7 +114,7 @@ class Controller:
         baseline: NestedKey | None = None,
         estimator: StateEstimator | None = None,
         motor_lead: float = 1.0,
-        command_rates: Sequence[float] = COMMAND_RATES,
+        command_rates: Sequence[float] | None = None,
     ) -> None:
         if isinstance(policy, str | Path):
             card = read_card(policy)
@@ -124,6 +125,7 @@ class Controller:
                     " angles, so a controller cannot turn it into motor targets; give `baseline`"
                 )
             baseline = baseline or _key(card["baseline"])
+            command_rates = command_rates or card["command_rates"]
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
         self.library = library
@@ -131,7 +133,7 @@ class Controller:
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         self.estimator = StateEstimator() if estimator is None else estimator
         self.motor_lead = motor_lead
-        self.command_rates = checked_rates(command_rates)
+        self.command_rates = checked_rates(command_rates or COMMAND_RATES)
         self._along_path = library.command_size > 1
         robot = self.estimator.robot
         self._period = robot.policy_period

@@ -21,7 +21,13 @@ from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, observation_difference, read_card
-from aslip.transforms import ActionDelta, AssembleObservation, ReferenceInjection, SpeedCommand
+from aslip.transforms import (
+    ActionDelta,
+    AssembleObservation,
+    CommandFilter,
+    ReferenceInjection,
+    SpeedCommand,
+)
 
 
 def policy_interface(env: StackEnv) -> dict[str, Any]:
@@ -34,6 +40,7 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
         "stack": stack_name(env),
         "observation": observation_keys(env),
         "baseline": baseline_key(env),
+        "command_rates": command_rates(env),
     }
 
 
@@ -47,8 +54,13 @@ def stack_name(env: StackEnv) -> str | None:
     keys = _observation_keys(env.transforms), baseline_key(env)
     if None in keys:
         return None
+    libraries = [t.library for t in env.transforms if isinstance(t, ReferenceInjection)]
+    turning = any(library.command_size == 3 for library in libraries)
     for name, make in STACKS.items():
-        stack = make()
+        if turning != (name == "directions"):
+            continue
+        # no library for all directions ships, so there is no motion to compare with
+        stack = make(libraries[0]) if turning else make()
         named = [stack[part]() for part in ("observation", "action", "reference")]
         same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
         if same_keys and _motion(env.transforms) == _motion(named):
@@ -65,6 +77,12 @@ def baseline_key(env: StackEnv) -> NestedKey | None:
     return _baseline_key(acting[0]) if len(acting) == 1 else None
 
 
+def command_rates(env: StackEnv) -> tuple[float, ...] | None:
+    """Largest rates of the command that the policy follows; None without a `CommandFilter`."""
+    rates = [t.rates for t in env.transforms if isinstance(t, CommandFilter)]
+    return rates[0] if rates else None
+
+
 def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
     """Check that an environment has the observation and action that a policy was trained with.
 
@@ -75,8 +93,8 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
     Raises:
         AssetError: the policy does not exist.
         FileDamagedError: the file is truncated, altered or not a policy.
-        ConfigurationError: the entries of the observation, their order, its size or the baseline
-            of the action differ.
+        ConfigurationError: the entries of the observation, their order, its size, the baseline of
+            the action or the rates of the command differ.
     """
     card = read_card(policy)
     shown, key = entry_names(observation_keys(env)), baseline_key(env)
@@ -96,6 +114,11 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
         raise ConfigurationError(
             f"the policy {str(policy)!r} does not fit the environment: its action must be added to"
             f" {card['baseline']!r}, but the environment adds it to {added_to!r}"
+        )
+    if card["command_rates"] != (rates := command_rates(env)):
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} does not fit the environment: its commands change at most"
+            f" at the rates {card['command_rates']}, those of the environment at {rates}"
         )
 
 
@@ -213,8 +236,8 @@ def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
     if not libraries:
         return []
     library = libraries[0]
-    lowest, highest = library.speeds[[0, -1]].tolist()
-    points = torch.cartesian_prod(torch.arange(4) / 4, torch.linspace(lowest, highest, 3))
+    ends = [torch.linspace(float(axis[0]), float(axis[-1]), 3) for axis in library.table.axes]
+    points = torch.cartesian_prod(torch.arange(4) / 4, *ends)
     motion = library.lookup(points[:, :1], points[:, 1:])
     return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()
 

@@ -15,6 +15,7 @@ from aslip.envs import RewardSource
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import PAPER_SPEEDS, GaitLibrary
 from aslip.transforms import (
+    DYNAMICS_RANGES,
     SINGLE_REFERENCE_TABLE,
     ActionDelta,
     AssembleObservation,
@@ -31,6 +32,7 @@ from aslip.transforms import (
     PhaseClock,
     RandomDynamics,
     RandomNoise,
+    RandomPushes,
     ReferenceDistance,
     ReferenceInjection,
     ReferenceStart,
@@ -207,10 +209,27 @@ def _pendulum() -> GaitLibrary:
     return GaitLibrary.load("single_reference")
 
 
+def _directions(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
+    """Stack for walks in all directions; no library for it ships.
+
+    Raises:
+        ConfigurationError: there is no library, or its commands have not three numbers.
+    """
+    from aslip.envs.directions import directions_stack  # imports this module
+
+    if library is None:
+        raise ConfigurationError(
+            "the stack 'directions' needs a library over three commands, which does not ship: build"
+            " one with recipes/direction_library.py and give library=GaitLibrary.load(PATH)"
+        )
+    return directions_stack(library, reward_on)
+
+
 STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "aslip": default_stack,
     "paper": paper_stack,
     "single_reference": single_reference_stack,
+    "directions": _directions,
 }
 """Name of a stack -> function of gait library and `reward_on` that makes it."""
 
@@ -219,17 +238,23 @@ _EVALUATION = (*PAPER_WEIGHTS, "reward", "fall", "low_reward", "step_limit", "ep
 """Transforms of the default stack that compute rewards or end episodes."""
 
 
-def randomise_stack(stack: Stack) -> Stack:
+def randomise_stack(
+    stack: Stack, ranges: Mapping[str, tuple[float, float]] = DYNAMICS_RANGES
+) -> Stack:
     """Copy of a stack with domain randomisation.
 
-    Each reset draws the dynamics and, if the stack has sensor noise, its level from
-    `aslip.transforms.DYNAMICS_RANGES`.
+    Each reset draws the dynamics and, if the stack has sensor noise, its level.
+
+    Args:
+        stack: the stack.
+        ranges: parameter -> least and greatest value; `sensor_noise` among them if the stack has
+            sensor noise.
 
     Raises:
         ConfigurationError: `stack` is a name, or randomised already.
         UnknownNameError: the stack has no transform `start`.
     """
-    stack = insert_before(stack, "start", dynamics=RandomDynamics)
+    stack = insert_before(stack, "start", dynamics=partial(RandomDynamics, ranges))
     return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
 
 
@@ -268,9 +293,9 @@ def _make_for_robot(make: Callable[[], Transform]) -> Transform:
 
 
 def needs_simulation(transform: Transform) -> bool:
-    """True for a transform that reads the truth, or sets initial state or dynamics."""
+    """True for a transform that reads the truth, sets initial state or dynamics, or pushes."""
     groups = {key if isinstance(key, str) else key[0] for key in transform.in_keys}
-    chooses = isinstance(transform, ReferenceStart | RandomDynamics)
+    chooses = isinstance(transform, ReferenceStart | RandomDynamics | RandomPushes)
     return chooses or bool(groups & {"truth", "true_odometry"})
 
 

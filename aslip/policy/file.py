@@ -25,7 +25,8 @@ from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.files.assets import asset_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor
-from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from aslip.transforms.command import checked_rates
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
 """Function from normaliser, shape and observation keys to an actor."""
@@ -39,7 +40,8 @@ POLICY_FORMAT = ArchiveFormat("policy", 2)
 CARD = "card.json"
 """Entry of a policy file that describes the policy; see `save_policy`."""
 _WEIGHTS = "weights/"
-# action baselines of the named stacks
+# observations and action baselines of the named stacks
+_TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE)
 _KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
@@ -55,10 +57,11 @@ def save_policy(
     stack: str | None = "aslip",
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
     baseline: NestedKey | None = ("reference", "motor_target"),
+    command_rates: Sequence[float] | None = None,
 ) -> None:
     """Write a policy for `load_policy`: an archive of plain arrays and JSON.
 
-    `aslip.envs.policy_interface(env)` gives the last three arguments.
+    `aslip.envs.policy_interface(env)` gives the last four arguments.
 
     Args:
         path: path of the file; an existing one is replaced atomically.
@@ -69,6 +72,8 @@ def save_policy(
         stack: name of its stack, one of `aslip.envs.STACKS`; None for a stack of your own.
         observation: keys of the observation's entries, in order.
         baseline: key of the angles to which the action is added; None for another kind of action.
+        command_rates: largest rates of the filtered command that the policy follows [m/s^2,
+            rad/s^2], see `aslip.transforms.CommandFilter`; None if it follows the command.
 
     Raises:
         ConfigurationError: `network` makes an actor that differs from `actor`, or a weight is not
@@ -86,6 +91,7 @@ def save_policy(
         "stack": stack,
         "observation": entry_names(observation),
         "baseline": None if baseline is None else entry_names([baseline])[0],
+        "command_rates": None if command_rates is None else [*command_rates],
         "made_by": dict(made_by or {}),
     }
     weights = {
@@ -256,7 +262,7 @@ def observation_difference(has: Sequence[str], expected: Sequence[str]) -> str:
 
 
 def _known_observations() -> list[list[str]]:
-    return [entry_names(table) for table in (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE)]
+    return [entry_names(table) for table in _TABLES]
 
 
 def find_policy(name_or_path: str | Path) -> Path:
@@ -287,7 +293,7 @@ def read_card(name_or_path: str | Path) -> dict[str, Any]:
 
     Returns:
         The arguments of `save_policy`: `shape`, `made_by`, `stack`; `network`, `observation` and
-        `baseline` as text.
+        `baseline` as text; `command_rates` is None in files without it.
 
     Raises:
         AssetError: there is no such policy.
@@ -306,6 +312,7 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
     try:
         card = json.loads(entries[CARD])
         shape, texts = card["shape"], (card["stack"], card["baseline"])
+        rates = card.get("command_rates")
         typed = all(isinstance(text, str | None) for text in texts)
         typed = typed and isinstance(card["network"], str) and isinstance(card["made_by"], dict)
         if not typed:
@@ -314,6 +321,7 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
             **card,
             "shape": PolicyShape(**{**shape, "hidden": tuple(shape["hidden"])}),
             "observation": [str(name) for name in card["observation"]],
+            "command_rates": None if rates is None else checked_rates(rates),
         }
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error

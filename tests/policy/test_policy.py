@@ -185,7 +185,7 @@ def test_refuses_invalid_card(file: Path, change: dict | None) -> None:
 def test_refuses_policy_for_another_observation(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("aslip.policy.file.OBSERVATION_TABLE", (("estimate", "height"), "new"))
+    monkeypatch.setattr("aslip.policy.file._TABLES", [(("estimate", "height"), "new")])
     with pytest.raises(ConfigurationError, match=r"lacks \['new'\].*has \['estimate/orientation"):
         aslip.load_policy(file)
 
