@@ -25,7 +25,7 @@ if __name__ == "__main__":
     CONFIG = training_settings(PRESETS)
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -49,6 +49,7 @@ from aslip.policy import (
     make_critic,
     save_policy,
     set_std,
+    update_normalizers,
 )
 from aslip.show.plots import learning_curve, save_figure
 from aslip.training.collectors import LocalCollector
@@ -109,11 +110,11 @@ def main(
     results: list[WalkResult] = []
     with training_loop(run, parts, config) as training:
         if normalizer.count == 0:  # the first batch only initialises the normaliser
-            normalizer.update(next(training)["observation"])
+            update_normalizers([actor, critic], next(training))
         for data in training:
             advantage(data)
             losses = update(data, loss, optimizer, config)
-            normalizer.update(data["observation"])
+            update_normalizers([actor, critic], data)
             training.count(data)
             anneal(config, training.step, actor, optimizer)
             results = evaluate_all(config, actor, env, speeds) if training.evaluates else []
@@ -210,9 +211,12 @@ def anneal(
 
 
 def evaluate_all(
-    config: Config, actor: ProbabilisticActor, env: StackEnv, speeds: list[float]
+    config: Config,
+    actor: ProbabilisticActor,
+    env: StackEnv,
+    speeds: Sequence[float] | Sequence[Sequence[float]],
 ) -> list[WalkResult]:
-    """Walk at all speeds, with the same noise in every evaluation."""
+    """Walk at all commands, with the same noise in every evaluation."""
     env.set_seed(config.seed)
     policy = actor if config.device == "cpu" else copy.deepcopy(actor).cpu()
     return evaluate(policy, env, speeds, config.eval_steps)

@@ -22,7 +22,9 @@ from aslip.policy.networks import (
     make_actor,
     make_critic,
     set_std,
+    update_normalizers,
 )
+from aslip.policy.privileged import make_privileged_critic, privileged_table
 from aslip.policy.recurrent import add_memory, is_recurrent, make_recurrent_actor
 from aslip.policy.symmetry import action_mirror, observation_mirror
 
@@ -44,11 +46,14 @@ __all__ = [
     "load_policy",
     "make_actor",
     "make_critic",
+    "make_privileged_critic",
     "make_recurrent_actor",
     "observation_difference",
     "observation_mirror",
     "policy_stack",
+    "privileged_table",
     "read_card",
     "save_policy",
     "set_std",
+    "update_normalizers",
 ]

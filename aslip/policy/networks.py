@@ -14,9 +14,10 @@ import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import (
     AddStateIndependentNormalScale,
     InteractionType,
@@ -96,6 +97,7 @@ class RunningNormalizer(nn.Module):
 
     Args:
         size: length of the input.
+        key: key of the input, for `update_normalizers`.
     """
 
     mean: Tensor
@@ -104,8 +106,9 @@ class RunningNormalizer(nn.Module):
     _offset: Tensor
     _scale: Tensor
 
-    def __init__(self, size: int) -> None:
+    def __init__(self, size: int, key: NestedKey = "observation") -> None:
         super().__init__()
+        self.key = key
         self.register_buffer("mean", torch.zeros(size, dtype=torch.float64))
         self.register_buffer("variance", torch.ones(size, dtype=torch.float64))
         self.register_buffer("count", torch.zeros((), dtype=torch.float64))
@@ -147,6 +150,14 @@ class RunningNormalizer(nn.Module):
         """
         check_size(values, len(self._offset))
         return ((values - self._offset) * self._scale).clamp(-_CLIP, _CLIP)
+
+
+def update_normalizers(nets: Iterable[nn.Module], data: TensorDictBase) -> None:
+    """Add a batch to the statistics of all normalisers of some networks, once to shared ones."""
+    modules = dict.fromkeys(module for net in nets for module in net.modules())
+    for module in modules:
+        if isinstance(module, RunningNormalizer):
+            module.update(cast("Tensor", data[module.key]))
 
 
 def make_actor(
@@ -256,7 +267,7 @@ def make_critic(
         num_cells=list(shape.hidden),
         activation_class=nn.ReLU,
     )
-    value: nn.Module = nn.Sequential(normalizer, net, _Scale(scale))
+    value: nn.Module = nn.Sequential(normalizer, net, Scaled(scale))
     if shape.symmetric:
         value = Symmetrised(value, _mirror_of(shape, observation))
     return ValueOperator(value, in_keys=["observation"])
@@ -272,12 +283,15 @@ def _mirror_of(shape: PolicyShape, observation: Sequence[NestedKey]) -> Mirror:
     return mirror
 
 
-class _Scale(nn.Module):
+class Scaled(nn.Module):
+    """Multiply by a constant factor."""
+
     def __init__(self, factor: float) -> None:
         super().__init__()
         self.factor = factor
 
     def forward(self, values: Tensor) -> Tensor:
+        """Values of any shape times the factor."""
         return self.factor * values
 
 

@@ -32,7 +32,8 @@ from aslip.transforms.observation import (
     SINGLE_REFERENCE_TABLE,
     AssembleObservation,
 )
-from aslip.transforms.randomise import DYNAMICS_RANGES, RandomDynamics, RandomNoise
+from aslip.transforms.pushes import RandomPushes
+from aslip.transforms.randomise import DYNAMICS_RANGES, WIDE_RANGES, RandomDynamics, RandomNoise
 from aslip.transforms.reference import (
     Feedforward,
     ReferenceDistance,
@@ -50,6 +51,7 @@ __all__ = [
     "ODOMETRY_SIZES",
     "PATH_SIZES",
     "SINGLE_REFERENCE_TABLE",
+    "WIDE_RANGES",
     "ActionDelta",
     "AssembleObservation",
     "ClockInput",
@@ -68,6 +70,7 @@ __all__ = [
     "RandomCommand",
     "RandomDynamics",
     "RandomNoise",
+    "RandomPushes",
     "ReferenceDistance",
     "ReferenceInjection",
     "ReferenceStart",

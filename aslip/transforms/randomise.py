@@ -43,6 +43,23 @@ DYNAMICS_RANGES: Final = MappingProxyType(
 `apex` is the public code of Siekmann et al. 2020 and 2021, on which the paper's code is based. Xie
 et al. 2019 transferred policies to Cassie without domain randomisation."""
 
+WIDE_RANGES: Final = MappingProxyType(
+    {
+        **DYNAMICS_RANGES,
+        "floor_friction": (0.4, 1.2),
+        "payload": (0.0, 16.0),
+        # 9 degrees
+        "slope": (-0.157, 0.157),
+        "torque_delay": (0.0, 0.009),
+        "motor_strength": (0.7, 1.4),
+        "reflected_inertia": (0.8, 1.2),
+        "pd_stiffness": (0.9, 1.1),
+        "pd_damping": (0.9, 1.1),
+    }
+)
+"""Ranges for walks in all directions: those of `DYNAMICS_RANGES`, widened to loads, slopes, floors,
+delays and motors on which policies in all directions are to walk."""
+
 # drawn from a copy of the generator, so that they do not change the draws of the others
 _GAINS = ("pd_stiffness", "pd_damping")
 

@@ -1,0 +1,109 @@
+"""Critic that sees more than the policy: the truth and the dynamics of simulated robots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Final
+
+import torch
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+from torchrl.modules import MLP, ValueOperator
+
+from aslip.policy.networks import PolicyShape, RunningNormalizer, Scaled
+from aslip.policy.symmetry import Symmetrised, observation_mirror
+from aslip.transforms import OBSERVATION_TABLE
+
+PRIVILEGED_SIZES: Final[Mapping[str, int]] = MappingProxyType(
+    {
+        "pelvis_position": 3,
+        "pelvis_orientation": 4,
+        "pelvis_velocity": 3,
+        "left_foot_position": 3,
+        "right_foot_position": 3,
+    }
+)
+"""Entries of `true_odometry` that a privileged critic sees -> number of their elements."""
+
+PRIVILEGED_SIGNS: Final = {
+    "pelvis_position": (1.0, -1.0, 1.0),
+    "pelvis_orientation": (1.0, -1.0, 1.0, -1.0),
+    "pelvis_velocity": (1.0, -1.0, 1.0),
+}
+"""Signs of the mirror images of entries that `observation_mirror` does not know."""
+
+
+def privileged_table(dynamics: Sequence[str]) -> tuple[NestedKey, ...]:
+    """Keys of the entries that a privileged critic sees in addition to the observation.
+
+    Args:
+        dynamics: parameters that `RandomDynamics` draws, by their names.
+    """
+    truth = [("true_odometry", name) for name in PRIVILEGED_SIZES]
+    return (*truth, *(("dynamics", name) for name in dynamics))
+
+
+def make_privileged_critic(
+    normalizer: RunningNormalizer,
+    shape: PolicyShape | None = None,
+    observation: Sequence[NestedKey] = OBSERVATION_TABLE,
+    *,
+    dynamics: Sequence[str],
+    key: NestedKey = "privileged",
+    scale: float = 1.0,
+) -> ValueOperator:
+    """Value function: `observation` and privileged entries -> `state_value`.
+
+    An asymmetric critic (Pinto et al. 2018): it is used in training only, so it may see what the
+    policy must infer. `AssembleObservation(privileged_table(dynamics), out_keys=[key])` writes its
+    entry; it has a normaliser of its own.
+
+    Args:
+        normalizer: normaliser of the observation, shared with the actor.
+        shape: as the actor's.
+        observation: as the actor's.
+        dynamics: parameters that `RandomDynamics` draws, by their names.
+        key: key of the privileged entries.
+        scale: factor on the network's output.
+    """
+    shape = shape or PolicyShape()
+    table = privileged_table(dynamics)
+    size = sum(PRIVILEGED_SIZES.values()) + len(dynamics)
+    net = MLP(
+        in_features=shape.observation_size + size,
+        out_features=1,
+        num_cells=list(shape.hidden),
+        activation_class=nn.ReLU,
+    )
+    parts = _Normalised(normalizer, RunningNormalizer(size, key=key))
+    value: nn.Module = nn.Sequential(parts, net, Scaled(scale))
+    if shape.symmetric:
+        # parameters look the same in a mirror
+        signs = {**PRIVILEGED_SIGNS, **dict.fromkeys(dynamics, (1.0,)), **shape.mirror_signs}
+        value = Symmetrised(value, observation_mirror([*observation, *table], signs))
+    return ValueOperator(_Joined(value), in_keys=["observation", key])
+
+
+class _Normalised(nn.Module):
+    """Normalise the parts of an input separately."""
+
+    def __init__(self, *normalizers: RunningNormalizer) -> None:
+        super().__init__()
+        self.normalizers = nn.ModuleList(normalizers)
+        self._sizes = [len(normalizer.mean) for normalizer in normalizers]
+
+    def forward(self, values: Tensor) -> Tensor:
+        parts = zip(self.normalizers, values.split(self._sizes, dim=-1), strict=True)
+        return torch.cat([normalizer(part) for normalizer, part in parts], dim=-1)
+
+
+class _Joined(nn.Module):
+    """Concatenate two inputs of a network."""
+
+    def __init__(self, net: nn.Module) -> None:
+        super().__init__()
+        self.net = net
+
+    def forward(self, observation: Tensor, privileged: Tensor) -> Tensor:
+        return self.net(torch.cat([observation, privileged], dim=-1))

@@ -1,0 +1,89 @@
+"""Random pushes on the pelvis, for trainings of sturdy policies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import cast
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite
+
+from aslip.errors import ConfigurationError
+from aslip.robot import CASSIE
+from aslip.transforms.base import SeededTransform, check_number, extend_spec
+
+
+class RandomPushes(SeededTransform):
+    """Push pelvises horizontally at random times, in random directions, with random impulses.
+
+    Pushes begin with the same probability at each policy step without one. Their force is constant;
+    its impulse is uniform between zero and the largest. No push begins at a reset.
+
+    Args:
+        impulse: largest impulse of a push [N s].
+        interval: mean time from the end of a push to the next [s].
+        duration: duration of a push [s], rounded to whole policy steps.
+        out_keys: keys of the force of the next policy step (n, 3) [N, world], an input of simulated
+            robots; and of the number of policy steps (n, 1) that it still acts.
+        period: duration of a policy step [s].
+
+    Raises:
+        ConfigurationError: `impulse` is negative, or `interval` or `duration` is shorter than a
+            policy step.
+    """
+
+    num_in_keys, num_out_keys = 0, 2
+    needs_env = "it pushes simulated robots"
+
+    def __init__(
+        self,
+        impulse: float = 15.0,
+        interval: float = 5.0,
+        duration: float = 0.21,
+        *,
+        out_keys: Sequence[NestedKey] = ("push", "push_steps"),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(in_keys=[], out_keys=out_keys)
+        self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
+        if not interval >= period:
+            raise ConfigurationError(
+                f"interval must be at least one policy step, {period} s, got {interval!r}"
+            )
+        self.interval = interval
+        self.duration = check_number("duration", duration, period, what="in s")
+        self._steps = round(self.duration / period)
+        self._period = period
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        del tensordict
+        for key, size in zip(self.out_keys, (3, 1), strict=True):
+            tensordict_reset.set(key, torch.zeros(*tensordict_reset.batch_size, size))
+        return tensordict_reset
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        # entries that a caller left out, as `next_start` leaves out pushes, count as no push
+        shape = (*tensordict.batch_size, 1)
+        force, steps = (
+            cast("Tensor", tensordict.get(key, torch.zeros(*shape[:-1], size)))
+            for key, size in zip(self.out_keys, (3, 1), strict=True)
+        )
+        steps = (steps - 1).clamp(min=0)
+        chance, share, turn = torch.rand((*shape[:-1], 3), generator=self.generator).split(1, -1)
+        begins = (steps == 0) & (chance < self._period / self.interval)
+        angle = 2 * math.pi * turn
+        size = share * self.impulse / (self._steps * self._period)
+        drawn = size * torch.cat([angle.cos(), angle.sin(), torch.zeros(shape)], dim=-1)
+        force = torch.where(begins, drawn, torch.where(steps > 0, force, 0.0))
+        next_tensordict.set(self.out_keys[0], force)
+        return next_tensordict.set(self.out_keys[1], torch.where(begins, self._steps, steps))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the force and its remaining policy steps."""
+        return extend_spec(observation_spec, dict(zip(self.out_keys, (3, 1), strict=True)))

@@ -1,0 +1,132 @@
+"""Teach Cassie to walk in all directions: forward speed, sideways speed and yaw rate.
+
+    python recipes/direction_library.py                # gaits, in runs/directions
+    python recipes/ppo_directions.py                   # train, evaluate, draw: runs/ppo_directions/
+    python recipes/ppo_directions.py --resume          # continue after Ctrl-C, kill or a crash
+    python recipes/ppo_directions.py --library runs/small/gaits.npz --no-randomise --push-impulse 0
+
+PPO is that of `ppo_aslip.py`. Robots, floors and sensors differ between episodes, pushes come at
+random times, and the critic sees true state and dynamics, which the policy does not. Evaluations
+walk commands from all over the region, on nominal robots without pushes and 2 kHz physics.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ppo_settings import Config, resume_command, run_settings
+
+from aslip.errors import AslipError, ConfigurationError, one_line_errors
+from aslip.training.command_line import command_line, usage_error
+
+
+@dataclass(frozen=True)
+class DirectionConfig(Config):
+    """Settings of learning, and of the robots to learn on."""
+
+    out: Path = Path("runs/ppo_directions")
+    """Folder of the run."""
+    total_steps: int = 5_000_000
+    """Policy steps to train for, rounded up to whole updates."""
+    library: str = "runs/directions/gaits.npz"
+    """Library over three commands, from `direction_library.py`."""
+    command_interval: float = 4.0
+    """Mean time between changes of the command in an episode [s]."""
+    randomise: bool = True
+    """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
+    push_impulse: float = 15.0
+    """Largest impulse of random pushes [N s]; 0 for none."""
+    push_interval: float = 5.0
+    """Mean time between pushes [s]."""
+    privileged: bool = True
+    """Show true state and dynamics to the critic."""
+    physics_timestep: float = 1e-3
+    """Physics timestep in training, 0.0005 or the faster 0.001 [s]; the low level runs at 2 kHz."""
+
+    def __post_init__(self) -> None:
+        """Check types and ranges.
+
+        Raises:
+            ConfigurationError: a setting is invalid.
+        """
+        super().__post_init__()
+        if self.push_impulse < 0:
+            raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
+
+
+def settings(arguments: list[str] | None = None) -> DirectionConfig:
+    """Read settings from the command line; with `--resume`, the defaults are those of the run."""
+    config = command_line(DirectionConfig, arguments=arguments)
+    if not config.resume:
+        return config
+    try:
+        kept = run_settings(config.out, DirectionConfig())
+    except AslipError as error:
+        usage_error(str(error))
+    return command_line(DirectionConfig, kept, arguments)
+
+
+if __name__ == "__main__":
+    # before the imports below, which take seconds
+    CONFIG = settings()
+
+from functools import partial
+
+import ppo_aslip
+
+import aslip
+from aslip.envs import Stack, directions_stack, insert_before, randomise_stack
+from aslip.policy import make_critic, make_privileged_critic, privileged_table
+from aslip.training.environments import make_training_env
+from aslip.transforms import WIDE_RANGES, AssembleObservation, RandomPushes
+from aslip.walking import WalkResult
+
+PRIVILEGED = "privileged"
+"""Key of the entries that only the critic sees."""
+
+
+def main(config: DirectionConfig, go_on: str = "resume=True") -> list[WalkResult]:
+    """Train a policy and evaluate it over the region of the library; see `ppo_aslip.main`.
+
+    Args:
+        config: the settings.
+        go_on: command that resumes the training, for messages.
+    """
+    stack = directions_stack(aslip.GaitLibrary.load(config.library))
+    robots = partial(
+        aslip.make_env, stack=training_stack(config, stack), timestep=config.physics_timestep
+    )
+    critic = make_critic
+    if config.privileged:
+        critic = partial(make_privileged_critic, dynamics=drawn(config), key=PRIVILEGED)
+    return ppo_aslip.main(
+        config,
+        partial(aslip.make_env, stack=stack),
+        make_critic=critic,
+        make_train_env=partial(make_training_env, robots, config.command_interval),
+        go_on=go_on,
+    )
+
+
+def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
+    """Stack for training: other robots, pushes, and entries for the critic."""
+    if config.randomise:
+        stack = randomise_stack(stack, WIDE_RANGES)
+    if config.push_impulse:
+        pushes = partial(RandomPushes, config.push_impulse, config.push_interval)
+        stack = insert_before(stack, "command", pushes=pushes)
+    if config.privileged:
+        seen = partial(AssembleObservation, privileged_table(drawn(config)), out_keys=[PRIVILEGED])
+        stack = insert_before(stack, "action", privileged=seen)
+    return stack
+
+
+def drawn(config: DirectionConfig) -> list[str]:
+    """Names of the parameters that are drawn in training."""
+    return [*WIDE_RANGES] if config.randomise else []
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG, go_on=resume_command(CONFIG))

@@ -1,0 +1,101 @@
+"""A training in all directions runs from a library's file to walks over its region."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import pytest
+import torch
+
+import aslip
+from aslip.control import Controller
+from aslip.envs import directions_stack
+from aslip.errors import ConfigurationError
+from aslip.policy import policy_stack, read_card
+from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES
+from aslip.walking import WalkResult
+from recipes import ppo_directions
+from recipes.ppo_directions import DirectionConfig
+from tests.helpers import TINY
+from tests.library.bent import symmetric_library
+
+
+@pytest.fixture(scope="module")
+def config(tmp_path_factory: pytest.TempPathFactory) -> DirectionConfig:
+    """Settings of two updates with pushes all the time, on a library of eight gaits."""
+    folder = tmp_path_factory.mktemp("runs")
+    symmetric_library().save(folder / "gaits.npz")
+    own = {"out": folder / "tiny", "library": str(folder / "gaits.npz"), "push_interval": 0.03}
+    return DirectionConfig(**{**vars(TINY), **own})
+
+
+@pytest.fixture(scope="module")
+def results(config: DirectionConfig) -> list[WalkResult]:
+    return ppo_directions.main(config)
+
+
+def test_a_run_walks_commands_all_over_the_region(
+    config: DirectionConfig, results: list[WalkResult]
+) -> None:
+    commands = torch.tensor([[r.speed, r.sideways_speed, r.yaw_rate] for r in results])
+    assert len(commands) == 32
+    assert (commands.amin(0) < torch.tensor([0.1, -0.1, -0.5])).all()
+    assert (commands.amax(0) > torch.tensor([0.6, 0.1, 0.5])).all()
+    with (config.out / "progress.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["64", "128"]
+    assert 0 < float(rows[-1]["term_path_diff"]) <= 1
+
+
+def test_a_resumed_run_goes_on_with_the_critics_normaliser(
+    config: DirectionConfig, results: list[WalkResult]
+) -> None:
+    longer = replace(config, resume=True, total_steps=192)
+    ppo_directions.main(longer)
+    assert "192" in (config.out / "summary.md").read_text()
+    with pytest.raises(ConfigurationError, match="push_impulse was 15"):
+        ppo_directions.main(replace(longer, push_impulse=20.0))
+
+
+def test_the_policys_file_says_how_fast_its_command_may_change(
+    config: DirectionConfig, results: list[WalkResult]
+) -> None:
+    library = symmetric_library()
+    assert policy_stack(config.out) == "directions"
+    assert read_card(config.out)["command_rates"] == COMMAND_RATES
+    assert Controller(config.out, library).command_rates == COMMAND_RATES
+    faster = Controller(config.out, library, command_rates=(3.0, 3.0, 3.0))
+    assert faster.command_rates == (3.0, 3.0, 3.0)
+
+
+def test_only_training_has_other_robots_pushes_and_coarse_physics(config: DirectionConfig) -> None:
+    stack = directions_stack(symmetric_library())
+    trained = ppo_directions.training_stack(config, stack)
+    assert set(trained) - set(stack) == {"dynamics", "pushes", "privileged"}
+    env = aslip.make_env(stack=trained, num_envs=2, num_threads=1, timestep=1e-3)
+    td = env.reset()
+    # 16 numbers of the truth, and the parameters
+    assert td["privileged"].shape == (2, 16 + len(WIDE_RANGES))
+    for name, (low, high) in WIDE_RANGES.items():
+        assert low <= float(td["dynamics", name][0]) <= high
+    assert env.base_env.model.opt.timestep == 1e-3
+    nominal = replace(config, randomise=False, push_impulse=0.0, privileged=False)
+    assert ppo_directions.training_stack(nominal, stack) == stack
+
+
+def test_ranges_for_all_directions_contain_the_default_ones_of_loads_and_floors() -> None:
+    for name in ("floor_friction", "slope", "torque_delay", "motor_strength"):
+        (low, high), (wide_low, wide_high) = DYNAMICS_RANGES[name], WIDE_RANGES[name]
+        assert wide_low <= low <= high <= wide_high
+
+
+def test_settings_of_a_run_are_kept_when_it_is_resumed(
+    config: DirectionConfig, results: list[WalkResult], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["--resume", "--out", str(config.out)]
+    kept = ppo_directions.settings(words)
+    assert kept.library == config.library
+    assert kept.push_interval == 0.03
+    with pytest.raises(ConfigurationError, match="push_impulse must be 0 or more"):
+        replace(config, push_impulse=-1.0)
