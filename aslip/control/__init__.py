@@ -1,5 +1,20 @@
-"""Controllers: from sensor packets to motor targets, on a robot as in simulation."""
+"""Controllers: from sensor packets to motor targets, on a robot as in simulation.
 
-from aslip.control.controller import Controller, ControllerState
+`python -m aslip.control` runs a controller over the robot's network protocol.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from aslip.control.controller import Controller, ControllerState
 
 __all__ = ["Controller", "ControllerState"]
+
+# the runner works without PyTorch, which `controller` imports
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__, submod_attrs={"controller": ["Controller", "ControllerState"]}
+)

@@ -12,7 +12,7 @@ from aslip.wire.convert import (
     torque_to_user_in,
     user_in_to_torque,
 )
-from aslip.wire.endpoint import CLIENT, LOOPBACK, SIMULATOR, Address, Endpoint
+from aslip.wire.endpoint import CLIENT, LOOPBACK, SIMULATOR, Address, Arrival, Endpoint
 from aslip.wire.layout import Packet
 from aslip.wire.link import Counters, Header, Link
 from aslip.wire.packets import CASSIE_OUT, PACKETS, PD_IN, STATE_OUT, USER_IN
@@ -28,6 +28,7 @@ __all__ = [
     "STATE_OUT",
     "USER_IN",
     "Address",
+    "Arrival",
     "Counters",
     "Endpoint",
     "Header",

@@ -36,6 +36,15 @@ class Address(NamedTuple):
         return f"{self.host}:{self.port}"
 
 
+class Arrival(NamedTuple):
+    """Accepted datagram."""
+
+    step: int
+    """Difference of its number to the one accepted before; 0 for the first."""
+    record: np.ndarray
+    """Packet."""
+
+
 SIMULATOR: Final = Address(LOOPBACK, 25000)
 """Address of the simulated robot."""
 CLIENT: Final = Address(LOOPBACK, 25001)
@@ -109,16 +118,22 @@ class Endpoint:
 
     def receive(self) -> np.ndarray | None:
         """Read all queued datagrams without waiting; return the newest packet, or None."""
-        newest, accepted = None, self.link.counters.accepted
+        arrivals = self.receive_all()
+        self.link.counters.superseded += max(len(arrivals) - 1, 0)
+        return arrivals[-1].record if arrivals else None
+
+    def receive_all(self) -> list[Arrival]:
+        """Read all queued datagrams without waiting; return the accepted ones, oldest first."""
+        arrivals: list[Arrival] = []
         for _ in range(_MOST_QUEUED):
             try:
                 datagram, sender = self._socket.recvfrom(self.link.size + 1)
             except BlockingIOError:
                 break
             record = self._open(datagram, Address(*sender))
-            newest = newest if record is None else record
-        self.link.counters.superseded += max(self.link.counters.accepted - accepted - 1, 0)
-        return newest
+            if record is not None:
+                arrivals.append(Arrival(self.link.step or 0, record))
+        return arrivals
 
     def send(self, record: np.ndarray) -> None:
         """Send a packet to the peer.

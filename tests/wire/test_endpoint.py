@@ -51,6 +51,19 @@ def test_the_newest_of_several_datagrams_counts(robot: Endpoint, client: Endpoin
     assert robot.receive() is None
 
 
+def test_all_queued_datagrams_arrive_in_order(robot: Endpoint, client: Endpoint) -> None:
+    for number in range(4):
+        client.send(_command(number))
+        if number == 1:
+            client.link.datagram(_command(-1.0))  # lost
+    assert robot.wait(1.0)
+    arrivals = robot.receive_all()
+    assert [float(arrival.record["telemetry"][0]) for arrival in arrivals] == [0, 1, 2, 3]
+    assert [arrival.step for arrival in arrivals] == [0, 1, 2, 1]
+    assert robot.link.counters.superseded == 0
+    assert robot.receive_all() == []
+
+
 def test_a_robot_answers_the_first_sender(robot: Endpoint, client: Endpoint) -> None:
     client.send(_command(1.0))
     _received(robot)
