@@ -26,11 +26,14 @@ import mujoco
 import numpy as np
 
 from aslip.robot import CASSIE, Robot
-from aslip.robot.compiled import compiled
-
-MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
-"""Taps on a motor's counts, newest first; the unit of the sum is counts per step times pi (public
-simulator)."""
+from aslip.sim.readings import (
+    MOTOR_VELOCITY_TAPS,
+    fill_encoders,
+    fill_imu,
+    filter_joints,
+    read_encoders,
+    read_imu,
+)
 
 JOINT_VELOCITY_FILTER: Final = (
     12.348 * np.array([1.0, 1.0, -1.0, -1.0]),
@@ -43,8 +46,8 @@ _MEMORY_ROWS = _TAPS - 1
 _ORDER = max(map(len, JOINT_VELOCITY_FILTER)) - 1
 
 _OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
-# quaternion, angular velocity, linear and angular acceleration
-_ATTITUDE, _GYRO, _LINEAR, _ANGULAR = slice(0, 4), slice(4, 7), slice(7, 10), slice(10, 13)
+# after a quaternion: angular velocity, linear and angular acceleration
+_GYRO, _LINEAR, _ANGULAR = slice(4, 7), slice(7, 10), slice(10, 13)
 
 
 class Sensors:
@@ -68,8 +71,7 @@ class Sensors:
         self._joint_step = 2 * np.pi / 2.0**robot.joint_encoder_bits
         # joint velocity of one unit of the sum of taps times counts [rad/s]
         self._velocity_step = self._motor_step / np.pi
-        self._substeps, self._window = robot.substeps, robot.sensor_window
-        self._sent = slice(robot.packet_substeps - 1, None, robot.packet_substeps)
+        self._substeps = robot.substeps
         self._imu = model.site(robot.imu_site).pos.copy()
         self._gravity = np.tile(model.opt.gravity[:, None], num)
         motors, joints = len(robot.motor_names), len(robot.joint_names)
@@ -84,7 +86,8 @@ class Sensors:
         self._constant = _settled(*JOINT_VELOCITY_FILTER)
         self._ramp, self._ramp_gain = _ramp_response(self._timestep)
         self._packets = {
-            name: np.zeros((num, self._window, size)) for name, size in robot.packet_sizes.items()
+            name: np.zeros((num, robot.sensor_window, size))
+            for name, size in robot.packet_sizes.items()
         }
         self.motor_position = np.zeros((num, motors))
         """(n, 10) latest motor positions [rad]."""
@@ -96,8 +99,9 @@ class Sensors:
         """Set the gravity (k, 3) of (k,) robots [m/s^2, world]; y must be zero."""
         self._gravity[:, ids] = gravity.T
         half = np.arctan2(self._gravity[0], -self._gravity[2]) / 2
-        # turns the world about y until gravity is down
-        self._tilt = (np.cos(half), np.sin(half)) if half.any() else None
+        # cosine and sine of half the angle that turns the world about y until gravity is down
+        sloped = half.any()
+        self._tilt = np.stack([np.cos(half), np.sin(half)]) if sloped else np.empty((0, len(half)))
 
     def reset(self, ids: np.ndarray, qpos: np.ndarray, qvel: np.ndarray, qacc: np.ndarray) -> None:
         """Restart the sensors of some robots, as if they had always moved at these velocities.
@@ -135,14 +139,17 @@ class Sensors:
             ],
             axis=1,
         ).T
+        attitude, force = np.empty((len(ids), 4)), np.empty((len(ids), 3))
+        world = self._gravity[:, ids], self._tilt[:, ids]
+        read_imu(inertial, *world, self._imu, attitude, force)
         first = {
             "motor_position": self.motor_position[ids],
             "motor_velocity": self.motor_velocity[ids],
             "joint_position": counted,
             "joint_velocity": self._ramp_gain * joint_velocity,
-            "orientation": self._attitude(inertial[_ATTITUDE], ids).T,
+            "orientation": attitude,
             "gyro": inertial[_GYRO].T,
-            "accelerometer": self._specific_force(inertial, ids).T,
+            "accelerometer": force,
         }
         for name, values in first.items():
             self._packets[name][ids] = values[:, None]
@@ -150,7 +157,7 @@ class Sensors:
     def read(self, substep: int, qpos: np.ndarray, qvel: np.ndarray) -> None:
         """Read encoders and IMU before a physics step, from `qpos` (n, 35) and `qvel` (n, 32)."""
         self.motor_velocity = self._velocity[substep]
-        _read(
+        read_encoders(
             qpos, qvel, self._encoder_qpos, self._angle[substep],
             self._count[substep : substep + _TAPS], self.motor_position, self.motor_velocity,
             self._inertial[:, substep], self._motor_step, self._velocity_step,
@@ -165,27 +172,17 @@ class Sensors:
 
     def finish(self) -> None:
         """Compute the packets of a policy period after its last physics step."""
-        motor_count = self._count[_MEMORY_ROWS:][self._sent]
-        joint_count = np.trunc(self._angle[..., self._motors :] / self._joint_step)
-        joint_velocity = np.empty_like(joint_count)
-        joint_angle = joint_count * self._joint_step
-        _filter(*self._joint_filter, joint_angle, self._joint_memory, joint_velocity)
-        everyone = slice(None)
-        force = self._specific_force(self._inertial, everyone)
-        force = force.reshape(3, self._window, self._sent.step, -1).sum(2) / self._sent.step
-        window = {
-            "motor_position": motor_count * self._motor_step,
-            "motor_velocity": self._velocity[self._sent],
-            "joint_position": joint_count[self._sent] * self._joint_step,
-            "joint_velocity": joint_velocity[self._sent],
-            "orientation": np.moveaxis(
-                self._attitude(self._inertial[_ATTITUDE, self._sent], everyone), 0, -1
-            ),
-            "gyro": np.moveaxis(self._inertial[_GYRO, self._sent], 0, -1),
-            "accelerometer": np.moveaxis(force, 0, -1),
-        }
-        for name, values in window.items():
-            self._packets[name][:] = values.swapaxes(0, 1)
+        joint_angle, sent = self._angle[..., self._motors :], self._packets
+        fill_encoders(
+            self._count[_MEMORY_ROWS:], self._motor_step, self._velocity,
+            sent["motor_position"], sent["motor_velocity"],
+            joint_angle, self._joint_step, *self._joint_filter, self._joint_memory,
+            sent["joint_position"], sent["joint_velocity"],
+        )  # fmt: skip
+        fill_imu(
+            self._inertial, self._gravity, self._tilt, self._imu,
+            sent["orientation"], sent["gyro"], sent["accelerometer"],
+        )  # fmt: skip
         self._count[:_MEMORY_ROWS] = self._count[self._substeps :]
         # copy, as the next period overwrites the buffer
         self.motor_velocity = self.motor_velocity.copy()
@@ -224,80 +221,6 @@ class Sensors:
         self._joint_memory[:] = joint.reshape(num, _ORDER, -1).swapaxes(0, 1)
         self.motor_position[:], self.motor_velocity[:] = position, velocity
 
-    def _attitude(self, quaternion: np.ndarray, ids: np.ndarray | slice) -> np.ndarray:
-        """Orientations (4, ..., k) in the frame with z against gravity."""
-        if self._tilt is None:
-            return _upper(quaternion)
-        w, x, y, z = quaternion
-        c, s = (part[ids] for part in self._tilt)
-        return _upper(np.stack([c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x]))
-
-    def _specific_force(self, inertial: np.ndarray, ids: np.ndarray | slice) -> np.ndarray:
-        """Specific force (3, ..., k) at the IMU in the pelvis frame, from records (13, ..., k)."""
-        w, *u = inertial[_ATTITUDE]
-        proper = [a - g for a, g in zip(inertial[_LINEAR], self._gravity[:, ids], strict=True)]
-        # R^T a = a - 2 w (u x a) + 2 u x (u x a)
-        once = _cross(u, proper)
-        twice = _cross(u, once)
-        spin, angular, arm = inertial[_GYRO], inertial[_ANGULAR], self._imu
-        tangential = _cross(angular, arm)
-        centripetal = _cross(spin, _cross(spin, arm))
-        return np.stack(
-            [
-                proper[i] - 2 * (w * once[i] - twice[i]) + tangential[i] + centripetal[i]
-                for i in range(3)
-            ]
-        )
-
-
-@compiled
-def _read(
-    qpos: np.ndarray,
-    qvel: np.ndarray,
-    encoders: np.ndarray,
-    angle: np.ndarray,
-    count: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    inertial: np.ndarray,
-    motor_step: np.ndarray,
-    velocity_step: np.ndarray,
-    orientation: int,
-    spin: int,
-) -> None:
-    """Read encoders and IMU of all robots in one substep.
-
-    Args:
-        qpos: (n, 35) generalised positions.
-        qvel: (n, 32) generalised velocities.
-        encoders: (16,) indices of the encoders in `qpos`, motors first.
-        angle: (n, 16) output.
-        count: (9, n, 10) last counts, oldest first; the newest is output.
-        position: (n, 10) output.
-        velocity: (n, 10) output.
-        inertial: (13, n) attitude and angular velocity are output.
-        motor_step: (10,) angle of one count [rad].
-        velocity_step: (10,) velocity of one unit of the sum of taps times counts [rad/s].
-        orientation: start of the pelvis' quaternion in `qpos`.
-        spin: start of its angular velocity in `qvel`.
-    """
-    for i in range(qpos.shape[0]):
-        for j in range(encoders.size):
-            angle[i, j] = qpos[i, encoders[j]]
-        for j in range(position.shape[1]):
-            counted = np.trunc(angle[i, j] / motor_step[j])
-            count[-1, i, j] = counted
-            position[i, j] = counted * motor_step[j]
-            # a sum of whole numbers is exact in any order
-            total = 0.0
-            for k in range(_TAPS):
-                total += _OLDEST_FIRST[k] * count[k, i, j]
-            velocity[i, j] = total * velocity_step[j]
-        for j in range(4):
-            inertial[j, i] = qpos[i, orientation + j]
-        for j in range(3):
-            inertial[4 + j, i] = qvel[i, spin + j]
-
 
 def _motor_velocity(counts: np.ndarray) -> np.ndarray:
     """Sums (n, 10) of taps times the last nine counts (9, n, 10), oldest first.
@@ -306,30 +229,6 @@ def _motor_velocity(counts: np.ndarray) -> np.ndarray:
     """
     flat = _OLDEST_FIRST @ counts.reshape(_TAPS, -1)
     return flat.reshape(counts.shape[1:])
-
-
-@compiled
-def _filter(
-    numerator: np.ndarray,
-    denominator: np.ndarray,
-    values: np.ndarray,
-    memory: np.ndarray,
-    out: np.ndarray,
-) -> None:
-    """Filter values (t, n, k) along time like `scipy.signal.lfilter`.
-
-    Direct form II transposed; the memory (order, n, k) changes in place.
-    """
-    order = memory.shape[0]
-    for t in range(values.shape[0]):
-        for i in range(values.shape[1]):
-            for j in range(values.shape[2]):
-                x = values[t, i, j]
-                y = memory[0, i, j] + numerator[0] * x
-                for k in range(1, order):
-                    memory[k - 1, i, j] = memory[k, i, j] + x * numerator[k] - y * denominator[k]
-                memory[order - 1, i, j] = x * numerator[order] - y * denominator[order]
-                out[t, i, j] = y
 
 
 def _padded(numerator: np.ndarray, denominator: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -353,16 +252,5 @@ def _ramp_response(timestep: float) -> tuple[np.ndarray, float]:
     ramp = (timestep * np.arange(-1000.0, 1.0))[:, None, None]
     memory = _settled(*JOINT_VELOCITY_FILTER)[:, None, None] * ramp[0]
     output = np.empty_like(ramp)
-    _filter(*_padded(*JOINT_VELOCITY_FILTER), ramp, memory, output)
+    filter_joints(*_padded(*JOINT_VELOCITY_FILTER), ramp, memory, output)
     return memory[:, 0, 0], float(output[-1, 0, 0])
-
-
-def _upper(quaternion: np.ndarray) -> np.ndarray:
-    """Equivalent quaternions (4, ...) with w >= 0."""
-    return np.where(quaternion[:1] < 0, -quaternion, quaternion)
-
-
-def _cross(a: object, b: object) -> list[np.ndarray]:
-    """Vector product of sequences of three coordinates."""
-    (ax, ay, az), (bx, by, bz) = a, b  # pyright: ignore[reportGeneralTypeIssues]
-    return [ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx]

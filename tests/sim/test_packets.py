@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from aslip.envs import BipedPhysics
 from aslip.robot import CASSIE
 from aslip.sim import SimulationPool, Simulations
-from aslip.sim.sensors import MOTOR_VELOCITY_TAPS
+from aslip.sim.readings import MOTOR_VELOCITY_TAPS
 from tests.helpers import motor_torque
 
 

@@ -16,9 +16,9 @@ from aslip.files.assets import asset_path
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.sim import Simulations
+from aslip.sim.readings import MOTOR_VELOCITY_TAPS
 from aslip.sim.sensors import (
     JOINT_VELOCITY_FILTER,
-    MOTOR_VELOCITY_TAPS,
     Sensors,
 )
 
