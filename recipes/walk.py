@@ -97,13 +97,14 @@ from tensordict import TensorDictBase
 from tqdm import tqdm
 
 import aslip
+from aslip.control import Schedule
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.log import Recorder
 from aslip.policy import policy_stack
 from aslip.robot import CASSIE
 from aslip.show.film import Frame, Look, make_film, seconds_per_frame
 from aslip.training.run import sigterm_exits
-from aslip.walking import Push, Schedule, Walker, markdown, policy_steps
+from aslip.walking import Push, Walker, markdown, policy_steps
 
 # columns of the pelvis velocity in a row [world]
 _AXES = ("velocity_x", "velocity_y")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         walk_table,
     )
     from aslip.walking.interval import CONFIDENCE, Interval
+    from aslip.walking.push import Push, policy_steps
     from aslip.walking.record import (
         Walks,
         next_start,
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
         take_step,
         walk,
     )
-    from aslip.walking.schedule import Push, Schedule, policy_steps
     from aslip.walking.substeps import Substeps, record_substeps
     from aslip.walking.tables import markdown
     from aslip.walking.walker import Walker
@@ -38,7 +38,6 @@ __all__ = [
     "TRACKING_TOLERANCE",
     "Interval",
     "Push",
-    "Schedule",
     "Substeps",
     "WalkResult",
     "Walker",
@@ -79,7 +78,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "take_step",
             "walk",
         ],
-        "schedule": ["Push", "Schedule", "policy_steps"],
+        "push": ["Push", "policy_steps"],
         "substeps": ["Substeps", "record_substeps"],
         "tables": ["markdown"],
         "walker": ["Walker"],

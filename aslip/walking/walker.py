@@ -16,8 +16,8 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import add_memory, load_policy, policy_stack
 from aslip.robot import CASSIE
+from aslip.walking.push import policy_steps
 from aslip.walking.record import next_start, reset_walks, take_step
-from aslip.walking.schedule import policy_steps
 
 
 class Walker:

@@ -2,6 +2,7 @@
 
 from aslip.wire.convert import (
     ESTIMATE_ENTRIES,
+    STOP_CHANNEL,
     MotorCommand,
     cassie_out_to_sensors,
     command_to_pd_in,
@@ -26,6 +27,7 @@ __all__ = [
     "PD_IN",
     "SIMULATOR",
     "STATE_OUT",
+    "STOP_CHANNEL",
     "USER_IN",
     "Address",
     "Arrival",

@@ -1,4 +1,4 @@
-"""Schedules of speeds, pushes, and their text."""
+"""Policy steps in a time; pushes and their text."""
 
 from __future__ import annotations
 
@@ -6,23 +6,7 @@ import pytest
 
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
-from aslip.walking import Push, Schedule, policy_steps
-
-
-def test_schedule_holds_each_speed_until_the_next() -> None:
-    schedule = Schedule.parse("0:0.0,4:1.0,8:0.5")
-    assert schedule == Schedule((0.0, 4.0, 8.0), (0.0, 1.0, 0.5))
-    times = [0, 3.97, 4.0, 4 - 1e-9, 7.99, 8.0, 100]
-    assert [schedule.at(time) for time in times] == [0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.5]
-    assert Schedule.parse("1.5").at(3.0) == 1.5
-
-
-@pytest.mark.parametrize(
-    "text", ["", "a", "0:1,", "1:0.5", "0:1,0:2", "0:1,3:1,2:1", "0:nan", "0:1:2"]
-)
-def test_refuses_invalid_schedule(text: str) -> None:
-    with pytest.raises(ConfigurationError, match=r"schedule|times"):
-        Schedule.parse(text)
+from aslip.walking import Push, policy_steps
 
 
 @pytest.mark.parametrize("steps", range(1, 60))

@@ -1,0 +1,24 @@
+"""Schedules of speeds and their text."""
+
+from __future__ import annotations
+
+import pytest
+
+from aslip.control import Schedule
+from aslip.errors import ConfigurationError
+
+
+def test_schedule_holds_each_speed_until_the_next() -> None:
+    schedule = Schedule.parse("0:0.0,4:1.0,8:0.5")
+    assert schedule == Schedule((0.0, 4.0, 8.0), (0.0, 1.0, 0.5))
+    times = [0, 3.97, 4.0, 4 - 1e-9, 7.99, 8.0, 100]
+    assert [schedule.at(time) for time in times] == [0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.5]
+    assert Schedule.parse("1.5").at(3.0) == 1.5
+
+
+@pytest.mark.parametrize(
+    "text", ["", "a", "0:1,", "1:0.5", "0:1,0:2", "0:1,3:1,2:1", "0:nan", "0:1:2"]
+)
+def test_refuses_invalid_schedule(text: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"schedule|times"):
+        Schedule.parse(text)
