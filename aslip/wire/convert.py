@@ -20,7 +20,7 @@ from aslip.wire.packets import CASSIE_OUT, PD_IN, STATE_OUT, USER_IN
 STOP_CHANNEL: Final = 8
 """Radio channel of the emergency stop; a value below zero stops the robot."""
 
-_MOTORS, _JOINTS = len(CASSIE.motor_names), len(CASSIE.joint_names)
+_MOTORS = len(CASSIE.motor_names)
 _IDENTITY = (1.0, 0.0, 0.0, 0.0)
 # entry of an estimate -> group and field of `state_out_t`
 _STATE_FIELDS = {
@@ -33,6 +33,10 @@ _STATE_FIELDS = {
     "joint_position": ("joint", "position"),
     "joint_velocity": ("joint", "velocity"),
 }
+_STATE_SIZES = {
+    name: STATE_OUT.dtype[group][field].shape[0] for name, (group, field) in _STATE_FIELDS.items()
+}
+_ESTIMATE = STATE_OUT.numbers(*(".".join(path) for path in _STATE_FIELDS.values()))
 ESTIMATE_ENTRIES: Final = ("height", *_STATE_FIELDS)
 """Entries of an estimate, 46 numbers in all, by the names of `("estimate", ...)`."""
 
@@ -58,6 +62,30 @@ class MotorCommand(NamedTuple):
 _COMMAND_FIELDS = dict(
     zip(MotorCommand._fields, ("torque", "p_target", "d_target", "p_gain", "d_gain"), strict=True)
 )
+_COMMAND = PD_IN.numbers(
+    *(f"{side}_leg.motor_pd.{name}" for name in _COMMAND_FIELDS.values() for side in SIDES)
+)
+_PARTS = CASSIE.packet_slices
+# in the order of the parts
+_SENSORS = CASSIE_OUT.numbers(
+    *(
+        f"{side}_leg.{group}.{kind}"
+        for group in ("drives", "joints")
+        for kind in ("position", "velocity")
+        for side in SIDES
+    ),
+    *(
+        f"pelvis.vector_nav.{name}"
+        for name in ("orientation", "angular_velocity", "linear_acceleration")
+    ),
+)
+_DRIVES = CASSIE_OUT.numbers(
+    *(
+        f"{side}_leg.drives.{name}"
+        for name in ("torque", "torque_limit", "gear_ratio")
+        for side in SIDES
+    )
+)
 
 
 def sensors_to_cassie_out(
@@ -80,28 +108,17 @@ def sensors_to_cassie_out(
         UnknownNameError: an entry is missing.
         ShapeError: an entry has the wrong shape.
     """
-    entries = {name: _entry(sensors, name, size) for name, size in robot.packet_sizes.items()}
-    out = CASSIE_OUT.zeros(*entries["gyro"].shape[:-1])
-    pelvis, torque = out["pelvis"], np.asarray(motor_torque)
-    torque = np.broadcast_to(torque, (*out.shape, _MOTORS))
-    limit = robot.torque_limit * robot.gear
-    for i, side in enumerate(SIDES):
-        leg = out[f"{side}_leg"]
-        motors = slice(i * _MOTORS // 2, (i + 1) * _MOTORS // 2)
-        joints = slice(i * _JOINTS // 2, (i + 1) * _JOINTS // 2)
-        for kind in ("position", "velocity"):
-            _write(leg["drives"], kind, entries[f"motor_{kind}"][..., motors])
-            _write(leg["joints"], kind, entries[f"joint_{kind}"][..., joints])
-        _write(leg["drives"], "torque", torque[..., motors])
-        _write(leg["drives"], "torque_limit", limit[motors])
-        _write(leg["drives"], "gear_ratio", robot.gear[motors])
-    imu, radio = pelvis["vector_nav"], pelvis["radio"]
-    _write(imu, "orientation", entries["orientation"])
-    _write(imu, "angular_velocity", entries["gyro"])
-    _write(imu, "linear_acceleration", entries["accelerometer"])
-    for group, flag in ((imu, "data_good"), (out, "is_calibrated")):
+    entries = [_entry(sensors, name, size) for name, size in robot.packet_sizes.items()]
+    out = CASSIE_OUT.zeros(*entries[0].shape[:-1])
+    _SENSORS.write(out, np.concatenate(entries, axis=-1))
+    drives = np.empty((*out.shape, 3, _MOTORS))
+    drives[..., 0, :] = motor_torque
+    drives[..., 1, :] = robot.torque_limit * robot.gear
+    drives[..., 2, :] = robot.gear
+    _DRIVES.write(out, drives.reshape(*out.shape, -1))
+    for group, flag in ((out["pelvis"]["vector_nav"], "data_good"), (out, "is_calibrated")):
         _write(group, flag, True)
-    _release_stop(radio, "receiver_signal_good", "medulla_signal_good")
+    _release_stop(out["pelvis"]["radio"], "receiver_signal_good", "medulla_signal_good")
     return out
 
 
@@ -115,22 +132,13 @@ def cassie_out_to_sensors(records: np.ndarray) -> dict[str, np.ndarray]:
         Entries (*b, k) of `Robot.packet_sizes`; orientations have w >= 0. Readings that the IMU
         marks as bad are NaN.
     """
-    legs = [records[f"{side}_leg"] for side in SIDES]
-    entries = {
-        f"{part}_{kind}": np.concatenate([leg[group][kind] for leg in legs], axis=-1)
-        for part, group in (("motor", "drives"), ("joint", "joints"))
-        for kind in ("position", "velocity")
-    }
-    imu = records["pelvis"]["vector_nav"]
-    readings = {
-        "orientation": upper_hemisphere(imu["orientation"]),
-        "gyro": imu["angular_velocity"].copy(),
-        "accelerometer": imu["linear_acceleration"].copy(),
-    }
-    bad = ~imu["data_good"]
-    for reading in readings.values():
-        reading[bad] = np.nan
-    return {**entries, **readings}
+    numbers = _SENSORS.read(records)
+    entries = {name: numbers[..., part] for name, part in _PARTS.items()}
+    entries["orientation"][...] = upper_hemisphere(entries["orientation"])
+    good = records["pelvis"]["vector_nav"]["data_good"]
+    if not good.all():
+        numbers[~good, _PARTS["orientation"].start :] = np.nan
+    return entries
 
 
 def estimate_to_state_out(
@@ -163,8 +171,8 @@ def estimate_to_state_out(
     """
     height = _entry(estimate, "height", 1)
     out = STATE_OUT.zeros(*height.shape[:-1])
-    for name, (group, field) in _STATE_FIELDS.items():
-        _write(out[group], field, _entry(estimate, name, out.dtype[group][field].shape[0]))
+    entries = [_entry(estimate, name, size) for name, size in _STATE_SIZES.items()]
+    _ESTIMATE.write(out, np.concatenate(entries, axis=-1))
     out["pelvis"]["position"][..., 2] = height[..., 0]
     _write(out["motor"], "torque", motor_torque)
     for side in SIDES:
@@ -225,24 +233,22 @@ def command_to_pd_in(
     target = _vector("position", position, _MOTORS)
     out = PD_IN.zeros(*target.shape[:-1])
     command = MotorCommand(*map(np.asarray, (torque, target, velocity, stiffness, damping)))
-    for name, field in _COMMAND_FIELDS.items():
+    numbers = np.empty((*out.shape, len(command), _MOTORS))
+    for i, (name, rows) in enumerate(zip(command._fields, command, strict=True)):
         try:
-            rows = np.broadcast_to(getattr(command, name), target.shape)
+            numbers[..., i, :] = rows
         except ValueError:
             raise ShapeError(
-                f"{name} must fit motor targets {target.shape}, got {getattr(command, name).shape}"
+                f"{name} must fit motor targets {target.shape}, got {rows.shape}"
             ) from None
-        for side, numbers in zip(SIDES, np.split(rows, 2, axis=-1), strict=True):
-            _write(out[f"{side}_leg"]["motor_pd"], field, numbers)
+    _COMMAND.write(out, numbers.reshape(*out.shape, -1))
     return out
 
 
 def pd_in_to_command(records: np.ndarray) -> MotorCommand:
     """Read motor targets and gains (*b, 10) out of `pd_in_t`, in single precision."""
-    legs = [records[f"{side}_leg"]["motor_pd"] for side in SIDES]
-    return MotorCommand(
-        *(np.concatenate([leg[f] for leg in legs], axis=-1) for f in _COMMAND_FIELDS.values())
-    )
+    numbers = _COMMAND.read(records)
+    return MotorCommand(*(numbers[..., i : i + _MOTORS] for i in range(0, 5 * _MOTORS, _MOTORS)))
 
 
 def torque_to_user_in(torque: ArrayLike) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aslip.errors import ShapeError
+from aslip.errors import ShapeError, UnknownNameError
 
 FLOAT = "<f4"
 FLAG = "?"
@@ -82,7 +83,10 @@ class Packet:
         """
         if len(payload) != self.size:
             raise ShapeError(f"a payload of {self.name} has {self.size} bytes, got {len(payload)}")
-        return self.decode(np.frombuffer(payload, np.uint8))
+        raw = bytearray(payload)
+        for flag in self._flags:
+            raw[flag] = raw[flag] != 0
+        return np.ndarray((), self.dtype, raw)
 
     def decode(self, payloads: np.ndarray) -> np.ndarray:
         """Convert bytes (*b, `size`) to records (*b); any nonzero byte is a true flag.
@@ -96,15 +100,34 @@ class Packet:
                 f" got {payloads.dtype} {payloads.shape}"
             )
         raw = payloads.copy()
-        if self._flags.size:
+        if self._flags:
             raw[..., self._flags] = raw[..., self._flags] != 0
         return raw.view(self.dtype)[..., 0]
 
     def is_finite(self, records: np.ndarray) -> np.ndarray:
         """(*b) bool, True if all floating-point numbers of a record are finite."""
-        raw = np.asarray(records, order="C")[..., None].view(np.uint8)
-        # take: its result is contiguous, as the view needs
-        return np.asarray(np.isfinite(raw.take(self._floats, axis=-1).view(FLOAT)).all(-1))
+        return np.asarray(np.isfinite(self._floats.read(records)).all(-1))
+
+    def numbers(self, *paths: str) -> Numbers:
+        """Select floating-point numbers to be read or written together.
+
+        Args:
+            paths: paths of `places` without indices: "left_leg.drives.position" selects five.
+
+        Raises:
+            UnknownNameError: there is no floating-point number at a path.
+        """
+        found: dict[str, list[int]] = {}
+        for place in self.places:
+            if place.kind == FLOAT:
+                offsets = found.setdefault(re.sub(r"\[\d+\]", "", place.path), [])
+                offsets.extend(range(place.offset, place.offset + 4 * place.count, 4))
+        for path in paths:
+            if path not in found:
+                raise UnknownNameError(
+                    f"{self.name} has no numbers at {path!r}; there are {list(found)}"
+                )
+        return Numbers(np.array([offset for path in paths for offset in found[path]]))
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
@@ -112,22 +135,43 @@ class Packet:
         return tuple(_places(self.fields, "", 0))
 
     @cached_property
-    def _floats(self) -> np.ndarray:
-        return self._bytes_of(FLOAT)
+    def _floats(self) -> Numbers:
+        """All floating-point numbers."""
+        floats = [place for place in self.places if place.kind == FLOAT]
+        offsets = [np.arange(place.offset, place.offset + 4 * place.count, 4) for place in floats]
+        return Numbers(np.concatenate(offsets))
 
     @cached_property
-    def _flags(self) -> np.ndarray:
-        return self._bytes_of(FLAG)
+    def _flags(self) -> list[int]:
+        """Places of all flags."""
+        flags = [place for place in self.places if place.kind == FLAG]
+        return [flag.offset + i for flag in flags for i in range(flag.count)]
 
-    def _bytes_of(self, kind: str) -> np.ndarray:
-        """Places of all bytes of numbers of a type."""
-        width = np.dtype(kind).itemsize
-        ranges = [
-            np.arange(place.offset, place.offset + width * place.count)
-            for place in self.places
-            if place.kind == kind
-        ]
-        return np.concatenate([*ranges, np.zeros(0, dtype=int)])
+
+class Numbers:
+    """Floating-point numbers of a packet that are read or written together.
+
+    Args:
+        offsets: (k,) first bytes of the numbers.
+    """
+
+    def __init__(self, offsets: np.ndarray) -> None:
+        self._bytes = (offsets[:, None] + np.arange(4)).reshape(-1)
+
+    def read(self, records: np.ndarray) -> np.ndarray:
+        """(*b, k) copy of the numbers of records (*b)."""
+        # take: its result is contiguous, as the view needs
+        return _raw(np.asarray(records, order="C")).take(self._bytes, axis=-1).view(FLOAT)
+
+    def write(self, records: np.ndarray, values: np.ndarray) -> None:
+        """Write (*b, k) numbers, rounded to single precision, to contiguous records (*b)."""
+        single = np.asarray(values, dtype=FLOAT, order="C")
+        _raw(records)[..., self._bytes] = single.view(np.uint8)
+
+
+def _raw(records: np.ndarray) -> np.ndarray:
+    """Bytes (*b, size) of contiguous records (*b), as a view."""
+    return records[..., None].view(np.uint8)
 
 
 def _dtype(fields: tuple[Field, ...]) -> np.dtype:
