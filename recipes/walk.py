@@ -1,10 +1,12 @@
-"""Walk with a policy through a schedule of speeds; log, film, watch or steer the walk.
+r"""Walk with a policy through a schedule of commands; log, film, watch or steer the walk.
 
     python recipes/walk.py                                      # the shipped policy; prints a table
     python recipes/walk.py --command "0:0.0,4:1.0,8:0.5" --log walk.mcap
     python recipes/walk.py --policy runs/ppo_aslip --push "3:0,60,0" --video walk.mp4
     python recipes/walk.py --viewer                             # MuJoCo's window, in real time
     python recipes/walk.py --live                               # a page in your browser to steer it
+    python recipes/walk.py --policy runs/ppo_directions --library runs/directions/gaits.npz \
+        --command "0:0.5 0 0,4:0.5 0 0.5,8:0 -0.2 0"            # forward, sideways, yaw rate
 
 A log replays with `python -m aslip.log replay --verify walk.mcap`, and opens in Foxglove, Rerun and
 PlotJuggler. Without a display, films need MUJOCO_GL=egl, or MUJOCO_GL=osmesa in software.
@@ -28,8 +30,11 @@ class Config:
 
     policy: str = "aslip"
     """Name of a shipped policy, its file, or the folder of a run."""
+    library: Path | None = None
+    """Library of gaits; the stack's own by default. A policy for all directions needs one."""
     command: str = "0:0.0,4:1.0,8:0.5"
-    """Speeds over time, "seconds:m/s,..."; each holds until the next begins."""
+    """Speeds over time, "seconds:m/s,..."; each holds until the next begins. In all directions
+    three numbers: "seconds:m/s m/s rad/s,..." forward, sideways, yaw rate."""
     push: tuple[str, ...] = ()
     """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world]; durations are
     rounded up to policy steps of 0.03 s, 0.12 s by default."""
@@ -91,17 +96,20 @@ if __name__ == "__main__":
 
 import contextlib
 from functools import partial
+from typing import cast
 
 import numpy as np
+import torch
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
 import aslip
-from aslip.control import Schedule
+from aslip.control import Schedule, numbers
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.log import Recorder
 from aslip.policy import policy_stack
 from aslip.robot import CASSIE
+from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film, seconds_per_frame
 from aslip.training.run import sigterm_exits
 from aslip.walking import Push, Walker, markdown, policy_steps
@@ -121,6 +129,7 @@ def main(config: Config) -> None:
     if config.video is not None:
         announce_film(config, seconds_per_frame(look(config)), duration(config, schedule))
     walker = make_walker(config, schedule)
+    schedule = schedule.of_size(walker.library.command_size)
     try:
         with sigterm_exits(), contextlib.closing(walker.env):
             if config.live:
@@ -187,10 +196,12 @@ def check_policies(config: Config) -> None:
 
 def make_walker(config: Config, schedule: Schedule) -> Walker:
     """Robot in its environment, with a recorder if there is a log to write."""
-    library = aslip.GaitLibrary.load()
-    for speed in schedule.speeds:
-        library.check_command(speed)
-    stack = STACKS[policy_stack(config.policy)]()
+    chosen = None if config.library is None else aslip.GaitLibrary.load(config.library)
+    stack = STACKS[policy_stack(config.policy)](chosen)
+    library = aslip.GaitLibrary.load() if chosen is None else chosen
+    schedule = schedule.of_size(library.command_size)
+    for command in schedule.commands:
+        library.check_command(command)
     edits = ON_TRUTH if config.truth else {}
     if config.log is not None:
         stack["recorder"] = partial(
@@ -270,12 +281,19 @@ def walk(
 
 def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
     """Numbers of a policy step."""
+    after = cast("TensorDictBase", td["next"])
+    speed = cast("torch.Tensor", after["true_odometry", "pelvis_velocity"])[0]
+    velocity = cast("torch.Tensor", after["truth", "pelvis_velocity"])[0]
+    turns = [cast("torch.Tensor", t["truth", "pelvis_orientation"])[0] for t in (td, after)]
+    turn = np.diff(yaw(torch.stack(turns).double().numpy()))[0]
     return {
         "time": walker.time,
-        "speed": float(td["next", "true_odometry", "pelvis_velocity"][0, 0]),
-        "velocity_x": float(td["next", "truth", "pelvis_velocity"][0, 0]),
-        "velocity_y": float(td["next", "truth", "pelvis_velocity"][0, 1]),
-        "reward": float(td["next", "reward"]),
+        "speed": float(speed[0]),
+        "sideways": float(speed[1]),
+        "yaw_rate": math.remainder(turn, math.tau) / CASSIE.policy_period,
+        "velocity_x": float(velocity[0]),
+        "velocity_y": float(velocity[1]),
+        "reward": float(after["reward"]),
     }
 
 
@@ -284,14 +302,17 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     lines = []
     times = np.array([row["time"] for row in rows])
     ends = [*schedule.times[1:], math.inf]
-    for start, end, speed in zip(schedule.times, ends, schedule.speeds, strict=True):
+    names = ("speed", "sideways", "yaw_rate")[: len(numbers(schedule.commands[0]))]
+    for start, end, command in zip(schedule.times, ends, schedule.commands, strict=True):
         middle = (start + min(end, times[-1])) / 2
         part = [row for row in rows if middle < row["time"] <= end]
         if part:
-            mean = np.mean([row["speed"] for row in part])
+            told = ", ".join(f"{number:.2f}" for number in numbers(command))
+            mean = ", ".join(f"{np.mean([row[name] for row in part]):.3f}" for name in names)
             reward = np.mean([row["reward"] for row in part])
-            lines.append([f"{start:g}", f"{speed:.2f}", f"{mean:.3f}", f"{reward:.3f}"])
-    return markdown(["from s", "command m/s", "speed m/s", "mean reward"], lines)
+            lines.append([f"{start:g}", told, mean, f"{reward:.3f}"])
+    unit = "m/s" if len(names) == 1 else "m/s, m/s, rad/s"
+    return markdown(["from s", f"command {unit}", f"speed {unit}", "mean reward"], lines)
 
 
 def announce_film(config: Config, seconds: float, duration: float) -> None:

@@ -7,9 +7,11 @@
 | `/joint_states` | 33 Hz or 2 kHz | `LOGGED_JOINTS`: position, velocity, effort [rad, rad/s, N m] |
 | `/truth`, `/estimate`, `/odometry`, `/reference` | 33 Hz | by the tensordict's names |
 | `/true_odometry` | 33 Hz | the truth in the robot's heading frame, and its `heading` [rad] |
+| | | in all directions, also `origin` of that frame and `path_error`, as in `/odometry` |
 | `/observation` | 33 Hz | observation that the policy acts on next |
 | `/sensors` | 33 Hz | packets with noise; an array per number, oldest first |
 | `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: inputs of the step |
+| | | in all directions also `filtered_command` |
 | | | `reward`, terms, `ground_force`, `terminated`, `truncated`, `done`: its outcome |
 | `/touchdown` | a footstep | side (0 left, 1 right), actual and planned place [m] |
 | `/state` | 1 Hz, resets | physics state and sensors' memory, for replays |
@@ -147,6 +149,14 @@ def flat_type(name: str, number: str, fields: Sequence[str], length: int = 0) ->
     return MessageType(f"aslip_msgs/msg/{name}", "\n".join(f"{kind} {f}" for f in fields))
 
 
+# names of the numbers of entries that are no vectors; one number has the entry's name alone
+_PARTS: Final = {
+    "command": ("forward", "sideways", "yaw_rate"),
+    "filtered_command": ("forward", "sideways", "yaw_rate"),
+    "path_error": ("forward", "sideways"),
+}
+
+
 def component_names(name: str, size: int) -> list[str]:
     """Names of the numbers of an entry: axes, quaternion components, motors, joints, feet.
 
@@ -156,6 +166,8 @@ def component_names(name: str, size: int) -> list[str]:
     """
     if size == 1:
         return [name]
+    if name in _PARTS:
+        return [f"{name}_{part}" for part in _PARTS[name][:size]]
     if size == len(CASSIE.motor_names):
         return [f"{name}_{motor}" for motor in CASSIE.motor_names]
     if size == len(CASSIE.joint_names) and "joint" in name:

@@ -40,7 +40,8 @@ _TRUTH = (
 _TRUTH_READ = {*_TRUTH, "qpos", "qvel", "ground_force", "diverged"}
 # groups of the tensordict that are topics of named numbers
 _GROUPS = ("truth", "estimate", "odometry", "true_odometry", "reference")
-_CLOCK = ("phase", "command")
+# `filtered_command` in stacks for all directions only
+_CLOCK = ("phase", "command", "filtered_command")
 # inputs of a step
 _CAUSES = (*_CLOCK, "action", "motor_target", "push")
 _OUTCOMES = ("reward", "terminated", "truncated", "done")
@@ -242,7 +243,7 @@ class Session:
         if "estimate" in rows and "estimator" in td:
             rows["estimate"] |= _row(cast("TensorDictBase", td.get("estimator")), self._robot)
         if "reference" in rows:
-            rows["reference"] |= {key: td.get(key)[self._robot].numpy() for key in _CLOCK}
+            rows["reference"] |= {key: td.get(key)[robot].numpy() for key in _CLOCK if key in td}
         if "true_odometry" in rows:
             rows["true_odometry"]["heading"] = td.get("heading")[robot].numpy()
         if "sensors" in td:
@@ -340,8 +341,11 @@ class Session:
                 continue
             side, other = SIDES[i], SIDES[1 - i]
             foot, stance = (truth[f"{name}_foot_position"].astype(float) for name in (side, other))
-            speed = float(before["command"][0])
-            planned = self._footholds.planned(side, speed, stance, truth["pelvis_orientation"])
+            command = before.get("filtered_command", before["command"])
+            speed = float(command[0])
+            planned = self._footholds.planned(
+                side, command.tolist(), stance, truth["pelvis_orientation"]
+            )
             values = {"side": i, "x": foot[0], "y": foot[1], "x_planned": planned[0]}
             values |= {"y_planned": planned[1], "speed": speed}
             self._event("/touchdown", values)

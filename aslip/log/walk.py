@@ -14,11 +14,15 @@ from aslip.transforms import ODOMETRY_SIZES
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
 from aslip.walking import Walks
 
+_COMMAND = ("forward", "sideways", "yaw_rate")
 _FEET = tuple(f"{side}_foot_position" for side in SIDES)
 
 
 def read_walk(recording: Recording) -> Walks:
     """First episode of a log, n = 1; x is the heading of the pelvis at its start.
+
+    In stacks for all directions, x is the heading of the frame along the path, as in
+    `record_walks`.
 
     Raises:
         UnknownNameError: the log has no reference or no truth.
@@ -38,7 +42,8 @@ def read_walk(recording: Recording) -> Walks:
     def vectors(series: Any, names: Sequence[str], axes: str = "xyz") -> np.ndarray:
         return np.stack([series.vector(name, axes)[rows] for name in names], axis=1)
 
-    body = _logged_odometry(truth)
+    turning = f"command_{_COMMAND[0]}" in step.columns
+    body = _path_odometry(recording["/true_odometry"]) if turning else _logged_odometry(truth)
     alive = ~np.logical_or.accumulate(step["terminated"][:count] > 0)
     forces = [[f"ground_force_{side}_{axis}" for axis in "xyz"] for side in SIDES]
     arrays = {
@@ -58,8 +63,19 @@ def read_walk(recording: Recording) -> Walks:
     arrays = {name: array.astype(np.float64) for name, array in arrays.items()}
     for array in arrays.values():
         array[~alive] = np.nan
-    arrays |= {"command": step["command"][:count], "alive": alive}
+    names = [f"command_{name}" for name in _COMMAND] if turning else ["command"]
+    command = columns(step, names, slice(count))
+    command = command if turning else command[:, 0]
+    arrays |= {"command": command, "alive": alive}
     return Walks(**{name: array[:, None] for name, array in arrays.items()})
+
+
+def _path_odometry(odometry: Series) -> dict[str, np.ndarray]:
+    """Odometry at each instant of a log, in the frame along the path."""
+    return {
+        name: odometry.vector(name, "wxyz" if size == 4 else "xyz")
+        for name, size in ODOMETRY_SIZES.items()
+    }
 
 
 def _logged_odometry(truth: Series) -> dict[str, np.ndarray]:

@@ -2,14 +2,16 @@
 
 The reference of a library has no position in the world, but the ghost has one. Its body is at x and
 y of the robot's pelvis, at the height of the reference. Its feet are the reference's, rotated by
-the yaw of the robot, as in the reward term of the feet.
+the yaw of the robot, as in the reward term of the feet; on turns, by that yaw without the deviation
+of the body's heading from the mean heading, from which the reference counts.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import cast
 
 import numpy as np
@@ -29,6 +31,8 @@ _STANCE_SPEED = 0.05
 _STANCE_HEIGHT = 0.005
 # samples of a stride in the search for a touchdown
 _INSTANTS = 4096
+# look-ups of a stride in that search for a command of several axes
+_LOOKS = 256
 
 BODY_COLOR = rgba(MODEL)
 """Colour of the body: red, green, blue and opacity."""
@@ -77,7 +81,9 @@ class Ghost:
         """Ghost of one robot's entries of `("reference", ...)` and `("truth", ...)`."""
         body = truth["pelvis_position"].astype(np.float64)
         body[2] = reference["body_position"][2]
-        turn = yaw_rotation(truth["pelvis_orientation"])
+        turn = yaw_rotation(
+            truth["pelvis_orientation"], -float(np.ravel(reference.get("body_heading", 0.0))[0])
+        )
         left, right = (body + turn @ reference[key] for key in _FEET)
         velocities = (reference[key].tolist() for key in _FOOT_VELOCITIES)
         stance = [math.hypot(*velocity) < _STANCE_SPEED for velocity in velocities]
@@ -87,11 +93,18 @@ class Ghost:
 class Footholds:
     """Footholds that the reduced-order model plans.
 
+    Commands are numbers, or sequences with a number for each axis of the library.
+
     Args:
         library: motions with one swing per foot; steps are interpolated linearly between speeds.
+            With several axes they are those of the interpolated motion.
     """
 
     def __init__(self, library: GaitLibrary) -> None:
+        self._library = library
+        if library.command_size > 1:
+            self._found = lru_cache(maxsize=64)(self._search)
+            return
         self._speeds = library.speeds
         self._phases = np.array([touchdown_phases(motion) for motion in library.motions])
         self._strides = np.array([motion.stride for motion in library.motions])
@@ -103,21 +116,34 @@ class Footholds:
             step = left - right if side == "left" else right - left
             self._steps[i] = step[:, :2].double().numpy()
 
-    def stride(self, speed: float) -> float:
+    def stride(self, command: float | Sequence[float]) -> float:
         """Duration of a stride of the reduced-order model [s]."""
-        return float(np.interp(speed, self._speeds, self._strides))
+        if self._library.command_size > 1:
+            return float(self._library.stride(torch.tensor([_padded(command)])))
+        return float(np.interp(_first(command), self._speeds, self._strides))
 
-    def touchdown_phase(self, side: Side, speed: float) -> float:
+    def touchdown_phase(self, side: Side, command: float | Sequence[float]) -> float:
         """Stride fraction at which a foot of the reduced-order model touches down."""
-        return float(np.interp(speed, self._speeds, self._phases[:, SIDES.index(side)]))
+        i = SIDES.index(side)
+        if self._library.command_size > 1:
+            return self._found(_padded(command))[0][i]
+        return float(np.interp(_first(command), self._speeds, self._phases[:, i]))
 
-    def step(self, side: Side, speed: float) -> np.ndarray:
+    def step(self, side: Side, command: float | Sequence[float]) -> np.ndarray:
         """Step (2,) from the stance foot to the landing foot at touchdown, forward and left [m]."""
-        steps = self._steps[SIDES.index(side)]
+        i = SIDES.index(side)
+        if self._library.command_size > 1:
+            return self._found(_padded(command))[1][i]
+        steps, speed = self._steps[i], _first(command)
         return np.array([np.interp(speed, self._speeds, steps[:, axis]) for axis in range(2)])
 
     def planned(
-        self, side: Side, speed: float, stance_foot: np.ndarray, orientation: np.ndarray
+        self,
+        side: Side,
+        command: float | Sequence[float],
+        stance_foot: np.ndarray,
+        orientation: np.ndarray,
+        phase: float | None = None,
     ) -> np.ndarray:
         """Planned foothold (2,) [m, world].
 
@@ -126,17 +152,56 @@ class Footholds:
 
         Args:
             side: foot in swing.
-            speed: commanded speed [m/s].
+            command: command of the reference.
             stance_foot: (3,) sole centre of the stance foot [m, world].
             orientation: (4,) pelvis to world, wxyz.
+            phase: stride fraction now, from which the robot turns until the touchdown; by default
+                the touchdown is now.
         """
-        turn = yaw_rotation(orientation)[:2, :2]
-        return stance_foot[:2] + turn @ self.step(side, speed)
+        ahead = 0.0
+        if phase is not None and self._library.command_size > 1:
+            wait = (self.touchdown_phase(side, command) - phase) % 1.0 * self.stride(command)
+            ahead = _padded(command)[2] * wait
+        turn = yaw_rotation(orientation, ahead)[:2, :2]
+        return stance_foot[:2] + turn @ self.step(side, command)
+
+    def _search(self, command: tuple[float, ...]) -> tuple[list[float], np.ndarray]:
+        """Phases (2) of the touchdowns and steps (2, 2) at a command of several axes.
+
+        A foot swings in the half of the stride after its lift-off: left at phase 0, right at 0.5.
+        """
+        phase = torch.arange(_LOOKS)[:, None] / _LOOKS
+        axes = torch.tensor(command[: self._library.command_size]).expand(_LOOKS, -1)
+        motion = self._library.lookup(phase, axes)
+        phases, steps = [], np.empty((2, 2))
+        for i, velocity in enumerate((motion.left_foot_velocity, motion.right_foot_velocity)):
+            start = round(0.5 * i * _LOOKS)
+            moving = torch.linalg.vector_norm(velocity, dim=-1).roll(-start) > _STANCE_SPEED
+            down = (start + int(torch.nonzero(moving[: _LOOKS * 3 // 4])[-1]) + 1) % _LOOKS
+            feet = motion.left_foot_position[down], motion.right_foot_position[down]
+            steps[i] = (feet[i] - feet[1 - i])[:2].numpy()
+            phases.append(down / _LOOKS)
+        return phases, steps
 
 
-def yaw_rotation(orientation: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) about the vertical by the yaw of an orientation (4,), wxyz."""
-    angle = float(yaw(np.asarray(orientation, dtype=np.float64)))
+def _first(command: float | Sequence[float]) -> float:
+    return float(np.ravel(command)[0])
+
+
+def _padded(command: float | Sequence[float]) -> tuple[float, ...]:
+    """Command of three numbers."""
+    given = tuple(float(number) for number in np.ravel(command))
+    return (*given, 0.0, 0.0)[:3]
+
+
+def yaw_rotation(orientation: np.ndarray, more: float = 0.0) -> np.ndarray:
+    """Rotation (3, 3) about the vertical by the yaw of an orientation (4,), wxyz.
+
+    Args:
+        orientation: orientation of a body.
+        more: angle that is added to the yaw [rad].
+    """
+    angle = float(yaw(np.asarray(orientation, dtype=np.float64))) + more
     cosine, sine = math.cos(angle), math.sin(angle)
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from aslip.control import Command, numbers
 from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
@@ -30,12 +32,12 @@ class Walker:
             only end of an episode.
         library: gaits of the default environment, and the range of commands.
         seed: seed of the default environment.
-        speed: first command [m/s].
+        speed: first command: forward speed [m/s], or a number for each axis of the library.
 
     Raises:
         ConfigurationError: the environment has several robots, or another observation or action
             baseline than the policy's card.
-        SpeedOutOfRangeError: the library does not cover the speed.
+        SpeedOutOfRangeError: the library does not cover the command.
     """
 
     def __init__(
@@ -45,7 +47,7 @@ class Walker:
         *,
         library: GaitLibrary | None = None,
         seed: int = 0,
-        speed: float = 0.0,
+        speed: Command = 0.0,
     ) -> None:
         self.library = GaitLibrary.load() if library is None else library
         if env is None:
@@ -77,13 +79,24 @@ class Walker:
         self._policy = policy
 
     @property
-    def command(self) -> float:
-        """Commanded forward speed [m/s]; assign to change it."""
-        return float(self.td["command"])
+    def command(self) -> Command:
+        """Commanded forward speed [m/s]; assign to change it.
+
+        With a library of several axes, a number for each: forward, sideways speed [m/s], yaw rate
+        [rad/s]. A number alone is a forward speed.
+        """
+        values = tuple(cast("torch.Tensor", self.td["command"])[0].tolist())
+        return values[0] if len(values) == 1 else values
 
     @command.setter
-    def command(self, speed: float) -> None:
-        self.td["command"] = torch.tensor([self.library.check_command(speed)])
+    def command(self, command: Command) -> None:
+        self.td["command"] = torch.tensor([self._checked(command)])
+
+    def _checked(self, command: Command) -> tuple[float, ...]:
+        size = self.library.command_size
+        if size > 1 and not isinstance(command, tuple):
+            command = (command, *(0.0,) * (size - 1))
+        return self.library.check_command(command)
 
     def push(self, force: Sequence[float], duration: float = 4 * CASSIE.policy_period) -> None:
         """Push the pelvis from the next policy step on; replaces the current push.
@@ -102,17 +115,17 @@ class Walker:
             raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
         self._push, self._push_steps = vector[None], policy_steps(duration)
 
-    def reset(self, speed: float | None = None) -> None:
+    def reset(self, speed: Command | None = None) -> None:
         """Start again on the reference at phase 0.
 
         Args:
-            speed: command [m/s]; by default the current one.
+            speed: command; by default the current one.
 
         Raises:
-            SpeedOutOfRangeError: the library does not cover the speed.
+            SpeedOutOfRangeError: the library does not cover the command.
         """
-        speed = self.command if speed is None else self.library.check_command(speed)[0]
-        self.td: TensorDictBase = reset_walks(self.env, np.array([speed]))
+        command = numbers(self.command) if speed is None else self._checked(speed)
+        self.td: TensorDictBase = reset_walks(self.env, np.array([command]))
         """Current tensordict, input of the next policy step."""
         self.steps = 0
         """Policy steps since the last reset."""

@@ -16,6 +16,20 @@ def test_schedule_holds_each_speed_until_the_next() -> None:
     assert Schedule.parse("1.5").at(3.0) == 1.5
 
 
+def test_commands_of_three_numbers_and_speeds_alone() -> None:
+    schedule = Schedule.parse("0:0.5 0 0,4:0.5 0.1 -0.3")
+    assert schedule.at(4.5) == (0.5, 0.1, -0.3)
+    assert schedule.of_size(3) is schedule
+    assert Schedule.parse("0:0.0,4:1.0").of_size(3).commands == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    assert Schedule.parse("0.5 0 1").at(2.0) == (0.5, 0.0, 1.0)
+
+
+@pytest.mark.parametrize("text", ["0:0 0", "0:0 0 nan", "0:0 0 0,1:1", "0:0 0 0 0"])
+def test_refuses_commands_of_other_sizes(text: str) -> None:
+    with pytest.raises(ConfigurationError, match="schedule"):
+        Schedule.parse(text)
+
+
 @pytest.mark.parametrize(
     "text", ["", "a", "0:1,", "1:0.5", "0:1,0:2", "0:1,3:1,2:1", "0:nan", "0:1:2"]
 )

@@ -15,6 +15,7 @@ from aslip.robot import SIDES
 from aslip.rom import PendulumWalk, SampledMotion, Track
 from aslip.show.ghost import Footholds, Ghost, touchdown_phases, yaw_rotation
 from tests.helpers import MakeEnv
+from tests.library.bent import symmetric_library
 
 
 def _instant(library: GaitLibrary, phase: float, speed: float, yaw: float) -> TensorDict:
@@ -128,3 +129,41 @@ def test_yaw_rotation_ignores_pitch() -> None:
     # pitch first, then yaw
     quaternion = np.array([cy * cp, -sy * sp, cy * sp, sy * cp])
     np.testing.assert_allclose(yaw_rotation(quaternion)[:2, 0], [np.cos(yaw), np.sin(yaw)])
+
+
+def _turning(phase: float, command: tuple[float, ...], yaw: float) -> TensorDict:
+    """Instant on a turning gait, with the pelvis at the yaw of the reference's body."""
+    found = symmetric_library().lookup(torch.tensor([[phase]]), torch.tensor([command]))
+    td = _instant(GaitLibrary.load(), phase, 0.0, yaw + float(found.body_heading))
+    return td.set("reference", found.to_tensordict())
+
+
+def test_on_turns_feet_count_from_the_mean_heading() -> None:
+    td = _turning(0.2, (0.6, 0.1, 0.8), 0.7)
+    ghost = Ghost.of(td)
+    foot = td["reference", "left_foot_position"][0].numpy()  # pyright: ignore
+    turn = yaw_rotation(np.array([np.cos(0.35), 0.0, 0.0, np.sin(0.35)]))
+    np.testing.assert_allclose(ghost.left - ghost.body, turn @ foot, atol=1e-6)
+
+
+def test_planned_footholds_of_turns_are_where_the_feet_land() -> None:
+    """The step in the moving frame, seen from the frame that the robot has at the touchdown."""
+    library, command = symmetric_library(), (0.6, 0.1, 0.8)
+    footholds, straight = Footholds(library), Footholds(GaitLibrary.load())
+    for side in SIDES:
+        expected = straight.touchdown_phase(side, 0.6)
+        assert footholds.touchdown_phase(side, (0.6, 0.0, 0.0)) == pytest.approx(expected, abs=0.03)
+        np.testing.assert_allclose(
+            footholds.step(side, (0.6, 0.0, 0.0)), straight.step(side, 0.6), atol=0.02
+        )
+    assert footholds.step("left", command) == pytest.approx(
+        footholds.step("right", (0.6, -0.1, -0.8)) * [1, -1], abs=0.01
+    )
+    phase, level = footholds.touchdown_phase("left", command) - 0.2, np.array([1.0, 0, 0, 0])
+    later = 0.8 * 0.2 * footholds.stride(command)
+    turned = np.array([np.cos(later / 2), 0, 0, np.sin(later / 2)])
+    np.testing.assert_allclose(
+        footholds.planned("left", command, np.zeros(3), level, phase),
+        footholds.planned("left", command, np.zeros(3), turned),
+        atol=1e-9,
+    )

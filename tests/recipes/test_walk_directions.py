@@ -1,0 +1,91 @@
+"""Schedules of three commands: walked, logged, replayed and read back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import aslip
+from aslip.envs import directions_stack, policy_interface
+from aslip.errors import ConfigurationError, SpeedOutOfRangeError
+from aslip.log import Recording, read, replay
+from aslip.log.walk import read_walk
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.walking import Walker
+from recipes import walk
+from recipes.walk import Config
+from tests.library.bent import symmetric_library
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Library and untrained policy for all directions."""
+    folder = tmp_path_factory.mktemp("directions")
+    symmetric_library().save(folder / "gaits.npz")
+    env = aslip.make_env(stack=directions_stack(symmetric_library()), num_threads=1)
+    shape, interface = PolicyShape(72), policy_interface(env)
+    actor = make_actor(RunningNormalizer(72), shape, interface["observation"])
+    save_policy(folder / "policy.zip", actor, shape, **interface)
+    return folder / "gaits.npz", folder / "policy.zip"
+
+
+def _settings(files: tuple[Path, Path], **settings: object) -> Config:
+    return Config(policy=str(files[1]), library=files[0], **settings)  # pyright: ignore
+
+
+@pytest.fixture(scope="module")
+def log(files: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("logs") / "walk.mcap"
+    walk.main(_settings(files, command="0:0.4 0 0,0.3:0.4 0.1 0.8", duration=0.6, log=path))
+    return read(path)
+
+
+def test_command_and_heading_are_logged(log: Recording) -> None:
+    step, place = log["/step"], log["/true_odometry"]
+    names = [f"command_{name}" for name in ("forward", "sideways", "yaw_rate")]
+    commands = np.stack([step[name] for name in names], axis=1)
+    np.testing.assert_allclose(commands, [[0.4, 0, 0]] * 10 + [[0.4, 0.1, 0.8]] * 10, atol=1e-6)
+    # the filtered yaw rate rises by 0.06 rad/s in a policy step
+    filtered = step["filtered_command_yaw_rate"]
+    np.testing.assert_allclose(np.diff(filtered)[10:19], 0.06, atol=1e-6)
+    np.testing.assert_allclose(np.diff(place["heading"])[1:], 0.03 * filtered[1:], atol=1e-6)
+    assert "path_error_sideways" in place.columns
+
+
+def test_the_log_replays_and_gives_the_walk(log: Recording) -> None:
+    assert replay(log).equal
+    walks = read_walk(log)
+    assert walks.command.shape == (20, 1, 3)
+    # in the frame along the path, whose origin moves with the robot
+    assert np.abs(walks.pelvis_position[..., 0]).max() < 0.31
+    assert log["/truth"]["pelvis_position_x"][-1] > 0.1
+
+
+def test_the_table_has_three_speeds(
+    files: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    walk.main(_settings(files, command="0.4 0 0.2", duration=0.3))
+    assert "| 0 | 0.40, 0.00, 0.20 |" in capsys.readouterr().out
+    walk.main(_settings(files, command="0.4", duration=0.06))
+    assert "| 0 | 0.40, 0.00, 0.00 |" in capsys.readouterr().out
+
+
+def test_policies_for_all_directions_need_their_library(files: tuple[Path, Path]) -> None:
+    with pytest.raises(ConfigurationError, match="'directions' needs a library"):
+        walk.main(Config(policy=str(files[1])))
+    with pytest.raises(SpeedOutOfRangeError, match="outside the gait library"):
+        walk.main(_settings(files, command="0:0.4 0 0,3:0.4 0.5 0"))
+
+
+def test_a_walker_takes_commands_of_three_numbers(files: tuple[Path, Path]) -> None:
+    walker = Walker(files[1], library=symmetric_library(), speed=0.4)
+    assert walker.command == pytest.approx((0.4, 0.0, 0.0))
+    walker.command = (0.2, 0.1, -0.5)
+    td = walker.step()
+    assert td["next", "command"][0].tolist() == pytest.approx([0.2, 0.1, -0.5])  # pyright: ignore
+    walker.reset()
+    assert walker.command == pytest.approx((0.2, 0.1, -0.5))
+    with pytest.raises(SpeedOutOfRangeError):
+        walker.command = 2.0
