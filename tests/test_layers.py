@@ -40,7 +40,16 @@ _MAY_IMPORT: dict[str, set[str]] = {
     | {"training", "walking", "show"},
 }
 # libraries with a long import time
-_HEAVY = {"torch", "torchrl", "tensordict", "mujoco", "casadi", "pinocchio", "dm_control"}
+_HEAVY = {
+    "torch",
+    "torchrl",
+    "tensordict",
+    "mujoco",
+    "casadi",
+    "pinocchio",
+    "dm_control",
+    "pydrake",
+}
 # room -> libraries that it must not import
 _FOREIGN = {
     "errors": _HEAVY,
@@ -51,7 +60,7 @@ _FOREIGN = {
     "library": {"mujoco", "dm_control", "torchrl"},
     "wire": _HEAVY,
     "estimation": _HEAVY,
-    "sim": _HEAVY - {"mujoco"},
+    "sim": _HEAVY - {"mujoco", "pydrake"},
     "twin": _HEAVY,
     "envs": {"casadi", "pinocchio"},
     "transforms": {"mujoco", "casadi", "pinocchio", "dm_control"},

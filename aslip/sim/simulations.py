@@ -228,6 +228,11 @@ class Simulations:
             self._qfrc_actuator,
         )
 
+    @property
+    def motor_torque(self) -> np.ndarray:
+        """(n, m) torques of the motors at the joints in the last substep [N m]; a copy."""
+        return self._qfrc_actuator[:, self.indices.motor_qvel]
+
     def states(self) -> np.ndarray:
         """(n, k) copy of the complete states.
 

@@ -1,0 +1,26 @@
+"""Robot in Drake, an engine with dynamics, contact model and solver of its own.
+
+Needs the package's extra `drake`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from aslip.sim.drake.contact import Contact
+    from aslip.sim.drake.plant import Mechanism
+    from aslip.sim.drake.simulation import DrakeSimulation
+
+__all__ = ["Contact", "DrakeSimulation", "Mechanism"]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "contact": ["Contact"],
+        "plant": ["Mechanism"],
+        "simulation": ["DrakeSimulation"],
+    },
+)
