@@ -11,15 +11,24 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.twin.drive import CommandedPD
+    from aslip.twin.engine import ENGINES, drake_engine, mujoco_engine
     from aslip.twin.lockstep import serve_lockstep
     from aslip.twin.robot import TwinRobot
 
-__all__ = ["CommandedPD", "TwinRobot", "serve_lockstep"]
+__all__ = [
+    "ENGINES",
+    "CommandedPD",
+    "TwinRobot",
+    "drake_engine",
+    "mujoco_engine",
+    "serve_lockstep",
+]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "drive": ["CommandedPD"],
+        "engine": ["ENGINES", "drake_engine", "mujoco_engine"],
         "lockstep": ["serve_lockstep"],
         "robot": ["TwinRobot"],
     },

@@ -8,8 +8,9 @@ import numpy as np
 
 from aslip.estimation import StateEstimator, Tracking
 from aslip.robot import CASSIE, Robot
-from aslip.sim import Simulations
+from aslip.sim import true_state
 from aslip.twin.drive import CommandedPD
+from aslip.twin.engine import MakeEngine, mujoco_engine
 from aslip.wire import ESTIMATE_ENTRIES, STATE_OUT, estimate_to_state_out, pd_in_to_command
 
 
@@ -29,15 +30,16 @@ class TwinRobot:
 
     Args:
         robot: robot that is simulated.
+        make_engine: function of robot and drive that makes the simulation; by default MuJoCo's.
     """
 
-    def __init__(self, robot: Robot = CASSIE) -> None:
+    def __init__(self, robot: Robot = CASSIE, make_engine: MakeEngine = mujoco_engine) -> None:
         self.robot = robot
         """Robot that is simulated."""
         self.ticks = 0
         """Ticks since construction."""
         tick = replace(robot, substeps=1, packet_substeps=1)
-        self._simulations = Simulations(1, num_threads=1, robot=tick, drive=CommandedPD)
+        self._engine = make_engine(tick, CommandedPD)
         self._estimator = StateEstimator(robot)
         self._tracking: Tracking | None = None
         # estimate of the last packet
@@ -48,7 +50,7 @@ class TwinRobot:
     @property
     def divergences(self) -> int:
         """Number of times that the simulation diverged and started anew."""
-        return self._simulations.divergences
+        return self._engine.divergences
 
     def packet(self) -> dict[str, np.ndarray]:
         """Readings of the last tick: entries of `Robot.packet_sizes`, (k,) in single precision."""
@@ -56,7 +58,11 @@ class TwinRobot:
 
     def states(self) -> np.ndarray:
         """(1, k) complete state of the simulation; see `aslip.sim.Simulations.states`."""
-        return self._simulations.states()
+        return self._engine.states()
+
+    def truth(self) -> dict[str, np.ndarray]:
+        """True state (1, k) after the last tick; see `aslip.sim.true_state`."""
+        return true_state(self._engine.snapshot(), self.robot.indices)
 
     def tick(self, command: np.ndarray) -> np.ndarray:
         """Advance by 0.5 ms.
@@ -68,18 +74,18 @@ class TwinRobot:
             Record of `aslip.wire.STATE_OUT`.
         """
         numbers = np.concatenate(pd_in_to_command(command))[None].astype(np.float64)
-        diverged = self._simulations.advance(numbers)
+        diverged = self._engine.advance(numbers)
         self.ticks += 1
         if diverged[0]:
             self._tracking = None
         self._take(self._readings())
-        state, snapshot = self._state.copy(), self._simulations.snapshot()
-        state["motor"]["torque"][:] = snapshot.qfrc_actuator[0, self.robot.indices.motor_qvel]
+        state = self._state.copy()
+        state["motor"]["torque"][:] = self._engine.motor_torque[0]
         return state
 
     def _readings(self) -> dict[str, np.ndarray]:
         """Live readings of the last tick in double precision."""
-        return {name: value[0, 0] for name, value in self._simulations.sensors.packets().items()}
+        return {name: value[0, 0] for name, value in self._engine.sensors.packets().items()}
 
     def _take(self, readings: dict[str, np.ndarray]) -> None:
         """Estimate the state from a tick's readings if they complete a packet of the estimator."""
