@@ -141,7 +141,7 @@ def walk(steps: int, speed: float) -> tuple[int, int, float]:
     server = Endpoint(Link(STATE_OUT, PD_IN, refuse_not_finite=True), Address(LOOPBACK, 0))
     link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
     with server, Endpoint(link, Address(LOOPBACK, 0), server.local) as client:
-        state = _answer(twin, server, client, PD_IN.zeros())
+        state = answer(twin, server, client, PD_IN.zeros())
         env.set_states(twin.states())
         wired = controller.start(state_out_to_estimate(state), speed, heading=0.0)
         local = controller.start(twin.packet(), speed, heading=0.0)
@@ -149,7 +149,7 @@ def walk(steps: int, speed: float) -> tuple[int, int, float]:
             targets += not torch.equal(wired.motor_target, local.motor_target)
             for _ in range(CASSIE.substeps):
                 command = command_to_pd_in(wired.motor_target[0].numpy())
-                state = _answer(twin, server, client, command)
+                state = answer(twin, server, client, command)
             now = env.step(now.set("motor_target", local.motor_target))["next"]
             states += not np.array_equal(twin.states(), env.states())
             wired, _ = controller.step(wired, state_out_to_estimate(state))
@@ -157,7 +157,7 @@ def walk(steps: int, speed: float) -> tuple[int, int, float]:
     return targets, states, float(now["truth", "pelvis_position"][0, 0])
 
 
-def _answer(twin: TwinRobot, server: Endpoint, client: Endpoint, command: np.ndarray) -> np.ndarray:
+def answer(twin: TwinRobot, server: Endpoint, client: Endpoint, command: np.ndarray) -> np.ndarray:
     """Answer of the twin to a command, with both sides in this thread."""
     ticks = twin.ticks
     client.send(command)
