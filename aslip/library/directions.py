@@ -46,7 +46,7 @@ Progress = Callable[[int, int, bool], None]
 LOADED = SlipParameters(min_stance_force=0.15)
 """Model and bounds of gaits that keep 15 % of body weight on the standing foot."""
 
-_FORMAT = ArchiveFormat("gait", 1, compressed=True)
+_FORMAT = ArchiveFormat("gait", 2, compressed=True)
 _REASON = "reason.json"
 _ROUNDING = 1e-9  # of a command at the border of a region
 _MIRROR = np.array([1.0, -1.0, -1.0])

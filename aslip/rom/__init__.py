@@ -2,6 +2,7 @@
 
     gait = optimize_gait(1.0)          # 1 m/s, in a fraction of a second
     turn = optimize_gait([0.5, 0.2, 1.0])    # forward, sideways [m/s], yaw rate [rad/s]
+    stop, start = optimize_transitions(optimize_gait([0.0, 0.0, 0.0]))
     gait.stride, gait.double_stance    # [s]
     gait.sample(np.linspace(0, 1, 24, endpoint=False)).body.position    # (24, 3) [m]
 
@@ -25,18 +26,20 @@ if TYPE_CHECKING:
         SampledMotion,
         Track,
     )
-    from aslip.rom.optimize import optimize_gait, optimize_gaits
+    from aslip.rom.optimize import optimize_gait, optimize_gaits, optimize_transitions
     from aslip.rom.pendulum import PendulumWalk, pendulum_walks
     from aslip.rom.slip import Mode, Objective, SlipParameters
+    from aslip.rom.standing import Standing, Transition
 
 _FILES = {
     "certificate": ["Certificate"],
     "gait": ["Gait", "GaitSample"],
     "mirror": ["mirror"],
     "motion": ["PHASE_SAMPLES", "Angle", "Motion", "MotionSample", "SampledMotion", "Track"],
-    "optimize": ["optimize_gait", "optimize_gaits"],
+    "optimize": ["optimize_gait", "optimize_gaits", "optimize_transitions"],
     "pendulum": ["PendulumWalk", "pendulum_walks"],
     "slip": ["Mode", "Objective", "SlipParameters"],
+    "standing": ["Standing", "Transition"],
 }
 
 __all__ = [
@@ -52,10 +55,13 @@ __all__ = [
     "PendulumWalk",
     "SampledMotion",
     "SlipParameters",
+    "Standing",
     "Track",
+    "Transition",
     "mirror",
     "optimize_gait",
     "optimize_gaits",
+    "optimize_transitions",
     "pendulum_walks",
 ]
 

@@ -1,4 +1,4 @@
-"""Optimal walking gaits of the actuated SLIP, at one command or several.
+"""Optimal gaits of the actuated SLIP, at one command or several, and their stop and start.
 
 Guarantees: equal arguments give bit-equal gaits on one machine; every gait returned carries a
 certificate without failures; nothing is printed. Trap: IPOPT and the problem it works on are kept
@@ -18,12 +18,15 @@ from aslip.rom.certify import certify, slacks
 from aslip.rom.gait import Gait
 from aslip.rom.problem import HalfStride, walking_problem
 from aslip.rom.program import GaitProgram
+from aslip.rom.rest import StopAndStart, rest_problem
 from aslip.rom.slip import Objective, SlipParameters
+from aslip.rom.standing import Transition
 from aslip.rom.stride import WholeStride, stride_problem
+from aslip.rom.transitions import ends_of_gait, transitions_of
 from aslip.rom.turn import gait_of_stride, stride_of_gait
 from aslip.rom.unfold import fold, unfold
 
-_Solution = TypeVar("_Solution", HalfStride, WholeStride)
+_Solution = TypeVar("_Solution", HalfStride, WholeStride, StopAndStart)
 
 
 def optimize_gait(
@@ -108,6 +111,29 @@ def optimize_gaits(
     return gaits
 
 
+def optimize_transitions(gait: Gait) -> tuple[Transition, Transition]:
+    """Optimise the stop of a gait in place after its left touchdown, and the start from that rest.
+
+    Both feet stay where the gait puts them. The integral of the squared inputs over both motions is
+    minimised, over their durations and the height at rest, too; see `aslip.rom.rest`.
+
+    Args:
+        gait: gait at zero speed, of `optimize_gait` with one number or three; its model and bounds
+            apply.
+
+    Returns:
+        Stop and start, with a common certificate without failures.
+
+    Raises:
+        ConfigurationError: the gait does not step in place.
+        ShapeError: its number of collocation points is not the optimiser's.
+        GaitOptimizationError: the solver found no solution, or a check failed.
+    """
+    problem, ends = rest_problem(gait.parameters), ends_of_gait(gait)
+    solution, _, certificate = _solve(problem, ends, problem.rough_guess(ends))
+    return transitions_of(problem.modes(solution, ends), certificate, gait.parameters)
+
+
 def _nearest(gaits: Sequence[Gait], command: np.ndarray) -> Gait | None:
     """Gait with the nearest command of equal length, the latest of several."""
     alike = [gait for gait in gaits if len(gait.command) == len(command)]
@@ -158,17 +184,9 @@ def _solve(
     certificate = certify(problem, solution, command, seconds)
     if not certificate.ok:
         raise GaitOptimizationError(
-            f"the gait at {_text(command)} is not certified: {'; '.join(certificate.failures())}"
+            f"{problem.title(command)} is not certified: {'; '.join(certificate.failures())}"
         )
     return solution, command, certificate
-
-
-def _text(command: np.ndarray) -> str:
-    """Command with its units."""
-    if len(command) == 1:
-        return f"{command[0]:g} m/s"
-    forward, sideways, yaw_rate = command
-    return f"{forward:g} m/s forward, {sideways:g} m/s sideways, {yaw_rate:g} rad/s"
 
 
 def _failure(problem: GaitProgram, command: np.ndarray) -> str:
@@ -179,7 +197,8 @@ def _failure(problem: GaitProgram, command: np.ndarray) -> str:
     nearest = slacks(problem, g, lower, upper)
     worst = min(nearest, key=lambda name: nearest[name])
     return (
-        f"no gait found at {_text(command)}: IPOPT stopped with {opti.stats()['return_status']}"
+        f"no solution for {problem.title(command)}: IPOPT stopped with"
+        f" {opti.stats()['return_status']}"
         f" after {opti.stats()['iter_count']} iterations; worst constraint: {worst}, "
         f"violated by {max(-nearest[worst], 0.0):.2e}"
     )

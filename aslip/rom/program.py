@@ -83,6 +83,12 @@ class GaitProgram(ABC, Generic[Solution]):
     def modes(self, solution: Solution, command: np.ndarray) -> Sequence[ModeSolution]:
         """Consecutive contact modes of a solution."""
 
+    def title(self, command: np.ndarray) -> str:
+        """Problem at a command (c,) in an error message."""
+        units = ("m/s forward", "m/s sideways", "rad/s") if len(command) > 1 else ("m/s",)
+        values = (f"{number:g} {unit}" for number, unit in zip(command, units, strict=True))
+        return f"the gait at {', '.join(values)}"
+
     @cached_property
     def optimality(self) -> ca.Function:
         """CasADi function (variables, multipliers, command) -> (stationarity, g, lower, upper).

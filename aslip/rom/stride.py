@@ -6,6 +6,16 @@ before, turned by the yaw rate times the stride and moved along the arc of const
 command prescribes. Actuators repeat. Both double stances last equally long: otherwise the optimum
 limps, even straight ahead, and its mirror image is as good.
 
+Left and right foothold are apart by s >= foot_separation sideways, more than that in sidesteps and
+turns, in which the feet approach each other by a_i at the four lift-offs and touchdowns:
+
+.. math:: s - d \ge \sqrt[4]{(s_0 - d)^4 + \tfrac12 \sum_i a_i^4}
+
+with s_0 the foot separation of a straight gait and d the least distance of the feet. Touchdown of
+one foot and lift-off of the other are nearly the same, so that this is a maximum without corners.
+The bare distance would give gaits corners over the command, and look-ups errors there. It is a
+bound, too, but only binds where both approaches differ.
+
 Everything is in the heading frame of the stride's start; the moving frame is the one that leaves
 it at time 0 with the commanded twist. Each foothold is fixed in the moving frame of its own
 mid-stance. The body's mean position in the moving frame is the origin, so that the body, rather
@@ -120,9 +130,8 @@ class StrideProblem(GaitProgram[WholeStride]):
         double_stance = opti.bounded(p.min_double_stance, self.double_stance, p.max_double_stance)
         self._require("double stance", self.double_stance, double_stance)
         separation = self.foothold[1, 0] - self.foothold[1, 1]
-        self._require("foot separation", separation, separation >= p.foot_separation)
         fraction = np.linspace(0.0, 1.0, POINTS + 1)
-        share = ca.DM(travel(fraction)).T
+        share, approach = ca.DM(travel(fraction)).T, []
         for k, swing in ((0, 0), (2, 1)):
             time = begins[k] + p.single_stance * ca.DM(fraction).T
             stance_time = mid_stance[1 - swing] - time
@@ -132,6 +141,12 @@ class StrideProblem(GaitProgram[WholeStride]):
             distance = ahead[0] - ahead[1]
             side = ("left", "right")[swing]
             self._require(f"foot distance, {side} swing", distance, distance >= p.min_foot_distance)
+            approach.append(separation - distance[[0, -1]])
+        # a maximum without corners, of which gaits would have corners over the command, too
+        room = p.foot_separation - p.min_foot_distance
+        room = (room**4 + ca.sumsqr(ca.horzcat(*approach) ** 2) / 2) ** 0.25
+        wide = separation - p.min_foot_distance - room
+        self._require("foot separation", wide, wide >= 0)
 
     def _exchange_legs(self, states: list[ca.MX], pairs: tuple) -> None:
         """Land with a slack spring, leave without a force."""

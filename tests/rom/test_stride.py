@@ -20,6 +20,7 @@ from aslip.rom.arc import twist_pose
 from aslip.rom.collocation import weights
 from aslip.rom.program import INTERVALS
 
+from .equations import derivative
 from .velocities import check_velocities
 
 POINTS = 2 * INTERVALS
@@ -79,19 +80,6 @@ def state_at(gait, point):
     return np.concatenate([array[point] for array in tracks])
 
 
-def derivative(state, control, feet, mode):
-    """Equations of motion, written anew in NumPy."""
-    force, actuator = np.array([0.0, 0.0, -P.weight]), control.copy()
-    for leg in (leg for leg in range(2) if mode.stance[leg]):
-        lever = state[:3] - feet[leg]
-        length = np.sqrt(lever @ lever)
-        spring = P.stiffness * (state[6 + leg] - length)
-        along = spring + P.damping * (state[8 + leg] - lever @ state[3:6] / length)
-        force += along * lever / length
-        actuator[leg] -= along / P.actuator_inertia
-    return np.concatenate([state[3:6], force / P.mass, state[8:10], actuator])
-
-
 def inputs(gait, first, feet, mode):
     """Inputs (3, 2) at the points of an interval.
 
@@ -102,9 +90,9 @@ def inputs(gait, first, feet, mode):
     if (first + 2) % POINTS == 0:
         states = [state_at(gait, first + i) for i in range(3)]
         h = gait.time[first + 2] - gait.time[first]
-        rates = [derivative(states[i], found[i], feet, mode)[8:] for i in range(2)]
+        rates = [derivative(states[i], found[i], feet, mode, P)[8:] for i in range(2)]
         last = 6 / h * (states[2] - states[0])[8:] - rates[0] - 4 * rates[1]
-        found[2] = last - derivative(states[2], np.zeros(2), feet, mode)[8:]
+        found[2] = last - derivative(states[2], np.zeros(2), feet, mode, P)[8:]
     return found
 
 
@@ -119,7 +107,7 @@ def test_integration_over_the_stride_ends_one_stride_further_along_the_arc(gait)
 
         def rate(t, x, start=start, pieces=pieces, feet=feet, mode=mode):
             s = t - start
-            return derivative(x, (pieces[0] * s + pieces[1]) * s + pieces[2], feet, mode)
+            return derivative(x, (pieces[0] * s + pieces[1]) * s + pieces[2], feet, mode, P)
 
         state = solve_ivp(rate, (start, end), state, "RK45", rtol=1e-8, atol=1e-10).y[:, -1]
     forward, sideways, yaw_rate = gait.command
