@@ -23,10 +23,12 @@ if TYPE_CHECKING:
         convex_gaits,
         solve_directions,
     )
-    from aslip.library.library import GaitLibrary, Reference
+    from aslip.library.library import GaitLibrary
     from aslip.library.pendulum import pendulum_library, single_reference_library
+    from aslip.library.reference import Reference
     from aslip.library.table import PAPER_SPEEDS, GaitTable
-    from aslip.library.tabulate import tabulate
+    from aslip.library.tabulate import tabulate, tabulate_transitions
+    from aslip.library.transitions import TransitionTable, WalkMode
 
 __all__ = [
     "PAPER_SPEEDS",
@@ -35,20 +37,25 @@ __all__ = [
     "GaitLibrary",
     "GaitTable",
     "Reference",
+    "TransitionTable",
+    "WalkMode",
     "convex_gaits",
     "pendulum_library",
     "single_reference_library",
     "solve_directions",
     "tabulate",
+    "tabulate_transitions",
 ]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "directions": ["DirectionGrid", "GaitFolder", "convex_gaits", "solve_directions"],
-        "library": ["GaitLibrary", "Reference"],
+        "library": ["GaitLibrary"],
         "pendulum": ["pendulum_library", "single_reference_library"],
+        "reference": ["Reference"],
         "table": ["PAPER_SPEEDS", "GaitTable"],
-        "tabulate": ["tabulate"],
+        "tabulate": ["tabulate", "tabulate_transitions"],
+        "transitions": ["TransitionTable", "WalkMode"],
     },
 )

@@ -11,6 +11,7 @@ import numpy as np
 from aslip.errors import AssetError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.library.table import ARRAYS, GaitTable
+from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
 from aslip.robot import CASSIE, Robot
 from aslip.rom.gait import Gait
 from aslip.rom.motion import Motion, SampledMotion
@@ -18,18 +19,23 @@ from aslip.rom.motion import Motion, SampledMotion
 FORMAT = ArchiveFormat(
     "gait library", 5, advice="rebuild it with recipes/gait_library.py", compressed=True
 )
-"""Entries: `table/FIELD.npy`, `motionNN/FIELD.npy`, `made_by.json`.
+"""Entries: `table/FIELD.npy`, `motionNN/FIELD.npy`, `transitions/FIELD.npy`, `made_by.json`.
 
-Headings that are 0 everywhere and the mask of a full grid are left out.
+Headings that are 0 everywhere and the mask of a full grid are left out, and so are transitions that
+a library does not have.
 """
 _MADE_BY = "made_by.json"
 _HEADINGS = {"body_heading": (), "foot_heading": (2,)}
 
 
 def write_library(
-    path: Path, motions: Sequence[Motion], table: GaitTable, made_by: Mapping[str, str]
+    path: Path,
+    motions: Sequence[Motion],
+    table: GaitTable,
+    made_by: Mapping[str, str],
+    transitions: TransitionTable | None = None,
 ) -> None:
-    """Write motions and table.
+    """Write motions, table and transitions.
 
     An optimal gait is stored unchanged, another motion as a `SampledMotion` with the number of
     samples of the table.
@@ -39,6 +45,7 @@ def write_library(
         motions: motions of the table.
         table: table of the motions.
         made_by: command and package versions that made the library.
+        transitions: stop and start, if there are any.
 
     Raises:
         OSError: the file cannot be written; an existing one is unchanged.
@@ -50,6 +57,9 @@ def write_library(
     if table.present is not None:
         arrays["table/present"] = table.present
     arrays |= {f"table/axis{i}": axis for i, axis in enumerate(table.axes)}
+    if transitions is not None:
+        names = ("touchdown", "durations", *TRANSITION_ARRAYS)
+        arrays |= {f"transitions/{name}": getattr(transitions, name) for name in names}
     samples = table.qpos.shape[-2]
     for i, motion in enumerate(motions):
         stored = (
@@ -64,8 +74,8 @@ def write_library(
 
 def read_library(
     path: Path, robot: Robot = CASSIE
-) -> tuple[list[Motion], GaitTable, dict[str, str]]:
-    """Read motions, table and origin of a library of a robot; no motions if it stores none.
+) -> tuple[list[Motion], GaitTable, dict[str, str], TransitionTable | None]:
+    """Read motions, table, origin and transitions of a library of a robot, as far as it has them.
 
     Raises:
         AssetError: there is no such file.
@@ -80,11 +90,17 @@ def read_library(
         arrays = _arrays(entries)
         parts = _parts(arrays)
         table = _table(parts.pop("table"), robot)
+        changes = parts.pop("transitions", None)
+        if changes is None:
+            transitions = None
+        else:
+            touchdown = float(changes.pop("touchdown"))
+            transitions = TransitionTable(touchdown=touchdown, **changes)
         motions = [_motion(parts[f"motion{i:02d}"]) for i in range(len(parts))]
         made_by = dict(json.loads(entries[_MADE_BY]))
     except Exception as error:  # arrays of another kind may cause any error
         raise FORMAT.damaged(path, error) from error
-    return motions, table, made_by
+    return motions, table, made_by, transitions
 
 
 def _table(arrays: Mapping[str, np.ndarray], robot: Robot) -> GaitTable:

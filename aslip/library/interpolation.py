@@ -131,13 +131,42 @@ class PeriodicTable(nn.Module):
         left = position.floor()
         column = left.long() % samples
         first = motion * samples
-        after = self._at(first + (column + 1) % samples)
-        return _hermite(self._at(first + column), after, (position - left).unsqueeze(-1))
+        after = _nodes_at(self.nodes, first + (column + 1) % samples)
+        before = _nodes_at(self.nodes, first + column)
+        return _hermite(before, after, (position - left).unsqueeze(-1))
 
-    def _at(self, index: Tensor) -> Tensor:
-        """Nodes (*b, 2, k) by index; selecting rows is several times faster than indexing twice."""
-        nodes = self.nodes.flatten(0, 1).index_select(0, index.flatten())
-        return nodes.reshape(*index.shape, *nodes.shape[1:])
+
+class OpenTable(nn.Module):
+    """Interpolation of n motions with two ends, from m samples of k values, both ends included.
+
+    Cubic splines whose slopes at both ends are those of the cubics through the four samples there.
+
+    Args:
+        values: (n, m, k) samples, in the precision of the table.
+    """
+
+    nodes: Tensor
+    """(n, m, 2, k) value and slope of each sample, adjacent in memory."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        super().__init__()
+        nodes = np.stack([values, open_slopes(values)], axis=2)
+        self.register_buffer("nodes", torch.from_numpy(nodes), persistent=False)
+
+    def forward(self, fraction: Tensor, motion: Tensor) -> Tensor:
+        """Values (*b, k) of motions (*b, 1), by index, at fractions (*b, 1) from 0 to 1."""
+        samples = self.nodes.shape[1]
+        position = fraction.to(self.nodes.dtype) * (samples - 1)
+        left = position.floor().clamp(max=samples - 2)
+        first = motion * samples + left.long()
+        before, after = (_nodes_at(self.nodes, first + step) for step in (0, 1))
+        return _hermite(before, after, (position - left).unsqueeze(-1)).squeeze(-2)
+
+
+def _nodes_at(nodes: Tensor, index: Tensor) -> Tensor:
+    """Nodes (*b, 2, k) by index; selecting rows is several times faster than indexing twice."""
+    chosen = nodes.flatten(0, 1).index_select(0, index.flatten())
+    return chosen.reshape(*index.shape, *chosen.shape[1:])
 
 
 def periodic_slopes(values: np.ndarray) -> np.ndarray:
@@ -154,6 +183,17 @@ def periodic_slopes(values: np.ndarray) -> np.ndarray:
     free, bound = _tridiagonal(right[:-1]), _tridiagonal(ends)
     last = (right[-1] - free[0] - free[-1]) / (4 + bound[0] + bound[-1])
     return np.concatenate([free + last * bound, last[None]]).swapaxes(0, 1)
+
+
+def open_slopes(values: np.ndarray) -> np.ndarray:
+    """Slopes (n, m, k) per sample of the cubic splines through samples (n, m, k) of `OpenTable`."""
+    y, cubic = values.swapaxes(0, 1), np.array([-11.0, 18.0, -9.0, 2.0]) / 6
+    first = np.tensordot(cubic, y[:4], axes=1)
+    last = -np.tensordot(cubic, y[:-5:-1], axes=1)
+    right = 3 * (y[2:] - y[:-2])
+    right[0] -= first
+    right[-1] -= last
+    return np.concatenate([first[None], _tridiagonal(right), last[None]]).swapaxes(0, 1)
 
 
 def _tridiagonal(right: np.ndarray) -> np.ndarray:

@@ -9,21 +9,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Unpack
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 from torch import Tensor, nn
 
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.files.assets import asset_path
 from aslip.library.file import read_library, write_library
 from aslip.library.interpolation import CommandGrid, PeriodicTable, multilinear
+from aslip.library.reference import COLUMNS, Reference
 from aslip.library.region import describe, listed
 from aslip.library.table import GaitTable
+from aslip.library.transitions import HALF, Transitions, TransitionTable, WalkMode
 from aslip.robot import CASSIE, SIDES, Robot
 from aslip.rom.gait import Gait
 from aslip.rom.motion import PHASE_SAMPLES, Motion
@@ -34,60 +35,9 @@ if TYPE_CHECKING:
 SHIPPED = ("gaits", "single_reference")
 """Names of shipped libraries."""
 
-_FEET = ("foot_position", "foot_velocity", "foot_heading")
-_COLUMNS = (
-    *("motor_position", "motor_velocity", "motor_torque"),
-    *("body_position", "body_velocity", "body_heading"),
-    *_FEET,
-)
 _BORDER = 1e-6  # rounding of a command at the border of a region
-
-
-@dataclass(frozen=True)
-class Reference:
-    """Reference motion at one instant, in the moving frame; batch shape b.
-
-    The moving frame: its origin goes along the mean path on the ground, at the commanded speeds
-    along its own axes x and y; x points along the mean heading, y left, z up, and the frame turns
-    at the commanded yaw rate. On a straight path its axes stay those of the walk.
-
-    Velocities are over ground, expressed in the axes of the frame, so that a foot in stance has
-    none. Body and feet are the reduced-order model's. The body is mapped to the pelvis origin, a
-    foot to the centre of the sole.
-    """
-
-    motor_position: Tensor
-    """(*b, 10) motor angles of the inverse kinematics [rad]."""
-    motor_velocity: Tensor
-    """(*b, 10) motor velocities [rad/s]."""
-    motor_torque: Tensor
-    """(*b, 10) joint torques that balance the model's leg forces [N m]."""
-    body_position: Tensor
-    """(*b, 3) position in the moving frame: forward and sideways deviation from the mean path,
-    height above ground [m]. Public code lets x grow over a stride and jump back to 0; we subtract
-    uniform motion so that the reference is continuous."""
-    body_velocity: Tensor
-    """(*b, 3) velocity over ground, commanded speeds included [m/s]."""
-    left_foot_position: Tensor
-    """(*b, 3) sole centre minus body [m]."""
-    left_foot_velocity: Tensor
-    """(*b, 3) velocity over ground, zero in stance [m/s]."""
-    right_foot_position: Tensor
-    """(*b, 3) sole centre minus body [m]."""
-    right_foot_velocity: Tensor
-    """(*b, 3) velocity over ground, zero in stance [m/s]."""
-    body_heading: Tensor
-    """(*b, 1) deviation of the body's heading from the mean heading [rad]."""
-    left_foot_heading: Tensor
-    """(*b, 1) direction of the toes, from the x axis of the frame; in stance it changes by minus
-    the yaw rate [rad]."""
-    right_foot_heading: Tensor
-    """(*b, 1) direction of the toes, from the x axis of the frame [rad]."""
-
-    def to_tensordict(self) -> TensorDict:
-        """Convert to a tensordict with one entry per field."""
-        entries = {field.name: getattr(self, field.name) for field in fields(self)}
-        return TensorDict(entries, batch_size=self.motor_position.shape[:-1])
+_JOINT = 2e-3  # largest gap between gait and transitions [m]
+_PLACES = ("body_position", *(f"{side}_foot_position" for side in SIDES))
 
 
 class GaitLibrary(nn.Module):
@@ -100,10 +50,12 @@ class GaitLibrary(nn.Module):
         motions: motions in order of the table's commands, or None to keep the table only.
         table: table of the motions, from `tabulate`.
         made_by: origin, such as the command and package versions; saved in the file.
+        transitions: stop and start of the gait in place, from `tabulate_transitions`; without them
+            a robot cannot stand.
 
     Raises:
-        ConfigurationError: commands of the motions are not those of the table, or the table lacks a
-            motion amid others.
+        ConfigurationError: commands of the motions are not those of the table, the table lacks a
+            motion amid others, or stop and start do not begin and end in the gait in place.
     """
 
     def __init__(
@@ -112,6 +64,7 @@ class GaitLibrary(nn.Module):
         table: GaitTable,
         *,
         made_by: Mapping[str, str] | None = None,
+        transitions: TransitionTable | None = None,
     ) -> None:
         super().__init__()
         self.made_by = dict(made_by or {})
@@ -123,10 +76,10 @@ class GaitLibrary(nn.Module):
                 f"commands of motions must be those of the table, {listed(expected)}, got"
                 f" {listed(commands)}"
             )
-        columns = [_flat(table, getattr(table, name)) for name in _COLUMNS]
+        columns = [_flat(table, getattr(table, name)) for name in COLUMNS]
         self._widths = [column.shape[-1] for column in columns]
         jumps = np.repeat(
-            [table.torque_jumps and name == "motor_torque" for name in _COLUMNS], self._widths
+            [table.torque_jumps and name == "motor_torque" for name in COLUMNS], self._widths
         )
         self._grid = CommandGrid(table.axes, table.missing)
         self._reference = PeriodicTable(np.concatenate(columns, axis=-1), jumps)
@@ -136,6 +89,10 @@ class GaitLibrary(nn.Module):
         self._strides: Tensor
         strides = torch.tensor(table.strides.reshape(-1, 1))
         self.register_buffer("_strides", strides, persistent=False)
+        self._transitions = None
+        if transitions is not None:
+            self._transitions = Transitions(transitions, COLUMNS)
+            self._check_joints(transitions)
 
     @classmethod
     def from_motions(
@@ -149,6 +106,7 @@ class GaitLibrary(nn.Module):
         missing: bool = False,
         keep_motions: bool = True,
         made_by: Mapping[str, str] | None = None,
+        transitions: TransitionTable | None = None,
         **build: Unpack[BuildOptions],
     ) -> GaitLibrary:
         """Tabulate motions and make a library of them.
@@ -167,7 +125,8 @@ class GaitLibrary(nn.Module):
             missing=missing,
             **build,
         )
-        return cls(motions if keep_motions else None, table, made_by=made_by)
+        kept = motions if keep_motions else None
+        return cls(kept, table, made_by=made_by, transitions=transitions)
 
     @classmethod
     def load(cls, path: str | Path = "gaits", robot: Robot = CASSIE) -> GaitLibrary:
@@ -183,11 +142,11 @@ class GaitLibrary(nn.Module):
             FileDamagedError: the file is truncated, altered, or no gait library.
         """
         file = asset_path(f"{path}.npz") if path in SHIPPED else Path(path)
-        motions, table, made_by = read_library(file, robot)
-        return cls(motions or None, table, made_by=made_by)
+        motions, table, made_by, transitions = read_library(file, robot)
+        return cls(motions or None, table, made_by=made_by, transitions=transitions)
 
     def save(self, path: str | Path) -> None:
-        """Write motions and table; `load` returns the same bits.
+        """Write motions, table and transitions; `load` returns the same bits.
 
         Motions other than optimal gaits are loaded as `aslip.rom.SampledMotion`.
 
@@ -197,7 +156,12 @@ class GaitLibrary(nn.Module):
         Raises:
             OSError: the file cannot be written; an existing one is unchanged.
         """
-        write_library(Path(path), self.motions, self.table, self.made_by)
+        write_library(Path(path), self.motions, self.table, self.made_by, self.transitions)
+
+    @property
+    def transitions(self) -> TransitionTable | None:
+        """Stop and start, if the library has them."""
+        return self._transitions.table if self._transitions else None
 
     @property
     def speeds(self) -> np.ndarray:
@@ -273,7 +237,7 @@ class GaitLibrary(nn.Module):
         """Reference motion, see `lookup`."""
         return self.lookup(phase, command)
 
-    def lookup(self, phase: Tensor, command: Tensor) -> Reference:
+    def lookup(self, phase: Tensor, command: Tensor, mode: Tensor | None = None) -> Reference:
         """Reference motion at a point of the stride (Sec. III-A).
 
         Interpolation is cubic in phase and multilinear in the command. Phase wraps; commands are
@@ -283,19 +247,62 @@ class GaitLibrary(nn.Module):
             phase: (*b, 1) stride fraction; 0 is left lift-off.
             command: (*b, c) one value per axis of the grid: forward speed, sideways speed [m/s],
                 yaw rate [rad/s].
+            mode: (*b, 1) values of `WalkMode`; walking by default. Where a robot does not walk, the
+                reference is that of `transition`, and the command does not count.
 
         Returns:
             Reference with batch shape b, single precision.
 
         Raises:
             ShapeError: an argument is not a tensor of its shape.
+            ConfigurationError: a mode is given, and the library has no transitions.
         """
         values = self._interpolate(self._reference, phase, command).float()
-        columns = dict(zip(_COLUMNS, values.split(self._widths, dim=-1), strict=True))
-        for name in _FEET:
-            pair = columns.pop(name).chunk(2, dim=-1)
-            columns |= {f"{side}_{name}": v for side, v in zip(SIDES, pair, strict=True)}
-        return Reference(**columns)
+        if mode is not None:
+            other = self._changing(phase, mode).reference(phase, mode).float()
+            values = torch.where(mode == WalkMode.WALK, values, other)
+        return Reference.of(values, self._widths)
+
+    def transition(self, phase: Tensor, mode: Tensor) -> Reference:
+        """Reference motion of a stop, of standing or of a start.
+
+        Args:
+            phase: (*b, 1) stride fraction, see `aslip.library.transitions`: which foot landed last,
+                and how far a stop or start is. Beyond its ends a transition keeps its ends.
+            mode: (*b, 1) values of `WalkMode` other than walking.
+
+        Returns:
+            Reference with batch shape b, single precision.
+
+        Raises:
+            ShapeError: an argument is not a tensor of its shape.
+            ConfigurationError: the library has no transitions.
+        """
+        values = self._changing(phase, mode).reference(phase, mode).float()
+        return Reference.of(values, self._widths)
+
+    def _changing(self, phase: Tensor, mode: Tensor) -> Transitions:
+        _check_width("phase", phase, 1)
+        _check_width("mode", mode, 1)
+        if self._transitions is None:
+            raise ConfigurationError(
+                "this library has no stop and start; build one with transitions, as"
+                " recipes/direction_library.py does"
+            )
+        return self._transitions
+
+    def _check_joints(self, table: TransitionTable) -> None:
+        """Compare the ends of stop and start, after the left touchdown, with the gait in place."""
+        phase = torch.tensor([[table.touchdown], [HALF - _BORDER]], dtype=torch.float64)
+        in_place = torch.zeros(2, self.command_size, dtype=phase.dtype)
+        mode = torch.tensor([[WalkMode.STOP], [WalkMode.START]])
+        gait, ends = self.lookup(phase, in_place), self.transition(phase, mode)
+        gaps = [(getattr(gait, n) - getattr(ends, n)).norm(dim=-1).max().item() for n in _PLACES]
+        if not (self.covers(in_place).all() and max(gaps) <= _JOINT):
+            raise ConfigurationError(
+                "stop and start must join the gait of the library in place, got a gap of"
+                f" {1e3 * max(gaps):.3g} mm"
+            )
 
     def stride(self, command: Tensor) -> Tensor:
         """Duration of a stride [s], (*b, 1); multilinear between motions, clamped outside."""
@@ -303,12 +310,15 @@ class GaitLibrary(nn.Module):
         motion, weights = self._grid.corners(command)
         return multilinear(self._strides[motion], weights).to(command.dtype)
 
-    def initial_state(self, phase: Tensor, command: Tensor) -> tuple[Tensor, Tensor]:
+    def initial_state(
+        self, phase: Tensor, command: Tensor, mode: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Configuration and velocity of a robot on the reference.
 
         Args:
             phase: (*b, 1) stride fraction.
             command: (*b, c) as in `lookup`.
+            mode: (*b, 1) as in `lookup`.
 
         Returns:
             `qpos` (*b, 35) and `qvel` (*b, 32), double precision, MuJoCo's conventions. The moving
@@ -317,9 +327,14 @@ class GaitLibrary(nn.Module):
             of a millimetre.
         """
         qpos = self._interpolate(self._qpos, phase, command).double()
+        qvel = self._interpolate(self._qvel, phase, command).double()
+        if mode is not None:
+            state = self._changing(phase, mode).state(phase, mode)
+            walks = mode == WalkMode.WALK
+            qpos, qvel = (torch.where(walks, *p) for p in zip((qpos, qvel), state, strict=True))
         for quaternion in self.table.robot.indices.quaternions:
             qpos[..., quaternion] = nn.functional.normalize(qpos[..., quaternion], dim=-1)
-        return qpos, self._interpolate(self._qvel, phase, command).double()
+        return qpos, qvel
 
     def _interpolate(self, table: PeriodicTable, phase: Tensor, command: Tensor) -> Tensor:
         _check_width("phase", phase, 1)
@@ -330,7 +345,7 @@ class GaitLibrary(nn.Module):
     def _shared(self, table: GaitTable) -> GaitTable:
         """Table whose arrays are views of the nodes, so that no number is stored twice."""
         parts = np.split(self._reference.values(), np.cumsum(self._widths)[:-1], axis=-1)
-        views = dict(zip(_COLUMNS, parts, strict=True))
+        views = dict(zip(COLUMNS, parts, strict=True))
         views |= {"qpos": self._qpos.values(), "qvel": self._qvel.values()}
         shaped = {n: view.reshape(getattr(table, n).shape, copy=False) for n, view in views.items()}
         return replace(table, **shaped)

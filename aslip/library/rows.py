@@ -59,6 +59,20 @@ class FramedMotion:
             toe_rate=(after - before) / (2 * _INSTANT * motion.stride),
         )
 
+    @classmethod
+    def still(cls, motion: Motion, phase: np.ndarray) -> FramedMotion:
+        """Sample a motion of zero command whose feet do not turn at phases (m,).
+
+        It need not be periodic.
+        """
+        return cls(
+            command=np.array(motion.command, dtype=float),
+            stride=float(motion.stride),
+            sample=motion.sample(phase),
+            origin=np.zeros((len(phase), 3)),
+            toe_rate=np.zeros((len(phase), 2)),
+        )
+
     def rows(self, kinematics: Kinematics) -> Rows:
         """Solve for the robot's configurations and torques.
 

@@ -9,10 +9,14 @@ from typing import TypedDict, Unpack
 import numpy as np
 
 from aslip.errors import ConfigurationError
+from aslip.ik import Kinematics
 from aslip.library.build import Progress, build_rows
 from aslip.library.region import extrapolate, listed
+from aslip.library.rows import FramedMotion
 from aslip.library.table import ARRAYS, FEWEST_SAMPLES, GaitTable
+from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
 from aslip.robot import CASSIE, Robot
+from aslip.rom import Gait, Transition
 from aslip.rom.arc import COMMAND_SIZES
 from aslip.rom.motion import PHASE_SAMPLES, Motion
 
@@ -78,6 +82,37 @@ def tabulate(
         column[present] = values
         columns[name] = extrapolate(column, present)
     return GaitTable(axes=axes, torque_jumps=torque_jumps, robot=robot, present=present, **columns)
+
+
+def tabulate_transitions(
+    gait: Gait,
+    transitions: tuple[Transition, Transition],
+    robot: Robot = CASSIE,
+    *,
+    samples: int = 48,
+) -> TransitionTable:
+    """Tabulate stop and start with the robot's configurations and torques, after either foot.
+
+    Args:
+        gait: gait in place.
+        transitions: stop and start after its left touchdown, from
+            `aslip.rom.optimize_transitions`.
+        robot: robot that they are mapped to.
+        samples: samples of each motion, both ends included.
+
+    Raises:
+        ShapeError: there are fewer than four samples.
+        UnreachablePoseError: the robot cannot take a pose.
+    """
+    kinematics, phase = Kinematics(robot), np.linspace(0.0, 1.0, samples)
+    motions = [side for one in transitions for side in (one, one.mirrored())]
+    rows = [FramedMotion.still(motion, phase).rows(kinematics) for motion in motions]
+    columns = {n: np.stack([row[n] for row in rows]) for n in TRANSITION_ARRAYS}
+    return TransitionTable(
+        touchdown=gait.single_stance / gait.stride,
+        durations=np.array([motion.stride for motion in transitions]),
+        **{name: v.reshape(2, 2, *v.shape[1:]) for name, v in columns.items()},
+    )
 
 
 def grid_of(
