@@ -104,8 +104,8 @@ from tensordict import TensorDictBase
 from tqdm import tqdm
 
 import aslip
-from aslip.control import Schedule, numbers
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
+from aslip.library import Schedule, numbers
 from aslip.log import Recorder
 from aslip.policy import policy_stack
 from aslip.robot import CASSIE

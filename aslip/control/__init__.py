@@ -11,15 +11,10 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.control.controller import Controller, ControllerState
-    from aslip.control.schedule import Command, Schedule, numbers
 
-__all__ = ["Command", "Controller", "ControllerState", "Schedule", "numbers"]
+__all__ = ["Controller", "ControllerState"]
 
 # the runner works without PyTorch, which `controller` imports
 __getattr__, __dir__, _ = lazy_loader.attach(
-    __name__,
-    submod_attrs={
-        "controller": ["Controller", "ControllerState"],
-        "schedule": ["Command", "Schedule", "numbers"],
-    },
+    __name__, submod_attrs={"controller": ["Controller", "ControllerState"]}
 )

@@ -26,20 +26,24 @@ if TYPE_CHECKING:
     from aslip.library.library import GaitLibrary
     from aslip.library.pendulum import pendulum_library, single_reference_library
     from aslip.library.reference import Reference
+    from aslip.library.schedule import Command, Schedule, numbers
     from aslip.library.table import PAPER_SPEEDS, GaitTable
     from aslip.library.tabulate import tabulate, tabulate_transitions
     from aslip.library.transitions import TransitionTable, WalkMode
 
 __all__ = [
     "PAPER_SPEEDS",
+    "Command",
     "DirectionGrid",
     "GaitFolder",
     "GaitLibrary",
     "GaitTable",
     "Reference",
+    "Schedule",
     "TransitionTable",
     "WalkMode",
     "convex_gaits",
+    "numbers",
     "pendulum_library",
     "single_reference_library",
     "solve_directions",
@@ -54,6 +58,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "library": ["GaitLibrary"],
         "pendulum": ["pendulum_library", "single_reference_library"],
         "reference": ["Reference"],
+        "schedule": ["Command", "Schedule", "numbers"],
         "table": ["PAPER_SPEEDS", "GaitTable"],
         "tabulate": ["tabulate", "tabulate_transitions"],
         "transitions": ["TransitionTable", "WalkMode"],

@@ -12,10 +12,9 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from aslip.control import Command, numbers
 from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env
 from aslip.errors import ConfigurationError
-from aslip.library import GaitLibrary
+from aslip.library import Command, GaitLibrary, numbers
 from aslip.policy import add_memory, load_policy, policy_stack
 from aslip.robot import CASSIE
 from aslip.walking.push import policy_steps

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from aslip.control import Schedule
 from aslip.errors import ConfigurationError
+from aslip.library import Schedule
 
 
 def test_schedule_holds_each_speed_until_the_next() -> None:
