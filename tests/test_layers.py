@@ -31,12 +31,21 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "twin": {"robot", "wire", "estimation", "sim", "training"},
     "transforms": {"robot", "library", "estimation", "sim"},
     "policy": {"robot", "transforms"},
-    "control": {"robot", "library", "estimation", "transforms", "policy"},
+    "control": {
+        "robot",
+        "library",
+        "estimation",
+        "transforms",
+        "policy",
+        "wire",
+        "training",
+        "log",
+    },
     "envs": {"robot", "library", "estimation", "sim", "transforms", "policy"},
     "training": {"robot", "sim", "transforms", "policy", "envs"},
-    "walking": {"robot", "library", "transforms", "policy", "envs", "control"},
+    "walking": {"robot", "library", "transforms", "policy", "envs"},
     "show": {"robot", "rom", "library", "transforms", "policy", "envs", "walking"},
-    "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs", "control"}
+    "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs"}
     | {"training", "walking", "show"},
 }
 # libraries with a long import time

@@ -1,0 +1,226 @@
+"""Walk a robot, or its twin, with a policy over the network.
+
+    python -m aslip.twin --real-time                     # in another terminal
+    python -m aslip.control --command 0.5 --duration 10
+
+Without --command, --schedule and --listen, the keys of the terminal steer. Ctrl-C damps the motors
+and ends. Exit status 0 after a stop by the operator, 1 after any other damping.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ipaddress
+import math
+import signal
+import socket
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from aslip.control.runner.commands import KEYS, Datagrams, Keyboard, Scheduled, Source
+from aslip.control.runner.load import Loaded, load
+from aslip.control.runner.loop import Run, run_lockstep, run_real_time
+from aslip.control.runner.readings import Readings, SensorReadings, StateReadings
+from aslip.control.runner.supervisor import Limits, Supervisor
+from aslip.errors import ConfigurationError, NetworkError, one_line_errors
+from aslip.library import Schedule
+from aslip.training.command_line import command_line
+from aslip.wire import CLIENT, LOOPBACK, SIMULATOR, Address, Endpoint, Link
+
+if TYPE_CHECKING:
+    from aslip.control.runner.record import RunLog
+
+# duration of the ramps of a robot that hangs from a gantry [s]
+_GANTRY_RAMP = 2.0
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings of the runner."""
+
+    policy: str = "aslip"
+    """Name of a shipped policy, policy file, or folder of a training run."""
+    library: str | None = None
+    """Gaits of the policy: file, or name of a shipped library; by default those of its stack."""
+    command: str | None = None
+    """Command from the start of the walk on: forward speed [m/s]; or forward speed, sideways speed
+    and yaw rate [rad/s], separated by spaces."""
+    schedule: str | None = None
+    """Commands over the time of the walk [s], such as "0:0.0,4:1.0,8:0.5"."""
+    listen: int | None = None
+    """Port on loopback at which another program sends commands as JSON."""
+    duration: float = math.inf
+    """Duration of a walk with --command or --schedule before it stops [s]."""
+    host: str = SIMULATOR.host
+    """IPv4 address of the robot; beyond loopback only if it is given here."""
+    port: int = SIMULATOR.port
+    """Port of the robot: 25000 of a twin, 25010 of a robot."""
+    local_port: int = CLIENT.port
+    """Port of this program: 25001 for a twin, 25011 for a robot, 0 for any."""
+    raw: bool = False
+    """Raw mode: sensors instead of estimates from the robot, torques instead of targets to it."""
+    lockstep: bool = False
+    """Advance a twin in lockstep, one command per tick, instead of real time."""
+    ramp: float | None = None
+    """Duration in which gains rise, and again in which joints move to the first pose [s]; by
+    default 0 on loopback, where a twin stands on its feet, and 2 for robots, which hang from a
+    gantry."""
+    tilt: float = Limits.tilt
+    """Angle between pelvis and vertical beyond which the motors are damped [rad]."""
+    patience: float = 10.0
+    """Longest wait for the first packet [s]."""
+    log: Path | None = None
+    """MCAP file to write."""
+    replay: Path | None = None
+    """Log of a run to repeat offline; it compares all motor commands, without a robot."""
+
+
+def main(config: Config) -> None:
+    """Run, or replay a log.
+
+    Raises:
+        SystemExit: status 1 after damping that the operator did not ask for, or after a replay
+            with different commands.
+    """
+    if config.replay is not None:
+        return replay_log(config.replay)
+    source, limits = make_source(config), make_limits(config)
+    readings: Readings = SensorReadings() if config.raw else StateReadings()
+    link = Link(readings.sends, readings.receives, refuse_not_finite=False)
+    peer = Address(config.host, config.port)
+    local, beyond = local_address(peer, config.local_port)
+    with source, Endpoint(link, local, peer, beyond_loopback=beyond) as endpoint:
+        loaded = load(config.policy, config.library)
+        supervisor = make_supervisor(loaded, limits)
+        _say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
+        log = _open_log(config, loaded, readings, limits)
+        run = Run(supervisor, readings, source, log=log, say=_say)
+        with contextlib.closing(run), damping_signals(run):
+            drive = run_lockstep if config.lockstep else run_real_time
+            drive(run, endpoint, patience=config.patience)
+        counts = {name: number for name, number in asdict(link.counters).items() if number}
+        _say("\n".join([*run.tally.lines(), f"datagrams: {counts}"]))
+    if "operator" not in supervisor.reason:
+        raise SystemExit(1)
+
+
+def make_source(config: Config) -> Source:
+    """Source of commands.
+
+    Raises:
+        ConfigurationError: several sources are given, or none and there is no terminal.
+        NetworkError: the port for commands is in use.
+    """
+    given = [n for n in ("command", "schedule", "listen") if getattr(config, n) is not None]
+    if len(given) > 1:
+        raise ConfigurationError(f"give one of --command, --schedule and --listen, got {given}")
+    if config.listen is not None:
+        source = Datagrams(config.listen, _say)
+        print(f"commands as JSON at 127.0.0.1:{source.port}", flush=True)
+        return source
+    if not given:
+        source = Keyboard()
+        print("\n".join(f"{key:6} {meaning}" for key, meaning in KEYS.items()), flush=True)
+        return source
+    text = config.schedule if config.command is None else config.command
+    if not config.duration > 0:
+        raise ConfigurationError(f"duration must be positive, got {config.duration}")
+    return Scheduled(Schedule.parse(str(text)), config.duration)
+
+
+def make_limits(config: Config) -> Limits:
+    """Durations and limits of the supervisor."""
+    ramp = config.ramp
+    if ramp is None:
+        ramp = 0.0 if _is_loopback(config.host) else _GANTRY_RAMP
+    return Limits(ramp=ramp, tilt=config.tilt)
+
+
+def make_supervisor(loaded: Loaded, limits: Limits) -> Supervisor:
+    """Supervisor of a loaded controller."""
+    return Supervisor(loaded.controller, loaded.pose, limits, command_size=loaded.command_size)
+
+
+def local_address(robot: Address, port: int) -> tuple[Address, bool]:
+    """Address to listen at, on the way to the robot; True if it is beyond loopback.
+
+    Raises:
+        NetworkError: there is no way to the robot.
+    """
+    if _is_loopback(robot.host):
+        return Address(LOOPBACK, port), False
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # sends nothing
+            probe.connect(robot)
+        except OSError as error:
+            raise NetworkError(f"no way to the robot at {robot}: {error.strerror}") from error
+        return Address(probe.getsockname()[0], port), True
+
+
+def replay_log(path: Path) -> None:
+    """Repeat a run offline and compare all commands.
+
+    Raises:
+        SystemExit: status 1 if a command differs.
+    """
+    from aslip.control.runner.record import replay
+
+    with tempfile.TemporaryDirectory() as folder:
+        result = replay(
+            path, lambda files, limits: make_supervisor(load(*files), limits), Path(folder)
+        )
+    said = f"{path}: {result.ticks} policy steps, {result.walked} of them walked"
+    if result.different:
+        first = f"the first at {result.first:.2f} s"
+        raise SystemExit(f"{said}; the commands of {result.different} differ, {first}")
+    print(f"{said}; all commands are bit-equal")
+
+
+@contextlib.contextmanager
+def damping_signals(run: Run) -> Iterator[None]:
+    """Damp the motors on Ctrl-C and SIGTERM; a second signal ends at once."""
+
+    def damp(number: int, frame: object) -> None:
+        if run.interrupted:
+            raise KeyboardInterrupt
+        run.interrupted = f"operator: {signal.Signals(number).name}"
+
+    before = {n: signal.signal(n, damp) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _open_log(config: Config, loaded: Loaded, readings: Readings, limits: Limits) -> RunLog | None:
+    """Log of a run, if one is asked for."""
+    if config.log is None:
+        return None
+    # imported late: a run without a log starts faster
+    from aslip.control.runner.record import RunLog, run_metadata
+
+    metadata = run_metadata(config.policy, readings, limits)
+    return RunLog(config.log, readings.receives, loaded.files, metadata)
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether an address is on loopback; False for what is no address."""
+    try:
+        return ipaddress.IPv4Address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def _say(text: str) -> None:
+    """Print a line at once."""
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(command_line(Config))

@@ -1,0 +1,226 @@
+"""Sources of the operator's requests: a schedule, the keyboard, datagrams of another program.
+
+Each is asked once per policy step, and never waits.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import select
+import socket
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol
+
+from aslip.control.runner.supervisor import Request
+from aslip.errors import ConfigurationError, NetworkError
+from aslip.library import Schedule, numbers
+from aslip.wire import LOOPBACK
+
+_STOP_AFTER = 1.0
+AXES: Final = ("forward", "sideways", "yaw_rate")
+"""Components of a command, as entries of a request."""
+
+
+class Source(Protocol):
+    """Source of requests, a context manager."""
+
+    def __enter__(self) -> Source: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def request(self, time: float, walking: float) -> Request:
+        """Present request.
+
+        Args:
+            time: time since the start of the program [s].
+            walking: time since the start of the walk [s]; negative before.
+        """
+        ...
+
+
+class Scheduled:
+    """Commands over the time of the walk, then a stop.
+
+    Args:
+        schedule: forward speeds, or forward speed, sideways speed and yaw rate.
+        duration: time of the walk at which to stop [s]; infinite by default.
+    """
+
+    def __init__(self, schedule: Schedule, duration: float = math.inf) -> None:
+        self._schedule, self._duration = schedule, duration
+
+    def __enter__(self) -> Scheduled:
+        return self
+
+    def __exit__(self, *error: object) -> None: ...
+
+    def request(self, time: float, walking: float) -> Request:
+        """Command that is due."""
+        command = numbers(self._schedule.at(max(walking, 0.0)))
+        stop = walking >= self._duration - 1e-9
+        return Request(stop=stop)._replace(**dict(zip(AXES, command, strict=False)))
+
+
+KEYS: Final[Mapping[str, str]] = {
+    "enter": "start the walk",
+    "w, s": "faster, slower by 0.1 m/s",
+    "a, d": "turn left, right by 0.1 rad/s more",
+    "q, e": "to the left, right by 0.1 m/s more, for policies that walk sideways",
+    "space": "step in place",
+    ".": "stop: step in place, then damp",
+    "x": "damp at once",
+}
+"""Keys of `Keyboard`."""
+
+_CHANGES = {
+    "w": ("forward", 0.1),
+    "s": ("forward", -0.1),
+    "a": ("yaw_rate", 0.1),
+    "d": ("yaw_rate", -0.1),
+    "q": ("sideways", 0.1),
+    "e": ("sideways", -0.1),
+}
+
+
+class Keyboard:
+    """Keys of a terminal, see `KEYS`; the terminal's settings return at the end.
+
+    Args:
+        descriptor: file descriptor of the terminal; standard input by default.
+
+    Raises:
+        ConfigurationError: standard input is not a terminal.
+    """
+
+    def __init__(self, descriptor: int | None = None) -> None:
+        self._terminal = sys.stdin.fileno() if descriptor is None else descriptor
+        if not os.isatty(self._terminal):
+            raise ConfigurationError(
+                "the keyboard needs a terminal, but standard input is none; give --command,"
+                " --schedule or --listen"
+            )
+        self._request = Request(walk=False)
+        self._settings: list[Any] | None = None
+
+    def __enter__(self) -> Keyboard:
+        import termios
+        import tty
+
+        self._settings = termios.tcgetattr(self._terminal)
+        # single keys without echo; Ctrl-C still interrupts
+        tty.setcbreak(self._terminal)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        import termios
+
+        if self._settings is not None:
+            termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._settings)
+
+    def request(self, time: float, walking: float) -> Request:
+        """Request by all keys pressed so far."""
+        while select.select([self._terminal], [], [], 0)[0]:
+            pressed = os.read(self._terminal, 64).decode(errors="ignore")
+            if not pressed:
+                break
+            for key in pressed:
+                self._request = press(self._request, key)
+        return self._request
+
+
+def press(request: Request, key: str) -> Request:
+    """Request after a key; unknown keys change nothing."""
+    if key in _CHANGES:
+        axis, change = _CHANGES[key]
+        return request._replace(**{axis: round(getattr(request, axis) + change, 6)})
+    if key == " ":
+        return request._replace(forward=0.0, sideways=0.0, yaw_rate=0.0)
+    if key in "\r\n":
+        return request._replace(walk=True)
+    if key == ".":
+        return request._replace(stop=True)
+    if key == "x":
+        return request._replace(damp="operator: key x")
+    return request
+
+
+class Datagrams:
+    """Requests as JSON in UDP datagrams on loopback; the newest counts.
+
+    A datagram is an object with any of `forward`, `sideways` [m/s], `yaw_rate` [rad/s], `walk`,
+    `stop` (booleans) and `damp` (text, the reason); what is missing is zero, `walk` is true. After
+    one second without a datagram the robot steps in place.
+
+    Args:
+        port: port on loopback; 0 lets the system choose one.
+        say: function that prints why a datagram was refused.
+
+    Raises:
+        NetworkError: the port is in use.
+    """
+
+    def __init__(self, port: int, say: Callable[[str], None] = print) -> None:
+        self._say, self._request, self._heard = say, Request(walk=False), -math.inf
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind((LOOPBACK, port))
+        except OSError as error:
+            self._socket.close()
+            raise NetworkError(
+                f"cannot listen for commands at {LOOPBACK}:{port}: {error.strerror}; choose"
+                " another port with --listen"
+            ) from error
+        self.port: int = self._socket.getsockname()[1]
+        """Port at which commands arrive."""
+
+    def __enter__(self) -> Datagrams:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._socket.close()
+
+    def request(self, time: float, walking: float) -> Request:
+        """Request of the newest datagram."""
+        for _ in range(64):
+            try:
+                text = self._socket.recv(4096)
+            except BlockingIOError:
+                break
+            try:
+                self._request, self._heard = parse_request(text), time
+            except ConfigurationError as error:
+                self._say(f"command refused: {error}")
+        if time - self._heard > _STOP_AFTER:
+            return self._request._replace(forward=0.0, sideways=0.0, yaw_rate=0.0)
+        return self._request
+
+
+def parse_request(text: bytes) -> Request:
+    """Read a request from JSON.
+
+    Raises:
+        ConfigurationError: the text is not a JSON object, or an entry is unknown, of another type
+            or not finite.
+    """
+    try:
+        entries = json.loads(text)
+    except ValueError as error:
+        raise ConfigurationError(f"not JSON ({error}): {text[:80]!r}") from None
+    if not isinstance(entries, dict):
+        raise ConfigurationError(
+            f'a JSON object such as {{"forward": 0.5}} is needed, got {text!r}'
+        )
+    for name, value in entries.items():
+        if name not in Request._fields:
+            raise ConfigurationError(f"no entry {name!r}; there are {list(Request._fields)}")
+        kind: tuple[type, ...] = (int, float) if name in AXES else (bool,)
+        kind = (str,) if name == "damp" else kind
+        if not isinstance(value, kind) or (name in AXES and isinstance(value, bool)):
+            raise ConfigurationError(f"{name} must be {kind[-1].__name__}, got {value!r}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise ConfigurationError(f"{name} must be finite, got {value!r}")
+    return Request(**entries)

@@ -1,0 +1,111 @@
+"""Controllers by the name or file of their policy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from aslip.control.runner.supervisor import MotorController
+from aslip.errors import AslipError, ConfigurationError
+from aslip.robot import CASSIE, Robot
+from aslip.wire import STATE_OUT, state_out_to_estimate
+
+_WARM_UP = 5
+# stack -> its library, where that is not "gaits"; None for those that are not shipped
+_LIBRARIES = {"single_reference": "single_reference", "directions": None}
+
+
+class Loaded(NamedTuple):
+    """Controller, and what the supervisor must know about it."""
+
+    controller: MotorController
+    """Controller, warmed up."""
+    pose: np.ndarray
+    """Motor angles (10,) of its reference in place, at the start of a stride [rad]."""
+    command_size: int
+    """Number of components of its command."""
+    files: dict[str, bytes]
+    """Files from which `load` makes it, by name."""
+
+
+def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
+    """Load a controller, and take some steps so that the first one on the robot is fast.
+
+    Args:
+        policy: name of a shipped policy, policy file, or folder of a training run.
+        library: gaits of the policy, a file or the name of a shipped library; by default those of
+            the policy's stack.
+
+    Raises:
+        AssetError, FileDamagedError: there is no such policy or library, or it is damaged.
+        ConfigurationError: policy and library do not fit.
+    """
+    loaded = _of_torch(policy, library)
+    try:
+        warm_up(loaded.controller)
+    except Exception as error:  # networks fail in many ways
+        reason = str(error) if isinstance(error, AslipError) else f"{type(error).__name__}: {error}"
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} and the library {str(library or 'of its stack')!r} do not"
+            f" fit: {reason}"
+        ) from error
+    return loaded
+
+
+def warm_up(controller: MotorController) -> None:
+    """Take some steps with a standing robot, whose targets must be finite.
+
+    Raises:
+        ConfigurationError: the targets are not ten finite angles.
+    """
+    estimate = standing_estimate()
+    state = controller.start(estimate, 0.0, heading=0.0)
+    for _ in range(_WARM_UP):
+        state, _ = controller.step(state, estimate, None)
+    target = np.asarray(state.motor_target)
+    if target.size != len(CASSIE.motor_names) or not np.isfinite(target).all():
+        raise ConfigurationError(f"its motor targets are not ten finite angles: {target.tolist()}")
+
+
+def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
+    """Estimate of a robot that stands upright: entries (k,) of `("estimate", ...)`."""
+    at, qpos = robot.indices, robot.standing
+    return {
+        **state_out_to_estimate(STATE_OUT.zeros()),
+        "height": qpos[at.pelvis_position][2:],
+        "orientation": np.array([1.0, 0.0, 0.0, 0.0]),
+        "motor_position": qpos[at.motor_qpos],
+        "joint_position": qpos[at.joint_qpos],
+    }
+
+
+def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
+    """Controller of a policy file."""
+    # imported late: an exported policy runs without PyTorch
+    import torch
+
+    from aslip.control.controller import Controller
+    from aslip.files.assets import asset_path
+    from aslip.library import GaitLibrary
+    from aslip.library.library import SHIPPED
+    from aslip.policy import find_policy, read_card
+
+    # one robot: more threads only cost time
+    torch.set_num_threads(1)
+    path = find_policy(policy)
+    needed = _LIBRARIES.get(read_card(path)["stack"], "gaits")
+    library = library or needed
+    if library is None or (library in SHIPPED and library != needed):
+        which = (
+            "a library of gaits in every direction" if needed is None else f"the library {needed!r}"
+        )
+        raise ConfigurationError(f"the policy {str(policy)!r} needs {which}, got {library!r}")
+    file = asset_path(f"{library}.npz") if library in SHIPPED else Path(library)
+    gaits = GaitLibrary.load(library)
+    controller = Controller(path, gaits)
+    zero = torch.zeros(1, gaits.command_size)
+    pose = gaits.lookup(torch.zeros(1, 1), zero).motor_position[0].double().numpy()
+    files = {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()}
+    return Loaded(controller, pose, gaits.command_size, files)

@@ -1,0 +1,299 @@
+"""Loop of the runner: real time with absolute deadlines, or lockstep with a simulated robot."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from aslip.control.runner.commands import Source
+from aslip.control.runner.readings import Readings
+from aslip.control.runner.supervisor import Reading, Request, Stage, Supervisor
+from aslip.errors import NetworkError
+from aslip.wire import Arrival, Endpoint, MotorCommand
+
+if TYPE_CHECKING:
+    from aslip.control.runner.record import RunLog
+
+LATE: Final = 2e-3
+"""Lateness above which a policy step counts as late [s]."""
+
+# period of zeroed commands until the first answer [s]
+_KNOCK = 1e-3
+# time between repetitions of a command in PD mode [s]: robots stop after 0.1 s of silence
+_REPEAT = 2e-3
+_NS = 10**9
+
+
+@dataclass
+class Tally:
+    """Timing of the policy steps."""
+
+    lateness: list[float] = field(default_factory=list)
+    """Beginnings after their deadlines [s]."""
+    reply: list[float] = field(default_factory=list)
+    """Times from the beginnings until the command was sent [s]."""
+    work: list[float] = field(default_factory=list)
+    """Times from the beginnings until the log was written, too [s]."""
+    skipped: int = 0
+    """Deadlines that passed during an earlier policy step."""
+
+    def late(self) -> int:
+        """Number of policy steps that began more than 2 ms late, or not at all."""
+        return self.skipped + sum(value > LATE for value in self.lateness)
+
+    def lines(self) -> list[str]:
+        """Summary in words."""
+        if not self.work:
+            return ["no policy steps"]
+        steps = len(self.work)
+        part = 100 * self.late() / (steps + self.skipped)
+        return [
+            f"{steps} policy steps, {self.skipped} skipped, {self.late()} late by more than"
+            f" {1e3 * LATE:g} ms ({part:.2f} %)",
+            *(
+                f"{name:9} p50 {p50:6.2f}, p99 {p99:6.2f}, largest {largest:6.2f} ms"
+                for name, values in (
+                    ("lateness", self.lateness),
+                    ("reply", self.reply),
+                    ("work", self.work),
+                )
+                for p50, p99, largest in [1e3 * np.percentile(values, [50, 99, 100])]
+            ),
+        ]
+
+
+class Run:
+    """Supervisor with its inputs and its log.
+
+    Args:
+        supervisor: supervisor of the robot.
+        readings: interpretation of its packets.
+        source: requests of the operator.
+        log: log; None for none.
+        say: function that prints a line.
+        chatty: print a line per second.
+    """
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        readings: Readings,
+        source: Source,
+        *,
+        log: RunLog | None = None,
+        say: Callable[[str], None] = print,
+        chatty: bool = True,
+    ) -> None:
+        self.supervisor, self.readings, self.source = supervisor, readings, source
+        self.tally = Tally()
+        """Timing."""
+        self.interrupted = ""
+        """Reason to damp the motors that comes from outside, such as a signal."""
+        self.walked = 0.0
+        """Time in which the policy acted [s]."""
+        self._log, self._say, self._chatty = log, say, chatty
+        self._walk_began = float("inf")
+        self._arrivals: list[tuple[int, Arrival]] = []
+        self._request, self._reading = Request(), None
+        self._command = MotorCommand(*np.zeros((5, len(supervisor.robot.motor_names))))
+        self._next_line = 1.0
+
+    @property
+    def command(self) -> MotorCommand:
+        """Command of the last policy step."""
+        return self._command
+
+    def take(self, time_ns: int, arrivals: list[Arrival]) -> None:
+        """Take packets that have arrived."""
+        if self.readings.newest_only:
+            arrivals = arrivals[-1:]
+            self._arrivals = [] if arrivals else self._arrivals
+        for arrival in arrivals:
+            self.readings.take(time_ns / _NS, arrival.step, arrival.record)
+            if self._log is not None:
+                self._arrivals.append((time_ns, arrival))
+
+    def tick(self, time_ns: int) -> MotorCommand:
+        """Advance by a policy step."""
+        now, before = time_ns / _NS, self.supervisor.stage
+        request = self.source.request(now, now - self._walk_began)
+        if self.interrupted:
+            request = request._replace(damp=self.interrupted)
+        self._request, self._reading = request, self.readings.newest()
+        self._command = self.supervisor.tick(now, self._reading, request)
+        if self.supervisor.stage is not before:
+            self._enter(time_ns)
+        if self.supervisor.stage in (Stage.WALK, Stage.STOP):
+            self.walked += self.supervisor.robot.policy_period
+        return self._command
+
+    def finish_tick(self, time_ns: int, lateness: float, reply: float) -> None:
+        """Log and print a policy step after its command was sent."""
+        if self._log is not None:
+            for arrived, arrival in self._arrivals:
+                self._log.packet(arrived, *arrival)
+            self._arrivals.clear()
+            self._log.tick(
+                time_ns,
+                self._request,
+                self.supervisor.stage,
+                self._command,
+                self._reading,
+                (lateness, reply),
+            )
+        if time_ns / _NS >= self._next_line:
+            self._next_line += 1.0
+            if self._chatty:
+                self._say(self._line(time_ns / _NS))
+
+    def close(self) -> None:
+        """Finish the log."""
+        if self._log is not None:
+            self._log.finish({"reason": self.supervisor.reason})
+            self._log = None
+
+    def is_over(self, time_ns: int) -> bool:
+        """Whether the run has ended."""
+        return self.supervisor.is_over(time_ns / _NS)
+
+    def _enter(self, time_ns: int) -> None:
+        """Print and log the beginning of a stage."""
+        stage, now = self.supervisor.stage, time_ns / _NS
+        text = f"{stage.value}: {self.supervisor.reason}"
+        if stage is Stage.WALK:
+            self._walk_began = now
+        self._say(f"{now:7.2f} s  {text}")
+        if self._log is not None:
+            self._log.note(time_ns, text)
+
+    def _line(self, now: float) -> str:
+        """State of the robot in words."""
+        line = f"{now:7.2f} s  {self.supervisor.stage.value}"
+        reading: Reading | None = self.supervisor.reading
+        if reading is None:
+            return line
+        speed = float(np.hypot(*reading.estimate["velocity"][:2]))
+        height = float(reading.estimate["height"][0])
+        wanted = self._request.forward
+        return (
+            f"{line}, commanded {wanted:.2f} m/s, walks {speed:.2f} m/s, pelvis at {height:.2f} m"
+        )
+
+
+def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> None:
+    """Run against a robot that does not wait, until the motors have been damped.
+
+    Args:
+        run: supervisor with its inputs.
+        endpoint: socket to the robot.
+        patience: longest wait for the first packet [s].
+
+    In PD mode the command is repeated every 2 ms, because robots stop after 0.1 s of silence. In
+    raw mode each arrival of packets is answered with torques.
+
+    Raises:
+        NetworkError: the robot does not answer.
+    """
+    origin, period = time.monotonic_ns(), round(run.supervisor.robot.policy_period * _NS)
+
+    def clock() -> int:
+        return time.monotonic_ns() - origin
+
+    def drain() -> None:
+        arrivals = endpoint.receive_all()
+        # stamped after they were read, before the policy step that uses them
+        run.take(clock(), arrivals)
+
+    _connect(run, endpoint, patience, clock)
+    deadline = clock()
+    while not run.is_over(clock()):
+        drain()
+        now = clock()
+        command = run.tick(now)
+        if run.readings.newest_only:
+            endpoint.send(run.readings.answer(command))
+        reply, lateness = clock() - now, now - deadline
+        run.finish_tick(now, lateness / _NS, reply / _NS)
+        run.tally.lateness.append(lateness / _NS)
+        run.tally.reply.append(reply / _NS)
+        run.tally.work.append((clock() - now) / _NS)
+        missed = max((clock() - deadline) // period, 0)
+        run.tally.skipped += missed
+        deadline += (missed + 1) * period
+        _wait(run, endpoint, deadline, clock, drain)
+
+
+def run_lockstep(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> None:
+    """Run against a simulated robot that waits for a command at each tick.
+
+    Time is that of the robot's ticks, so that a run does not depend on the speed of the machine.
+
+    Args:
+        run: supervisor with its inputs.
+        endpoint: socket to the robot.
+        patience: longest wait for an answer [s].
+
+    Raises:
+        NetworkError: the robot does not answer.
+    """
+    robot, link = run.supervisor.robot, endpoint.link
+    tick_ns, ticks = round(robot.physics_timestep * _NS), 0
+    command = run.command
+
+    def advance() -> None:
+        nonlocal ticks
+        record = endpoint.request(run.readings.answer(command), timeout=patience)
+        ticks += 1
+        run.take(ticks * tick_ns, [Arrival(link.step or 0, record)])
+
+    advance()
+    while not run.is_over(ticks * tick_ns):
+        now, began = ticks * tick_ns, time.monotonic()
+        command = run.tick(now)
+        reply = time.monotonic() - began
+        run.finish_tick(now, 0.0, reply)
+        run.tally.lateness.append(0.0)
+        run.tally.reply.append(reply)
+        run.tally.work.append(time.monotonic() - began)
+        for _ in range(robot.substeps):
+            advance()
+
+
+def _connect(run: Run, endpoint: Endpoint, patience: float, clock: Callable[[], int]) -> None:
+    """Send commands of zeros until the robot answers."""
+    end, nothing = clock() + round(patience * _NS), run.readings.answer(run.command)
+    while clock() < end and not run.interrupted:
+        endpoint.send(nothing)
+        if endpoint.wait(_KNOCK) and (arrivals := endpoint.receive_all()):
+            run.take(clock(), arrivals)
+            return
+    if run.interrupted:
+        raise KeyboardInterrupt
+    raise NetworkError(
+        f"no answer from {endpoint.peer} within {patience:g} s. Is the robot, or python -m"
+        " aslip.twin, running at this address and port? Does it send to"
+        f" {endpoint.local}, in this mode, and does another runner hold it?"
+    )
+
+
+def _wait(
+    run: Run,
+    endpoint: Endpoint,
+    deadline: int,
+    clock: Callable[[], int],
+    drain: Callable[[], None],
+) -> None:
+    """Wait for a deadline; meanwhile repeat the command, or answer each packet with torques."""
+    while (left := (deadline - clock()) / _NS) > 0:
+        if run.readings.newest_only:
+            time.sleep(min(left, _REPEAT))
+            drain()
+            if left > _REPEAT:
+                endpoint.send(run.readings.answer(run.command))
+        elif endpoint.wait(left):
+            drain()
+            endpoint.send(run.readings.answer(run.command))

@@ -1,0 +1,167 @@
+"""Packets of a robot to the readings of `Supervisor`, and motor commands to packets.
+
+In PD mode the robot estimates its state, `state_out_t`, and closes the PD loop, `pd_in_t`. In raw
+mode it sends its sensors, `cassie_out_t`, and takes torques, `cassie_user_in_t`: the estimator and
+the PD law run here.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from aslip.control.runner.supervisor import Reading
+from aslip.robot import CASSIE, Robot
+from aslip.wire import (
+    CASSIE_OUT,
+    ESTIMATE_ENTRIES,
+    PD_IN,
+    STATE_OUT,
+    USER_IN,
+    MotorCommand,
+    Packet,
+    cassie_out_to_sensors,
+    command_to_pd_in,
+    state_out_to_estimate,
+    torque_to_user_in,
+)
+
+if TYPE_CHECKING:
+    from aslip.estimation import Estimate, Tracking
+
+# longest gap that is filled with lost packets [packets of the estimator]
+_LONGEST_GAP = 40
+
+
+class Readings(Protocol):
+    """Interpretation of a robot's packets in one mode."""
+
+    receives: Packet
+    """Kind of packets from the robot."""
+    sends: Packet
+    """Kind of packets to the robot."""
+    newest_only: bool
+    """Only the newest of several packets matters."""
+
+    def take(self, time: float, step: int, record: np.ndarray) -> None:
+        """Take a packet.
+
+        Args:
+            time: arrival [s].
+            step: difference of its sequence number to that of the packet before; 0 for the first.
+            record: packet.
+        """
+        ...
+
+    def newest(self) -> Reading | None:
+        """Reading by the packets since the last call; None without any."""
+        ...
+
+    def answer(self, command: MotorCommand) -> np.ndarray:
+        """Packet to the robot that carries out a command now."""
+        ...
+
+
+class StateReadings:
+    """Packets `state_out_t` of robots that estimate their own state."""
+
+    receives, sends, newest_only = STATE_OUT, PD_IN, True
+
+    def __init__(self) -> None:
+        self._newest: tuple[float, np.ndarray] | None = None
+
+    def take(self, time: float, step: int, record: np.ndarray) -> None:
+        """Take a packet."""
+        self._newest = time, record
+
+    def newest(self) -> Reading | None:
+        """Reading by the newest packet since the last call."""
+        if self._newest is None:
+            return None
+        time, record = self._newest
+        self._newest = None
+        return Reading(time, state_out_to_estimate(record), record["radio"]["channel"].copy())
+
+    def answer(self, command: MotorCommand) -> np.ndarray:
+        """Targets and gains for the PD loop of the robot."""
+        return command_to_pd_in(
+            command.position,
+            command.stiffness,
+            command.damping,
+            torque=command.torque,
+            velocity=command.velocity,
+        )
+
+
+class SensorReadings:
+    """Packets `cassie_out_t`, estimated with the filter of training.
+
+    A robot sends at 2 kHz; the estimator takes every sixth packet, with the mean specific force of
+    the six. Sequence numbers count lost packets.
+
+    Args:
+        robot: robot that sends the packets.
+    """
+
+    receives, sends, newest_only = CASSIE_OUT, USER_IN, False
+
+    def __init__(self, robot: Robot = CASSIE) -> None:
+        # imported late: compiled by Numba, and not needed in PD mode
+        from aslip.estimation import StateEstimator
+
+        self.robot = robot
+        self._estimator = StateEstimator(robot)
+        self._tracking: Tracking | None = None
+        self._estimate: Estimate | None = None
+        self._tick = 0
+        self._force: list[np.ndarray] = []
+        self._record: np.ndarray | None = None
+        self._arrived: float | None = None
+
+    def take(self, time: float, step: int, record: np.ndarray) -> None:
+        """Take a packet; estimate the state if it completes a packet of the estimator."""
+        every = self.robot.packet_substeps
+        self._arrived, self._record = time, record
+        if self._tracking is None:
+            # heading zero: the frame of the IMU's attitude
+            sensors = cassie_out_to_sensors(record)
+            self._tracking, self._estimate = self._estimator.start(sensors, heading=0.0)
+            return
+        before, self._tick = self._tick // every, self._tick + max(step, 1)
+        due = min(self._tick // every - before, _LONGEST_GAP)
+        for _ in range(due - 1):
+            self._update(None)
+        self._force.append(record["pelvis"]["vector_nav"]["linear_acceleration"])
+        if due:
+            self._update(cassie_out_to_sensors(record))
+
+    def newest(self) -> Reading | None:
+        """Reading by the packets since the last call."""
+        if self._arrived is None or self._estimate is None or self._record is None:
+            return None
+        time, self._arrived = self._arrived, None
+        estimate = {name: getattr(self._estimate, name)[0] for name in ESTIMATE_ENTRIES}
+        return Reading(time, estimate, self._record["pelvis"]["radio"]["channel"].copy())
+
+    def answer(self, command: MotorCommand) -> np.ndarray:
+        """Torques of the PD law at the newest packet; zero before the first one."""
+        if self._record is None:
+            return torque_to_user_in(np.zeros(len(self.robot.motor_names)))
+        legs = [self._record[f"{side}_leg"]["drives"] for side in ("left", "right")]
+        position, velocity = (
+            np.concatenate([leg[kind] for leg in legs]) for kind in ("position", "velocity")
+        )
+        feedback = (command.position - position) * command.stiffness
+        feedback += (command.velocity - velocity) * command.damping
+        return torque_to_user_in(feedback + command.torque)
+
+    def _update(self, sensors: dict[str, np.ndarray] | None) -> None:
+        """Update the estimate with a packet, or with a lost one."""
+        assert self._tracking is not None
+        if sensors is not None:
+            mean = np.mean(self._force, axis=0, dtype=np.float64).astype(np.float32)
+            # NaN marks a bad IMU
+            sensors["accelerometer"] = mean + 0 * sensors["accelerometer"]
+            self._force.clear()
+        self._estimate = self._estimator.update(self._tracking, sensors)

@@ -1,0 +1,114 @@
+"""Schedules, keys of a pseudo terminal, and datagrams on loopback."""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import termios
+
+import pytest
+
+from aslip.control.runner.commands import Datagrams, Keyboard, Scheduled, parse_request, press
+from aslip.control.runner.supervisor import Request
+from aslip.errors import ConfigurationError, NetworkError
+from aslip.library import Schedule
+
+
+def test_a_schedule_runs_over_the_time_of_the_walk_and_stops() -> None:
+    source = Scheduled(Schedule.parse("0:0.2,1:0.8"), duration=2.0)
+    requests = [source.request(9.0, walking) for walking in (-math.inf, 0.0, 1.0, 1.99, 2.0)]
+    assert [request.forward for request in requests] == [0.2, 0.2, 0.8, 0.8, 0.8]
+    assert [request.stop for request in requests] == [False] * 4 + [True]
+
+
+def test_a_schedule_in_any_direction() -> None:
+    source = Scheduled(Schedule.parse("0.5 0.1 -0.2"))
+    assert source.request(0.0, 1e6) == Request(0.5, 0.1, -0.2)
+
+
+@pytest.mark.parametrize(
+    ("keys", "expected"),
+    [
+        ("", Request(walk=False)),
+        ("\n", Request()),
+        ("\rwws", Request(forward=0.1)),
+        ("adda", Request(walk=False)),
+        ("aq", Request(yaw_rate=0.1, sideways=0.1, walk=False)),
+        ("\nwq ", Request()),
+        ("w.", Request(forward=0.1, walk=False, stop=True)),
+        ("x", Request(walk=False, damp="operator: key x")),
+        ("ü1~", Request(walk=False)),
+    ],
+)
+def test_keys(keys: str, expected: Request) -> None:
+    request = Request(walk=False)
+    for key in keys:
+        request = press(request, key)
+    assert request == expected
+
+
+def test_the_keyboard_reads_without_waiting_and_restores_the_terminal() -> None:
+    ours, theirs = os.openpty()
+    try:
+        before = termios.tcgetattr(theirs)
+        with pytest.raises(RuntimeError), Keyboard(theirs) as keyboard:
+            assert not termios.tcgetattr(theirs)[3] & (termios.ICANON | termios.ECHO)
+            assert keyboard.request(0.0, 0.0) == Request(walk=False)
+            os.write(ours, b"\nww")
+            assert keyboard.request(0.0, 0.0) == Request(forward=0.2)
+            raise RuntimeError
+        assert termios.tcgetattr(theirs) == before
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_the_keyboard_needs_a_terminal() -> None:
+    read, write = os.pipe()
+    with pytest.raises(ConfigurationError, match="--command"):
+        Keyboard(read)
+    for end in (read, write):
+        os.close(end)
+
+
+def test_the_newest_datagram_counts_until_it_is_old() -> None:
+    said: list[str] = []
+    with (
+        Datagrams(0, said.append) as source,
+        socket.socket(type=socket.SOCK_DGRAM) as sender,
+    ):
+        assert source.request(0.0, 0.0) == Request(walk=False)
+        for text in (
+            '{"forward": 0.3}',
+            '{"forward": 0.5, "yaw_rate": 0.1}',
+            '{"forward": "fast"}',
+        ):
+            sender.sendto(text.encode(), ("127.0.0.1", source.port))
+        assert source.request(5.0, 0.0) == Request(0.5, yaw_rate=0.1)
+        assert source.request(5.9, 0.0) == Request(0.5, yaw_rate=0.1)
+        assert source.request(6.1, 0.0) == Request()
+    assert said == ["command refused: forward must be float, got 'fast'"]
+
+
+def test_a_port_in_use_for_commands_is_named() -> None:
+    with Datagrams(0) as first, pytest.raises(NetworkError, match=f"{first.port}.*--listen"):
+        Datagrams(first.port)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("[1]", "a JSON object"),
+        ("{", "not JSON"),
+        ("\xff", "not JSON"),
+        ('{"speed": 1}', "no entry 'speed'"),
+        ('{"forward": NaN}', "forward must be finite"),
+        ('{"forward": true}', "forward must be float"),
+        ('{"walk": 1}', "walk must be bool"),
+        ('{"damp": true}', "damp must be str"),
+    ],
+)
+def test_wrong_requests_are_refused(text: str, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        parse_request(text.encode("latin-1"))
