@@ -25,7 +25,7 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Vector product over the last axis; `np.cross` spends most of its time on axis juggling."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+    return _joined(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -38,14 +38,14 @@ def quaternion_to_matrix(quaternion: np.ndarray) -> np.ndarray:
 
     Those of `scipy.spatial.transform.Rotation`, bit for bit, without its import of 0.2 s.
     """
-    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    w, x, y, z = (quaternion[..., i] for i in range(4))
     w, x, y, z = np.array([w, x, y, z]) / np.sqrt(x * x + y * y + z * z + w * w)
-    rows = (
-        (x * x - y * y - z * z + w * w, 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), -x * x + y * y - z * z + w * w, 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), -x * x - y * y + z * z + w * w),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    entries = _joined(
+        x * x - y * y - z * z + w * w, 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), -x * x + y * y - z * z + w * w, 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), -x * x - y * y + z * z + w * w,
+    )  # fmt: skip
+    return entries.reshape(*quaternion.shape[:-1], 3, 3)
 
 
 def matrix_to_quaternion(matrix: np.ndarray) -> np.ndarray:
@@ -102,8 +102,8 @@ def vector_to_heading(heading: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """World vectors (n, ..., 3), expressed in frames with x along headings (n,); copies."""
     shape = (-1, *[1] * (vector.ndim - 2))
     cosine, sine = np.cos(heading).reshape(shape), np.sin(heading).reshape(shape)
-    x, y, z = np.moveaxis(vector, -1, 0)
-    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=-1)
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    return _joined(cosine * x + sine * y, cosine * y - sine * x, z)
 
 
 def orientation_to_heading(heading: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
@@ -111,4 +111,15 @@ def orientation_to_heading(heading: np.ndarray, quaternion: np.ndarray) -> np.nd
     cosine, sine = np.cos(heading / 2), np.sin(heading / 2)
     w, x, y, z = quaternion.T
     turned = (cosine * w + sine * z, cosine * x + sine * y, cosine * y - sine * x)
-    return np.stack([*turned, cosine * z - sine * w], axis=-1)
+    return _joined(*turned, cosine * z - sine * w)
+
+
+def _joined(*columns: np.ndarray) -> np.ndarray:
+    """Stack arrays of one shape along a last axis, four times faster than `np.stack`.
+
+    The type is that of the first one.
+    """
+    out = np.empty((*np.shape(columns[0]), len(columns)), columns[0].dtype)
+    for i, column in enumerate(columns):
+        out[..., i] = column
+    return out
