@@ -99,7 +99,7 @@ class Simulations:
         self._push = self.batch.bind("xfrc_applied")[:, self.indices.pelvis_body, :3]
         self._pushed = False
         self._sensordata = self.batch.bind("sensordata")
-        self.reset(np.arange(num))
+        self.stand()
 
     @property
     def num(self) -> int:
@@ -140,6 +140,10 @@ class Simulations:
         self.batch.forward(ids)
         self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
+
+    def stand(self) -> None:
+        """Restart all simulations, standing."""
+        self.reset(np.arange(self.num))
 
     def write_fields(self, ids: np.ndarray, fields: Mapping[str, np.ndarray]) -> None:
         """Change fields of some simulations' models from the next substep on.

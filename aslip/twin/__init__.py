@@ -13,11 +13,14 @@ if TYPE_CHECKING:
     from aslip.twin.drive import CommandedPD
     from aslip.twin.engine import ENGINES, drake_engine, mujoco_engine
     from aslip.twin.lockstep import serve_lockstep
+    from aslip.twin.real_time import Load, RealTimeServer
     from aslip.twin.robot import TwinRobot
 
 __all__ = [
     "ENGINES",
     "CommandedPD",
+    "Load",
+    "RealTimeServer",
     "TwinRobot",
     "drake_engine",
     "mujoco_engine",
@@ -30,6 +33,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "drive": ["CommandedPD"],
         "engine": ["ENGINES", "drake_engine", "mujoco_engine"],
         "lockstep": ["serve_lockstep"],
+        "real_time": ["Load", "RealTimeServer"],
         "robot": ["TwinRobot"],
     },
 )

@@ -1,20 +1,26 @@
 """Simulated Cassie behind the robot's network protocol, until Ctrl-C.
 
-    python -m aslip.twin                                 # at 127.0.0.1:25000
+    python -m aslip.twin                                 # PD mode in lockstep, 127.0.0.1:25000
+    python -m aslip.twin --real-time                     # at 2 kHz, as the robot
+    python -m aslip.twin --real-time --raw               # torques in, sensors out
     python -m aslip.twin --engine drake                  # in Drake instead of MuJoCo
 
-Every `pd_in_t` is one tick of 0.5 ms, answered by `state_out_t`. At the end the numbers of ticks
-and of datagrams are printed.
+In lockstep every command is one tick of 0.5 ms, answered by the state after it. In real time the
+robot stands still until a command has torques or gains, holds the last command, and drops it after
+a silence. At the end the numbers of ticks and of datagrams are printed.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
-from aslip.wire import PD_IN, SIMULATOR, STATE_OUT, Address, Endpoint, Link
+from aslip.wire import CASSIE_OUT, PD_IN, SIMULATOR, STATE_OUT, USER_IN, Address, Endpoint, Link
+
+if TYPE_CHECKING:
+    from aslip.twin.robot import TwinRobot
 
 
 @dataclass(frozen=True)
@@ -29,23 +35,60 @@ class Config:
     """Physics engine; Drake needs the package's extra of that name."""
     beyond_loopback: bool = False
     """Allow an address that other machines reach: they can move the robot."""
+    raw: bool = False
+    """Raw mode: torques and all sensors, instead of PD targets and the robot's own estimate."""
+    real_time: bool = False
+    """Advance at 2 kHz, whether commands come or not; otherwise in lockstep with the client."""
+    fallback: Literal["damping", "zero"] = "damping"
+    """Command in real time after a silence of 0.1 s, in raw mode 10 ms; zero on the robot."""
+    radio: bool = False
+    """Read the operator's radio from the terminal, one "CHANNEL VALUE" per line: "8 -1" is the
+    emergency stop, "8 1" releases it."""
 
 
 def main(config: Config) -> None:
-    """Serve clients in lockstep."""
-    link = Link(STATE_OUT, PD_IN, refuse_not_finite=True)
+    """Serve clients."""
+    sends, receives = (CASSIE_OUT, USER_IN) if config.raw else (STATE_OUT, PD_IN)
+    link = Link(sends, receives, refuse_not_finite=True)
     local = Address(config.address, config.port)
     with Endpoint(link, local, beyond_loopback=config.beyond_loopback) as endpoint:
         # imported late: a port in use is reported at once
-        from aslip.twin import ENGINES, TwinRobot, serve_lockstep
+        from aslip.twin import ENGINES, TwinRobot
+        from aslip.twin.radio import read_radio
 
-        robot = TwinRobot(make_engine=ENGINES[config.engine])
-        print(f"waiting for commands at {endpoint.local}; Ctrl-C ends", flush=True)
+        robot = TwinRobot(make_engine=ENGINES[config.engine], raw=config.raw)
+        if config.radio:
+            read_radio(robot)
         try:
-            serve_lockstep(robot, endpoint)
+            serve(config, robot, endpoint)
         except KeyboardInterrupt:
             counts = {name: number for name, number in asdict(link.counters).items() if number}
-            print(f"{robot.ticks} ticks, {robot.divergences} divergences, datagrams: {counts}")
+            print(f"{robot.divergences} divergences, datagrams: {counts}")
+
+
+def serve(config: Config, robot: TwinRobot, endpoint: Endpoint) -> None:
+    """Serve clients in lockstep or in real time."""
+    from aslip.twin import RealTimeServer, serve_lockstep
+
+    ready = f"waiting for commands at {endpoint.local}; Ctrl-C ends"
+    if not config.real_time:
+        print(ready, flush=True)
+        try:
+            serve_lockstep(robot, endpoint)
+        finally:
+            print(f"lockstep: {robot.ticks} ticks")
+        return
+    server = RealTimeServer(robot, endpoint, fallback=config.fallback, say=say)
+    print(ready, flush=True)
+    try:
+        server.run()
+    finally:
+        print(f"real time: {server.load}")
+
+
+def say(text: str) -> None:
+    """Print a line at once."""
+    print(text, flush=True)
 
 
 if __name__ == "__main__":

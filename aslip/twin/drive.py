@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from aslip.robot.compiled import compiled
 from aslip.sim import Drive
 from aslip.wire import MotorCommand
 
@@ -27,6 +28,19 @@ class CommandedPD(Drive):
         self, command: np.ndarray, position: np.ndarray, velocity: np.ndarray
     ) -> np.ndarray:
         """Torque (n, m) at the joints before the motors' limits [N m]."""
-        c = MotorCommand(*np.split(command, len(MotorCommand._fields), axis=1))
-        feedback = (c.position - position) * c.stiffness + (c.velocity - velocity) * c.damping
-        return feedback + c.torque
+        torque = np.empty_like(position)
+        _feedback(command, position, velocity, torque)
+        return torque
+
+
+@compiled
+def _feedback(
+    command: np.ndarray, position: np.ndarray, velocity: np.ndarray, out: np.ndarray
+) -> None:
+    """Write torques of (n, m) joints for commands (n, 5 m), fields as `MotorCommand`, to `out`."""
+    m = position.shape[1]
+    for i in range(position.shape[0]):
+        for j in range(m):
+            torque = (command[i, m + j] - position[i, j]) * command[i, 3 * m + j]
+            torque += (command[i, 2 * m + j] - velocity[i, j]) * command[i, 4 * m + j]
+            out[i, j] = torque + command[i, j]

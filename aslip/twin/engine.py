@@ -20,6 +20,10 @@ class Engine(Protocol):
     sensors: Sensors
     divergences: int
 
+    def stand(self) -> None:
+        """Set the robot on its feet, at rest."""
+        ...
+
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
         """Run one period; return (1,) bool, True if the simulation diverged and was reset."""
         ...

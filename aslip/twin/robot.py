@@ -2,55 +2,109 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from aslip.estimation import StateEstimator, Tracking
+from aslip.errors import ConfigurationError
+from aslip.estimation import Estimate, StateEstimator, Tracking
 from aslip.robot import CASSIE, Robot
 from aslip.sim import true_state
 from aslip.twin.drive import CommandedPD
 from aslip.twin.engine import MakeEngine, mujoco_engine
-from aslip.wire import ESTIMATE_ENTRIES, STATE_OUT, estimate_to_state_out, pd_in_to_command
+from aslip.wire import (
+    CASSIE_OUT,
+    ESTIMATE_ENTRIES,
+    PD_IN,
+    STATE_OUT,
+    STOP_CHANNEL,
+    USER_IN,
+    MotorCommand,
+    estimate_to_state_out,
+    pd_in_to_command,
+    sensors_to_cassie_out,
+    user_in_to_torque,
+)
 
 
 class TwinRobot:
-    """Simulated robot that takes `pd_in_t` and gives `state_out_t`, tick by tick.
+    """Simulated robot that takes and gives packets of the wire, tick by tick.
+
+    In PD mode it takes `pd_in_t` and gives `state_out_t`; in raw mode it takes joint torques,
+    `cassie_user_in_t`, and gives all sensors, `cassie_out_t`.
 
     A tick is 0.5 ms: PD with the gains of the packet on the last readings, motor limits, torque
     delay, readings, physics, estimate. Physics, sensors and torque delay are those of
-    `aslip.sim.Simulations`: sixty ticks equal one policy period bit for bit.
+    `aslip.sim.Simulations`: sixty ticks in PD mode equal one policy period bit for bit.
 
-    The estimator takes a packet every sixth tick, in single precision and with the mean specific
-    force of six ticks, as in training; `state_out_t` has the estimate of the last packet. Its world
-    is the frame of the IMU's attitude, with the origin on the ground below the pelvis at the first
-    tick.
+    The estimator of PD mode takes a packet every sixth tick, in single precision and with the mean
+    specific force of six ticks, as in training; `state_out_t` has the estimate of the last packet.
+    Its world is the frame of the IMU's attitude, with the origin on the ground below the pelvis at
+    the first tick. In raw mode each tick has its own readings.
 
     A simulation that diverges starts anew, standing; so does its estimate.
 
     Args:
         robot: robot that is simulated.
         make_engine: function of robot and drive that makes the simulation; by default MuJoCo's.
+        raw: torques against sensors instead of targets and gains against estimates.
     """
 
-    def __init__(self, robot: Robot = CASSIE, make_engine: MakeEngine = mujoco_engine) -> None:
+    def __init__(
+        self,
+        robot: Robot = CASSIE,
+        make_engine: MakeEngine = mujoco_engine,
+        *,
+        raw: bool = False,
+    ) -> None:
         self.robot = robot
         """Robot that is simulated."""
         self.ticks = 0
-        """Ticks since construction."""
+        """Ticks since the robot was set on its feet."""
+        self.receives, self.sends = (USER_IN, CASSIE_OUT) if raw else (PD_IN, STATE_OUT)
+        self.radio = np.zeros(16, np.float32)
+        """(16,) channels of the operator's radio, -1 to 1. With channel 8 below 0, the emergency
+        stop, the motors get no torque."""
+        self.radio[STOP_CHANNEL] = 1.0
+        self._raw = raw
         tick = replace(robot, substeps=1, packet_substeps=1)
         self._engine = make_engine(tick, CommandedPD)
         self._estimator = StateEstimator(robot)
         self._tracking: Tracking | None = None
         # estimate of the last packet
-        self._state = STATE_OUT.zeros()
+        self._state = self._first_state()
         # specific forces since the last packet of the estimator
         self._force: list[np.ndarray] = []
+        self._command = np.zeros((1, len(MotorCommand._fields) * robot.damping.size))
+        self._push, self._push_ticks = np.zeros((1, 3)), 0
 
     @property
     def divergences(self) -> int:
         """Number of times that the simulation diverged and started anew."""
         return self._engine.divergences
+
+    @property
+    def standing(self) -> bool:
+        """Whether the robot stands as it was set on its feet, before the first tick."""
+        return self.ticks == 0
+
+    @property
+    def idle(self) -> bool:
+        """Whether the present command has no effect: neither torques nor gains."""
+        torque, _, _, stiffness, damping = np.split(self._command[0], len(MotorCommand._fields))
+        return not (torque.any() or stiffness.any() or damping.any())
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the operator's emergency stop is pressed."""
+        return bool(self.radio[STOP_CHANNEL] < 0)
+
+    @property
+    def qpos(self) -> np.ndarray:
+        """(35,) generalised positions; a copy."""
+        return self._engine.snapshot().qpos[0].copy()
 
     def packet(self) -> dict[str, np.ndarray]:
         """Readings of the last tick: entries of `Robot.packet_sizes`, (k,) in single precision."""
@@ -64,34 +118,94 @@ class TwinRobot:
         """True state (1, k) after the last tick; see `aslip.sim.true_state`."""
         return true_state(self._engine.snapshot(), self.robot.indices)
 
-    def tick(self, command: np.ndarray) -> np.ndarray:
+    def reset(self) -> None:
+        """Set the robot on its feet, at rest and without a command, where it first stood."""
+        self._engine.stand()
+        self._tracking, self._push_ticks, self.ticks = None, 0, 0
+        self._command[:] = 0.0
+        self._state = self._first_state()
+
+    def push(self, force: Sequence[float] | np.ndarray, duration: float) -> None:
+        """Push the pelvis from the next tick on; replaces the current push.
+
+        Args:
+            force: (3,) force [N, world].
+            duration: duration [s], rounded to ticks.
+
+        Raises:
+            ConfigurationError: the force is not three finite numbers, or the duration not positive.
+        """
+        vector = np.asarray(force, dtype=np.float64)
+        if vector.shape != (3,) or not np.isfinite(vector).all():
+            raise ConfigurationError(f"a push needs three finite forces [N], got {force!r}")
+        if not 0 < duration < math.inf:
+            raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
+        self._push[0] = vector
+        self._push_ticks = max(round(duration / self.robot.physics_timestep), 1)
+
+    def take(self, command: np.ndarray) -> None:
+        """Keep a command, a record of `receives`, for the ticks to come."""
+        if self._raw:
+            self._command[0, : self.robot.damping.size] = user_in_to_torque(command)
+            self._command[0, self.robot.damping.size :] = 0.0
+        else:
+            np.concatenate(pd_in_to_command(command), out=self._command[0])
+
+    def let_go(self, *, damp: bool = False) -> None:
+        """Replace the command by zeros, or by the robot's damping gains alone."""
+        self._command[:] = 0.0
+        if damp:
+            self._command[0, -self.robot.damping.size :] = self.robot.damping
+
+    def tick(self, command: np.ndarray | None = None) -> np.ndarray:
         """Advance by 0.5 ms.
 
         Args:
-            command: record of `aslip.wire.PD_IN`, all numbers finite.
+            command: record of `receives`, all numbers finite; the last one by default.
 
         Returns:
-            Record of `aslip.wire.STATE_OUT`.
+            Record of `sends`.
         """
-        numbers = np.concatenate(pd_in_to_command(command))[None].astype(np.float64)
-        diverged = self._engine.advance(numbers)
+        if command is not None:
+            self.take(command)
+        numbers = np.zeros_like(self._command) if self.stopped else self._command
+        push = self._push if self._push_ticks else None
+        self._push_ticks = max(self._push_ticks - 1, 0)
+        diverged = self._engine.advance(numbers, push)
         self.ticks += 1
         if diverged[0]:
             self._tracking = None
-        self._take(self._readings())
-        state = self._state.copy()
-        state["motor"]["torque"][:] = self._engine.motor_torque[0]
-        return state
+        if not self._raw:
+            self._track(self._readings())
+        return self.answer()
+
+    def answer(self) -> np.ndarray:
+        """Record of `sends` after the last tick, or of the robot as it stands before the first."""
+        torque = self._engine.motor_torque[0]
+        if self._raw:
+            record = sensors_to_cassie_out(self._readings(), torque, robot=self.robot)
+            radio = record["pelvis"]["radio"]
+        else:
+            # a copy of the bytes: that of the record takes fifteen times as long
+            record = STATE_OUT.unpack(STATE_OUT.pack(self._state))
+            record["motor"]["torque"][:] = torque
+            radio = record["radio"]
+        radio["channel"][:] = self.radio
+        return record
+
+    def _first_state(self) -> np.ndarray:
+        """`state_out_t` of the robot as it stands."""
+        # heading zero: the frame of the IMU's attitude
+        return _state_out(self._estimator.start(self.packet(), heading=0.0)[1])
 
     def _readings(self) -> dict[str, np.ndarray]:
         """Live readings of the last tick in double precision."""
         return {name: value[0, 0] for name, value in self._engine.sensors.packets().items()}
 
-    def _take(self, readings: dict[str, np.ndarray]) -> None:
+    def _track(self, readings: dict[str, np.ndarray]) -> None:
         """Estimate the state from a tick's readings if they complete a packet of the estimator."""
         if self._tracking is None:
             self._force.clear()
-            # heading zero: the frame of the IMU's attitude
             self._tracking, estimate = self._estimator.start(self.packet(), heading=0.0)
         else:
             self._force.append(readings["accelerometer"].copy())
@@ -101,8 +215,13 @@ class TwinRobot:
             self._force.clear()
             packet = {**self.packet(), "accelerometer": mean.astype(np.float32)}
             estimate = self._estimator.update(self._tracking, packet)
-        self._state = estimate_to_state_out(
-            {name: getattr(estimate, name)[0] for name in ESTIMATE_ENTRIES},
-            position=estimate.position[0],
-            feet=estimate.foot_position[0],
-        )
+        self._state = _state_out(estimate)
+
+
+def _state_out(estimate: Estimate) -> np.ndarray:
+    """Record of an estimate of one robot."""
+    return estimate_to_state_out(
+        {name: getattr(estimate, name)[0] for name in ESTIMATE_ENTRIES},
+        position=estimate.position[0],
+        feet=estimate.foot_position[0],
+    )

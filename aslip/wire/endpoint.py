@@ -18,8 +18,10 @@ from aslip.wire.link import Link
 LOOPBACK: Final = "127.0.0.1"
 """Address that only programs on this machine can reach."""
 
-# silence [s] after which another program may become the peer: the robot's PD time-out
-_SILENCE = 0.1
+SILENCE: Final = 0.1
+"""Time without a datagram [s] after which another program may become the peer, or the peer may have
+restarted its numbers: the robot's PD time-out."""
+
 # largest number of datagrams per call, so that a flood cannot block the caller
 _MOST_QUEUED = 256
 
@@ -57,7 +59,8 @@ class Endpoint:
     """Socket that exchanges packets with one peer.
 
     For a robot, the sender of the first good datagram becomes its peer. Datagrams of other programs
-    are dropped until the peer has been silent for 0.1 s. A client names its peer.
+    are dropped until the peer has been silent for 0.1 s. A client names its peer. After 0.1 s of
+    late datagrams only, the numbers of the peer count as restarted.
 
     Args:
         link: kinds of packets, sequence numbers and counters.
@@ -85,6 +88,8 @@ class Endpoint:
             _check(address, beyond_loopback)
         self.peer = peer
         """Address of the other side; None until it is known."""
+        self.foreign: Address | None = None
+        """Last sender whose datagrams were dropped because it is not the peer."""
         self.unsent = 0
         """Number of datagrams that the system refused to send."""
         self._named = peer is not None
@@ -184,20 +189,28 @@ class Endpoint:
                 self.resend()
             elif (answer := self.receive()) is not None:
                 return answer
-        raise NetworkError(f"no answer from {self.peer} within {timeout:g} s; is it running?")
+        raise NetworkError(
+            f"no answer from {self.peer} within {timeout:g} s; is it running, and without another"
+            " client?"
+        )
 
     def _open(self, datagram: bytes, sender: Address) -> np.ndarray | None:
         """Check datagram and sender."""
-        if self.peer not in (None, sender):
-            silent = time.monotonic() - self._heard > _SILENCE
-            if self._named or not silent or len(datagram) != self.link.size:
-                self.link.counters.foreign += 1
+        link, now = self.link, time.monotonic()
+        silent = now - self._heard > SILENCE
+        if self.peer is not None and self.peer != sender:
+            if self._named or not silent or len(datagram) != link.size:
+                self.foreign = sender
+                link.counters.foreign += 1
                 return None
-            self.link.restart()
+            link.restart()
             self.peer = self._last = None
-        record = self.link.open(datagram)
+        late = link.counters.late
+        record = link.open(datagram, silent=silent)
         if record is not None or self.peer is not None:
-            self.peer, self._heard = sender, time.monotonic()
+            self.peer = sender
+            # late datagrams only are a silence, too
+            self._heard = now if link.counters.late == late else self._heard
         return record
 
 

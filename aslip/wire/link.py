@@ -16,9 +16,6 @@ from aslip.wire.layout import Packet
 HEADER_SIZE: Final = 2
 """Bytes of a header."""
 
-# number of successive late datagrams in order after which the peer counts as restarted
-_RESTART = 3
-
 
 class Header(NamedTuple):
     """First two bytes of a datagram; numbers are -128 to 127."""
@@ -90,8 +87,6 @@ class Link:
         self._refuse = refuse_not_finite
         self._sent = 0
         self._newest: bytes | None = None
-        self._late: int | None = None
-        self._late_run = 0
 
     @property
     def size(self) -> int:
@@ -109,18 +104,22 @@ class Link:
         received = 0 if self._newest is None else Header.from_bytes(self._newest).sequence
         return Header(self._sent, received).to_bytes() + payload
 
-    def open(self, datagram: bytes) -> np.ndarray | None:
+    def open(self, datagram: bytes, *, silent: bool = False) -> np.ndarray | None:
         """Check and count a datagram; return its packet, None if it is dropped.
 
         A repeated number with other content is accepted: the public simulator repeats its numbers
         until it receives the next command.
+
+        Args:
+            datagram: header and payload.
+            silent: the peer has been silent for so long that a late number means its restart.
         """
         counters = self.counters
         if len(datagram) != self.size:
             counters.wrong_size += 1
             return None
         header = Header.from_bytes(datagram)
-        if not self._is_new(header, datagram):
+        if not self._is_new(header, datagram, silent):
             return None
         self._newest = datagram
         self.delay = wrapped(self._sent + 1 - header.received)
@@ -134,10 +133,10 @@ class Link:
 
     def restart(self) -> None:
         """Forget the peer's numbers for a new peer; the counts continue."""
-        self._newest = self._late = self.delay = self.step = None
+        self._newest = self.delay = self.step = None
         self.counters.restarts += 1
 
-    def _is_new(self, header: Header, datagram: bytes) -> bool:
+    def _is_new(self, header: Header, datagram: bytes, silent: bool) -> bool:
         """Check whether a datagram is newer than the newest one; count it if not."""
         if self._newest is None:
             return True
@@ -145,19 +144,12 @@ class Link:
         if datagram == self._newest:
             self.counters.repeated += 1
             return False
+        if step < 0 and silent:
+            self.restart()
+            return True
         if step < 0:
-            return self._has_restarted(header.sequence)
-        self._late, self.step = None, step
-        self.counters.lost += max(step - 1, 0)
-        return True
-
-    def _has_restarted(self, sequence: int) -> bool:
-        """Count a late datagram, and check whether the peer has restarted its numbers."""
-        in_order = self._late is not None and wrapped(sequence - self._late) >= 0
-        self._late_run = self._late_run + 1 if in_order else 1
-        self._late = sequence
-        if self._late_run < _RESTART:
             self.counters.late += 1
             return False
-        self.restart()
+        self.step = step
+        self.counters.lost += max(step - 1, 0)
         return True

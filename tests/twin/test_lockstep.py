@@ -17,17 +17,22 @@ from aslip.control import Controller
 from aslip.envs import BatchEnv
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
+from aslip.sim import PD, Simulations, Torque
 from aslip.twin import TwinRobot, serve_lockstep
 from aslip.wire import (
+    CASSIE_OUT,
     LOOPBACK,
     PD_IN,
     SIMULATOR,
     STATE_OUT,
+    USER_IN,
     Address,
     Endpoint,
     Link,
+    cassie_out_to_sensors,
     command_to_pd_in,
     state_out_to_estimate,
+    torque_to_user_in,
 )
 from tests.helpers import started
 from tests.twin.test_robot import ROUNDED
@@ -36,15 +41,18 @@ ANY_PORT = Address(LOOPBACK, 0)
 STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
 
 
-def server_of() -> Endpoint:
-    return Endpoint(Link(STATE_OUT, PD_IN, refuse_not_finite=True), ANY_PORT)
+_ENCODERS = ("position", "velocity")
+
+
+def endpoint_of(twin: TwinRobot) -> Endpoint:
+    return Endpoint(Link(twin.sends, twin.receives, refuse_not_finite=True), ANY_PORT)
 
 
 @contextmanager
 def serving(twin: TwinRobot) -> Iterator[Endpoint]:
     """Serve a twin in a thread; yields its socket."""
     ended = threading.Event()
-    with server_of() as endpoint:
+    with endpoint_of(twin) as endpoint:
         thread = threading.Thread(target=serve_lockstep, args=(twin, endpoint, ended.is_set))
         thread.start()
         try:
@@ -67,8 +75,9 @@ def answered(
     return answer
 
 
-def client_of(server: Address) -> Endpoint:
-    return Endpoint(Link(PD_IN, STATE_OUT, refuse_not_finite=False), ANY_PORT, server)
+def client_of(server: Address, *, raw: bool = False) -> Endpoint:
+    sends, receives = (USER_IN, CASSIE_OUT) if raw else (PD_IN, STATE_OUT)
+    return Endpoint(Link(sends, receives, refuse_not_finite=False), ANY_PORT, server)
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +91,7 @@ def test_two_seconds_over_loopback_equal_the_simulation_in_one_process(
     """The client sees states only; the simulation beside it sees packets."""
     twin, env = TwinRobot(), BatchEnv(1, num_threads=1, robot=ROUNDED)
     now = env.reset()
-    with server_of() as server, client_of(server.local) as client:
+    with endpoint_of(twin) as server, client_of(server.local) as client:
         state = answered(twin, server, client, PD_IN.zeros())
         env.set_states(twin.states())
         over_wire = controller.start(state_out_to_estimate(state), 0.5, heading=0.0)
@@ -100,6 +109,50 @@ def test_two_seconds_over_loopback_equal_the_simulation_in_one_process(
     assert twin.ticks == 1 + 67 * CASSIE.substeps == counters[0].accepted == counters[1].accepted
     assert all(c.lost == c.late == c.wrong_size == c.not_finite == 0 for c in counters)
     assert now["truth", "pelvis_position"][0, 0] > 0.5
+
+
+class RoundedPD(PD):
+    """PD loop of a client: readings and torques travel in single precision."""
+
+    def torque(
+        self,
+        command: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        out: np.ndarray | None = None,
+    ) -> np.ndarray:
+        torque = self.joint_torque(command, _single(position), _single(velocity))
+        return Torque(1).torque(_single(torque), position, velocity, out=out)
+
+
+def _single(values: np.ndarray) -> np.ndarray:
+    """Numbers rounded to single precision."""
+    return values.astype(np.float32).astype(np.float64)
+
+
+def test_a_client_that_closes_the_loop_equals_the_simulation_in_one_process() -> None:
+    """In raw mode the torque of a tick follows from the sensors of the tick before."""
+    twin, beside = TwinRobot(raw=True), Simulations(1, num_threads=1, drive=RoundedPD)
+    pd = PD(1)
+    with endpoint_of(twin) as server, client_of(server.local, raw=True) as client:
+        record = answered(twin, server, client, USER_IN.zeros())
+        beside.set_states(twin.states())
+        for step in range(3):
+            target = STANDING[None] + 0.05 * step
+            for _ in range(CASSIE.substeps):
+                sensors = cassie_out_to_sensors(record)
+                seen = (sensors[f"motor_{kind}"][None].astype(float) for kind in _ENCODERS)
+                torque = pd.joint_torque(target, *seen)[0]
+                record = answered(twin, server, client, torque_to_user_in(torque))
+            beside.advance(target)
+            np.testing.assert_array_equal(twin.states(), beside.states())
+    final = {name: window[0, -1] for name, window in beside.sensors.packets().items()}
+    sensors = cassie_out_to_sensors(record)
+    # the packets of a period have mean forces
+    for name in sensors.keys() - {"accelerometer"}:
+        np.testing.assert_array_equal(sensors[name], final[name].astype(np.float32))
+    legs = [record[f"{side}_leg"]["drives"]["torque"] for side in ("left", "right")]
+    np.testing.assert_array_equal(np.concatenate(legs), np.float32(beside.motor_torque[0]))
 
 
 def test_a_repeated_command_is_answered_without_a_tick() -> None:
@@ -139,7 +192,7 @@ def test_the_program_serves_a_client_and_reports_a_port_in_use() -> None:
         assert other.returncode == 1
         assert other.stderr.startswith(f"error: another program listens at 127.0.0.1:{port}")
         process.send_signal(2)
-        assert "1 ticks, 0 divergences" in process.stdout.read()
+        assert "lockstep: 1 ticks\n0 divergences" in process.stdout.read()
     wide = subprocess.run(
         [*program, "0", "--address", "0.0.0.0"], capture_output=True, text=True, check=False
     )

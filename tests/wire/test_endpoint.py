@@ -80,6 +80,7 @@ def test_a_second_client_is_not_heard(robot: Endpoint, client: Endpoint) -> None
     with _client(robot) as second:
         second.send(_command(2.0))
         assert _received(robot) is None
+        assert robot.foreign == second.local
     assert robot.peer == client.local
     assert robot.link.counters.foreign == 1
 
@@ -94,6 +95,24 @@ def test_a_new_client_takes_the_place_of_a_silent_one(robot: Endpoint, client: E
         assert _received(robot) == 2.0
         assert robot.peer == second.local
     assert robot.link.counters.restarts == 1
+
+
+def test_a_client_that_restarts_at_its_old_address_is_heard_after_a_silence(
+    robot: Endpoint,
+) -> None:
+    """Its numbers begin again, below those of its predecessor."""
+    with _client(robot) as client:
+        for _ in range(5):
+            client.send(_command(1.0))
+        assert _received(robot) == 1.0
+        address = client.local
+    with Endpoint(Link(PD_IN, STATE_OUT, refuse_not_finite=False), address, robot.local) as again:
+        again.send(_command(2.0))
+        assert _received(robot) is None
+        time.sleep(0.12)
+        again.send(_command(3.0))
+        assert _received(robot) == 3.0
+    assert (robot.link.counters.late, robot.link.counters.restarts) == (1, 1)
 
 
 @pytest.mark.parametrize("size", [0, 1, 477, 479, 2000])

@@ -102,6 +102,10 @@ class DrakeSimulation:
         self._acceleration = np.zeros_like(self._qvel)
         self.sensors.reset(np.arange(1), self._qpos, self._qvel, self._acceleration)
 
+    def stand(self) -> None:
+        """Restart, standing."""
+        self.reset()
+
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
         """Run one policy period; arguments and result as in `Simulations.advance`, with n = 1.
 
