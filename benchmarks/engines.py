@@ -41,7 +41,10 @@ class Config:
     """Folder for table and results."""
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
+        """Check the numbers, and that there is something to walk."""
+        for name in ("policy", "engine", "speeds"):
+            if not getattr(self, name):
+                raise ConfigurationError(f"{name} must name at least one")
         for name in ("duration", "acceleration"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):
