@@ -14,16 +14,17 @@ from typing import Literal
 import numpy as np
 import viser
 
+from aslip.control import Command
 from aslip.robot import CASSIE
 from aslip.show.live.scene import ROM_PLACES, RomPlace
 from aslip.show.live.server import Check, guard, number_within, one_of, switch
+from aslip.show.live.steering import Steering
 
 Click = Literal["pause", "step", "reset", "push"]
 
 PUSH_DURATION = 4 * CASSIE.policy_period
 """Duration of a push [s], in whole policy steps."""
 
-_SPEED_STEP = 0.05
 _PUSH_LIMIT, _PUSH_STEP, _PUSH_START = 300, 10, 120
 _TURN_STEP = 15
 
@@ -39,8 +40,8 @@ _LEGEND = (
 class Settings:
     """Values of sliders and choices."""
 
-    command: float
-    """Commanded speed [m/s]."""
+    command: Command
+    """Forward speed [m/s]; in all directions forward, sideways speed [m/s] and yaw rate [rad/s]."""
     policy: str
     """Name of the acting policy."""
     rom: RomPlace
@@ -56,8 +57,8 @@ class Controls:
 
     Args:
         server: server of the page.
-        speeds: lowest and highest command [m/s].
-        command: first command [m/s].
+        limits: lowest and highest value of each number of a command.
+        command: first command.
         policies: names to choose from; the first one is chosen.
     """
 
@@ -65,13 +66,14 @@ class Controls:
         self,
         server: viser.ViserServer,
         *,
-        speeds: tuple[float, float],
-        command: float,
+        limits: Sequence[tuple[float, float]],
+        command: Sequence[float],
         policies: Sequence[str],
     ) -> None:
         self._clicks: queue.SimpleQueue[Click] = queue.SimpleQueue()
         gui = server.gui
-        self.command = gui.add_slider("command [m/s]", *speeds, _SPEED_STEP, command)
+        self.steering = Steering(gui, limits, command)
+        self.command = self.steering.sliders[0]
         self.policy = gui.add_dropdown("policy", tuple(policies))
         with gui.add_folder("Time"):
             self.pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
@@ -105,7 +107,8 @@ class Controls:
         """Check the values that visitors send."""
         checks: dict[str, Check] = {}
         checks |= {control._impl.uuid: switch for control in (*buttons, self.auto_reset)}
-        for slider in (self.command, self.push_direction, self.push_size):
+        checks |= self.steering.checks()
+        for slider in (self.push_direction, self.push_size):
             checks[slider._impl.uuid] = number_within(slider.min, slider.max)
         for choice in (self.policy, self.rom):
             checks[choice._impl.uuid] = one_of(choice.options)
@@ -114,7 +117,7 @@ class Controls:
     def settings(self) -> Settings:
         """Present values."""
         return Settings(
-            command=self.command.value,
+            command=self.steering.command(),
             policy=self.policy.value,
             rom=self.rom.value,
             auto_reset=self.auto_reset.value,

@@ -12,13 +12,14 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from aslip.control import Command, numbers
 from aslip.errors import AslipError, ConfigurationError
 from aslip.policy import load_policy
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import yaw_rotation
 from aslip.show.live.controls import PUSH_DURATION, Click, Controls
-from aslip.show.live.readouts import ROBOT_LABEL, Readouts, Status
+from aslip.show.live.readouts import ROBOT_LABEL, Readouts, Status, Turning
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
 from aslip.show.pacing import Pacer
@@ -96,9 +97,11 @@ class LivePage:
         gui.set_panel_label(f"{ROBOT_LABEL}, live")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_PANEL_WIDTH)
-        speeds = float(walker.library.speeds[0]), float(walker.library.speeds[-1])
         self.controls = Controls(
-            self._server, speeds=speeds, command=walker.command, policies=list(self._policies)
+            self._server,
+            limits=[(float(axis[0]), float(axis[-1])) for axis in walker.library.table.axes],
+            command=numbers(walker.command),
+            policies=list(self._policies),
         )
         """Sliders, buttons and choices."""
         # the walker already has its command; other settings are applied below
@@ -208,7 +211,13 @@ class LivePage:
         if settings.policy != before.policy:
             self.walker.policy = self._policies[settings.policy]
         if settings.command != before.command:
-            self.walker.command = settings.command
+            self.walker.command = self._reachable(settings.command)
+
+    def _reachable(self, command: Command) -> Command:
+        """Nearest command in the region of the library, which sliders may leave at its corners."""
+        if not isinstance(command, tuple):
+            return command
+        return tuple(self.walker.library.nearest(torch.tensor(command).double()).tolist())
 
     def _step(self) -> None:
         td = self.walker.step()
@@ -254,4 +263,18 @@ class LivePage:
             falls=self.falls,
             factor=None if self.paused else self.factor,
             message=self.message,
+            turning=self._turning(),
+        )
+
+    def _turning(self) -> Turning | None:
+        """Numbers of walks in all directions."""
+        td = self.walker.td
+        if "filtered_command" not in td:
+            return None
+        off = cast("torch.Tensor", td["true_odometry", "path_error"])[0]
+        return Turning(
+            sideways=float(cast("torch.Tensor", td["true_odometry", "pelvis_velocity"])[0, 1]),
+            yaw_rate=float(cast("torch.Tensor", td["truth", "pelvis_angular_velocity"])[0, 2]),
+            command=numbers(self.walker.command),
+            off_path=float(torch.linalg.vector_norm(off)),
         )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+import torch
 import viser
 import viser.uplot as uplot
 from tensordict import TensorDictBase
@@ -49,6 +50,20 @@ _TERM_COLOR, _TOTAL_COLOR, _ALARM_COLOR = "#9aa5b8", "#333d52", "#c92a2a"
 
 
 @dataclass(frozen=True)
+class Turning:
+    """Numbers of a walk in all directions."""
+
+    sideways: float
+    """Speed of the pelvis to the left [m/s]."""
+    yaw_rate: float
+    """Yaw rate of the pelvis [rad/s]."""
+    command: tuple[float, ...]
+    """Commanded forward, sideways speed [m/s] and yaw rate [rad/s]."""
+    off_path: float
+    """Distance of the pelvis from the place that it should have [m]."""
+
+
+@dataclass(frozen=True)
 class Status:
     """Numbers of the lines of text."""
 
@@ -68,6 +83,8 @@ class Status:
     """Real-time factor; None while paused."""
     message: str
     """Message to visitors; may be empty."""
+    turning: Turning | None = None
+    """Numbers of a walk in all directions; None in straight walks."""
 
 
 class Readouts:
@@ -100,7 +117,8 @@ class Readouts:
         after = cast("TensorDictBase", td["next"])
         speed = after["true_odometry", "pelvis_velocity"][0, 0]
         reference = after["reference", "body_velocity"][0, 0]
-        self._history.append((float(reference), float(speed), float(td["command"])))
+        command = cast("torch.Tensor", td["command"])
+        self._history.append((float(reference), float(speed), float(command[0, 0])))
         terms = cast("TensorDictBase", after["reward_terms"])
         names = sorted(terms.keys(), key=lambda name: _ORDER.get(name, len(_ORDER)))
         self._reward = {name: float(terms[name]) for name in names}
@@ -155,10 +173,21 @@ class Readouts:
 
 def _lines(status: Status, mean_speed: float) -> str:
     factor = "paused" if status.factor is None else f"real-time factor {status.factor:.2f}"
-    entries = (
-        ("time", f"{status.time:.2f} s", factor),
+    walk = (
         ("forward speed", f"{status.speed:z.2f} m/s", f"mean {mean_speed:z.2f} m/s"),
         ("moved", f"{status.ahead:z.2f} m ahead", f"{status.left:z.2f} m left"),
+    )
+    if (turning := status.turning) is not None:
+        forward, sideways, yaw_rate = (f"command {value:z.2f}" for value in turning.command)
+        walk = (
+            ("forward speed", f"{status.speed:z.2f} m/s", forward),
+            ("sideways speed", f"{turning.sideways:z.2f} m/s", sideways),
+            ("yaw rate", f"{turning.yaw_rate:z.2f} rad/s", yaw_rate),
+            ("off the path", f"{turning.off_path:.2f} m", ""),
+        )
+    entries = (
+        ("time", f"{status.time:.2f} s", factor),
+        *walk,
         ("pelvis height", f"{status.height:.3f} m", f"{status.falls} falls"),
     )
     rows = "".join(

@@ -33,6 +33,8 @@ ROM_PLACES: tuple[RomPlace, ...] = get_args(RomPlace)
 
 _BESIDE = np.array([0.0, -0.7, 0.0])
 """Offset of the reduced-order model beside the robot [m]: to the right."""
+_BESIDE_STEPS = np.array([0.0, -0.85, 0.0])
+"""Offset beside robots that sidestep, whose feet take more room [m]."""
 
 # radius and half thickness of a disc on the floor [m]
 _FOOTHOLD_RADIUS = 0.05
@@ -49,6 +51,7 @@ class RomView:
 
     def __init__(self, scene: viser.SceneApi, library: GaitLibrary) -> None:
         self._footholds = Footholds(library)
+        self._beside = _BESIDE if library.command_size == 1 else _BESIDE_STEPS
         self._root = scene.add_frame("/rom", show_axes=False)
         self._offset, self._turn = np.zeros(3), np.eye(3)
         self._body = scene.add_mesh_simple(
@@ -68,7 +71,7 @@ class RomView:
 
     def place(self, place: RomPlace) -> None:
         """Show the model beside the robot, in its place, or not at all."""
-        self._offset = _BESIDE if place == "beside" else np.zeros(3)
+        self._offset = self._beside if place == "beside" else np.zeros(3)
         self._root.position = self._turn @ self._offset
         self._root.visible = self._plans.visible = place != "hidden"
 
@@ -97,8 +100,11 @@ class RomView:
             disc.visible = not stance
             if not stance:
                 stance_foot = truth[f"{other}_foot_position"][0].double().numpy()
-                speed = float(td["command"])
-                plan = self._footholds.planned(side, speed, stance_foot, orientation)
+                command = cast("torch.Tensor", td.get("filtered_command", td["command"]))[0]
+                phase = float(cast("torch.Tensor", td["phase"]))
+                plan = self._footholds.planned(
+                    side, command.tolist(), stance_foot, orientation, phase
+                )
                 disc.position = np.array([*(plan - origin[:2]), _FOOTHOLD_HALF])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,12 @@ from typing import Any
 import pytest
 from tensordict import TensorDictBase
 
+import aslip
+from aslip.envs import EPISODE_ENDS, directions_stack
 from aslip.show.live import LivePage
 from aslip.walking import Walker
 from tests.helpers import limp
+from tests.library.bent import symmetric_library
 from tests.show.live.helpers import PATIENCE, served, wait_for
 
 playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -33,11 +37,13 @@ class Desk:
     browser: Any
     view: Any
     steps: list[TensorDictBase]
+    script: str = ""
 
     def open(self) -> Any:
         """Open another tab with the page."""
         view = self.browser.new_page(**_SIZE)
         view.set_default_timeout(1000 * PATIENCE)
+        view.add_init_script(self.script)
         view.goto(self.live.url)
         view.get_by_role("button", name="Reset").wait_for()
         return view
@@ -61,15 +67,11 @@ class Desk:
         return len(self.steps)
 
 
-@pytest.fixture(scope="module")
-def opened(library) -> Iterator[Desk]:
+@contextmanager
+def _desk(walker: Walker, policies: dict[str, Any], script: str = "") -> Iterator[Desk]:
+    """Desk with a page; a script runs in the browser before those of the page."""
     steps: list[TensorDictBase] = []
-    live = LivePage(
-        Walker(library=library),
-        {"aslip": "aslip", "limp": limp()},
-        port=0,
-        on_step=steps.append,
-    )
+    live = LivePage(walker, policies, port=0, on_step=steps.append)
     with playwright_api.sync_playwright() as playwright, served(live):
         own = playwright.chromium.executable_path
         found = [path for name in _NAMES if (path := shutil.which(name))]
@@ -78,10 +80,16 @@ def opened(library) -> Iterator[Desk]:
         if not found:
             pytest.skip(f"no chromium among {_NAMES}, nor playwright's own")
         browser = playwright.chromium.launch(executable_path=found[0], args=_ARGUMENTS)
-        desk = Desk(live, browser, None, steps)
+        desk = Desk(live, browser, None, steps, script)
         desk.view = desk.open()
         yield desk
         browser.close()
+
+
+@pytest.fixture(scope="module")
+def opened(library) -> Iterator[Desk]:
+    with _desk(Walker(library=library), {"aslip": "aslip", "limp": limp()}) as desk:
+        yield desk
 
 
 @pytest.fixture
@@ -184,3 +192,27 @@ def test_page_shows_numbers_bars_and_the_robot(desk):
         }"""
     )
     assert min(colors) > 20, colors
+
+
+@pytest.mark.slow
+def test_keys_and_a_gamepad_steer_in_all_directions():
+    stack = directions_stack(symmetric_library())
+    env = aslip.make_env(stack=stack, num_threads=1, drop=EPISODE_ENDS)
+    walker = Walker(limp(), env, library=symmetric_library(), speed=0.4)
+
+    def wait(*command: float) -> None:
+        wait_for(lambda: walker.command == pytest.approx(command, abs=0.005))
+
+    script = "window.pad = null; navigator.getGamepads = () => [window.pad];"
+    with _desk(walker, {"limp": limp()}, script) as desk:
+        wait_for(lambda: desk.view.evaluate("window.aslipSteering"))
+        for key in ("KeyW", "ArrowUp", "KeyQ", "KeyA"):
+            desk.view.keyboard.press(key)
+        wait(0.6, 0.05, 0.1)
+        desk.view.keyboard.press("KeyX")
+        wait(0.0, 0.0, 0.0)
+        # half the stick's way beyond its dead zone
+        desk.view.evaluate("window.pad = {connected: true, axes: [0, -1, 0.56, 0]}")
+        wait(0.8, 0.0, -0.4)
+        desk.view.evaluate("window.pad = {connected: true, axes: [0, 0, 0, 0]}")
+        wait(0.0, 0.0, 0.0)

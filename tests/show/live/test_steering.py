@@ -1,0 +1,88 @@
+"""Steering in all directions: sliders, texts of keys and gamepads, a ghost that turns along."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+import aslip
+from aslip.envs import EPISODE_ENDS, directions_stack
+from aslip.show.live import LivePage
+from aslip.walking import Walker
+from tests.helpers import limp
+from tests.library.bent import symmetric_library
+from tests.show.live.helpers import wait_for
+from tests.show.live.visitor import visit
+
+
+@pytest.fixture(scope="module")
+def walker() -> Walker:
+    library = symmetric_library()
+    env = aslip.make_env(stack=directions_stack(library), num_threads=1, drop=EPISODE_ENDS)
+    return Walker(limp(), env, library=library, speed=0.2)
+
+
+@pytest.fixture
+def page(walker: Walker) -> Iterator[LivePage]:
+    walker.reset((0.2, 0.0, 0.0))
+    page = LivePage(walker, port=0)
+    yield page
+    page.stop()
+
+
+def test_each_number_of_a_command_has_a_slider(page: LivePage) -> None:
+    sliders = page.controls.steering.sliders
+    assert [slider.value for slider in sliders] == pytest.approx([0.2, 0.0, 0.0])
+    for slider, value in zip(sliders, (0.4, -0.1, 0.3), strict=True):
+        slider.value = value
+    page.turn()
+    assert page.walker.command == pytest.approx((0.4, -0.1, 0.3))
+    assert page.controls.steering.field is not None
+    assert page.controls.steering.field.value == "0.40, -0.10, 0.30"
+
+
+def test_texts_of_keys_and_gamepads_move_the_sliders(page: LivePage) -> None:
+    field, sliders = page.controls.steering.field, page.controls.steering.sliders
+    assert field is not None
+    with visit(page) as visitor:
+        visitor.update(field, value="0.3, 9, -0.5")
+        wait_for(lambda: field.value == "0.30, 0.20, -0.50")
+        page.turn()
+        assert page.walker.command == pytest.approx((0.3, 0.2, -0.5))
+        assert [slider.value for slider in sliders] == pytest.approx([0.3, 0.2, -0.5])
+        for text in ("", "a", "1, 2", "0, 0, nan", "0,0,0,0", "1" * 200, 3, None, math.inf):
+            visitor.update(field, value=text)
+        visitor.update(field, value="0.1,0,0")
+        wait_for(lambda: field.value == "0.10, 0.00, 0.00")
+    page.turn()
+    assert page.message == ""
+    assert page.walker.command == pytest.approx((0.1, 0.0, 0.0))
+
+
+def test_lines_name_all_speeds_and_their_commands(page: LivePage) -> None:
+    page.controls.steering.sliders[2].value = 0.5
+    page.turn()
+    page._readouts.show(page._status())
+    text = re.sub("<.*?>", " ", page._readouts._lines.content)
+    for part in ("sideways speed", "yaw rate", "command 0.50", "off the path"):
+        assert part in text
+
+
+def test_the_ghost_is_beside_the_robot_at_every_yaw(page: LivePage) -> None:
+    """Its centre is to the right of the robot, further away than both are wide."""
+    page.controls.steering.sliders[2].value = 0.8
+    root = page._server.scene.get_handle_by_name("/rom")
+    assert root is not None
+    yaws = []
+    for _ in range(24):
+        page.turn()
+        w, x, y, z = page.walker.td["truth", "pelvis_orientation"][0].tolist()  # pyright: ignore
+        yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        place = 0.85 * np.array([np.sin(yaw), -np.cos(yaw)])
+        np.testing.assert_allclose(np.array(root.position)[:2], place, atol=1e-6)
+        yaws.append(yaw)
+    assert max(map(abs, yaws)) > 0.02
