@@ -16,7 +16,8 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from aslip.control.own_estimate import is_estimate, join_estimate, next_entries, start_entries
+from aslip.control.own_estimate import is_estimate, join_estimate
+from aslip.control.turn import next_entries, start_entries
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
 from aslip.estimation.packets import join
@@ -25,7 +26,7 @@ from aslip.policy import entry_names, load_policy, read_card
 from aslip.transforms.action import add_delta
 from aslip.transforms.clock import advance_phase, clock_entries
 from aslip.transforms.command import COMMAND_RATES, approach_command, checked_rates
-from aslip.transforms.estimate import estimate_entries, estimate_sizes, follow_path
+from aslip.transforms.estimate import estimate_entries, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
 from aslip.transforms.path import advance_heading
 from aslip.transforms.reference import feedforward_target, reference_and_goal
@@ -34,8 +35,8 @@ Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
 """Packets of n robots, oldest first: entries (n, w, k) with the names of `Robot.packet_sizes`, or
 all entries concatenated to (n, w, p). One packet of one robot has no leading axes.
 
-For robots that estimate their own state, entries (n, k) of `aslip.transforms.estimate_sizes`
-instead: the latest estimates, in frames with z up against gravity."""
+For robots that estimate their own state, entries (n, k) of `Robot.estimate_sizes` instead: the
+latest estimates, in frames with z up against gravity."""
 
 
 # groups of entries that each step overwrites
@@ -168,7 +169,7 @@ class Controller:
         begun = self._begin(
             rows, self._command(command, num), _column("phase", phase, num), heading
         )
-        return self._act(begun)
+        return self.act(begun)
 
     def step(
         self,
@@ -232,7 +233,7 @@ class Controller:
                 rows[robots.numpy()], now[robots], _column("phase", phase, num)[robots], ahead
             )
             present[robots] = _completed(begun, like=present)
-        state = self._act(present)
+        state = self.act(present)
         return state, state.motor_target
 
     def _begin(
@@ -280,8 +281,12 @@ class Controller:
         return estimate_entries(tracking, self.estimator.update(tracking, rows), origin)
 
     @torch.no_grad()
-    def _act(self, present: TensorDictBase) -> ControllerState:
-        """Act on estimate, command and phase."""
+    def act(self, present: TensorDictBase) -> ControllerState:
+        """Act on estimate, command and phase; `start` and `step` write these entries.
+
+        Args:
+            present: entries (n,) of a policy step up to the reference; changed in place.
+        """
         steer = "filtered_command" if self._along_path else "command"
         command, phase = (cast("Tensor", present[key]) for key in (steer, "phase"))
         reference, goal = reference_and_goal(
@@ -315,7 +320,7 @@ class Controller:
     def _lost(self, past: TensorDictBase) -> np.ndarray:
         """NaN in place of the packets, or of the estimates, of all robots."""
         robot = self.estimator.robot
-        own = sum(estimate_sizes(robot).values())
+        own = sum(robot.estimate_sizes.values())
         size = (1, robot.packet_size) if "estimator" in past else (own,)
         return np.full((len(past), *size), np.nan)
 

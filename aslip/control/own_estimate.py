@@ -1,26 +1,20 @@
-"""Estimates that robots make themselves, in place of packets."""
+"""Estimates that robots make themselves, in place of packets, as arrays; without PyTorch."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import cast
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
-from tensordict import TensorDictBase
-from torch import Tensor
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import Robot
-from aslip.robot.rotation import normalize, orientation_to_heading, vector_to_heading
-from aslip.robot.rotation import yaw as yaw_of
-from aslip.transforms.estimate import estimate_sizes
+from aslip.robot.rotation import yaw
 
 
 def is_estimate(packets: object) -> bool:
     """Whether a mapping has the entries of an estimate rather than those of packets."""
-    return isinstance(packets, Mapping | TensorDictBase) and "height" in packets
+    return isinstance(packets, Mapping) and "height" in packets
 
 
 def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
@@ -30,7 +24,7 @@ def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
         UnknownNameError: an entry is missing.
         ShapeError: an entry has the wrong shape.
     """
-    sizes, columns = estimate_sizes(robot), []
+    sizes, columns = robot.estimate_sizes, []
     for name, size in sizes.items():
         if name not in entries:
             raise UnknownNameError(f"an estimate needs {list(sizes)}; {name!r} is missing")
@@ -45,8 +39,15 @@ def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
-def start_entries(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> dict[str, object]:
-    """Entries of robots with estimates (n, e) that start.
+def split_estimate(rows: np.ndarray, robot: Robot) -> dict[str, np.ndarray]:
+    """Entries (n, k) of joined estimates (n, e)."""
+    sizes = robot.estimate_sizes
+    parts = np.split(rows, np.cumsum(list(sizes.values()))[:-1], axis=1)
+    return dict(zip(sizes, parts, strict=True))
+
+
+def start_heading(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> np.ndarray:
+    """Headings (n, 1) of robots that start with estimates (n, e) [rad].
 
     Args:
         rows: joined estimates.
@@ -56,54 +57,14 @@ def start_entries(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> 
 
     Raises:
         ConfigurationError: an estimate or a heading is not finite.
+        ShapeError: there is neither one heading nor one per robot.
     """
     if not np.isfinite(rows).all():
         raise ConfigurationError("estimates of robots that start must be finite")
-    part = _parts(rows, robot)
-    ahead = yaw_of(part["orientation"]) if heading is None else np.asarray(heading, np.float64)
+    orientation = split_estimate(rows, robot)["orientation"]
+    ahead = yaw(orientation) if heading is None else np.asarray(heading, np.float64)
     if not np.isfinite(ahead).all():
         raise ConfigurationError(f"heading must be finite, got {ahead.tolist()}")
     if ahead.size not in (1, len(rows)):
         raise ShapeError(f"heading must be one number or ({len(rows)}, 1), got {ahead.shape}")
-    return _entries(part, np.broadcast_to(ahead.reshape(-1), (len(rows),)))
-
-
-def next_entries(
-    past: TensorDictBase, rows: np.ndarray, heading: Tensor | None, robot: Robot
-) -> dict[str, object]:
-    """Entries of robots with new estimates (n, e); for those that are not finite the last hold.
-
-    Args:
-        past: entries of the last policy step.
-        rows: joined estimates.
-        heading: new yaw (n, 1) that counts as straight ahead [rad], or None.
-        robot: robot that gives the sizes of the entries.
-    """
-    ahead = cast("Tensor", past["heading"] if heading is None else heading.double())
-    entries = _entries(_parts(rows, robot), ahead[:, 0].numpy())
-    lost = torch.from_numpy(~np.isfinite(rows).all(axis=1, keepdims=True))
-    if lost.any():
-        estimate = cast("dict[str, Tensor]", entries["estimate"])
-        entries["estimate"] = {
-            name: torch.where(lost, cast("Tensor", past["estimate", name]), value)
-            for name, value in estimate.items()
-        }
-    return entries
-
-
-def _parts(rows: np.ndarray, robot: Robot) -> dict[str, np.ndarray]:
-    """Entries of joined estimates."""
-    sizes = estimate_sizes(robot)
-    parts = np.split(rows, np.cumsum(list(sizes.values()))[:-1], axis=1)
-    return dict(zip(sizes, parts, strict=True))
-
-
-def _entries(part: dict[str, np.ndarray], heading: np.ndarray) -> dict[str, object]:
-    """Entries in a tensordict: estimates in frames with x along headings (n,), and headings."""
-    turned = {
-        **part,
-        "orientation": normalize(orientation_to_heading(heading, part["orientation"])),
-        "velocity": vector_to_heading(heading, part["velocity"]),
-    }
-    single = {name: torch.tensor(value, dtype=torch.float32) for name, value in turned.items()}
-    return {"estimate": single, "heading": torch.tensor(heading[:, None].copy())}
+    return np.broadcast_to(ahead.reshape(-1, 1), (len(rows), 1)).copy()

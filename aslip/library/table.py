@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass, fields
 
@@ -97,6 +98,17 @@ class GaitTable:
         if self.present is None:
             return np.zeros(math.prod(self.grid), dtype=bool)
         return ~self.present.ravel()
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of all arrays, as hexadecimal digits; names the table in exported policies."""
+        arrays = {**{name: getattr(self, name) for name in ARRAYS}, "missing": self.missing}
+        arrays |= {f"axis{i}": axis for i, axis in enumerate(self.axes)}
+        digest = hashlib.sha256(f"{self.torque_jumps}".encode())
+        for name, array in arrays.items():
+            digest.update(f"{name} {array.dtype} {array.shape}".encode())
+            digest.update(np.ascontiguousarray(array))
+        return digest.hexdigest()
 
     def _check_present(self) -> None:
         if self.present is None:

@@ -142,6 +142,19 @@ class Robot:
         return sum(self.packet_sizes.values())
 
     @cached_property
+    def estimate_sizes(self) -> dict[str, int]:
+        """Entry of an estimate -> size, in order; see `aslip.transforms.ESTIMATE_SIZES`."""
+        encoders = ("motor_position", "motor_velocity", "joint_position", "joint_velocity")
+        return {
+            "height": 1,
+            "orientation": 4,
+            "velocity": 3,
+            "angular_velocity": 3,
+            "acceleration": 3,
+            **{name: self.packet_sizes[name] for name in encoders},
+        }
+
+    @cached_property
     def noise_channels(self) -> dict[str, int]:
         """Sensor -> number of error channels; the orientation's error is a rotation vector."""
         return {**self.packet_sizes, "orientation": 3}

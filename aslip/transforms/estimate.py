@@ -20,26 +20,12 @@ from aslip.estimation import (
     Tracking,
     tracking_size,
 )
-from aslip.robot import CASSIE, SIDES, Robot
+from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
 from aslip.transforms.path import advance_heading, arc, move_origin, place_in_path
 from aslip.transforms.rotation import rotate_about_vertical
 
-
-def estimate_sizes(robot: Robot) -> dict[str, int]:
-    """Entries of a robot's estimate -> their lengths; see `ESTIMATE_SIZES`."""
-    encoders = ("motor_position", "motor_velocity", "joint_position", "joint_velocity")
-    return {
-        "height": 1,
-        "orientation": 4,
-        "velocity": 3,
-        "angular_velocity": 3,
-        "acceleration": 3,
-        **{name: robot.packet_sizes[name] for name in encoders},
-    }
-
-
-ESTIMATE_SIZES: Final = MappingProxyType(estimate_sizes(CASSIE))
+ESTIMATE_SIZES: Final = MappingProxyType(CASSIE.estimate_sizes)
 """Entries of `("estimate", ...)`, 46 numbers in all: height of the pelvis above ground [m],
 orientation (wxyz, w >= 0) and velocity [m/s] in the heading frame, angular velocity in the pelvis
 frame [rad/s], acceleration in the pelvis frame without gravity [m/s^2], motors and joints [rad,
@@ -88,7 +74,7 @@ class _Estimator(SeededTransform):
         """Add the entries of `ESTIMATE_SIZES` and `ODOMETRY_SIZES`."""
         require_keys(self, observation_spec, self.in_keys)
         along = PATH_SIZES if self._path else {}
-        groups = (estimate_sizes(self._robot), {**ODOMETRY_SIZES, **along})
+        groups = (self._robot.estimate_sizes, {**ODOMETRY_SIZES, **along})
         for key, sizes in zip(self.out_keys, groups, strict=False):
             group = Composite(shape=observation_spec.shape)
             observation_spec[key] = extend_spec(group, sizes)

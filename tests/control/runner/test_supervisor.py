@@ -13,7 +13,6 @@ import pytest
 from aslip.control.runner.supervisor import Limits, Reading, Request, Stage, Supervisor, tilt
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
-from aslip.transforms.estimate import estimate_sizes
 
 PERIOD = CASSIE.policy_period
 STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
@@ -44,7 +43,7 @@ class Recorder:
 
 def standing(time: float, *, channels: dict[int, float] | None = None, **entries: Any) -> Reading:
     """Reading of a robot that stands, with other entries and radio channels."""
-    estimate = {name: np.zeros(size) for name, size in estimate_sizes(CASSIE).items()}
+    estimate = {name: np.zeros(size) for name, size in CASSIE.estimate_sizes.items()}
     estimate |= {"orientation": np.array([1.0, 0, 0, 0]), "motor_position": STANDING.copy()}
     radio = np.zeros(16)
     radio[8] = 1.0

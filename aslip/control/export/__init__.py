@@ -1,0 +1,21 @@
+"""Export of policies to ONNX; needs PyTorch and onnx, which running an exported policy does not.
+
+`python -m aslip.control.export` exports from the command line.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from aslip.control.export.network import export_network
+    from aslip.control.export.policy import compare, export_policy
+
+__all__ = ["compare", "export_network", "export_policy"]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={"network": ["export_network"], "policy": ["compare", "export_policy"]},
+)

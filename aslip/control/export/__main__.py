@@ -1,0 +1,64 @@
+"""Export a policy to ONNX, with everything that a robot needs to run it, and check the file.
+
+    python -m aslip.control.export --policy aslip --out aslip.onnx
+
+The check compares motor targets with PyTorch's, on the golden trace and at random states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.errors import one_line_errors
+from aslip.training.command_line import command_line
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings of an export."""
+
+    policy: str = "aslip"
+    """Name of a shipped policy, policy file, or folder of a training run."""
+    out: Path = Path("policy.onnx")
+    """ONNX file to write."""
+    library: str = "gaits"
+    """Gait library: name of a shipped one, or file."""
+    samples: int = 100_000
+    """Random states at which the file is compared with PyTorch."""
+    network: bool = False
+    """Export the network alone, from observation to action, with mjlab's metadata."""
+
+
+def main(config: Config) -> None:
+    """Export, and compare with PyTorch.
+
+    Raises:
+        SystemExit: motor targets differ by more than the contract allows.
+    """
+    print(f"exporting {config.policy} to {config.out} ...", flush=True)
+    from tqdm import tqdm
+
+    from aslip.control import Controller
+    from aslip.control.contract import TOLERANCE
+    from aslip.control.export import compare, export_network, export_policy
+    from aslip.library import GaitLibrary
+
+    controller = Controller(config.policy, GaitLibrary.load(config.library))
+    if config.network:
+        export_network(config.policy, config.out, controller.library)
+        print(f"{config.out.stat().st_size / 1e6:.1f} MB")
+        return
+    exported = export_policy(config.policy, config.out, controller.library)
+    print(f"{config.out.stat().st_size / 1e6:.1f} MB")
+    print(f"golden trace: largest difference {exported.verify():.2g} rad from PyTorch")
+    if config.samples:
+        largest = compare(exported, controller, config.samples, progress=tqdm)
+        print(f"{config.samples} random states: {largest:.2g} rad")
+        if not largest <= TOLERANCE:
+            raise SystemExit(f"error: more than {TOLERANCE:g} rad")
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(command_line(Config))

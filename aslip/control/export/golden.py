@@ -1,0 +1,144 @@
+"""Golden trace of a controller: inputs and outputs of policy steps, computed by PyTorch.
+
+The estimates follow the reference with noise, so that no simulator is needed. Commands change and
+leave the library, the heading changes, estimates are lost, and the robot restarts once.
+"""
+
+from __future__ import annotations
+
+from typing import Final, cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from aslip.control.controller import Controller, ControllerState
+from aslip.control.own_estimate import join_estimate, split_estimate
+from aslip.library import GaitLibrary
+from aslip.robot import Robot
+
+STEPS: Final = 200
+"""Policy steps of a golden trace."""
+
+_NOISE = 0.05  # standard deviation of all numbers of an estimate, in their units
+_COMMAND_STEPS = 40  # between changes of the command
+_BEYOND = 1.2  # size of the range of commands, relative to the library's
+_LOST = range(60, 63)  # steps without an estimate
+_TURN, _HEADING = 90, 0.25
+_RESTART = 120
+_PHASE = 0.25
+
+
+def golden_trace(
+    controller: Controller, steps: int = STEPS, seed: int = 0
+) -> dict[str, np.ndarray]:
+    """Golden trace of a controller.
+
+    Args:
+        controller: the controller.
+        steps: number t of policy steps.
+        seed: seed of commands and noise.
+
+    Returns:
+        Arrays with the names of gaitkeeper's traces: `obs` (t, o), `action`, `target` (t, m) [rad],
+        `command` (t, c), `reset` (t,) True at steps that start, `episode_step` (t,); and the inputs
+        `estimate` (t, e), joined in the order of `Robot.estimate_sizes`, NaN if lost; `heading`
+        (t, 1) [rad]; `phase` (1, 1) at starts.
+    """
+    step = np.arange(steps)
+    generator = np.random.default_rng(seed)
+    commands = random_commands(controller.library, -(-steps // _COMMAND_STEPS), generator)
+    commands = commands[step // _COMMAND_STEPS]
+    headings = np.where(step < _TURN, 0.0, _HEADING)[:, None]
+    starts = np.isin(step, (0, _RESTART))
+    rows, states = [], []
+    for i, start in enumerate(starts):
+        last = None if start else states[-1]
+        rows.append(_estimate(controller, last, commands[i : i + 1], generator))
+        if i in _LOST:
+            rows[-1] *= np.nan
+        states.append(_state(controller, last, rows[-1], commands[i], headings[i]))
+    return {
+        "obs": _joined(states, "observation"),
+        "action": _joined(states, "action"),
+        "target": _joined(states, "motor_target"),
+        "command": commands,
+        "reset": starts,
+        "episode_step": step - np.where(step < _RESTART, 0, _RESTART),
+        "estimate": np.concatenate(rows),
+        "heading": headings,
+        "phase": np.array([[_PHASE]], dtype=np.float32),
+    }
+
+
+def _joined(states: list[ControllerState], name: str) -> np.ndarray:
+    """Entries (t, k) of states."""
+    return np.concatenate([state.tensordict[name].numpy() for state in states])
+
+
+def _estimate(
+    controller: Controller,
+    last: ControllerState | None,
+    command: np.ndarray,
+    generator: np.random.Generator,
+) -> np.ndarray:
+    """Estimate (1, e) of a robot at the phase of its last state, or of a start."""
+    phase = torch.tensor([[_PHASE]]) if last is None else cast("Tensor", last.tensordict["phase"])
+    robot = controller.estimator.robot
+    return random_estimates(controller.library, robot, phase, command, generator)
+
+
+def _state(
+    controller: Controller,
+    last: ControllerState | None,
+    row: np.ndarray,
+    command: np.ndarray,
+    heading: np.ndarray,
+) -> ControllerState:
+    """State after a step of the trace."""
+    estimate = split_estimate(row, controller.estimator.robot)
+    commanded, ahead = torch.from_numpy(command)[None], torch.tensor(heading)[None].float()
+    if last is None:
+        return controller.start(estimate, commanded, phase=_PHASE, heading=ahead)
+    return controller.step(last, estimate, commanded, heading=ahead)[0]
+
+
+def random_commands(library: GaitLibrary, count: int, generator: np.random.Generator) -> np.ndarray:
+    """Commands (count, c) in the range of a library, and beyond it by a tenth at each end."""
+    ends = np.array([(axis[0], axis[-1]) for axis in library.table.axes])
+    share = 0.5 + _BEYOND * (generator.random((count, len(ends))) - 0.5)
+    return (ends[:, 0] + share * (ends[:, 1] - ends[:, 0])).astype(np.float32)
+
+
+def random_estimates(
+    library: GaitLibrary,
+    robot: Robot,
+    phase: Tensor,
+    command: np.ndarray,
+    generator: np.random.Generator,
+) -> np.ndarray:
+    """Joined estimates (n, e) of robots on the reference, with noise.
+
+    Args:
+        library: gaits.
+        robot: robot.
+        phase: (n, 1) stride fraction.
+        command: (n, c) command.
+        generator: source of the noise.
+    """
+    at = robot.indices
+    found = library.initial_state(phase, torch.from_numpy(command))
+    qpos, qvel = (values.numpy() for values in found)
+    estimate = {
+        "height": qpos[:, at.pelvis_position][:, 2:],
+        "orientation": qpos[:, at.pelvis_orientation],
+        "velocity": qvel[:, at.pelvis_velocity],
+        "angular_velocity": qvel[:, at.pelvis_angular_velocity],
+        "acceleration": np.zeros((len(qpos), 3)),
+        "motor_position": qpos[:, at.motor_qpos],
+        "motor_velocity": qvel[:, at.motor_qvel],
+        "joint_position": qpos[:, at.joint_qpos],
+        "joint_velocity": qvel[:, at.joint_qvel],
+    }
+    rows = join_estimate(estimate, robot)
+    return rows + _NOISE * generator.standard_normal(rows.shape)

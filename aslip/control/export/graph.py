@@ -1,0 +1,294 @@
+"""Policy step of a controller as one ONNX graph, traced from the functions of `Controller`."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+import onnx
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor, nn
+
+from aslip.control.contract import observed_name
+from aslip.control.controller import Controller
+from aslip.control.turn import hold_estimate
+from aslip.errors import ConfigurationError
+from aslip.library.region import COMMANDS
+from aslip.policy import entry_names
+from aslip.robot import Robot
+from aslip.transforms.clock import advance_phase
+from aslip.transforms.command import approach_command
+
+_WORLD = "frame of the estimates, z up against gravity"
+_HEADING = "heading frame: z up against gravity, x along the heading"
+_MOVING = "moving frame of aslip.library.Reference"
+_PELVIS = "pelvis"
+
+# entry of an estimate -> LEAPP's kind, unit, frame
+_ESTIMATE = {
+    "height": ("state/body/position", "m", "above the ground below the pelvis"),
+    "orientation": ("state/body/rotation", "1", "pelvis to " + _WORLD),
+    "velocity": ("state/body/linear_velocity", "m/s", _WORLD),
+    "angular_velocity": ("state/body/angular_velocity", "rad/s", _PELVIS),
+    "acceleration": ("state/body/linear_acceleration", "m/s^2", _PELVIS + ", without gravity"),
+    "motor_position": ("state/joint/position", "rad", ""),
+    "motor_velocity": ("state/joint/velocity", "rad/s", ""),
+    "joint_position": ("state/joint/position", "rad", ""),
+    "joint_velocity": ("state/joint/velocity", "rad/s", ""),
+}
+_AXES = {1: ("z",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
+# last words of the names of other entries -> unit
+_UNITS = {"position": "m", "velocity": "m/s", "heading": "rad", "target": "rad", "error": "m"}
+# opsets that onnxruntime has had since 1.17
+_OPSET = 18
+
+
+@dataclass(frozen=True)
+class Entry:
+    """Input or output of the graph."""
+
+    name: str
+    value: Tensor
+    """Example (1, k)."""
+    kind: str | None = None
+    """Kind in LEAPP's terms, if it has one."""
+    elements: tuple[str, ...] = ()
+    """Name of each number."""
+    unit: str = ""
+    frame: str = ""
+    meaning: str = ""
+
+    def describe(self) -> dict[str, Any]:
+        """Description as in LEAPP's pipeline files, with unit, frame and meaning."""
+        described: dict[str, Any] = {
+            "name": self.name,
+            "dtype": str(self.value.dtype).removeprefix("torch."),
+            "shape": list(self.value.shape),
+            "type": "tensor",
+        }
+        if self.kind is not None:
+            described["kind"] = self.kind
+        if self.elements:
+            described["element_names"] = [None, list(self.elements)]
+        words = {"unit": self.unit, "frame": self.frame, "meaning": self.meaning}
+        return {**described, **{name: text for name, text in words.items() if text}}
+
+
+class PolicyStep(nn.Module):
+    """Policy step of a controller, for one robot that estimates its own state, as tensors.
+
+    Inputs (1, k) are the entries of an estimate, `heading`, `command`, `first`, and values of the
+    last step: `last_phase`, `last_action`, `last_estimate`, with several axes of the command
+    `last_filtered_command`, and the policy's hidden states. At a first step, `first` is True,
+    `last_phase` is the phase to begin at, and the other last values do not matter.
+
+    Args:
+        controller: the controller.
+
+    Raises:
+        ConfigurationError: the policy observes what a robot's own estimate does not have.
+    """
+
+    def __init__(self, controller: Controller) -> None:
+        super().__init__()
+        # registered, so that weights and tables become initialisers of the graph
+        self.policy, self.library = controller.policy, controller.library
+        self._controller, self._robot = controller, controller.estimator.robot
+        self._along_path = self.library.command_size > 1
+        names = entry_names(controller.observation)
+        if odd := [name for name in names if name.startswith(("odometry", "estimator"))]:
+            raise ConfigurationError(
+                f"the policy observes {odd}, which robots do not estimate themselves, so it cannot"
+                " be exported"
+            )
+        # entries of the observation that no other output has
+        self._observed = [name for name in names if not name.startswith("estimate/")]
+        found = controller.start(standing_estimate(self._robot)).tensordict
+        memory = cast("TensorDictBase", found.get("next", TensorDict()))
+        self._memory = {name: cast("Tensor", memory[name]) for name in memory.keys()}  # noqa: SIM118
+        self.inputs = self._inputs(found)
+        with torch.no_grad():
+            values = self._step(*(entry.value for entry in self.inputs))
+        self.outputs = [_output(name, value, self._robot) for name, value in values.items()]
+        last = [entry.name for entry in self.inputs if entry.name.startswith("last_")]
+        self.feedback = {name.removeprefix("last_"): name for name in last}
+        """Output -> input that takes its value at the next step."""
+
+    def forward(self, *values: Tensor) -> tuple[Tensor, ...]:
+        """Values of the outputs from those of the inputs."""
+        return tuple(self._step(*values).values())
+
+    def _step(self, *values: Tensor) -> dict[str, Tensor]:
+        given = dict(zip((entry.name for entry in self.inputs), values, strict=True))
+        period = self._robot.policy_period
+        first, command = given["first"], self.library.nearest(given["command"])
+        steer = given["last_filtered_command"] if self._along_path else command
+        phase = advance_phase(self.library, given["last_phase"], steer, period)
+        sizes = self._robot.estimate_sizes
+        last = given["last_estimate"].split(list(sizes.values()), dim=-1)
+        estimate = hold_estimate(
+            {name: given[name] for name in sizes},
+            given["heading"],
+            dict(zip(sizes, last, strict=True)),
+        )
+        present: dict[str, Any] = {
+            "command": command,
+            "phase": torch.where(first, given["last_phase"] % 1.0, phase),
+            "estimate": estimate,
+            "last_action": torch.where(first, 0.0, given["last_action"]),
+            # hidden states of first steps are set to zero here
+            "is_init": torch.tensor([[False]] * len(first)),
+        }
+        for name in self._memory:
+            state = given[f"last_{name}"]
+            present[name] = torch.where(first.reshape(-1, *[1] * (state.ndim - 1)), 0.0, state)
+        if self._along_path:
+            rates = self._controller.command_rates
+            following = approach_command(steer, command, rates, period)
+            present["filtered_command"] = torch.where(first, command, following)
+        acting = TensorDict(present, batch_size=[len(first)])
+        return self._results(self._controller.act(acting).tensordict)
+
+    def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
+        """Values of the outputs."""
+        names = ["motor_target", "action", "observation", "phase"]
+        names += ["filtered_command"] if self._along_path else []
+        sizes = self._robot.estimate_sizes
+        estimate = torch.cat([cast("Tensor", found["estimate", name]) for name in sizes], dim=-1)
+        values = {"nearest_command": found["command"], **{name: found[name] for name in names}}
+        values |= {"estimate": estimate, **{name: found["next", name] for name in self._memory}}
+        observed = {observed_name(n): found[tuple(n.split("/"))] for n in self._observed}
+        # copies, as outputs of a graph differ from its inputs and from each other
+        return {n: cast("Tensor", v).clone() for n, v in {**observed, **values}.items()}
+
+    def _inputs(self, found: TensorDictBase) -> list[Entry]:
+        """Inputs with examples from a controller's entries."""
+        size, robot = self.library.command_size, self._robot
+        joints = {"motor": robot.motor_names, "joint": robot.joint_names}
+        entries = []
+        for name, width in robot.estimate_sizes.items():
+            kind, unit, frame = _ESTIMATE[name]
+            elements = joints.get(name.split("_")[0], _AXES.get(width, ()))
+            value = torch.tensor(standing_estimate(robot)[name])
+            entries.append(Entry(name, value, kind, elements, unit, frame))
+        command, phase = torch.zeros(1, size), torch.zeros(1, 1)
+        entries += [
+            _HEADING_INPUT,
+            Entry("command", command, "command/body/velocity", _axes(size), "m/s, rad/s", _MOVING),
+            Entry("first", torch.ones(1, 1, dtype=torch.bool), meaning="first step of the robot"),
+            Entry("last_phase", phase, meaning="stride fraction; at a first step to begin at"),
+            Entry("last_action", found["action"], elements=robot.motor_names, unit="rad"),
+            Entry("last_estimate", torch.zeros(1, sum(robot.estimate_sizes.values()))),
+        ]
+        if self._along_path:
+            entries.append(Entry("last_filtered_command", command, elements=_axes(size)))
+        return entries + [
+            Entry(f"last_{name}", value, meaning="hidden state of the policy")
+            for name, value in self._memory.items()
+        ]
+
+
+_HEADING_INPUT = Entry(
+    "heading",
+    torch.zeros(1, 1, dtype=torch.float64),
+    unit="rad",
+    frame=_WORLD,
+    meaning="yaw that counts as straight ahead; at a first step usually that of the orientation",
+)
+
+
+def _axes(size: int) -> tuple[str, ...]:
+    """Names of the components of a command."""
+    return tuple(name.replace(" ", "_") for name, _ in COMMANDS[:size])
+
+
+def standing_estimate(robot: Robot) -> dict[str, np.ndarray]:
+    """Estimate of a robot that stands upright."""
+    at, qpos = robot.indices, robot.standing
+    zeros = {name: np.zeros((1, size)) for name, size in robot.estimate_sizes.items()}
+    return {
+        **zeros,
+        "height": qpos[at.pelvis_position][None, 2:],
+        "orientation": np.array([[1.0, 0.0, 0.0, 0.0]]),
+        "motor_position": qpos[at.motor_qpos][None],
+        "joint_position": qpos[at.joint_qpos][None],
+    }
+
+
+def _output(name: str, value: Tensor, robot: Robot) -> Entry:
+    """Output with its description."""
+    motors = robot.motor_names
+    known = {
+        "motor_target": Entry(name, value, "target/joint/position", motors, "rad"),
+        "action": Entry(name, value, None, motors, "rad", meaning="added to the baseline"),
+        "observation": Entry(name, value, meaning="entries of observation_names, in order"),
+        "nearest_command": Entry(name, value, meaning="command moved into the library's region"),
+        "phase": Entry(name, value, meaning="stride fraction; 0 is left lift-off"),
+        "filtered_command": Entry(name, value, None, _axes(value.shape[-1]), "m/s, rad/s"),
+        "estimate": Entry(
+            name, value, None, frame=_HEADING, meaning="entries of the estimate, in order"
+        ),
+    }
+    if name in known:
+        return known[name]
+    unit = _UNITS.get(name.split("_")[-1], "")
+    if name.startswith("reference/motor"):
+        return Entry(name, value, None, motors, unit)
+    return Entry(name, value, None, _AXES.get(value.shape[-1], ()), unit, _frame(name))
+
+
+def _frame(name: str) -> str:
+    """Frame of an entry of the reference."""
+    return _MOVING if name.startswith("reference/") else ""
+
+
+def trace_graph(
+    module: nn.Module, inputs: Sequence[Entry], outputs: Sequence[Entry]
+) -> onnx.ModelProto:
+    """Trace a module to a graph of standard operators with its weights inside.
+
+    Args:
+        module: module of tensors.
+        inputs: its inputs; the shapes of the examples become those of the graph.
+        outputs: its outputs.
+
+    Raises:
+        ConfigurationError: the module cannot be traced, or needs operators beyond ONNX's own.
+    """
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        try:
+            program = torch.onnx.export(
+                module.eval(),
+                tuple(entry.value for entry in inputs),
+                input_names=[entry.name for entry in inputs],
+                output_names=[entry.name for entry in outputs],
+                opset_version=_OPSET,
+                dynamo=True,
+                verbose=False,
+            )
+        except Exception as error:  # the exporter's errors have no common class
+            raise ConfigurationError(f"the policy cannot be traced: {error}") from error
+    model = cast("onnx.ModelProto", cast("Any", program).model_proto)
+    _strip(model)
+    onnx.checker.check_model(model)
+    if odd := {node.op_type for node in model.graph.node if node.domain} or len(model.functions):
+        raise ConfigurationError(f"the policy needs operators beyond ONNX's own: {odd}")
+    return model
+
+
+def _strip(model: onnx.ModelProto) -> None:
+    """Remove the exporter's notes: paths of source files, and shapes of intermediate values."""
+    graph = model.graph
+    del graph.value_info[:]
+    for part in (model, graph, *graph.node, *graph.input, *graph.output, *graph.initializer):
+        del part.metadata_props[:]
+        part.doc_string = ""

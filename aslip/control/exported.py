@@ -1,0 +1,396 @@
+"""Controller from an exported policy: NumPy and onnxruntime only, without PyTorch or simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+import onnxruntime
+from numpy.typing import ArrayLike
+
+from aslip.control.contract import TOLERANCE, Contract, damaged, observed_name, read_sealed, wrong
+from aslip.control.own_estimate import is_estimate, join_estimate, split_estimate, start_heading
+from aslip.errors import AssetError, ConfigurationError, ShapeError
+from aslip.robot import CASSIE, Robot
+
+if TYPE_CHECKING:
+    from aslip.estimation import Estimate, StateEstimator, Tracking
+
+Packets = Mapping[str, ArrayLike] | np.ndarray
+"""Packets of a robot, oldest first: entries (1, w, k) with the names of `Robot.packet_sizes`, or
+all entries concatenated to (1, w, p). One packet has no leading axes.
+
+For a robot that estimates its own state, entries (1, k) or (k,) of `Robot.estimate_sizes` instead:
+the latest estimate, in a frame with z up against gravity."""
+
+_TYPES = {"float32": np.float32, "float64": np.float64, "bool": np.bool_}
+
+
+@dataclass(frozen=True)
+class ExportedState:
+    """State of an `ExportedController` between policy steps; a step returns a new one."""
+
+    entries: Mapping[str, np.ndarray]
+    """Outputs (1, k) of the graph by name, such as `motor_target`, `action`, `observation`, `phase`
+    and `estimate`, and `heading` [rad]; `Contract.outputs` describes them."""
+    tracking: np.ndarray | None = None
+    """(1, t) memory of the estimator, as `aslip.estimation.Tracking.to_rows` gives it; None for a
+    robot that estimates its own state."""
+
+    @property
+    def motor_target(self) -> np.ndarray:
+        """Angles (1, m) for the PD loops until the next step [rad]."""
+        return self.entries["motor_target"]
+
+
+class ExportedController:
+    """Compute motor targets of a robot from its packets or estimates, as `aslip.Controller` does.
+
+    The file has everything from estimates to motor targets in one graph: `export_policy` traces it
+    from the functions of `aslip.Controller`. Only the estimator for packets is code of this
+    package. `start` and `step` are those of `aslip.Controller`, for one robot, with arrays.
+
+    Args:
+        path: file of an exported policy.
+        robot: robot to be controlled.
+        library: name or file of the gait library that the policy must have been exported with;
+            by default any, as the file has its own tables.
+
+    Raises:
+        AssetError: there is no such file.
+        FileDamagedError: the file is truncated or altered, is no exported policy, points to data in
+            another file, or needs operators that onnxruntime does not have.
+        ConfigurationError: the policy is for another robot, library or version of the contract; the
+            message names the first difference.
+    """
+
+    def __init__(
+        self, path: str | Path, robot: Robot = CASSIE, *, library: str | Path | None = None
+    ) -> None:
+        self.path, self.robot = Path(path), robot
+        if not self.path.is_file():
+            raise AssetError(
+                f"there is no exported policy {str(path)!r}; python -m aslip.control.export makes"
+                " one"
+            )
+        self._session, self.contract = _open(self.path, robot)
+        if library is not None:
+            self._check_library(library)
+        outputs = [output["name"] for output in self.contract.outputs]
+        self._outputs = outputs
+        self._inputs = {
+            entry["name"]: (_TYPES[entry["dtype"]], tuple(entry["shape"]))
+            for entry in self.contract.inputs
+        }
+        self._feedback = self.contract.feedback
+
+    @cached_property
+    def estimator(self) -> StateEstimator:
+        """Estimator for packets; not loaded for robots that estimate their own state."""
+        from aslip.estimation import StateEstimator
+
+        return StateEstimator(self.robot)
+
+    @property
+    def command_size(self) -> int:
+        """Number c of components of a command."""
+        return self._inputs["command"][1][-1]
+
+    def start(
+        self,
+        packets: Packets,
+        command: float | ArrayLike = 0.0,
+        *,
+        phase: float | ArrayLike = 0.0,
+        heading: ArrayLike | None = None,
+    ) -> ExportedState:
+        """Start with a robot whose lower foot rests on the ground; compute the first targets.
+
+        Args:
+            packets: packets, of which only the last is used, or an estimate.
+            command: command, one number or (1, c); a number alone is a forward speed.
+            phase: stride fraction to begin at.
+            heading: yaw that counts as straight ahead, in the frame of the IMU's attitude or of the
+                estimates [rad]; by default that of the packets or estimates.
+
+        Raises:
+            ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
+            ConfigurationError: command, phase, heading or an estimate is not finite.
+        """
+        rows, tracking = self._rows(packets), None
+        if rows.ndim == 3:
+            follower, estimate = self.estimator.start(rows, heading)
+            tracking, rows = follower.to_rows(), self._joined(estimate)
+            ahead = follower.heading[:, None]
+        else:
+            ahead = start_heading(rows, heading, self.robot)
+        given = {
+            "first": np.ones((1, 1), dtype=bool),
+            "command": self._command(command),
+            "last_phase": _numbers("phase", phase, 1),
+        }
+        return self._run(given, rows, ahead, tracking)
+
+    def step(
+        self,
+        state: ExportedState,
+        packets: Packets | None,
+        command: float | ArrayLike | None = None,
+        *,
+        heading: float | ArrayLike | None = None,
+        restart: ArrayLike | None = None,
+        phase: float | ArrayLike = 0.0,
+    ) -> tuple[ExportedState, np.ndarray]:
+        """Advance by a policy step.
+
+        Args:
+            state: state that `start` or the previous step returned.
+            packets: packets since then, oldest first, or the latest estimate; None if all are lost.
+            command: new command, one number or (1, c). By default it does not change.
+            heading: new yaw that counts as straight ahead [rad]. By default it does not change.
+            restart: True for a robot that restarts with these packets.
+            phase: stride fraction at which the robot restarts.
+
+        Returns:
+            New state, and its motor targets (1, m) [rad].
+
+        Raises:
+            ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
+            ConfigurationError: command, phase or heading is not finite, or packets come after a
+                start with an estimate, or the reverse.
+        """
+        last = state.entries
+        now = last["nearest_command"] if command is None else self._command(command)
+        rows = self._lost(state) if packets is None else self._rows(packets)
+        if (rows.ndim == 2) == (state.tracking is not None):
+            kinds = ("packets", "estimates") if rows.ndim == 3 else ("estimates", "packets")
+            raise ConfigurationError(f"got {kinds[0]}, but the robot started with {kinds[1]}")
+        if restart is not None and np.asarray(restart).any():
+            begun = self.start(rows, now, phase=phase, heading=heading)
+            return begun, begun.motor_target
+        ahead = self._ahead(last, heading)
+        tracking = state.tracking
+        if tracking is not None:
+            tracking, estimate = self._track(tracking, rows, ahead)
+            rows = self._joined(estimate)
+        given = {target: last[source] for source, target in self._feedback.items()}
+        given |= {"first": np.zeros((1, 1), dtype=bool), "command": now}
+        following = self._run(given, rows, ahead, tracking)
+        return following, following.motor_target
+
+    def verify(self) -> float:
+        """Run the golden trace.
+
+        Returns:
+            Largest difference of a motor target from PyTorch's [rad].
+
+        Raises:
+            FileDamagedError: the trace is damaged, a motor target differs by more than `TOLERANCE`,
+                or the observation's entries are not in the order of the contract.
+        """
+        try:
+            trace = self.contract.golden_trace()
+            rows, headings, commands = (trace[k] for k in ("estimate", "heading", "command"))
+            expected, starts, phase = (trace[k] for k in ("target", "reset", "phase"))
+            entries = self._replayed(rows, headings, commands, starts, phase)
+        except (ValueError, KeyError, OSError, EOFError) as error:
+            raise damaged(self.path, f"its golden trace cannot be run: {error}") from error
+        targets = np.concatenate([step["motor_target"] for step in entries])
+        difference = float(np.abs(targets - expected).max())
+        if not difference <= TOLERANCE:
+            raise damaged(
+                self.path,
+                f"motor targets differ by {difference:.3g} rad from those of its golden trace,"
+                f" more than {TOLERANCE:g} rad",
+            )
+        return difference
+
+    def outputs(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Outputs of the graph by name, for inputs by name; inputs that are not given are zero."""
+        feed = {
+            name: np.asarray(values[name], kind) if name in values else np.zeros(shape, kind)
+            for name, (kind, shape) in self._inputs.items()
+        }
+        found = cast("list[np.ndarray]", self._session.run(self._outputs, feed))
+        return dict(zip(self._outputs, found, strict=True))
+
+    def _replayed(
+        self,
+        rows: np.ndarray,
+        headings: np.ndarray,
+        commands: np.ndarray,
+        starts: np.ndarray,
+        phase: np.ndarray,
+    ) -> list[Mapping[str, np.ndarray]]:
+        """Outputs at the steps of a golden trace."""
+        entries, state = [], None
+        for row, heading, command, start in zip(rows, headings, commands, starts, strict=True):
+            estimate = split_estimate(row[None], self.robot)
+            if state is None or start:
+                state = self.start(estimate, command[None], phase=phase, heading=heading[None])
+            else:
+                state, _ = self.step(state, estimate, command[None], heading=heading[None])
+            entries.append(state.entries)
+            self._check_order(state.entries)
+        return entries
+
+    def _check_order(self, entries: Mapping[str, np.ndarray]) -> None:
+        """Check that the observation has the entries of the contract in its order.
+
+        Raises:
+            ValueError: it has not.
+        """
+        parts = split_estimate(entries["estimate"], self.robot)
+        named = {**entries, **{f"estimate/{name}": part for name, part in parts.items()}}
+        place, observation = 0, entries["observation"]
+        for name in map(observed_name, self.contract.observation):
+            if name not in named:
+                raise ValueError(f"no output is named {name!r}, as the contract's observation is")
+            end = place + named[name].shape[1]
+            if not np.array_equal(observation[:, place:end], named[name]):
+                raise ValueError(
+                    f"numbers {place} to {end - 1} of the observation are not {name!r}, as the"
+                    " contract says"
+                )
+            place = end
+        if place != observation.shape[1]:
+            raise ValueError(
+                f"the contract names {place} of {observation.shape[1]} numbers of the observation"
+            )
+
+    def _run(
+        self,
+        given: Mapping[str, np.ndarray],
+        rows: np.ndarray,
+        heading: np.ndarray,
+        tracking: np.ndarray | None,
+    ) -> ExportedState:
+        """Outputs of the graph for an estimate (1, e), already turned if it was tracked."""
+        # the estimator turns estimates itself
+        turn = heading if tracking is None else np.zeros_like(heading)
+        entries = self.outputs({**split_estimate(rows, self.robot), "heading": turn, **given})
+        return ExportedState({**entries, "heading": heading}, tracking)
+
+    def _ahead(self, last: Mapping[str, np.ndarray], heading: ArrayLike | None) -> np.ndarray:
+        """Heading (1, 1) of a step [rad], advanced along the path of a command with a yaw rate."""
+        before = last["heading"]
+        if heading is not None:
+            # rounded as PyTorch does by default
+            before = _numbers("heading", heading, 1).astype(np.float32).astype(np.float64)
+        steer = last.get("filtered_command")
+        if steer is None or steer.shape[1] < 3:
+            return before
+        return before + np.float32(self.robot.policy_period) * steer[:, 2:3]
+
+    def _track(
+        self, memory: np.ndarray, rows: np.ndarray, heading: np.ndarray
+    ) -> tuple[np.ndarray, Estimate]:
+        """Memory and estimate after packets (1, w, p)."""
+        from aslip.estimation import Tracking
+
+        tracking: Tracking = Tracking.from_rows(memory, self.robot)
+        tracking.heading = heading[:, 0]
+        estimate = self.estimator.update(tracking, rows)
+        return tracking.to_rows(), estimate
+
+    def _joined(self, estimate: Estimate) -> np.ndarray:
+        """Estimate of the estimator as (1, e)."""
+        return join_estimate(
+            {name: getattr(estimate, name) for name in self.robot.estimate_sizes}, self.robot
+        )
+
+    def _rows(self, packets: Packets) -> np.ndarray:
+        """Packets (1, w, p) or estimate (1, e) from any accepted form."""
+        if isinstance(packets, Mapping):
+            if is_estimate(packets):
+                rows = join_estimate(packets, self.robot)
+            else:
+                from aslip.estimation.packets import join
+
+                named = {name: np.asarray(value) for name, value in packets.items()}
+                rows = join(named, self.robot)
+        else:
+            rows = np.asarray(packets, dtype=np.float64)
+        rows = rows[None, None] if rows.ndim == 1 else rows
+        if len(rows) != 1:
+            raise ShapeError(f"an exported policy controls one robot, got packets of {len(rows)}")
+        return rows
+
+    def _lost(self, state: ExportedState) -> np.ndarray:
+        """NaN in place of the packets, or of the estimate."""
+        own = sum(self.robot.estimate_sizes.values())
+        size = (1, own) if state.tracking is None else (1, 1, self.robot.packet_size)
+        return np.full(size, np.nan)
+
+    def _command(self, command: float | ArrayLike) -> np.ndarray:
+        """Command (1, c) in single precision; the graph moves it into the region of the library."""
+        value, size = np.asarray(command, dtype=np.float32), self.command_size
+        if size > 1 and value.ndim == 0:
+            value = np.pad(value[None], (0, size - 1))
+        return _numbers("command", value, size).astype(np.float32)
+
+    def _check_library(self, library: str | Path) -> None:
+        """Check that the policy was exported with a library.
+
+        Raises:
+            ConfigurationError: it was exported with another.
+        """
+        from aslip.files.assets import asset_path
+        from aslip.library.file import read_library
+
+        file = Path(library) if Path(library).suffix else asset_path(f"{library}.npz")
+        here, there = read_library(file, self.robot)[1].sha256, self.contract.about["library"]
+        if here != there["sha256"]:
+            raise wrong(
+                self.path,
+                f"its library has the SHA-256 {there['sha256'][:12]}..., {str(library)!r} has"
+                f" {here[:12]}...",
+            )
+
+
+def _open(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession, Contract]:
+    """Session and contract of a file, checked against the robot and each other."""
+    data = read_sealed(path)
+    options = onnxruntime.SessionOptions()
+    # one robot's network is too small for several threads
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    try:
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        contract = Contract.of(session.get_modelmeta().custom_metadata_map)
+        difference = contract.difference(robot)
+    except Exception as error:  # onnxruntime's errors have no common class
+        raise damaged(path, str(error).splitlines()[0]) from error
+    if difference is not None:
+        raise wrong(path, difference)
+    for kind, described, found in (
+        ("inputs", contract.inputs, session.get_inputs()),
+        ("outputs", contract.outputs, session.get_outputs()),
+    ):
+        has = [(entry["name"], *entry["shape"]) for entry in described]
+        is_ = [(entry.name, *entry.shape) for entry in found]
+        if has != is_:
+            odd: Any = sorted(set(has) ^ set(is_)) or f"order {[n for n, *_ in is_]}"
+            raise damaged(path, f"{kind} of its graph differ from its contract: {odd}")
+    return session, contract
+
+
+def _numbers(name: str, value: ArrayLike, size: int) -> np.ndarray:
+    """Numbers (1, size).
+
+    Raises:
+        ShapeError: `value` has another shape.
+        ConfigurationError: a number is not finite.
+    """
+    array = np.asarray(value)
+    one: Sequence[tuple[int, ...]] = [(), (1,), (1, 1)] if size == 1 else [(size,), (1, size)]
+    if array.shape not in one:
+        what = "one number" if size == 1 else f"{size} numbers"
+        raise ShapeError(f"{name} must be {what} or (1, {size}), got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ConfigurationError(f"{name} must be finite, got {array.tolist()}")
+    return array.reshape(1, size)

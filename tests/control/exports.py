@@ -1,0 +1,53 @@
+"""Exported policies and estimates for tests."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import torch
+
+from aslip.control import Controller
+from aslip.control.contract import seal
+from aslip.control.own_estimate import split_estimate
+from aslip.library import GaitLibrary
+from aslip.policy import PolicyShape, RunningNormalizer, make_recurrent_actor
+from aslip.robot import CASSIE, STANDARD_GRAVITY
+
+
+def recurrent_controller(library: GaitLibrary) -> Controller:
+    """Controller with an untrained GRU policy of large actions."""
+    torch.manual_seed(3)
+    normalizer = RunningNormalizer(64)
+    normalizer.update(torch.randn(100, 64))
+    actor = make_recurrent_actor(normalizer, PolicyShape(hidden=(16, 16)))
+    for name, weight in actor.named_parameters():
+        if "mlp" in name or name.endswith("weight"):
+            weight.data.mul_(3.0)
+    return Controller(actor.eval().requires_grad_(False), library)
+
+
+def estimate(row: np.ndarray) -> dict[str, np.ndarray]:
+    """Entries of an estimate from a row of a golden trace."""
+    return split_estimate(row[None], CASSIE)
+
+
+def standing_packet() -> np.ndarray:
+    """Packet (p,) of a robot that stands upright."""
+    at, packet = CASSIE.packet_slices, np.zeros(CASSIE.packet_size)
+    packet[at["motor_position"]] = CASSIE.standing[CASSIE.indices.motor_qpos]
+    packet[at["joint_position"]] = CASSIE.standing[CASSIE.indices.joint_qpos]
+    packet[at["orientation"]] = [1.0, 0.0, 0.0, 0.0]
+    packet[at["accelerometer"]] = [0.0, 0.0, STANDARD_GRAVITY]
+    return packet
+
+
+def altered(source: Path, target: Path, **metadata: str) -> Path:
+    """Copy of an exported policy with other metadata, sealed again."""
+    model = onnx.load_from_string(source.read_bytes())
+    entries = {prop.key: prop.value for prop in model.metadata_props if prop.key != "sha256"}
+    del model.metadata_props[:]
+    onnx.helper.set_model_props(model, {**entries, **metadata})
+    target.write_bytes(seal(model.SerializeToString()))
+    return target

@@ -1,0 +1,312 @@
+"""Exported policies run without PyTorch, as the controller does, and refuse what does not fit."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from aslip.control import Controller
+from aslip.control.contract import TOLERANCE, csv, seal, trace_text
+from aslip.control.export import compare, export_network, export_policy
+from aslip.control.export.golden import golden_trace
+from aslip.control.exported import ExportedController
+from aslip.errors import (
+    AssetError,
+    ConfigurationError,
+    FileDamagedError,
+    ShapeError,
+    UnknownNameError,
+)
+from aslip.library import GaitLibrary
+from aslip.robot import CASSIE
+from aslip.transforms import DIRECTION_TABLE
+from tests.control.exports import altered, estimate, recurrent_controller, standing_packet
+
+
+@pytest.fixture(scope="module")
+def library() -> GaitLibrary:
+    return GaitLibrary.load()
+
+
+@pytest.fixture(scope="module")
+def controller(library: GaitLibrary) -> Controller:
+    return Controller("aslip", library)
+
+
+@pytest.fixture(scope="module")
+def file(controller: Controller, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("exported") / "aslip.onnx"
+    export_policy("aslip", path, controller.library)
+    return path
+
+
+@pytest.fixture(scope="module")
+def exported(file: Path) -> ExportedController:
+    return ExportedController(file)
+
+
+@pytest.fixture(scope="module")
+def trace(exported: ExportedController) -> dict[str, np.ndarray]:
+    return exported.contract.golden_trace()
+
+
+def test_the_golden_trace_is_the_controllers(
+    controller: Controller, trace: dict[str, np.ndarray]
+) -> None:
+    again = golden_trace(controller)
+    assert again.keys() == trace.keys()
+    for name, values in again.items():
+        np.testing.assert_array_equal(values, trace[name], err_msg=name)
+    assert trace["target"].shape == (200, 10)
+    assert np.isnan(trace["estimate"]).any()
+    outside = trace["command"] - controller.library.nearest(torch.tensor(trace["command"])).numpy()
+    assert np.abs(outside).max() > 0.01
+
+
+def test_motor_targets_are_those_of_the_controller(
+    controller: Controller, exported: ExportedController
+) -> None:
+    assert exported.verify() <= TOLERANCE
+    assert compare(exported, controller, 50) <= TOLERANCE
+
+
+@pytest.mark.slow
+def test_the_robust_policy_is_exported(library: GaitLibrary, tmp_path: Path) -> None:
+    robust = export_policy("robust", tmp_path / "robust.onnx", library)
+    assert robust.verify() <= TOLERANCE
+    assert compare(robust, Controller("robust", library), 50) <= TOLERANCE
+
+
+def test_hidden_states_are_part_of_the_graph(library: GaitLibrary, tmp_path: Path) -> None:
+    recurrent = recurrent_controller(library)
+    exported = export_policy(recurrent, tmp_path / "gru.onnx")
+    assert exported.contract.feedback["memory"] == "last_memory"
+    assert exported.verify() <= TOLERANCE
+    assert compare(exported, recurrent, 50) <= TOLERANCE
+    row = estimate(exported.contract.golden_trace()["estimate"][0])
+    state = exported.start(row, 0.5)
+    forgetful = {**state.entries, "memory": np.zeros_like(state.entries["memory"])}
+    _, remembered = exported.step(state, row)
+    _, forgotten = exported.step(replace(state, entries=forgetful), row)
+    assert np.abs(remembered - forgotten).max() > 1e-4
+
+
+def test_packets_are_tracked_as_by_the_controller(
+    controller: Controller, exported: ExportedController
+) -> None:
+    """The estimator turns estimates to the heading, and bridges lost packets."""
+    rng = np.random.default_rng(5)
+    packet = standing_packet() + 0.01 * rng.standard_normal((12, 1, 10, 42))
+    packet[..., -10:-6] /= np.linalg.norm(packet[..., -10:-6], axis=-1, keepdims=True)
+    packet[4, 0, 3, 5] = np.nan
+    theirs = controller.start(packet[0], 0.4, heading=0.3, phase=0.2)
+    ours = exported.start(packet[0], 0.4, heading=0.3, phase=0.2)
+    for i, row in enumerate(packet[1:]):
+        got = None if i == 6 else row
+        turn = 0.7 if i == 8 else None
+        theirs, expected = controller.step(theirs, got, 0.9, heading=turn)
+        ours, found = exported.step(ours, got, 0.9, heading=turn)
+        np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
+
+
+def test_the_last_estimate_holds_and_robots_restart(
+    controller: Controller, exported: ExportedController, trace: dict[str, np.ndarray]
+) -> None:
+    rows = [estimate(row) for row in trace["estimate"][:3]]
+    theirs = controller.start(rows[0], 3.0)
+    ours = exported.start(rows[0], 3.0)
+    theirs, expected = controller.step(theirs, None)
+    ours, found = exported.step(ours, None)
+    np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
+    _, expected = controller.step(theirs, rows[2], restart=torch.tensor([[True]]), phase=0.6)
+    _, found = exported.step(ours, rows[2], restart=[[True]], phase=0.6)
+    np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=TOLERANCE)
+    # the state that a step was given stays the same
+    _, again = exported.step(ours, rows[2], restart=[[True]], phase=0.6)
+    np.testing.assert_array_equal(again, found)
+
+
+def test_wrong_arguments_are_named(
+    exported: ExportedController, trace: dict[str, np.ndarray]
+) -> None:
+    good = estimate(trace["estimate"][0])
+    with pytest.raises(ConfigurationError, match="command must be finite"):
+        exported.start(good, np.nan)
+    with pytest.raises(ShapeError, match=r"command must be one number or \(1, 1\)"):
+        exported.start(good, [0.1, 0.2])
+    with pytest.raises(UnknownNameError, match="'velocity' is missing"):
+        exported.start({name: value for name, value in good.items() if name != "velocity"})
+    with pytest.raises(ConfigurationError, match="must be finite"):
+        exported.start({**good, "height": np.array([[np.nan]])})
+    with pytest.raises(ShapeError, match="one robot, got packets of 2"):
+        exported.start(np.zeros((2, 1, 42)))
+    with pytest.raises(ConfigurationError, match="got packets, but the robot started with esti"):
+        exported.step(exported.start(good), np.zeros((1, 1, 42)))
+
+
+# ------------------------------------------------------------------------- contract
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"motor_names": (*CASSIE.motor_names[1:], CASSIE.motor_names[0])}, "motor_names is"),
+        ({"stiffness": CASSIE.stiffness * 1.1}, r"stiffness is \[100.0, .* in the file and \[110"),
+        ({"damping": CASSIE.damping * 0.5}, "damping is"),
+        ({"torque_limit": CASSIE.torque_limit * 2}, "torque_limit is"),
+        ({"substeps": 40}, "substeps is 60 in the file and 40 of this robot"),
+        ({"torque_delay": 0.0}, "torque_delay is 0.003 in the file and 0.0"),
+        ({"joint_names": CASSIE.joint_names[:4]}, "joint_names is"),
+    ],
+)
+def test_another_robot_is_refused(file: Path, change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        ExportedController(file, replace(CASSIE, **change))
+
+
+def test_another_contract_version_is_refused(file: Path, tmp_path: Path) -> None:
+    about = json.loads(ExportedController(file).contract.metadata["aslip"])
+    odd = altered(file, tmp_path / "odd.onnx", aslip=json.dumps({**about, "contract": 99}))
+    with pytest.raises(ConfigurationError, match="version 99, this package reads 1"):
+        ExportedController(odd)
+
+
+def test_another_library_is_refused(file: Path) -> None:
+    ExportedController(file, library="gaits")
+    with pytest.raises(ConfigurationError, match="'single_reference' has"):
+        ExportedController(file, library="single_reference")
+
+
+def test_a_wrong_order_of_the_observation_is_caught(file: Path, tmp_path: Path) -> None:
+    names = ExportedController(file).contract.observation
+    swapped = [names[0], names[2], names[1], *names[3:]]
+    odd = altered(file, tmp_path / "odd.onnx", observation_names=csv(swapped))
+    with pytest.raises(FileDamagedError, match=r"numbers 1 to 3 .* are not 'estimate/velocity'"):
+        ExportedController(odd).verify()
+
+
+def test_a_wrong_golden_trace_is_caught(
+    file: Path, trace: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    wrong = {**trace, "target": trace["target"].copy()}
+    wrong["target"][150, 3] += 3e-6
+    odd = altered(file, tmp_path / "odd.onnx", golden_trace=trace_text(wrong))
+    with pytest.raises(
+        FileDamagedError, match=r"differ by [23].* rad from those of its golden trace"
+    ):
+        ExportedController(odd).verify()
+    odd = altered(file, tmp_path / "odd.onnx", golden_trace="???")
+    with pytest.raises(FileDamagedError, match="golden trace cannot be run"):
+        ExportedController(odd).verify()
+
+
+def test_other_inputs_than_in_the_contract_are_caught(file: Path, tmp_path: Path) -> None:
+    leapp = ExportedController(file).contract.metadata["leapp"]
+    odd = altered(file, tmp_path / "odd.onnx", leapp=leapp.replace('"gyro"', '"x"', 1))
+    ExportedController(odd)
+    odd = altered(file, odd, leapp=leapp.replace('"name": "height"', '"name": "altitude"'))
+    with pytest.raises(
+        FileDamagedError, match=r"inputs of its graph differ from its contract: .*al"
+    ):
+        ExportedController(odd)
+
+
+# ------------------------------------------------------------------------- damage
+
+
+def test_damaged_files_are_refused(file: Path, tmp_path: Path) -> None:
+    data, odd = file.read_bytes(), tmp_path / "odd.onnx"
+    for cut in (0, 10, 5000, len(data) - 1):
+        odd.write_bytes(data[:cut])
+        with pytest.raises(FileDamagedError, match="truncated, or no exported policy"):
+            ExportedController(odd)
+    for place in (0, len(data) // 2, len(data) - 100, len(data) - 1):
+        odd.write_bytes(data[:place] + bytes([data[place] ^ 4]) + data[place + 1 :])
+        with pytest.raises(FileDamagedError, match="altered since its export"):
+            ExportedController(odd)
+    odd.write_bytes(seal(b"no model"))
+    with pytest.raises(FileDamagedError, match="not an intact exported policy"):
+        ExportedController(odd)
+    with pytest.raises(AssetError, match="there is no exported policy"):
+        ExportedController(tmp_path / "none.onnx")
+
+
+def test_files_that_point_elsewhere_or_need_foreign_code_are_refused(
+    file: Path, tmp_path: Path
+) -> None:
+    odd = tmp_path / "odd.onnx"
+    model = onnx.load_from_string(file.read_bytes())
+    foreign = onnx.load_from_string(file.read_bytes())
+    onnx.external_data_helper.set_external_data(model.graph.initializer[0], "elsewhere.bin")
+    odd.write_bytes(seal(model.SerializeToString()))
+    with pytest.raises(FileDamagedError, match="points to data in another file"):
+        ExportedController(odd)
+    foreign.graph.node[0].domain = "someone"
+    foreign.opset_import.add(domain="someone", version=1)
+    odd.write_bytes(seal(foreign.SerializeToString()))
+    with pytest.raises(FileDamagedError, match="someone"):
+        ExportedController(odd)
+
+
+def test_policies_that_see_more_than_an_estimate_are_not_exported(library: GaitLibrary) -> None:
+    seeing = Controller(Controller("aslip", library).policy, library, observation=DIRECTION_TABLE)
+    with pytest.raises(ConfigurationError, match=r"observes \['odometry/path_error'\]"):
+        export_policy(seeing, "never.onnx")
+    assert not Path("never.onnx").exists()
+
+
+# ------------------------------------------------------------------------- network
+
+
+def test_the_network_alone_has_the_keys_of_mjlab(controller: Controller, tmp_path: Path) -> None:
+    import onnxruntime
+
+    path = tmp_path / "network.onnx"
+    export_network("aslip", path, controller.library)
+    session = onnxruntime.InferenceSession(path)
+    keys = session.get_modelmeta().custom_metadata_map
+    assert keys["joint_stiffness"] == csv(CASSIE.stiffness)
+    assert [float(x) for x in keys["joint_damping"].split(",")] == CASSIE.damping.tolist()
+    assert keys["observation_names"].split(",")[0] == "estimate/height"
+    trace = golden_trace(controller, 20)
+    for obs, action in zip(trace["obs"], trace["action"], strict=True):
+        (found,) = session.run(["actions"], {"obs": obs[None]})
+        np.testing.assert_allclose(cast("np.ndarray", found)[0], action, rtol=0, atol=TOLERANCE)
+
+
+# ------------------------------------------------------------------------- imports
+
+HIDDEN = """
+import sys
+names = "torch torchrl tensordict mujoco dm_control casadi pinocchio onnx"
+for name in names.split():
+    sys.modules[name] = None  # lacking on the robot
+import numpy as np
+from aslip.control.exported import ExportedController
+controller = ExportedController(sys.argv[1], library="gaits")
+print(controller.verify(), "numba" in sys.modules)
+state = controller.start(np.full((1, 1, 42), np.nan), 0.5)  # with the estimator
+state, target = controller.step(state, None)
+np.save(sys.argv[2], target)
+"""
+
+
+def test_an_exported_policy_needs_neither_pytorch_nor_a_simulator(
+    file: Path, controller: Controller, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-c", HIDDEN, file, tmp_path / "target.npy"]
+    found = subprocess.run(command, check=True, capture_output=True, text=True).stdout.split()
+    assert float(found[0]) <= TOLERANCE
+    assert found[1] == "False"  # the estimator is loaded for packets only
+    state = controller.start(np.full((1, 1, 42), np.nan), 0.5)
+    _, expected = controller.step(state, None)
+    np.testing.assert_allclose(np.load(tmp_path / "target.npy"), expected, rtol=0, atol=TOLERANCE)
