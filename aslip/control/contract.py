@@ -15,7 +15,7 @@ import base64
 import hashlib
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -155,7 +155,7 @@ def observed_name(name: str) -> str:
     return name if "/" in name else f"observed/{name}"
 
 
-def csv(values: Sequence[float | str]) -> str:
+def csv(values: Iterable[float | str]) -> str:
     """Comma-separated values, numbers in full precision."""
     return ",".join(v if isinstance(v, str) else repr(float(v)) for v in values)
 

@@ -57,8 +57,8 @@ class ExportedController:
     Args:
         path: file of an exported policy.
         robot: robot to be controlled.
-        library: name or file of the gait library that the policy must have been exported with;
-            by default any, as the file has its own tables.
+        library: `GaitTable.sha256` of the gait library that the policy must have been exported
+            with; by default any, as the file has its own tables.
 
     Raises:
         AssetError: there is no such file.
@@ -69,7 +69,7 @@ class ExportedController:
     """
 
     def __init__(
-        self, path: str | Path, robot: Robot = CASSIE, *, library: str | Path | None = None
+        self, path: str | Path, robot: Robot = CASSIE, *, library: str | None = None
     ) -> None:
         self.path, self.robot = Path(path), robot
         if not self.path.is_file():
@@ -78,8 +78,9 @@ class ExportedController:
                 " one"
             )
         self._session, self.contract = _open(self.path, robot)
-        if library is not None:
-            self._check_library(library)
+        found = self.contract.about["library"]["sha256"]
+        if library not in (None, found):
+            raise wrong(self.path, f"its library has the SHA-256 {found}, not {library}")
         outputs = [output["name"] for output in self.contract.outputs]
         self._outputs = outputs
         self._inputs = {
@@ -99,6 +100,11 @@ class ExportedController:
     def command_size(self) -> int:
         """Number c of components of a command."""
         return self._inputs["command"][1][-1]
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Motor angles (m,) of the reference at phase 0 and zero command [rad]."""
+        return np.array(self.contract.numbers("default_joint_pos"))
 
     def start(
         self,
@@ -332,24 +338,6 @@ class ExportedController:
         if size > 1 and value.ndim == 0:
             value = np.pad(value[None], (0, size - 1))
         return _numbers("command", value, size).astype(np.float32)
-
-    def _check_library(self, library: str | Path) -> None:
-        """Check that the policy was exported with a library.
-
-        Raises:
-            ConfigurationError: it was exported with another.
-        """
-        from aslip.files.assets import asset_path
-        from aslip.library.file import read_library
-
-        file = Path(library) if Path(library).suffix else asset_path(f"{library}.npz")
-        here, there = read_library(file, self.robot)[1].sha256, self.contract.about["library"]
-        if here != there["sha256"]:
-            raise wrong(
-                self.path,
-                f"its library has the SHA-256 {there['sha256'][:12]}..., {str(library)!r} has"
-                f" {here[:12]}...",
-            )
 
 
 def _open(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession, Contract]:

@@ -72,6 +72,15 @@ def test_the_golden_trace_is_the_controllers(
     assert np.abs(outside).max() > 0.01
 
 
+def test_the_pose_is_that_of_the_reference_in_place(
+    controller: Controller, exported: ExportedController
+) -> None:
+    zero = torch.zeros(1, 1)
+    pose = controller.library.lookup(zero, zero).motor_position[0].numpy()
+    np.testing.assert_array_equal(exported.pose.astype(np.float32), pose)
+    assert exported.command_size == 1
+
+
 def test_motor_targets_are_those_of_the_controller(
     controller: Controller, exported: ExportedController
 ) -> None:
@@ -180,10 +189,13 @@ def test_another_contract_version_is_refused(file: Path, tmp_path: Path) -> None
         ExportedController(odd)
 
 
-def test_another_library_is_refused(file: Path) -> None:
-    ExportedController(file, library="gaits")
-    with pytest.raises(ConfigurationError, match="'single_reference' has"):
-        ExportedController(file, library="single_reference")
+def test_another_library_is_refused(file: Path, library: GaitLibrary) -> None:
+    sha256 = library.table.sha256
+    ExportedController(file, library=sha256)
+    other = GaitLibrary.load("single_reference").table.sha256
+    assert other != sha256
+    with pytest.raises(ConfigurationError, match=f"library has the SHA-256 {sha256}, not {other}"):
+        ExportedController(file, library=other)
 
 
 def test_a_wrong_order_of_the_observation_is_caught(file: Path, tmp_path: Path) -> None:
@@ -292,7 +304,7 @@ for name in names.split():
     sys.modules[name] = None  # lacking on the robot
 import numpy as np
 from aslip.control.exported import ExportedController
-controller = ExportedController(sys.argv[1], library="gaits")
+controller = ExportedController(sys.argv[1])
 print(controller.verify(), "numba" in sys.modules)
 state = controller.start(np.full((1, 1, 42), np.nan), 0.5)  # with the estimator
 state, target = controller.step(state, None)

@@ -175,7 +175,7 @@ class PolicyStep(nn.Module):
         entries = []
         for name, width in robot.estimate_sizes.items():
             kind, unit, frame = _ESTIMATE[name]
-            elements = joints.get(name.split("_")[0], _AXES.get(width, ()))
+            elements = joints.get(name.split("_")[0]) or _AXES.get(width, ())
             value = torch.tensor(standing_estimate(robot)[name])
             entries.append(Entry(name, value, kind, elements, unit, frame))
         command, phase = torch.zeros(1, size), torch.zeros(1, 1)

@@ -80,16 +80,17 @@ def export_policy(
 def mjlab_metadata(controller: Controller, run_path: str) -> dict[str, str]:
     """Metadata with the keys of mjlab, in full precision.
 
-    mjlab's actions are added to constant angles. Here the angles move, so `default_joint_pos` is
-    the standing posture only, and the entry `aslip` names the baseline.
+    mjlab's actions are added to constant angles. Here the angles move; `default_joint_pos` has those
+    of the reference at phase 0 and zero command, and the entry `aslip` names the baseline.
     """
-    robot = controller.estimator.robot
+    robot, library = controller.estimator.robot, controller.library
+    start = library.lookup(torch.zeros(1, 1), torch.zeros(1, library.command_size))
     return {
         "run_path": run_path,
         "joint_names": csv(robot.motor_names),
         "joint_stiffness": csv(robot.stiffness),
         "joint_damping": csv(robot.damping),
-        "default_joint_pos": csv(robot.standing[robot.indices.motor_qpos]),
+        "default_joint_pos": csv(start.motor_position[0].tolist()),
         "command_names": "command",
         "observation_names": csv(entry_names(controller.observation)),
         "action_scale": csv([1.0] * len(robot.motor_names)),
