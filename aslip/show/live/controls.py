@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 import viser
 
-from aslip.control import Command
+from aslip.library import Command
 from aslip.robot import CASSIE
 from aslip.show.live.scene import ROM_PLACES, RomPlace
 from aslip.show.live.server import Check, guard, number_within, one_of, switch

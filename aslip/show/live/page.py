@@ -12,8 +12,8 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from aslip.control import Command, numbers
 from aslip.errors import AslipError, ConfigurationError
+from aslip.library import Command, numbers
 from aslip.policy import load_policy
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import viser
 
-from aslip.control import Command
+from aslip.library import Command
 from aslip.show.live.server import Check, number_within
 
 _SPEED_STEP = 0.05
