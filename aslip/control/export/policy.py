@@ -80,8 +80,8 @@ def export_policy(
 def mjlab_metadata(controller: Controller, run_path: str) -> dict[str, str]:
     """Metadata with the keys of mjlab, in full precision.
 
-    mjlab's actions are added to constant angles. Here the angles move; `default_joint_pos` has those
-    of the reference at phase 0 and zero command, and the entry `aslip` names the baseline.
+    mjlab's actions are added to constant angles. Here the angles move: `default_joint_pos` has
+    those of the reference at phase 0 and zero command, and the entry `aslip` names the baseline.
     """
     robot, library = controller.estimator.robot, controller.library
     start = library.lookup(torch.zeros(1, 1), torch.zeros(1, library.command_size))
