@@ -27,8 +27,8 @@ class Config:
 
     policy: tuple[str, ...] = ("aslip", "robust")
     """Policies: shipped names, files or run folders."""
-    engine: tuple[Literal["mujoco", "drake"], ...] = ("mujoco", "drake")
-    """Engines of the twin."""
+    engine: tuple[Literal["mujoco", "stiff", "drake"], ...] = ("mujoco", "drake")
+    """Engines of the twin; `stiff` is MuJoCo with loops of the legs that do not give way."""
     speeds: tuple[float, ...] = tuple(np.linspace(0, 2, 21).round(1).tolist())
     """Commanded speeds [m/s]."""
     duration: float = 12.0
@@ -60,7 +60,9 @@ from functools import partial
 
 from aslip.control import Controller
 from aslip.library import GaitLibrary
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, Robot
+from aslip.robot.model import load_model
+from aslip.sim import MakeDrive, Simulations
 from aslip.twin import TwinRobot, drake_engine, mujoco_engine
 from aslip.walking import markdown
 from aslip.wire import (
@@ -124,7 +126,8 @@ def walk(
     controller: Controller, policy: str, engine: str, speed: float, config: Config
 ) -> EngineWalk:
     """Walk of a controller at one commanded speed until a fall or the end."""
-    makers = {"mujoco": mujoco_engine, "drake": partial(drake_engine, contact=config.contact)}
+    drake = partial(drake_engine, contact=config.contact)
+    makers = {"mujoco": mujoco_engine, "stiff": stiff_engine, "drake": drake}
     twin, steps = TwinRobot(make_engine=makers[engine]), round(config.duration / _PERIOD)
     ramp = np.minimum(speed, config.acceleration * _PERIOD * np.arange(steps + 1)).tolist()
     server = Endpoint(Link(STATE_OUT, PD_IN, refuse_not_finite=True), Address(LOOPBACK, 0))
@@ -155,6 +158,13 @@ def walk(
         height=float(height.mean()),
         estimate_error=float(np.sqrt((error**2).mean())),
     )
+
+
+def stiff_engine(robot: Robot, drive: MakeDrive) -> Simulations:
+    """Robot in MuJoCo, its loops stiffer than the MJCF's by a factor of more than a thousand."""
+    model = load_model(visual=False, robot=robot)
+    model.eq_solref[:, 0], model.eq_solimp[:, :2] = 0.001, 0.999
+    return Simulations(1, model=model, num_threads=1, robot=robot, drive=drive)
 
 
 def summary(policy: str, engine: str, walks: list[EngineWalk]) -> list[str]:

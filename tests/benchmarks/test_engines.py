@@ -10,6 +10,8 @@ from aslip.errors import ConfigurationError
 from benchmarks import engines
 from benchmarks.engines import EngineWalk, summary
 
+ENGINES = ("mujoco", "stiff", "drake")
+
 
 def _walk(command: float, speed: float, *, fell: bool = False) -> EngineWalk:
     return EngineWalk(
@@ -21,14 +23,15 @@ def test_the_report_has_a_row_per_speed_and_per_engine(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("pydrake", exc_type=ImportError)
-    config = engines.Config(policy=("aslip",), speeds=(0.0, 1.0), duration=0.03, out=tmp_path)
+    config = engines.Config(
+        policy=("aslip",), engine=ENGINES, speeds=(0.0, 1.0), duration=0.03, out=tmp_path
+    )
     engines.main(config)
     table, summaries = (tmp_path / "engines.md").read_text().split("\n\n")
     assert table in capsys.readouterr().out
     assert [row.split("|")[1].strip() for row in table.splitlines()[2:]] == ["0.0", "1.0"]
     assert [row.split("|")[2:4] for row in summaries.splitlines()[2:]] == [
-        [" mujoco ", " 2 of 2 "],
-        [" drake ", " 2 of 2 "],
+        [f" {engine} ", " 2 of 2 "] for engine in ENGINES
     ]
 
 
