@@ -35,7 +35,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "_WALK", 3.0)
     monkeypatch.setattr(foot_placement, "_FOOTSTEPS", 4)
     for name in ("_HOLD", "_BEFORE", "_AFTER"):
-        monkeypatch.setattr(velocity_tracking, name, 2.0)
+        monkeypatch.setattr(velocity_tracking, name, 1.0)
 
 
 def settings(out: Path, *speeds: float) -> dict[str, Any]:

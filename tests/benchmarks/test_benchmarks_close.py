@@ -79,5 +79,5 @@ def test_record_estimates_closes_environment() -> None:
 @pytest.mark.usefixtures("made")
 def test_memory_measurements_close_environments() -> None:
     throughput.memory_of(1)
-    simulations.random_walk(4, 0, num_envs=2)
+    assert simulations.random_walk(20, 0, num_envs=2)["finite"] == 20
     assert np.isfinite(simulations.resident_memory())

@@ -38,7 +38,6 @@ FEW: dict[suite.Inject, int] = {
     runs.full_disks: 3,
     files.hidden_programs: 24,
     runs.bad_settings: 300,
-    simulations.random_steps: 200,
 }
 
 
@@ -59,9 +58,15 @@ def test_faults_are_survived(inject: suite.Inject, folder: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("inject", [runs.kills, runs.worker_kills], ids=lambda f: f.__name__)
-def test_killed_processes_are_survived(inject: suite.Inject, tmp_path: Path) -> None:
-    assert _survived(inject, 2, tmp_path) == 2
+@pytest.mark.parametrize(
+    ("inject", "count"),
+    [(runs.kills, 2), (runs.worker_kills, 2), (simulations.random_steps, 200)],
+    ids=lambda f: getattr(f, "__name__", None),
+)
+def test_faults_of_other_processes_are_survived(
+    inject: suite.Inject, count: int, tmp_path: Path
+) -> None:
+    assert _survived(inject, count, tmp_path) == count
 
 
 def test_damaged_files_are_survived(folder: Path) -> None:

@@ -107,7 +107,9 @@ if len(sys.argv) > 2:
 """
 
 
-@pytest.mark.parametrize("error", [[], ["a mistake in the script"]])
+@pytest.mark.parametrize(
+    "error", [pytest.param([], marks=pytest.mark.slow), ["a mistake in the script"]]
+)
 def test_end_of_a_program_finishes_its_log(path: Path, error: list[str]) -> None:
     """With and without an exception."""
     command = [sys.executable, "-c", _SCRIPT, str(path), *error]

@@ -147,7 +147,7 @@ def test_wrong_arguments_are_named(model):
         render_robot(qpos, model=model, height=0)
 
 
-@pytest.mark.parametrize("backend", ["disable", "glfw"])
+@pytest.mark.parametrize("backend", [pytest.param("disable", marks=pytest.mark.slow), "glfw"])
 def test_without_opengl_the_error_says_what_to_set(backend: str):
     code = (
         "from aslip.robot.model import load_model\n"

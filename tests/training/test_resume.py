@@ -219,7 +219,7 @@ def _terminate() -> None:
     os.kill(os.getpid(), signal.SIGTERM)
 
 
-@pytest.mark.parametrize("stop", [_interrupt, _terminate])
+@pytest.mark.parametrize("stop", [pytest.param(_interrupt, marks=pytest.mark.slow), _terminate])
 def test_a_training_stopped_during_an_update_resumes(
     undisturbed: dict[str, Any],
     tmp_path: Path,

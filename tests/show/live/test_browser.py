@@ -34,14 +34,14 @@ class Desk:
     """Served page, and a browser that shows it."""
 
     live: LivePage
-    browser: Any
+    tabs: Any  # of a browser, which keeps the page's program in its cache
     view: Any
     steps: list[TensorDictBase]
     script: str = ""
 
     def open(self) -> Any:
         """Open another tab with the page."""
-        view = self.browser.new_page(**_SIZE)
+        view = self.tabs.new_page()
         view.set_default_timeout(1000 * PATIENCE)
         view.add_init_script(self.script)
         view.goto(self.live.url)
@@ -80,7 +80,7 @@ def _desk(walker: Walker, policies: dict[str, Any], script: str = "") -> Iterato
         if not found:
             pytest.skip(f"no chromium among {_NAMES}, nor playwright's own")
         browser = playwright.chromium.launch(executable_path=found[0], args=_ARGUMENTS)
-        desk = Desk(live, browser, None, steps, script)
+        desk = Desk(live, browser.new_context(**_SIZE), None, steps, script)
         desk.view = desk.open()
         yield desk
         browser.close()
