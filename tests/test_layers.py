@@ -222,6 +222,12 @@ def test_the_wire_needs_numpy_only() -> None:
     assert not loaded & (_HEAVY | {"numba", "scipy"})
 
 
+def test_the_runner_of_an_exported_policy_needs_numpy_only() -> None:
+    loaded = _loaded_after("from aslip.control.__main__ import Config, main")
+    assert "numpy" in loaded
+    assert not loaded & (_HEAVY | {"numba", "scipy"})
+
+
 def test_an_unknown_public_name_lists_the_known_ones() -> None:
     import aslip
 

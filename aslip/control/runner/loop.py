@@ -97,7 +97,7 @@ class Run:
         """Time in which the policy acted [s]."""
         self._log, self._say, self._chatty = log, say, chatty
         self._walk_began = float("inf")
-        self._arrivals: list[tuple[int, Arrival]] = []
+        self._newest: tuple[int, Arrival] | None = None
         self._request, self._reading = Request(), None
         self._command = MotorCommand(*np.zeros((5, len(supervisor.robot.motor_names))))
         self._next_line = 1.0
@@ -109,13 +109,13 @@ class Run:
 
     def take(self, time_ns: int, arrivals: list[Arrival]) -> None:
         """Take packets that have arrived."""
-        if self.readings.newest_only:
-            arrivals = arrivals[-1:]
-            self._arrivals = [] if arrivals else self._arrivals
-        for arrival in arrivals:
+        for arrival in arrivals[-1:] if self.readings.newest_only else arrivals:
             self.readings.take(time_ns / _NS, arrival.step, arrival.record)
-            if self._log is not None:
-                self._arrivals.append((time_ns, arrival))
+            if self.readings.newest_only:
+                # one packet per policy step is logged
+                self._newest = time_ns, arrival
+            elif self._log is not None:
+                self._log.packet(time_ns, *arrival)
 
     def tick(self, time_ns: int) -> MotorCommand:
         """Advance by a policy step."""
@@ -134,9 +134,9 @@ class Run:
     def finish_tick(self, time_ns: int, lateness: float, reply: float) -> None:
         """Log and print a policy step after its command was sent."""
         if self._log is not None:
-            for arrived, arrival in self._arrivals:
-                self._log.packet(arrived, *arrival)
-            self._arrivals.clear()
+            if self._newest is not None:
+                self._log.packet(self._newest[0], *self._newest[1])
+                self._newest = None
             self._log.tick(
                 time_ns,
                 self._request,

@@ -118,6 +118,9 @@ class SensorReadings:
         self._force: list[np.ndarray] = []
         self._record: np.ndarray | None = None
         self._arrived: float | None = None
+        # compiled functions load at their first call, which takes seconds
+        tracking, _ = self._estimator.start(np.full(robot.packet_size, np.nan))
+        self._estimator.update(tracking, None)
 
     def take(self, time: float, step: int, record: np.ndarray) -> None:
         """Take a packet; estimate the state if it completes a packet of the estimator."""

@@ -17,7 +17,7 @@ from aslip.control import Controller
 from aslip.control.runner.commands import Scheduled
 from aslip.control.runner.load import Loaded, load, standing_estimate, warm_up
 from aslip.control.runner.loop import LATE, Run, Tally, run_lockstep, run_real_time
-from aslip.control.runner.readings import StateReadings
+from aslip.control.runner.readings import SensorReadings, StateReadings
 from aslip.control.runner.record import RunLog, replay, run_metadata
 from aslip.control.runner.supervisor import Limits, Stage, Supervisor
 from aslip.errors import ConfigurationError, FileDamagedError, NetworkError
@@ -26,9 +26,11 @@ from aslip.log import check, read
 from aslip.robot import CASSIE
 from aslip.twin import TwinRobot, serve_lockstep
 from aslip.wire import (
+    CASSIE_OUT,
     LOOPBACK,
     PD_IN,
     STATE_OUT,
+    USER_IN,
     Address,
     Endpoint,
     Link,
@@ -49,23 +51,24 @@ def loaded() -> Loaded:
 
 
 @contextmanager
-def socket_to(robot: Address) -> Iterator[Endpoint]:
-    link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
-    with Endpoint(link, ANY_PORT, robot) as endpoint:
+def socket_to(robot: Address, raw: bool = False) -> Iterator[Endpoint]:
+    kinds = (USER_IN, CASSIE_OUT) if raw else (PD_IN, STATE_OUT)
+    with Endpoint(Link(*kinds, refuse_not_finite=False), ANY_PORT, robot) as endpoint:
         yield endpoint
 
 
 @contextmanager
-def robot_socket() -> Iterator[Endpoint]:
-    with Endpoint(Link(STATE_OUT, PD_IN, refuse_not_finite=True), ANY_PORT) as endpoint:
+def robot_socket(raw: bool = False) -> Iterator[Endpoint]:
+    kinds = (CASSIE_OUT, USER_IN) if raw else (STATE_OUT, PD_IN)
+    with Endpoint(Link(*kinds, refuse_not_finite=True), ANY_PORT) as endpoint:
         yield endpoint
 
 
 @contextmanager
-def connected(serve: Any, *arguments: Any) -> Iterator[Endpoint]:
+def connected(serve: Any, *arguments: Any, raw: bool = False) -> Iterator[Endpoint]:
     """Socket to a robot that `serve(*arguments, socket, stop)` plays in a thread."""
     ended = threading.Event()
-    with robot_socket() as server, socket_to(server.local) as endpoint:
+    with robot_socket(raw) as server, socket_to(server.local, raw) as endpoint:
         thread = threading.Thread(target=serve, args=(*arguments, server, ended.is_set))
         thread.start()
         try:
@@ -159,6 +162,30 @@ def test_other_logs_are_not_replayed(tmp_path: Path) -> None:
         replay(path, lambda *_: None, tmp_path)
     with pytest.raises(ConfigurationError, match="exists"):
         RunLog(path, STATE_OUT, {}, {})
+
+
+def test_a_run_in_raw_mode_walks_like_one_in_pd_mode(
+    loaded: Loaded, lockstep: SimpleNamespace, tmp_path: Path
+) -> None:
+    """Estimator and PD law run in the runner; the twin takes torques."""
+    path, readings = tmp_path / "raw.mcap", SensorReadings()
+    log = RunLog(path, CASSIE_OUT, loaded.files, run_metadata("aslip", readings, QUICK))
+    supervisor = Supervisor(loaded.controller, loaded.pose, QUICK)
+    source = Scheduled(Schedule.parse("0.5"), duration=0.3)
+    run = Run(supervisor, readings, source, log=log, say=lambda _: None)
+    with connected(serve_lockstep, TwinRobot(raw=True), raw=True) as endpoint:
+        run_lockstep(run, endpoint)
+    run.close()
+    names = [f"position_{motor}" for motor in CASSIE.motor_names]
+    pd, raw = (read(file)["/tick"] for file in (lockstep.path, path))
+    for name in names:
+        # torques reach the twin in single precision; later footsteps amplify the difference
+        np.testing.assert_allclose(raw[name][:4], pd[name][:4], atol=2e-4)
+        np.testing.assert_allclose(raw[name][:10], pd[name][:10], atol=0.1)
+    result = replay(
+        path, lambda _, limits: Supervisor(loaded.controller, loaded.pose, limits), tmp_path
+    )
+    assert (result.different, result.walked) == (0, 13)
 
 
 def serve_states(got: list[np.ndarray], until: float, server: Endpoint, stop: Any) -> None:
