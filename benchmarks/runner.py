@@ -182,9 +182,7 @@ class Program:
 
     def __init__(self, *words: str) -> None:
         command, errors = [sys.executable, "-m", *words], subprocess.STDOUT
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=errors, text=True
-        )
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
         self.said: list[str] = []
         """Lines so far."""
         self._lines: queue.Queue[tuple[float, str]] = queue.Queue()

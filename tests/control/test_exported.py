@@ -19,6 +19,8 @@ from aslip.control.contract import TOLERANCE, csv, seal, trace_text
 from aslip.control.export import compare, export_network, export_policy
 from aslip.control.export.golden import golden_trace
 from aslip.control.exported import ExportedController
+from aslip.control.runner.load import load, standing_estimate
+from aslip.control.runner.supervisor import Reading, Request, Stage, Supervisor
 from aslip.errors import (
     AssetError,
     ConfigurationError,
@@ -79,6 +81,22 @@ def test_the_pose_is_that_of_the_reference_in_place(
     pose = controller.library.lookup(zero, zero).motor_position[0].numpy()
     np.testing.assert_array_equal(exported.pose.astype(np.float32), pose)
     assert exported.command_size == 1
+
+
+def test_a_runner_walks_with_the_file_as_with_the_policy(file: Path) -> None:
+    ours, theirs = load(file), load("aslip")
+    np.testing.assert_allclose(ours.pose, theirs.pose, atol=1e-6)
+    targets = []
+    for loaded in (ours, theirs):
+        supervisor = Supervisor(loaded.controller, loaded.pose)
+        readings = [Reading(0.03 * k, standing_estimate(), np.ones(16) * 0.4) for k in range(5)]
+        requests = [Request(0.5, yaw_rate=0.3)] * 5
+        ticks = [supervisor.tick(r.time, r, q) for r, q in zip(readings, requests, strict=True)]
+        targets.append([command.position for command in ticks])
+        assert supervisor.stage is Stage.WALK
+    np.testing.assert_allclose(targets[0], targets[1], atol=TOLERANCE)
+    with pytest.raises(ConfigurationError, match="SHA-256"):
+        load(file, "single_reference")
 
 
 def test_motor_targets_are_those_of_the_controller(

@@ -33,16 +33,20 @@ class Loaded(NamedTuple):
 def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
     """Load a controller, and take some steps so that the first one on the robot is fast.
 
+    An exported policy, a file that ends with ".onnx", needs no PyTorch, and repeats its golden
+    trace first.
+
     Args:
-        policy: name of a shipped policy, policy file, or folder of a training run.
+        policy: name of a shipped policy, policy file, folder of a training run, or exported policy.
         library: gaits of the policy, a file or the name of a shipped library; by default those of
-            the policy's stack.
+            the policy's stack. An exported policy has its own, which must be this one if given.
 
     Raises:
         AssetError, FileDamagedError: there is no such policy or library, or it is damaged.
-        ConfigurationError: policy and library do not fit.
+        ConfigurationError: policy and library, or policy and robot, do not fit.
     """
-    loaded = _of_torch(policy, library)
+    exported = Path(policy).suffix == ".onnx"
+    loaded = _of_export(Path(policy), library) if exported else _of_torch(policy, library)
     try:
         warm_up(loaded.controller)
     except Exception as error:  # networks fail in many ways
@@ -79,6 +83,21 @@ def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
         "motor_position": qpos[at.motor_qpos],
         "joint_position": qpos[at.joint_qpos],
     }
+
+
+def _of_export(path: Path, library: str | Path | None) -> Loaded:
+    """Controller of an exported policy."""
+    # imported late: other policies run without onnxruntime
+    try:
+        from aslip.control.exported import ExportedController
+    except ImportError as error:
+        raise ConfigurationError(
+            f"an exported policy needs onnxruntime ({error}): pip install 'aslip[control]'"
+        ) from error
+    controller = ExportedController(path, library=None if library is None else str(library))
+    controller.verify()
+    files = {"policy.onnx": path.read_bytes()}
+    return Loaded(controller, controller.pose, controller.command_size, files)
 
 
 def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
