@@ -40,3 +40,13 @@ class Compared(Common):
         """Check that there is a policy of any kind."""
         if not (self.policy or self.paper or self.baseline):
             raise ConfigurationError("name at least one policy")
+
+
+@dataclass(frozen=True)
+class Directions(Common):
+    """Flags of benchmarks of walks in all directions."""
+
+    policy: tuple[str, ...] = ("runs/ppo_directions",)
+    """Policies to measure: files or run folders; several count as seeds of one method."""
+    library: str = "runs/directions/gaits.npz"
+    """Library over three commands that the policies were trained with."""

@@ -11,10 +11,15 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.control.controller import Controller, ControllerState
+    from aslip.control.path import Eight, PathFollower
 
-__all__ = ["Controller", "ControllerState"]
+__all__ = ["Controller", "ControllerState", "Eight", "PathFollower"]
 
 # the runner works without PyTorch, which `controller` imports
 __getattr__, __dir__, _ = lazy_loader.attach(
-    __name__, submod_attrs={"controller": ["Controller", "ControllerState"]}
+    __name__,
+    submod_attrs={
+        "controller": ["Controller", "ControllerState"],
+        "path": ["Eight", "PathFollower"],
+    },
 )

@@ -13,6 +13,7 @@ from aslip.walking.metrics.contact import (
     step_frequency,
     touchdown_times,
 )
+from aslip.walking.metrics.directions import mean_twist, tracking_errors
 from aslip.walking.metrics.effort import action_roughness, cost_of_transport, jerk, mechanical_power
 from aslip.walking.metrics.footsteps import Footsteps, Placement, footsteps, placement
 from aslip.walking.metrics.force import (
@@ -51,6 +52,7 @@ __all__ = [
     "leg_length_correlation",
     "longest_airborne",
     "mean_over_strides",
+    "mean_twist",
     "mechanical_power",
     "merge_short",
     "placement",
@@ -63,4 +65,5 @@ __all__ = [
     "touchdown_impact",
     "touchdown_spike",
     "touchdown_times",
+    "tracking_errors",
 ]

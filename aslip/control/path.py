@@ -1,0 +1,102 @@
+"""Path following: from an estimated pose to a command, for policies that walk in all directions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+Pose = tuple[float, float, float]
+"""Place x, y [m] and yaw [rad] in the world."""
+
+
+class Path(Protocol):
+    """Curve on the ground, by its arc length."""
+
+    def at(self, way: float) -> tuple[Pose, float]:
+        """Pose of a point, with the yaw of the tangent, and curvature [1/m].
+
+        Args:
+            way: arc length from the start [m].
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Eight:
+    """Figure of eight: a circle to the left, then one to the right, from the origin along x."""
+
+    radius: float = 3.0
+    """Radius of the circles [m]."""
+
+    def at(self, way: float) -> tuple[Pose, float]:
+        """Pose and curvature at an arc length; the path repeats after two circles."""
+        turns, angle = divmod(way / self.radius, 2 * math.pi)
+        side = -1.0 if turns % 2 else 1.0
+        x, y = self.radius * math.sin(angle), side * self.radius * (1 - math.cos(angle))
+        return (x, y, side * angle), side / self.radius
+
+
+@dataclass(frozen=True)
+class PathFollower:
+    r"""Law that keeps a robot on a path at a constant speed.
+
+    With the distance e to the left of the path's nearest point, and the yaw error
+    :math:`\theta` there:
+
+    .. math:: v = R(-\psi)\,(u,\,-k e)^T, \quad \omega = \kappa u - k_\theta \theta
+
+    for the speed u along the path, its curvature :math:`\kappa`, and the yaw :math:`\psi` of the
+    frame of the command from the tangent. It is the usual feedforward with proportional feedback
+    (Siciliano et al. 2009, Sec. 11.5), for robots that walk sideways, too.
+    """
+
+    path: Path
+    """Path to follow."""
+    speed: float = 0.8
+    """Speed along the path [m/s]."""
+    gain: float = 1.0
+    """Sideways speed per distance from the path [1/s]."""
+    turn_gain: float = 1.0
+    """Yaw rate per yaw error [1/s]."""
+    most: float = 0.2
+    """Largest sideways speed towards the path [m/s]."""
+
+    def command(
+        self, pose: Pose, heading: float, way: float
+    ) -> tuple[tuple[float, float, float], float]:
+        """Command for the next policy step.
+
+        Args:
+            pose: estimated place and yaw of the pelvis.
+            heading: yaw of the frame in which speeds are commanded [rad].
+            way: arc length of the nearest point, as returned at the last step [m]; 0 at the start.
+
+        Returns:
+            Forward, sideways speed [m/s] and yaw rate [rad/s]; and the arc length of the point of
+            the path that is nearest now [m].
+        """
+        way += self.errors(pose, way)[0]
+        _, left, turned = self.errors(pose, way)
+        (_, _, tangent), curvature = self.path.at(way)
+        towards = min(max(-self.gain * left, -self.most), self.most)
+        yaw = heading - tangent
+        cosine, sine = math.cos(yaw), math.sin(yaw)
+        forward, sideways = (
+            cosine * self.speed + sine * towards,
+            cosine * towards - sine * self.speed,
+        )
+        return (forward, sideways, curvature * self.speed - self.turn_gain * turned), way
+
+    def errors(self, pose: Pose, way: float) -> tuple[float, float, float]:
+        """Distances ahead and to the left of a point of the path [m], and yaw error [rad].
+
+        Args:
+            pose: place and yaw of the robot.
+            way: arc length of the point [m].
+        """
+        (x, y, tangent), _ = self.path.at(way)
+        dx, dy = pose[0] - x, pose[1] - y
+        cosine, sine = math.cos(tangent), math.sin(tangent)
+        turned = math.remainder(pose[2] - tangent, math.tau)
+        return cosine * dx + sine * dy, cosine * dy - sine * dx, turned

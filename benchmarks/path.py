@@ -1,0 +1,167 @@
+"""Figure of eight, closed over the estimated pose.
+
+python -m benchmarks.path --policy runs/ppo_directions
+
+A law (`aslip.control.PathFollower`) turns the pose that the state estimator's odometry gives into
+commands, as on a robot. Errors are distances from the path, of the estimate and of the truth: dead
+reckoning drifts, so they differ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from aslip.errors import ConfigurationError, one_line_errors
+from aslip.training.command_line import command_line
+from benchmarks.flags import Directions
+
+
+@dataclass(frozen=True)
+class Config(Directions):
+    """Settings of the benchmark."""
+
+    radius: float = 3.0
+    """Radius of the circles [m]."""
+    speed: float = 0.8
+    """Speed along the path [m/s]."""
+    duration: float = 300.0
+    """Duration of the walk [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        super().__post_init__()
+        for name in ("radius", "speed", "duration"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+import contextlib
+from typing import Any, cast
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tensordict import TensorDictBase
+from tqdm import tqdm
+
+from aslip.control import Eight, PathFollower
+from aslip.library import GaitLibrary
+from aslip.robot import CASSIE
+from aslip.robot.rotation import yaw
+from aslip.walking import markdown, next_start, policy_steps, reset_walks, take_step
+from benchmarks.common import MakeEnv, Policy, Subject, write_report
+from benchmarks.directions import direction_subjects
+
+_POINTS = 500  # of the drawn path
+
+
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> list[dict[str, Any]]:
+    """Measure, print and draw; returns a row for each policy.
+
+    Args:
+        config: the settings.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
+    """
+    subjects, library = direction_subjects(config, policy, make_env)
+    follower = PathFollower(Eight(config.radius), config.speed)
+    found = [walk_path(config, subject, library, follower) for subject in subjects]
+    rows = [row for row, _ in found]
+    lines = [
+        [
+            row["policy"],
+            f"{row['time']:.1f}" + (" fell" if row["fell"] else ""),
+            *(f"{100 * row[key]:.1f}" for key in ("estimate", "estimate_most", "truth")),
+        ]
+        for row in rows
+    ]
+    header = [
+        "policy", "walked [s]", "mean error, estimate [cm]", "largest [cm]",
+        "mean error, truth [cm]",
+    ]  # fmt: skip
+    figure = picture(follower, found[0][1])
+    write_report(config, policy, "path", {"rows": rows}, markdown(header, lines), figure)
+    return rows
+
+
+def walk_path(
+    config: Config, subject: Subject, library: GaitLibrary, follower: PathFollower
+) -> tuple[dict[str, Any], np.ndarray]:
+    """Walk one robot along the path.
+
+    Returns:
+        Numbers of the walk; and places (m, 2, 2) after each policy step, estimated and true [m].
+    """
+    start, way = (config.speed, 0.0, 0.0), 0.0
+    places, distances, fell = [], [], False
+    with contextlib.closing(subject.walking_env(config, 1)) as env:
+        td: TensorDictBase = reset_walks(env, library.nearest(torch.tensor([start])).numpy())
+        for _ in tqdm(range(policy_steps(config.duration)), unit="step", leave=False):
+            heading = float(cast("torch.Tensor", td["heading"]))
+            estimated, true = (world_pose(td, group) for group in ("odometry", "true_odometry"))
+            command, way = follower.command(estimated, heading, way)
+            td["command"] = library.nearest(torch.tensor([command]))
+            td = take_step(subject.policy, env, td)
+            places.append([estimated[:2], true[:2]])
+            distances.append(
+                [math.hypot(*follower.errors(pose, way)[:2]) for pose in (estimated, true)]
+            )
+            if fell := bool(td["next", "terminated"]):
+                break
+            td = next_start(td)
+    errors = np.array(distances)
+    row = {
+        "policy": subject.name,
+        "time": len(errors) * CASSIE.policy_period,
+        "fell": fell,
+        "estimate": float(errors[:, 0].mean()),
+        "estimate_most": float(errors[:, 0].max()),
+        "truth": float(errors[:, 1].mean()),
+    }
+    return row, np.array(places)
+
+
+def world_pose(td: TensorDictBase, group: str) -> tuple[float, float, float]:
+    """Place [m] and yaw [rad] of a pelvis in the world, from its odometry along the path.
+
+    Args:
+        td: tensordict of one robot.
+        group: "odometry", the estimate, or "true_odometry".
+    """
+    entries = cast("TensorDictBase", td[group])
+    heading = float(cast("torch.Tensor", td["heading"]))
+    x, y, _ = entries["pelvis_position"][0].tolist()
+    origin = entries["origin"][0].tolist()
+    cosine, sine = math.cos(heading), math.sin(heading)
+    orientation = cast("torch.Tensor", entries["pelvis_orientation"])[0]
+    turned = float(yaw(orientation.double().numpy()))
+    place = origin[0] + cosine * x - sine * y, origin[1] + sine * x + cosine * y
+    return *place, heading + turned
+
+
+def picture(follower: PathFollower, places: np.ndarray) -> Figure:
+    """Path, estimated and true way of the first policy, from above."""
+    figure = Figure(figsize=(5, 7.5), layout="constrained")
+    axes = figure.subplots()
+    assert isinstance(follower.path, Eight)
+    length = 4 * math.pi * follower.path.radius
+    path = np.array([follower.path.at(way)[0][:2] for way in np.linspace(0, length, _POINTS)])
+    axes.plot(*path.T, "k--", lw=1, label="path")
+    axes.plot(*places[:, 0].T, color="tab:blue", lw=1, label="estimate")
+    axes.plot(*places[:, 1].T, color="tab:red", lw=1, label="truth")
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.legend(loc="upper right", fontsize=8)
+    axes.grid(alpha=0.3)
+    return figure
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)
