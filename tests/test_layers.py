@@ -28,7 +28,7 @@ _MAY_IMPORT: dict[str, set[str]] = {
     "wire": {"robot"},
     "estimation": {"robot"},
     "sim": {"robot"},
-    "twin": {"robot", "wire", "estimation", "sim", "training"},
+    "twin": {"robot", "wire", "estimation", "sim", "training", "show"},
     "transforms": {"robot", "library", "estimation", "sim"},
     "policy": {"robot", "transforms"},
     "control": {

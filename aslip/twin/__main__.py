@@ -3,6 +3,7 @@
     python -m aslip.twin                                 # PD mode in lockstep, 127.0.0.1:25000
     python -m aslip.twin --real-time                     # at 2 kHz, as the robot
     python -m aslip.twin --real-time --raw               # torques in, sensors out
+    python -m aslip.twin --real-time --live              # with a page to watch, push and stop it
     python -m aslip.twin --engine drake                  # in Drake instead of MuJoCo
 
 In lockstep every command is one tick of 0.5 ms, answered by the state after it. In real time the
@@ -20,6 +21,8 @@ from aslip.training.command_line import command_line
 from aslip.wire import CASSIE_OUT, PD_IN, SIMULATOR, STATE_OUT, USER_IN, Address, Endpoint, Link
 
 if TYPE_CHECKING:
+    from aslip.twin.page import TwinPage
+    from aslip.twin.real_time import RealTimeServer
     from aslip.twin.robot import TwinRobot
 
 
@@ -44,6 +47,10 @@ class Config:
     radio: bool = False
     """Read the operator's radio from the terminal, one "CHANNEL VALUE" per line: "8 -1" is the
     emergency stop, "8 1" releases it."""
+    live: bool = False
+    """Serve a page to watch, push and stop the robot; needs the extra aslip[live]."""
+    page_port: int = 8080
+    """Port of the page, at the address of the twin; 0 lets the system choose one."""
 
 
 def main(config: Config) -> None:
@@ -54,36 +61,54 @@ def main(config: Config) -> None:
     with Endpoint(link, local, beyond_loopback=config.beyond_loopback) as endpoint:
         # imported late: a port in use is reported at once
         from aslip.twin import ENGINES, TwinRobot
+        from aslip.twin.page import TwinPage
         from aslip.twin.radio import read_radio
 
         robot = TwinRobot(make_engine=ENGINES[config.engine], raw=config.raw)
         if config.radio:
             read_radio(robot)
+        page = TwinPage(robot, config.address, config.page_port) if config.live else None
         try:
-            serve(config, robot, endpoint)
+            serve(config, robot, endpoint, page)
         except KeyboardInterrupt:
             counts = {name: number for name, number in asdict(link.counters).items() if number}
             print(f"{robot.divergences} divergences, datagrams: {counts}")
+        finally:
+            if page is not None:
+                page.close()
 
 
-def serve(config: Config, robot: TwinRobot, endpoint: Endpoint) -> None:
+def serve(config: Config, robot: TwinRobot, endpoint: Endpoint, page: TwinPage | None) -> None:
     """Serve clients in lockstep or in real time."""
     from aslip.twin import RealTimeServer, serve_lockstep
 
-    ready = f"waiting for commands at {endpoint.local}; Ctrl-C ends"
-    if not config.real_time:
-        print(ready, flush=True)
-        try:
-            serve_lockstep(robot, endpoint)
-        finally:
-            print(f"lockstep: {robot.ticks} ticks")
-        return
-    server = RealTimeServer(robot, endpoint, fallback=config.fallback, say=say)
-    print(ready, flush=True)
+    server = None
+    if config.real_time:
+        server = RealTimeServer(robot, endpoint, fallback=config.fallback, say=say)
+
+    def stop() -> bool:
+        if page is not None:
+            page.update(lambda: lines(robot, endpoint, server))
+        return False
+
+    seen = "" if page is None else f", page at {page.url}"
+    say(f"waiting for commands at {endpoint.local}{seen}; Ctrl-C ends")
     try:
-        server.run()
+        if server is None:
+            serve_lockstep(robot, endpoint, stop)
+        else:
+            server.run(stop)
     finally:
-        print(f"real time: {server.load}")
+        say(f"lockstep: {robot.ticks} ticks" if server is None else f"real time: {server.load}")
+
+
+def lines(robot: TwinRobot, endpoint: Endpoint, server: RealTimeServer | None) -> dict[str, str]:
+    """Lines of text on the page."""
+    shown = {
+        "time": f"{robot.ticks * robot.robot.physics_timestep:.2f} s since it was set on its feet",
+        "client": "none yet" if endpoint.peer is None else str(endpoint.peer),
+    }
+    return shown if server is None else {**shown, "real time": str(server.load)}
 
 
 def say(text: str) -> None:

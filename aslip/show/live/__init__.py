@@ -16,5 +16,6 @@ except ImportError as error:
     ) from error
 
 from aslip.show.live.page import LivePage
+from aslip.show.live.robot_page import RobotPage
 
-__all__ = ["LivePage"]
+__all__ = ["LivePage", "RobotPage"]

@@ -11,22 +11,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 import viser
 
 from aslip.library import Command
 from aslip.robot import CASSIE
+from aslip.show.live.pushes import PushControls
 from aslip.show.live.scene import ROM_PLACES, RomPlace
-from aslip.show.live.server import Check, guard, number_within, one_of, switch
+from aslip.show.live.server import Check, guard, one_of, switch
 from aslip.show.live.steering import Steering
 
 Click = Literal["pause", "step", "reset", "push"]
-
-PUSH_DURATION = 4 * CASSIE.policy_period
-"""Duration of a push [s], in whole policy steps."""
-
-_PUSH_LIMIT, _PUSH_STEP, _PUSH_START = 300, 10, 120
-_TURN_STEP = 15
 
 _LEGEND = (
     "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Blue is the left leg, red the"
@@ -84,12 +78,7 @@ class Controls:
             )
             self.reset = gui.add_button("Reset", icon=viser.Icon.REFRESH)
             self.auto_reset = gui.add_checkbox("reset after a fall", True)
-        with gui.add_folder("Push"):
-            self.push_direction = gui.add_slider(
-                "direction [°]", -180, 180, _TURN_STEP, 90, hint="0 is forward, 90 is to the left"
-            )
-            self.push_size = gui.add_slider("force [N]", 0, _PUSH_LIMIT, _PUSH_STEP, _PUSH_START)
-            self.push = gui.add_button(f"Push for {PUSH_DURATION:g} s")
+        self.pushes = PushControls(gui)
         with gui.add_folder("View"):
             self.rom = gui.add_dropdown("spring-mass model", ROM_PLACES)
             gui.add_html(_LEGEND)
@@ -97,7 +86,7 @@ class Controls:
             "pause": self.pause,
             "step": self.step,
             "reset": self.reset,
-            "push": self.push,
+            "push": self.pushes.button,
         }
         for click, button in buttons.items():
             button.on_click(lambda _, click=click: self._clicks.put(click))
@@ -108,8 +97,7 @@ class Controls:
         checks: dict[str, Check] = {}
         checks |= {control._impl.uuid: switch for control in (*buttons, self.auto_reset)}
         checks |= self.steering.checks()
-        for slider in (self.push_direction, self.push_size):
-            checks[slider._impl.uuid] = number_within(slider.min, slider.max)
+        checks |= self.pushes.checks()
         for choice in (self.policy, self.rom):
             checks[choice._impl.uuid] = one_of(choice.options)
         guard(server, checks)
@@ -130,11 +118,6 @@ class Controls:
                 yield self._clicks.get_nowait()
             except queue.Empty:
                 return
-
-    def push_force(self) -> np.ndarray:
-        """(3,) force of a push [N, heading frame: x ahead, y to the left]."""
-        angle = np.deg2rad(self.push_direction.value)
-        return self.push_size.value * np.array([np.cos(angle), np.sin(angle), 0.0])
 
     def show_paused(self, paused: bool) -> None:
         """Label the pause button with its next action; enable single steps only while paused."""

@@ -18,7 +18,8 @@ from aslip.policy import load_policy
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import yaw_rotation
-from aslip.show.live.controls import PUSH_DURATION, Click, Controls
+from aslip.show.live.controls import Click, Controls
+from aslip.show.live.pushes import PUSH_DURATION
 from aslip.show.live.readouts import ROBOT_LABEL, Readouts, Status, Turning
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
@@ -190,7 +191,7 @@ class LivePage:
         if click == "push":
             truth = cast("Mapping[str, torch.Tensor]", self.walker.td["truth"])
             heading = yaw_rotation(truth["pelvis_orientation"][0].numpy())
-            self.walker.push((heading @ self.controls.push_force()).tolist(), PUSH_DURATION)
+            self.walker.push((heading @ self.controls.pushes.force()).tolist(), PUSH_DURATION)
         elif click == "reset":
             self._reset()
         elif click == "step":

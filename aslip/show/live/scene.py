@@ -156,23 +156,18 @@ _FIELD_OF_VIEW = 0.6
 _ROBOT_OPACITY = 0.35
 
 
-class SceneView:
+class RobotScene:
     """Scene in which the robot stays at the origin and the floor moves, for a fixed camera.
 
     Args:
         server: server of the page.
         model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
-        library: gaits for footholds.
     """
 
-    def __init__(
-        self, server: viser.ViserServer, model: mujoco.MjModel, library: GaitLibrary
-    ) -> None:
-        scene = server.scene
-        self._server = server
+    def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = _CAMERA, _LOOK_AT, _FIELD_OF_VIEW
-        self._floor = scene.add_grid(
+        self._floor = server.scene.add_grid(
             "/floor",
             infinite_grid=True,
             fade_distance=12.0,
@@ -184,14 +179,37 @@ class SceneView:
             plane_opacity=1.0,
             shadow_opacity=0.3,
         )
-        self._robot = RobotView(scene, model)
-        self._rom = RomView(scene, library)
+        self.robot = RobotView(server.scene, model)
+        """Meshes of the robot."""
+
+    def update(self, qpos: np.ndarray) -> None:
+        """Draw a configuration (35,), in MuJoCo's conventions."""
+        # the pattern of the floor repeats after a section
+        self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
+        self.robot.update(qpos)
+
+
+class SceneView:
+    """Robot and reduced-order model.
+
+    Args:
+        server: server of the page.
+        model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
+        library: gaits for footholds.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, model: mujoco.MjModel, library: GaitLibrary
+    ) -> None:
+        self._server = server
+        self._scene = RobotScene(server, model)
+        self._rom = RomView(server.scene, library)
 
     def place_rom(self, place: RomPlace) -> None:
         """Show the reduced-order model beside the robot, in its place, or not at all."""
         with self._server.atomic():
             self._rom.place(place)
-            self._robot.fade(_ROBOT_OPACITY if place == "through" else None)
+            self._scene.robot.fade(_ROBOT_OPACITY if place == "through" else None)
 
     def update(self, td: TensorDictBase) -> None:
         """Draw the present instant.
@@ -201,7 +219,5 @@ class SceneView:
         """
         qpos = cast("torch.Tensor", td["truth", "qpos"])[0].numpy()
         with self._server.atomic():
-            # the pattern of the floor repeats after a section
-            self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
-            self._robot.update(qpos)
+            self._scene.update(qpos)
             self._rom.update(td)

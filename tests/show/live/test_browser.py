@@ -140,7 +140,7 @@ def test_push_accelerates_the_robot_to_its_left(desk):
     for _ in range(4):
         desk.click("Step")
     wait_for(lambda: len(desk.steps) == count + 4)
-    assert desk.live.controls.push_size.value == 300
+    assert desk.live.controls.pushes.size.value == 300
     # 300 N on 33 kg for 0.12 s
     assert desk.speeds(1)[-1] - desk.speeds(1)[count - 1] > 0.5
 

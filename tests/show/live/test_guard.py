@@ -30,7 +30,7 @@ def settle(page: LivePage, visitor: Visitor) -> None:
 @pytest.mark.parametrize("value", [1e308, 2**63, -(2**63), 1e25, math.inf, -math.inf])
 def test_huge_numbers_are_clamped_and_the_page_stays_open(open_page, value):
     page = open_page(speed=0.5)
-    sliders = (page.controls.push_size, page.controls.push_direction, page.controls.command)
+    sliders = (page.controls.pushes.size, page.controls.pushes.direction, page.controls.command)
     with visit(page) as visitor:
         for slider in sliders:
             visitor.update(slider, value=value)
@@ -45,16 +45,16 @@ def test_huge_numbers_are_clamped_and_the_page_stays_open(open_page, value):
 @pytest.mark.parametrize("value", INVALID, ids=repr)
 def test_invalid_numbers_and_choices_change_nothing(open_page, value):
     page = open_page(speed=0.5)
-    before = page.controls.settings(), page.controls.push_force().tolist()
+    before = page.controls.settings(), page.controls.pushes.force().tolist()
     controls = page.controls
     with visit(page) as visitor:
-        for control in (controls.command, controls.push_size, controls.policy, controls.rom):
+        for control in (controls.command, controls.pushes.size, controls.policy, controls.rom):
             visitor.update(control, value=value)
         if value is not True:
             visitor.update(controls.auto_reset, value=value)
             visitor.update(controls.reset, value=value)
         settle(page, visitor)
-    assert (page.controls.settings(), page.controls.push_force().tolist()) == before
+    assert (page.controls.settings(), page.controls.pushes.force().tolist()) == before
     assert not list(page.controls.clicks())
     page.turn()
     assert page.message == ""
@@ -115,10 +115,10 @@ def test_valid_values_pass(open_page):
     controls = page.controls
     with visit(page) as visitor:
         visitor.update(controls.command, value=1)
-        visitor.update(controls.push_size, value=250)
+        visitor.update(controls.pushes.size, value=250)
         visitor.update(controls.policy, value="other")
         visitor.update(controls.auto_reset, value=False)
         settle(page, visitor)
     settings = controls.settings()
     assert (settings.command, settings.policy, settings.auto_reset) == (1.0, "other", False)
-    assert controls.push_size.value == 250
+    assert controls.pushes.size.value == 250

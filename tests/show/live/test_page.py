@@ -81,10 +81,10 @@ def test_single_step_needs_a_paused_page(open_page):
 def test_push_button_shows_its_duration(open_page):
     steps = []
     page = open_page(on_step=steps.append)
-    click(page.controls.push)
+    click(page.controls.pushes.button)
     walk(page, 6)
     acted = sum("push" in td and bool(td["push"].any()) for td in steps) * CASSIE.policy_period
-    assert page.controls.push.label == f"Push for {acted:g} s" == "Push for 0.12 s"
+    assert page.controls.pushes.button.label == f"Push for {acted:g} s" == "Push for 0.12 s"
 
 
 def test_reset_drops_pending_single_steps(open_page):
@@ -147,9 +147,9 @@ def test_push_has_its_direction_size_and_duration(open_page, degrees, ahead, lef
     steps = []
     page = open_page(on_step=steps.append)
     walk(page, 1)
-    page.controls.push_direction.value = degrees
-    page.controls.push_size.value = 150
-    click(page.controls.push)
+    page.controls.pushes.direction.value = degrees
+    page.controls.pushes.size.value = 150
+    click(page.controls.pushes.button)
     walk(page, 6)
     pushed = [td["push"][0].numpy() for td in steps if "push" in td and td["push"].any()]
     assert len(pushed) * CASSIE.policy_period == pytest.approx(0.12)
@@ -163,9 +163,9 @@ def test_push_turns_with_the_robot(open_page):
     page = open_page()
     orientation = page.walker.td["truth", "pelvis_orientation"]
     orientation[:] = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5])
-    page.controls.push_direction.value = 0
-    page.controls.push_size.value = 100
-    click(page.controls.push)
+    page.controls.pushes.direction.value = 0
+    page.controls.pushes.size.value = 100
+    click(page.controls.pushes.button)
     pushes = []
     page.walker.push = lambda force, duration: pushes.append(force)
     page.turn()
