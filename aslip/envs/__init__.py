@@ -25,7 +25,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.envs.batch import BatchEnv
-    from aslip.envs.directions import directions_stack
+    from aslip.envs.directions import directions_stack, standing_stack
     from aslip.envs.dm_control import DmControlEnv, Walk, walk_environment
     from aslip.envs.gymnasium import GymEnv, GymVectorEnv
     from aslip.envs.interface import (
@@ -103,6 +103,7 @@ __all__ = [
     "robot_stack",
     "single_reference_stack",
     "stack_name",
+    "standing_stack",
     "walk_environment",
 ]
 
@@ -110,7 +111,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "batch": ["BatchEnv"],
-        "directions": ["directions_stack"],
+        "directions": ["directions_stack", "standing_stack"],
         "dm_control": ["DmControlEnv", "Walk", "walk_environment"],
         "gymnasium": ["GymEnv", "GymVectorEnv"],
         "interface": [

@@ -22,12 +22,17 @@ from aslip.transforms import (
     HeadingFrame,
     PhaseClock,
     ReferenceInjection,
+    ReferenceStart,
     RewardTerm,
+    StandClock,
+    StandCommand,
+    StandFilter,
     VelocityCommand,
     WeightedReward,
     rewards,
 )
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
+from aslip.transforms.standing import transitions_of
 
 # headings of the goal that reward terms read on turns
 _HEADINGS: Final = MappingProxyType(
@@ -76,6 +81,28 @@ def directions_stack(library: GaitLibrary, reward_on: RewardSource = "truth") ->
     stack = insert_before(stack, "clock", command_filter=CommandFilter)
     stack = insert_before(stack, "straight_diff", **terms)
     return {name: make for name, make in stack.items() if name != "straight_diff"}
+
+
+def standing_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> Stack:
+    """Stack of `directions_stack` in which robots also stand, stop and start (`StandClock`).
+
+    Args:
+        library: gait library over three commands, with stop and start.
+        reward_on: source of pelvis and feet in the rewards.
+
+    Raises:
+        ConfigurationError: commands of the library have not three numbers, or it has no stop and
+            start.
+    """
+    transitions_of(library)
+    steered: list[NestedKey] = [_STEER, "phase", "mode", "stand"]
+    stack = directions_stack(library, reward_on) | {
+        "start": lambda: ReferenceStart(library, in_keys=["command", "phase", "mode"]),
+        "command_filter": StandFilter,
+        "clock": lambda: StandClock(library, in_keys=[_STEER, "stand"]),
+        "reference": lambda: ReferenceInjection(library, in_keys=steered),
+    }
+    return insert_before(stack, "reference", stand=StandCommand)
 
 
 def _with_headings(make: Callable[[], Transform]) -> RewardTerm:

@@ -41,6 +41,7 @@ from aslip.transforms.reference import (
     ReferenceStart,
 )
 from aslip.transforms.reward import EpisodeSum, RewardTerm, WeightedReward
+from aslip.transforms.standing import StandClock, StandCommand, StandFilter, advance_mode
 
 __all__ = [
     "COMMAND_RATES",
@@ -78,8 +79,12 @@ __all__ = [
     "SeededTransform",
     "SpeedCommand",
     "StaggeredEnds",
+    "StandClock",
+    "StandCommand",
+    "StandFilter",
     "TrueState",
     "VelocityCommand",
     "WeightedReward",
+    "advance_mode",
     "extend_spec",
 ]

@@ -272,13 +272,18 @@ class CommandFilter(SeededTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         past = cast("Tensor", tensordict[self.out_keys[0]])
-        command = cast("Tensor", next_tensordict[self.in_keys[0]])
+        command = self._aim(tensordict, cast("Tensor", next_tensordict[self.in_keys[0]]))
         following = approach_command(past, command, self.rates, self._period)
         return next_tensordict.set(self.out_keys[0], following)
 
+    def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
+        """Command (n, c) that is approached."""
+        del tensordict
+        return command
+
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the filtered command."""
-        require_keys(self, observation_spec, self.in_keys)
+        require_keys(self, observation_spec, self.in_keys[:1])
         size = observation_spec[self.in_keys[0]].shape[-1]
         if size > len(self.rates):
             raise ConfigurationError(

@@ -18,6 +18,7 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.standing import advance_mode
 
 _MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))
 _BODY = tuple(field.name for field in fields(Reference) if field.name not in _MOTORS)
@@ -45,7 +46,8 @@ class ReferenceInjection(SeededTransform):
     Args:
         library: gaits.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
-        in_keys: keys of command (n, c) and phase (n, 1).
+        in_keys: keys of command (n, c) and phase (n, 1); to stand, too, also of mode (n, 1) and of
+            the wish to stand (n, 1), see `aslip.transforms.StandClock`.
         out_keys: keys of reference and goal.
         period: duration of a policy step [s].
 
@@ -53,7 +55,7 @@ class ReferenceInjection(SeededTransform):
         ConfigurationError: `motor_lead` is not a finite number.
     """
 
-    num_in_keys, num_out_keys = 2, 2
+    num_out_keys = 2
 
     def __init__(
         self,
@@ -68,11 +70,20 @@ class ReferenceInjection(SeededTransform):
         self.library = library
         self.motor_lead = check_number("motor_lead", motor_lead, what="in policy steps")
         self._period = period
+        if len(self.in_keys) not in (2, 4):
+            raise ConfigurationError(
+                "in_keys of ReferenceInjection must be those of command and phase, and perhaps of"
+                f" mode and the wish to stand, got {self.in_keys}"
+            )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        command, phase = (cast("Tensor", next_tensordict[key]) for key in self.in_keys)
+        entries = [cast("Tensor", next_tensordict[key]) for key in self.in_keys]
+        command, phase, *standing = entries
         found = reference_and_goal(
-            self.library, command, phase, motor_lead=self.motor_lead, period=self._period
+            *(self.library, command, phase),
+            motor_lead=self.motor_lead,
+            period=self._period,
+            standing=(standing[0], standing[1]) if standing else None,
         )
         for key, entries in zip(self.out_keys, found, strict=True):
             next_tensordict.set(key, TensorDict(entries, next_tensordict.batch_size))
@@ -97,6 +108,7 @@ def reference_and_goal(
     *,
     motor_lead: float = 1.0,
     period: float = CASSIE.policy_period,
+    standing: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Entries of the reference and of the goal; see `ReferenceInjection`.
 
@@ -106,12 +118,22 @@ def reference_and_goal(
         phase: (*b, 1) stride fraction.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
         period: duration of a policy step [s].
+        standing: mode (*b, 1) and wish to stand (*b, 1); robots walk by default.
     """
-    stride = library.stride(command)
     # one lookup for all instants takes half the time of two lookups
     leads = list(dict.fromkeys([0.0, 1.0, motor_lead]))
-    phases = torch.stack([phase + lead * period / stride for lead in leads])
-    found = library.lookup(phases, command.expand(*phases.shape[:-1], command.shape[-1]))
+    modes = None
+    if standing is None:
+        stride = library.stride(command)
+        phases = torch.stack([phase + lead * period / stride for lead in leads])
+    else:
+        mode, stand = standing
+        ahead = [
+            advance_mode(library, phase, mode, command, stand, lead * period) for lead in leads
+        ]
+        phases, modes = (torch.stack(part) for part in zip(*ahead, strict=True))
+    commands = command.expand(*phases.shape[:-1], command.shape[-1])
+    found = library.lookup(phases, commands, modes)
     motors = leads.index(motor_lead)
     reference = {name: getattr(found, name)[motors] for name in _MOTORS}
     reference |= {name: getattr(found, name)[0] for name in _BODY}
@@ -241,13 +263,12 @@ class ReferenceStart(SeededTransform):
     Args:
         library: gaits.
         velocity: "reference", or "rest" as in the public code.
-        in_keys: keys of command (n, c) and phase (n, 1).
+        in_keys: keys of command (n, c) and phase (n, 1), and perhaps of mode (n, 1).
 
     Raises:
         ConfigurationError: `velocity` is neither.
     """
 
-    num_in_keys = 2
     needs_env = "it places robots at resets"
 
     def __init__(
@@ -272,8 +293,8 @@ class ReferenceStart(SeededTransform):
                 " SpeedCommand and PhaseClock in the stack; transforms that replace these must"
                 " write the entries in `_reset_env_preprocess`"
             )
-        command, phase = (cast("Tensor", tensordict[key]) for key in self.in_keys)
-        qpos, qvel = self.library.initial_state(phase, command)
+        command, phase, *mode = (cast("Tensor", tensordict[key]) for key in self.in_keys)
+        qpos, qvel = self.library.initial_state(phase, command, *mode)
         if self.velocity == "rest":
             qvel = torch.zeros_like(qvel)
         tensordict = self._draw_into_reset(tensordict, ("initial", "qpos"), qpos)

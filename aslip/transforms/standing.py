@@ -1,0 +1,292 @@
+"""Standing on a wish: the wish, and the clock of walk, stop, standing and start.
+
+In a stack, in this order:
+
+    "command_filter": StandFilter,
+    "clock": lambda: StandClock(library),
+    "stand": StandCommand,
+    "reference": lambda: ReferenceInjection(
+        library, in_keys=["filtered_command", "phase", "mode", "stand"]
+    ),
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite
+
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary, TransitionTable, WalkMode
+from aslip.library.transitions import HALF
+from aslip.robot import CASSIE
+from aslip.transforms.base import (
+    SeededTransform,
+    check_number,
+    checked_column,
+    extend_spec,
+    require_keys,
+)
+from aslip.transforms.command import COMMAND_RATES, CommandFilter
+
+_ROUNDING = 1e-6  # of a phase in single precision
+
+
+def advance_mode(
+    library: GaitLibrary,
+    phase: Tensor,
+    mode: Tensor,
+    command: Tensor,
+    stand: Tensor,
+    period: float = CASSIE.policy_period,
+) -> tuple[Tensor, Tensor]:
+    """Stride fraction (*b, 1) and mode (*b, 1) some time later; see `aslip.library.transitions`.
+
+    A stop begins at a touchdown, if the robot shall stand and steps in place by then. It ends in
+    standing, which lasts as long as the robot shall stand; then a start leads back to the gait in
+    place. A stop or start that has begun is finished. Changes of mode within the time are exact.
+
+    Args:
+        library: gaits with transitions.
+        phase: (*b, 1) stride fraction.
+        mode: (*b, 1) values of `WalkMode`, of any type.
+        command: (*b, c) one value per axis of the library, that clock and reference follow.
+        stand: (*b, 1) 1 to stand, 0 to walk.
+        period: time, shorter than a single stance, a stop and a start [s].
+
+    Raises:
+        ConfigurationError: the library has no transitions.
+    """
+    table = transitions_of(library)
+    within = phase.double() % 1.0
+    half = torch.where(within >= HALF, HALF, 0.0)
+    within, stays = within - half, stand > 0.5
+    mode = torch.where((mode == WalkMode.STAND) & ~stays, WalkMode.START, mode)
+    walking = 1 / library.stride(command).double()
+    in_place = (command == 0).all(-1, keepdim=True)
+    lands = stays & in_place & (within <= table.touchdown)
+    end = _chosen(
+        mode,
+        torch.where(lands, table.touchdown, math.inf),
+        *(table.standing, math.inf, HALF),
+    )
+    rate, moved = _rate(table, mode, walking), within
+    moved = within + period * rate
+    passed = moved >= end - _ROUNDING
+    spare = torch.where(passed, moved - end, 0.0).clamp(min=0.0) / rate.clamp(min=_ROUNDING)
+    following = _chosen(mode, WalkMode.STOP, WalkMode.STAND, WalkMode.STAND, WalkMode.WALK)
+    mode = torch.where(passed, following.to(mode.dtype), mode)
+    moved = torch.where(passed, end + spare * _rate(table, mode, walking), moved)
+    return ((half + moved) % 1.0).to(phase.dtype), mode
+
+
+def transitions_of(library: GaitLibrary) -> TransitionTable:
+    """Stop and start of a library.
+
+    Raises:
+        ConfigurationError: it has none.
+    """
+    if library.transitions is None:
+        raise ConfigurationError(
+            "standing needs a library with stop and start, as recipes/direction_library.py builds"
+        )
+    return library.transitions
+
+
+def standing_phase(table: TransitionTable, phase: Tensor) -> Tensor:
+    """Phase (*b, 1) at which a robot stands, in the half of the stride of a phase (*b, 1)."""
+    return torch.where(phase % 1.0 >= HALF, HALF + table.standing, table.standing).to(phase.dtype)
+
+
+def _rate(table: TransitionTable, mode: Tensor, walking: Tensor) -> Tensor:
+    """Phase per second (*b, 1) in each mode [1/s]."""
+    stop, start = table.rates
+    return _chosen(mode, walking, stop, 0.0, start)
+
+
+def _chosen(mode: Tensor, *values: Tensor | float) -> Tensor:
+    """Value (*b, 1) of each robot's mode, in double precision."""
+    found = torch.zeros_like(mode, dtype=torch.float64)
+    for one, value in zip(WalkMode, values, strict=True):
+        found = torch.where(mode == one, value, found)
+    return found
+
+
+class StandCommand(SeededTransform):
+    """Draw the wish to stand at each reset, and at random times if `interval` is finite.
+
+    To choose yourself, write `td["stand"]` between steps, or pass it to `env.reset`. A partial
+    reset (with a `_reset` mask) draws for the reset robots only.
+
+    Args:
+        share: share of draws that wish to stand.
+        interval: mean time between draws within an episode [s].
+        out_keys: key of the wish (n, 1): 1 to stand, 0 to walk.
+        period: duration of a policy step [s].
+
+    Raises:
+        ConfigurationError: `share` is no share, or `interval` is shorter than a policy step.
+    """
+
+    num_in_keys, num_out_keys = 0, 1
+    needs_env = "it draws wishes at resets"
+
+    def __init__(
+        self,
+        share: float = 0.1,
+        interval: float = math.inf,
+        *,
+        out_keys: Sequence[NestedKey] = ("stand",),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(in_keys=[], out_keys=out_keys)
+        self.share = check_number("share", share, 0, 1)
+        if not interval >= period:
+            raise ConfigurationError(
+                f"interval must be at least one policy step, {period} s, got {interval!r}"
+            )
+        self.interval, self._period = interval, period
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        tensordict = self._request(tensordict)
+        key, draw = self.out_keys[0], self._draw(tensordict)
+        tensordict = self._draw_into_reset(tensordict, key, draw)
+        return tensordict.set(key, checked_column(tensordict, key))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        stand = checked_column(tensordict, self.out_keys[0])
+        if math.isfinite(self.interval):
+            chance = torch.rand(stand.shape, generator=self.generator)
+            changes = chance < self._period / self.interval
+            stand = torch.where(changes, self._draw(tensordict), stand)
+        return next_tensordict.set(self.out_keys[0], stand)
+
+    def _draw(self, tensordict: TensorDictBase) -> Tensor:
+        shape = (*tensordict.batch_size, 1)
+        return (torch.rand(shape, generator=self.generator) < self.share).float()
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the wish."""
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare the wish as an entry that a caller may set."""
+        return extend_spec(state_spec, {self.out_keys[0]: 1})
+
+
+class StandClock(SeededTransform):
+    """Advance the phase and the mode of walk, stop, standing and start; see `advance_mode`.
+
+    It takes the place of `PhaseClock`. Robots that wish to stand at a reset begin with standing,
+    the others walk, all at a drawn phase.
+
+    Args:
+        library: gaits with transitions.
+        in_keys: keys of the command (n, c) that clock and reference follow, and of the wish to
+            stand (n, 1).
+        out_keys: keys of phase (n, 1) and mode (n, 1), values of `WalkMode` in single precision.
+        period: duration of a policy step [s].
+
+    Raises:
+        ConfigurationError: the library has no transitions.
+    """
+
+    num_in_keys, num_out_keys = 2, 2
+    needs_env = "it draws phases at resets"
+
+    def __init__(
+        self,
+        library: GaitLibrary,
+        *,
+        in_keys: Sequence[NestedKey] = ("filtered_command", "stand"),
+        out_keys: Sequence[NestedKey] = ("phase", "mode"),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        self._table = transitions_of(library)
+        self.library, self._period = library, period
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        tensordict = self._request(tensordict)
+        key, mode_key = self.out_keys
+        draw = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
+        tensordict = self._draw_into_reset(tensordict, key, draw)
+        phase, stays = checked_column(tensordict, key) % 1.0, tensordict[self.in_keys[1]] > 0.5
+        phase = torch.where(stays, standing_phase(self._table, phase), phase)
+        modes = torch.where(stays, float(WalkMode.STAND), float(WalkMode.WALK))
+        return tensordict.set(key, phase).set(mode_key, modes)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        for key in self.out_keys:
+            tensordict_reset.set(key, tensordict[key])
+        return tensordict_reset
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        command = checked_column(tensordict, self.in_keys[0], self.library.command_size)
+        stand = checked_column(tensordict, self.in_keys[1])
+        phase, mode = (checked_column(tensordict, key) for key in self.out_keys)
+        found = advance_mode(self.library, phase, mode, command, stand, self._period)
+        for key, value in zip(self.out_keys, found, strict=True):
+            next_tensordict.set(key, value)
+        return next_tensordict
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add phase and mode; the wish to stand comes later in the stack."""
+        require_keys(self, observation_spec, self.in_keys[:1])
+        return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare phase and mode as entries that a caller may set."""
+        return extend_spec(state_spec, dict.fromkeys(self.out_keys, 1))
+
+
+class StandFilter(CommandFilter):
+    """Limit the rate of the command, and lead it to zero to stand; see `CommandFilter`.
+
+    The filtered command approaches zero while the robot shall stand, and stays there until it walks
+    again. It takes the place of `CommandFilter`, before `StandClock` in the stack.
+
+    Args:
+        rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
+        in_keys: keys of the command (n, c), of the wish to stand (n, 1) and of the mode (n, 1).
+        out_keys: key of the filtered command (n, c).
+        period: duration of a policy step [s].
+
+    Raises:
+        ConfigurationError: a rate is not a positive finite number.
+    """
+
+    num_in_keys = 3
+
+    def __init__(
+        self,
+        rates: Sequence[float] = COMMAND_RATES,
+        *,
+        in_keys: Sequence[NestedKey] = ("command", "stand", "mode"),
+        out_keys: Sequence[NestedKey] = ("filtered_command",),
+        period: float = CASSIE.policy_period,
+    ) -> None:
+        super().__init__(rates, in_keys=in_keys, out_keys=out_keys, period=period)
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        command = self._aim(tensordict, tensordict_reset[self.in_keys[0]])
+        return tensordict_reset.set(self.out_keys[0], command.clone())
+
+    def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
+        _, stand_key, mode_key = self.in_keys
+        walks = (tensordict[mode_key] == WalkMode.WALK) & (tensordict[stand_key] <= 0.5)
+        return torch.where(walks, command, torch.zeros_like(command))

@@ -1,0 +1,202 @@
+"""Standing on a wish: clock, filter, and the reference through stop, standing and start."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torch import Tensor
+
+import aslip
+from aslip.envs import EPISODE_ENDS, StackEnv, standing_stack
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary, TransitionTable, WalkMode
+from aslip.robot import CASSIE
+from aslip.transforms import StandClock, StandCommand, advance_mode
+from tests.library.bent import symmetric_library
+from tests.library.standing import standing_library
+
+PERIOD = CASSIE.policy_period
+
+
+@pytest.fixture(scope="module")
+def walking() -> GaitLibrary:
+    return standing_library()
+
+
+@pytest.fixture(scope="module")
+def table(walking: GaitLibrary) -> TransitionTable:
+    assert walking.transitions is not None
+    return walking.transitions
+
+
+def _run(
+    library: GaitLibrary,
+    phase: float,
+    wish: list[tuple[float, float]],
+    period: float = PERIOD,
+    mode: int = WalkMode.WALK,
+    command: float = 0.0,
+) -> tuple[Tensor, Tensor]:
+    """Phases and modes (k,) over time, under wishes (stand, duration [s])."""
+    at = torch.tensor([[phase]], dtype=torch.float64), torch.tensor([[float(mode)]])
+    steer, seen = torch.tensor([[command, 0.0, 0.0]]), [at]
+    for stand, duration in wish:
+        for _ in range(round(duration / period)):
+            at = advance_mode(library, *at, steer, torch.tensor([[stand]]), period)
+            seen.append(at)
+    phases, modes = (torch.cat(part)[:, 0] for part in zip(*seen, strict=True))
+    return phases, modes
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.6, 0.38], ids=["left swing", "right swing", "landed"])
+def test_robot_stops_at_the_next_touchdown_and_stands(
+    walking: GaitLibrary, table: TransitionTable, phase: float
+) -> None:
+    """Counted from the touchdown, a stop takes its time."""
+    period = 5e-3
+    phases, modes = _run(walking, phase, [(1.0, 1.2)], period)
+    stride = float(walking.stride(torch.zeros(1, 3)))
+    landing = table.touchdown if phase < table.touchdown else 0.5 + table.touchdown
+    begins = (landing - phase) * stride / period
+    stops = torch.nonzero(modes == WalkMode.STOP).flatten()
+    stands = torch.nonzero(modes == WalkMode.STAND).flatten()
+    assert stops[0].item() == pytest.approx(begins, abs=1.01)
+    ends = begins + table.durations[0] / period
+    assert stands[0].item() == pytest.approx(ends, abs=1.01)
+    assert torch.equal(stands, torch.arange(int(stands[0]), len(modes)))
+    expected = table.standing + (landing > 0.5) * 0.5
+    assert phases[-1].item() == pytest.approx(expected, abs=1e-9)
+    # the clock never jumps, nor runs back
+    steps = (phases.diff() + 0.5) % 1.0 - 0.5
+    assert steps.min() >= -1e-9
+    assert steps.max() <= 1.01 * period / stride
+
+
+def test_start_leads_to_the_lift_off_of_the_other_foot(
+    walking: GaitLibrary, table: TransitionTable
+) -> None:
+    period = 5e-3
+    count = int(table.durations[1] / period)
+    phases, modes = _run(walking, table.standing, [(0.0, 0.6)], period, WalkMode.STAND)
+    assert (modes[1 : count + 1] == WalkMode.START).all()
+    assert (modes[count + 2 :] == WalkMode.WALK).all()
+    stride = float(walking.stride(torch.zeros(1, 3)))
+    walked = 0.6 - table.durations[1]
+    assert phases[-1].item() == pytest.approx(0.5 + walked / stride, abs=1e-9)
+
+
+def test_changes_within_a_step_are_exact(walking: GaitLibrary) -> None:
+    """Long steps end where short ones do."""
+    wish = [(1.0, 1.2), (0.0, 0.6)]
+    coarse, fine = (_run(walking, 0.2, wish, period) for period in (0.03, 0.01))
+    torch.testing.assert_close(fine[0][::3], coarse[0], rtol=0, atol=1e-9)
+    assert torch.equal(fine[1][::3], coarse[1])
+    assert set(coarse[1].tolist()) == {0.0, 1.0, 2.0, 3.0}
+
+
+def test_stop_that_has_begun_is_finished(walking: GaitLibrary) -> None:
+    _, modes = _run(walking, 0.35, [(1.0, 0.09), (0.0, 1.5)])
+    changes = modes[torch.cat([torch.tensor([True]), modes.diff() != 0])]
+    assert changes.tolist() == [0.0, 1.0, 2.0, 3.0, 0.0]
+
+
+@pytest.mark.parametrize(("stand", "command"), [(0.0, 0.0), (1.0, 0.1)])
+def test_robot_walks_on_unless_it_shall_stand_and_steps_in_place(
+    walking: GaitLibrary, stand: float, command: float
+) -> None:
+    phases, modes = _run(walking, 0.2, [(stand, 1.5)], command=command)
+    assert not modes.any()
+    stride = walking.stride(torch.tensor([[command, 0.0, 0.0]]))
+    assert phases[-1].item() == pytest.approx((0.2 + 1.5 / float(stride)) % 1, abs=1e-6)
+
+
+def test_single_precision_keeps_the_half_of_the_stride(
+    walking: GaitLibrary, table: TransitionTable
+) -> None:
+    """At the end of a start, where a rounded phase would be on the other side of the lift-off."""
+    for half in (0.0, 0.5):
+        phase = torch.tensor([[half + 0.5 - table.rates[1] * PERIOD]], dtype=torch.float32)
+        mode, rest = torch.tensor([[float(WalkMode.START)]]), torch.zeros(1, 3)
+        for shift in (-3e-8, 0.0, 3e-8):
+            found, after = advance_mode(walking, phase + shift, mode, rest, torch.ones(1, 1))
+            assert after.item() == WalkMode.WALK
+            assert (found.item() - half - 0.5) % 1.0 == pytest.approx(0.0, abs=1e-6)
+
+
+# ------------------------------------------------------------------ in an environment
+
+
+@pytest.fixture(scope="module")
+def env() -> StackEnv:
+    stack = standing_stack(standing_library())
+    drop = (*EPISODE_ENDS, "noise", "fall", "estimator", "observation")
+    return aslip.make_env(stack=stack, num_envs=2, num_threads=1, drop=drop)
+
+
+def _start(env: StackEnv, command: list[list[float]], **entries: list[float]) -> TensorDictBase:
+    columns = {name: torch.tensor(values)[:, None] for name, values in entries.items()}
+    request = {"command": torch.tensor(command), **columns}
+    return env.reset(TensorDict(request, batch_size=env.num_envs))  # pyright: ignore
+
+
+def _step(env: StackEnv, td: TensorDictBase) -> TensorDictBase:
+    td["action"] = torch.zeros(env.num_envs, 10)
+    return env.step(td)["next"]
+
+
+def test_reference_leads_from_a_walk_to_standing_and_back(env: StackEnv) -> None:
+    """Without jumps; the goal of a step is the next reference, bit for bit."""
+    td = _start(env, [[0.1, 0.0, 0.1], [0.0, 0.0, 0.0]], phase=[0.1, 0.65], stand=[0.0, 0.0])
+    modes = []
+    for count in range(42):
+        td["stand"] = torch.full((2, 1), float(1 <= count < 25))
+        past = td
+        td = _step(env, td)
+        modes.append(td["mode"][:, 0].tolist())
+        steer = td["filtered_command"]
+        for name in ("body_position", "left_foot_position", "right_foot_position"):
+            goal, now = past["goal", name], td["reference", name]
+            torch.testing.assert_close(now, goal, rtol=0, atol=0.02)
+            # a change of the wish or of the command is not foreseen
+            if count not in (1, 25) and torch.equal(past["filtered_command"], steer):
+                assert torch.equal(now, goal)
+        if count == 24:
+            assert not td["filtered_command"].any()
+            assert (td["mode"] == WalkMode.STAND).all()
+            assert td["reference", "motor_velocity"].abs().max() < 1e-6
+    assert torch.equal(td["filtered_command"], td["command"])
+    for robot in range(2):
+        passed = [one[robot] for one in modes]
+        assert list(dict.fromkeys(passed)) == [0.0, 1.0, 2.0, 3.0]
+        assert passed[-1] == WalkMode.WALK
+
+
+def test_robot_that_shall_stand_at_a_reset_starts_standing(
+    env: StackEnv, table: TransitionTable
+) -> None:
+    td = _start(env, [[0.5, 0.0, 0.0]] * 2, phase=[0.1, 0.9], stand=[1.0, 0.0])
+    assert td["mode"][:, 0].tolist() == [WalkMode.STAND, WalkMode.WALK]
+    assert td["phase"][:, 0].tolist() == pytest.approx([table.standing, 0.9])
+    assert not td["filtered_command"][0].any()
+    assert torch.equal(td["filtered_command"][1], td["command"][1])
+    height = td["truth", "pelvis_position"][0, 2].item()
+    assert height == pytest.approx(table.body_position[0, 0, -1, 2], abs=1e-5)
+    assert td["truth", "pelvis_velocity"][0].abs().max() < 1e-6
+
+
+def test_drawn_wishes_have_their_share() -> None:
+    command = StandCommand(share=0.25)
+    drawn = command._draw(TensorDict(batch_size=4000))
+    assert drawn.mean().item() == pytest.approx(0.25, abs=0.03)
+    with pytest.raises(ConfigurationError, match="share must be"):
+        StandCommand(share=1.5)
+    with pytest.raises(ConfigurationError, match="interval must be at least one policy step"):
+        StandCommand(interval=0.0)
+
+
+def test_library_without_stop_and_start_has_no_clock_for_them() -> None:
+    with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
+        StandClock(symmetric_library())
+    with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
+        standing_stack(symmetric_library())
