@@ -283,10 +283,21 @@ class StandFilter(CommandFilter):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        command = self._aim(tensordict, tensordict_reset[self.in_keys[0]])
+        # in a stack, the transforms of wish and mode come later and have them in the request so far
+        known = [
+            tensordict if tensordict_reset.get(key, None) is None else tensordict_reset
+            for key in self.in_keys[1:]
+        ]
+        command = self._led(
+            tensordict_reset[self.in_keys[0]],
+            *(one[key] for one, key in zip(known, self.in_keys[1:], strict=True)),
+        )
         return tensordict_reset.set(self.out_keys[0], command.clone())
 
     def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
-        _, stand_key, mode_key = self.in_keys
-        walks = (tensordict[mode_key] == WalkMode.WALK) & (tensordict[stand_key] <= 0.5)
+        return self._led(command, *(tensordict[key] for key in self.in_keys[1:]))
+
+    def _led(self, command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
+        """Command of robots that walk and shall walk, zero for the others."""
+        walks = (mode == WalkMode.WALK) & (stand <= 0.5)
         return torch.where(walks, command, torch.zeros_like(command))

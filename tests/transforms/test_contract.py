@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 
 import pytest
 import torch
@@ -20,6 +20,7 @@ from aslip.envs import StackEnv, default_stack, insert_before
 from aslip.library import GaitLibrary
 from aslip.transforms import SeededTransform
 from tests.helpers import leaves
+from tests.library.standing import standing_library
 
 NUM = 2
 PUBLIC = {
@@ -34,6 +35,8 @@ ONLY_INSIDE = {
     transforms.SpeedCommand: "writes the request of the robots' own reset",
     transforms.VelocityCommand: "writes the request of the robots' own reset",
     transforms.PhaseClock: "writes the request of the robots' own reset",
+    transforms.StandClock: "writes the request of the robots' own reset",
+    transforms.StandCommand: "writes the request of the robots' own reset",
     transforms.ReferenceStart: "writes the request of the robots' own reset",
     transforms.RandomDynamics: "writes the request of the robots' own reset",
     transforms.StaggeredEnds: "distinguishes resets of all robots from partial resets",
@@ -43,6 +46,13 @@ ONLY_INSIDE = {
     transforms.ActionDelta: "hides the motor targets of the base environment",
 }
 """Transforms that cannot wrap a batch of environments, and why."""
+
+
+@cache
+def library_that_stands() -> GaitLibrary:
+    """The shipped library with stop and start."""
+    library = GaitLibrary.load()
+    return GaitLibrary(library.motions, library.table, transitions=standing_library().transitions)
 
 
 def make_env(seed: int = 0) -> StackEnv:
@@ -56,6 +66,16 @@ def make_env(seed: int = 0) -> StackEnv:
         clock_input=transforms.ClockInput,
         other_command=partial(transforms.VelocityCommand, library, out_keys=["other_command"]),
         command_filter=transforms.CommandFilter,
+        stand_filter=partial(
+            transforms.StandFilter, in_keys=["command", "stand", "mode"], out_keys=["led_command"]
+        ),
+        stand_clock=partial(
+            transforms.StandClock,
+            library_that_stands(),
+            in_keys=["led_command", "stand"],
+            out_keys=["standing_phase", "mode"],
+        ),
+        stand=partial(transforms.StandCommand, 0.5),
         distance=transforms.ReferenceDistance,
         truth=partial(transforms.TrueState, out_keys=("true_estimate", "copied_odometry")),
     )
@@ -164,7 +184,10 @@ def test_without_environment_in_a_compose_and_in_a_model(
     kind: type[SeededTransform],
     wrap: Callable[[Transform], Callable[[TensorDictBase], TensorDictBase]],
 ) -> None:
-    since_reset = (transforms.FirstStep, transforms.ReferenceDistance, transforms.CommandFilter)
+    since_reset = (
+        *(transforms.FirstStep, transforms.ReferenceDistance),
+        *(transforms.CommandFilter, transforms.StandFilter),
+    )
     if kind in {transforms.LastAction, *since_reset}:
         recorded = recorded[~recorded["next", "done"][:, 0]]
     transform = of_class(env, kind)
