@@ -11,21 +11,25 @@ import torch
 from aslip.control import Controller
 from aslip.control.contract import seal
 from aslip.control.own_estimate import split_estimate
-from aslip.library import GaitLibrary
 from aslip.policy import PolicyShape, RunningNormalizer, make_recurrent_actor
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.transforms import OBSERVATION_TABLE
+from tests.library.bent import symmetric_library
 
 
-def recurrent_controller(library: GaitLibrary) -> Controller:
-    """Controller with an untrained GRU policy of large actions."""
+def recurrent_controller() -> Controller:
+    """Controller with an untrained GRU policy of large actions, for gaits in any direction."""
     torch.manual_seed(3)
-    normalizer = RunningNormalizer(64)
-    normalizer.update(torch.randn(100, 64))
-    actor = make_recurrent_actor(normalizer, PolicyShape(hidden=(16, 16)))
+    table = (*OBSERVATION_TABLE, "filtered_command")
+    normalizer = RunningNormalizer(67)
+    normalizer.update(torch.randn(100, 67))
+    shape = PolicyShape(observation_size=67, hidden=(16, 16))
+    actor = make_recurrent_actor(normalizer, shape)
     for name, weight in actor.named_parameters():
-        if "mlp" in name or name.endswith("weight"):
+        if name.endswith("weight"):
             weight.data.mul_(3.0)
-    return Controller(actor.eval().requires_grad_(False), library)
+    policy = actor.eval().requires_grad_(False)
+    return Controller(policy, symmetric_library(), observation=table)
 
 
 def estimate(row: np.ndarray) -> dict[str, np.ndarray]:

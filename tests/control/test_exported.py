@@ -113,18 +113,45 @@ def test_the_robust_policy_is_exported(library: GaitLibrary, tmp_path: Path) -> 
     assert compare(robust, Controller("robust", library), 50) <= TOLERANCE
 
 
-def test_hidden_states_are_part_of_the_graph(library: GaitLibrary, tmp_path: Path) -> None:
-    recurrent = recurrent_controller(library)
-    exported = export_policy(recurrent, tmp_path / "gru.onnx")
-    assert exported.contract.feedback["memory"] == "last_memory"
-    assert exported.verify() <= TOLERANCE
-    assert compare(exported, recurrent, 50) <= TOLERANCE
-    row = estimate(exported.contract.golden_trace()["estimate"][0])
-    state = exported.start(row, 0.5)
-    forgetful = {**state.entries, "memory": np.zeros_like(state.entries["memory"])}
-    _, remembered = exported.step(state, row)
-    _, forgotten = exported.step(replace(state, entries=forgetful), row)
-    assert np.abs(remembered - forgotten).max() > 1e-4
+@pytest.fixture(scope="module")
+def recurrent() -> Controller:
+    return recurrent_controller()
+
+
+@pytest.fixture(scope="module")
+def turning(recurrent: Controller, tmp_path_factory: pytest.TempPathFactory) -> ExportedController:
+    return export_policy(recurrent, tmp_path_factory.mktemp("gru") / "gru.onnx")
+
+
+def test_hidden_states_and_filtered_commands_are_part_of_the_graph(
+    recurrent: Controller, turning: ExportedController
+) -> None:
+    assert turning.contract.feedback["memory"] == "last_memory"
+    assert turning.verify() <= TOLERANCE
+    assert compare(turning, recurrent, 50) <= TOLERANCE
+    row = estimate(turning.contract.golden_trace()["estimate"][0])
+    state = turning.start(row, 0.5)
+    for name in ("memory", "filtered_command"):
+        forgetful = {**state.entries, name: np.zeros_like(state.entries[name])}
+        _, remembered = turning.step(state, row)
+        _, forgotten = turning.step(replace(state, entries=forgetful), row)
+        assert np.abs(remembered - forgotten).max() > 1e-4, name
+
+
+@pytest.mark.parametrize("mode", ["estimates", "packets"])
+def test_the_heading_advances_with_the_filtered_command(
+    recurrent: Controller, turning: ExportedController, mode: str
+) -> None:
+    rows: list[Any] = [estimate(row) for row in turning.contract.golden_trace()["estimate"][:20]]
+    if mode == "packets":
+        rows = [standing_packet() + 0.001 * i for i in range(20)]
+    theirs = recurrent.start(rows[0], [0.5, 0.0, 0.3], heading=0.2)
+    ours = turning.start(rows[0], [0.5, 0.0, 0.3], heading=0.2)
+    for i, row in enumerate(rows[1:]):
+        command, turn = [0.2, 0.1, -0.4 + 0.1 * i], 1.0 if i == 9 else None
+        theirs, expected = recurrent.step(theirs, row, command, heading=turn)
+        ours, found = turning.step(ours, row, command, heading=turn)
+        np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=2e-6)
 
 
 def test_packets_are_tracked_as_by_the_controller(

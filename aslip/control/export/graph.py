@@ -268,7 +268,8 @@ def trace_graph(
         try:
             program = torch.onnx.export(
                 module.eval(),
-                tuple(entry.value for entry in inputs),
+                # copies: one tensor for two inputs would make them one
+                tuple(entry.value.clone() for entry in inputs),
                 input_names=[entry.name for entry in inputs],
                 output_names=[entry.name for entry in outputs],
                 opset_version=_OPSET,
