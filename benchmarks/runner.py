@@ -239,7 +239,8 @@ def real_time(config: Config) -> str:
         status = program.process.wait()
         tick = read(log)["/tick"]
     late = 100 * float(np.mean(tick["lateness"] > LATE))
-    lines = [f"status {status}, 0 without a fall", *program.said[-5:]]
+    ends = [line for line in program.said if "damping: " in line]
+    lines = [f"status {status}, 0 without a fall", *ends, *program.said[-5:]]
     return "\n".join([*lines, f"log: {late:.3f} % of {len(tick)} policy steps late"])
 
 

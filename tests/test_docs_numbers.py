@@ -47,7 +47,7 @@ _MEASURED = re.compile(
 _CELL = re.compile(r"[-+±]?\d[\d.,]*( ?(%|\[.*\]|±.*|/.*|[a-zµ°].*))?")
 _LITERATURE = re.compile(r"(in )?(the |its )?(paper|public code|released|authors)", re.IGNORECASE)
 _ASIDE = re.compile(r"\((?:the )?(?:paper|Table II)\b[^()]*\)")
-_PROGRAM = re.compile(r"recipes/|(-m )?(benchmarks|aslip\.log|pytest)\b")
+_PROGRAM = re.compile(r"recipes/|(-m )?(benchmarks|aslip\.(control|log|twin)|pytest)\b")
 _ENTRY = re.compile(r"[Rr]ecorded at commits? [0-9a-f]{7}[^.]*\bscratch script")
 
 

@@ -178,10 +178,9 @@ class Run:
             return line
         speed = float(np.hypot(*reading.estimate["velocity"][:2]))
         height = float(reading.estimate["height"][0])
-        wanted = self._request.forward
-        return (
-            f"{line}, commanded {wanted:.2f} m/s, walks {speed:.2f} m/s, pelvis at {height:.2f} m"
-        )
+        if self.supervisor.stage is Stage.WALK:
+            line += f", commanded {self._request.forward:.2f} m/s"
+        return f"{line}, moves at {speed:.2f} m/s, pelvis at {height:.2f} m"
 
 
 def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> None:
