@@ -299,22 +299,33 @@ def needs_simulation(transform: Transform) -> bool:
     return chooses or bool(groups & {"truth", "true_odometry"})
 
 
-def evaluation_stack(stack: Stack) -> Stack:
+def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     """Copy of a stack for evaluation, with the same task and rewards for every experiment.
 
     Observation and action baseline are those of the given stack. Robot, start, rewards and ends of
-    episodes are those of `default_stack()`; the rewards compare with its gaits, even if the policy
-    observes another motion.
+    episodes are those of `default_stack()`, or of `directions_stack(library)`; the rewards compare
+    with its gaits, even if the policy observes another motion.
+
+    Args:
+        stack: the stack.
+        library: library over three commands, for walks in all directions.
 
     Raises:
-        ConfigurationError: `stack` is a name.
+        ConfigurationError: `stack` is a name, or commands of the library have not three numbers.
         UnknownNameError: the stack has no transform `start`.
     """
     _require_names(stack, ["start"])
-    common = default_stack()
-    evaluation = {name: common[name] for name in ("start", *_EVALUATION)}
-    seen = {name: make for name, make in stack.items() if name not in {"dynamics", *evaluation}}
-    goal = partial(ReferenceInjection, GaitLibrary.load(), out_keys=("judge", "goal"))
+    common, names = default_stack(), [*_EVALUATION]
+    if library is not None:
+        common = _directions(library)
+        names = [name for name in common if name in {*names, "path_diff"}]
+    evaluation = {name: common[name] for name in ("start", *names)}
+    trained = {"dynamics", "pushes", "privileged"}
+    seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}
+    judging: dict[str, Any] = {"out_keys": ("judge", "goal")}
+    if library is not None:
+        judging["in_keys"] = ["filtered_command", "phase"]
+    goal = partial(ReferenceInjection, library or GaitLibrary.load(), **judging)
     return {"start": evaluation.pop("start"), **seen, "judge": goal, **evaluation}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import cast
 
 import pytest
@@ -10,12 +11,27 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 import aslip
-from aslip.envs import EPISODE_ENDS, GymEnv, StackEnv, directions_stack, robot_stack
+from aslip.envs import (
+    EPISODE_ENDS,
+    GymEnv,
+    StackEnv,
+    directions_stack,
+    evaluation_stack,
+    insert_before,
+    randomise_stack,
+    robot_stack,
+)
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.policy.symmetry import action_mirror, observation_mirror
 from aslip.robot import CASSIE
-from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, TrueState
+from aslip.transforms import (
+    COMMAND_RATES,
+    DIRECTION_TABLE,
+    RandomPushes,
+    RewardTerm,
+    TrueState,
+)
 from aslip.transforms.command import approach_command
 from aslip.transforms.path import LEASH, advance_heading, arc
 from tests.library.bent import symmetric_library
@@ -85,6 +101,24 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
         td["odometry", "path_error"], td["true_odometry", "path_error"], atol=0.08, rtol=0
     )
     assert (td["reward_terms", "path_diff"] > 0.7).all()
+
+
+def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> None:
+    """Randomised robots, pushes and other rewards of a training are left out."""
+    library = symmetric_library()
+    stack = directions_stack(library)
+    trained = insert_before(randomise_stack(stack), "command", pushes=RandomPushes)
+    trained["path_diff"] = partial(RewardTerm, "path_diff", torch.zeros_like, ["phase"])
+    drop = (*EPISODE_ENDS, "noise", "fall")
+    envs = [
+        aslip.make_env(stack=one, num_envs=2, num_threads=1, drop=drop)
+        for one in (stack, evaluation_stack(trained, library))
+    ]
+    command, phase = [[0.8, 0.2, 0.8], [0.0, 0.0, -0.5]], [0.05, 0.2]
+    first, second = (step(env, start(env, command, phase)) for env in envs)
+    assert "push" not in second
+    assert torch.equal(first["reward"], second["reward"])
+    assert torch.equal(first["observation"], second["observation"])
 
 
 def test_on_the_reference_the_terms_of_turns_are_near_one() -> None:
