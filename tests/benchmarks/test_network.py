@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 
-from aslip.wire import PD_IN, Packet
+from aslip.wire import (
+    LOOPBACK,
+    PD_IN,
+    STATE_OUT,
+    Address,
+    Counters,
+    Endpoint,
+    Link,
+    Packet,
+)
 from benchmarks import network
 
-SMALL = network.Config(packets=30, strings=200, duration=0.09)
+SMALL = network.Config(packets=30, strings=200, duration=0.09, ticks=20, lossy=0.2)
 
 
 def test_the_report_has_a_row_per_packet_and_no_differences(
@@ -18,6 +29,43 @@ def test_the_report_has_a_row_per_packet_and_no_differences(
     lines = capsys.readouterr().out.splitlines()
     assert [line.split("|")[2:4] for line in lines[2:6]] == [[" 30 ", " 0 "]] * 4
     assert lines[6].startswith("lockstep, 3 policy steps: 0 different targets, 0 different states")
+    assert [line.split(":")[0] for line in lines[7:9]] == ["tick in PD mode", "tick in raw mode"]
+    assert lines[9].startswith("loss of 20%, delays up to 10 ms, ")
+    assert " 0 restarts" in lines[9]
+
+
+def _arrived(loss: float, jitter: float, number: int) -> tuple[Counters, int]:
+    """Counts of commands that a robot receives through a relay, and number of dropped ones."""
+    robot = Endpoint(Link(STATE_OUT, PD_IN, refuse_not_finite=True), Address(LOOPBACK, 0))
+    link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
+    with (
+        robot,
+        network.LossyRelay(robot.local, loss, jitter) as relay,
+        Endpoint(link, Address(LOOPBACK, 0), relay.address) as client,
+    ):
+        command = PD_IN.zeros()
+        for i in range(number):
+            command["telemetry"][0] = i
+            client.send(command)
+            time.sleep(5e-4)
+        counts, end = robot.link.counters, time.monotonic() + 10
+        while time.monotonic() < end and counts.accepted + counts.late + relay.dropped < number:
+            robot.wait(0.01)
+            robot.receive_all()
+        return counts, relay.dropped
+
+
+def test_a_relay_without_losses_passes_all_in_order() -> None:
+    counts, dropped = _arrived(0.0, 0.0, 100)
+    assert (counts.accepted, counts.late, dropped) == (100, 0, 0)
+
+
+def test_a_relay_drops_and_reorders() -> None:
+    counts, dropped = _arrived(0.2, 0.01, 200)
+    rng = np.random.default_rng(0)
+    assert dropped == sum(rng.random(2)[0] < 0.2 for _ in range(200))
+    assert counts.late > 5
+    assert counts.restarts == 0
 
 
 def test_wrong_packets_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
