@@ -94,6 +94,8 @@ def main(config: Config) -> None:
     local, beyond = local_address(peer, config.local_port)
     with source, Endpoint(link, local, peer, beyond_loopback=beyond) as endpoint:
         loaded = load(config.policy, config.library)
+        if isinstance(source, Scheduled) and source.sideways and loaded.command_size == 1:
+            raise ConfigurationError(f"the policy {config.policy!r} cannot walk sideways")
         supervisor = make_supervisor(loaded, limits)
         _say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
         log = _open_log(config, loaded, readings, limits)

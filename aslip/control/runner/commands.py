@@ -19,7 +19,10 @@ from aslip.errors import ConfigurationError, NetworkError
 from aslip.library import Schedule, numbers
 from aslip.wire import LOOPBACK
 
+# silence after which datagrams count as none [s]
 _STOP_AFTER = 1.0
+# largest speed [m/s] and yaw rate [rad/s] in a datagram; libraries end far below
+_LARGEST = 100.0
 AXES: Final = ("forward", "sideways", "yaw_rate")
 """Components of a command, as entries of a request."""
 
@@ -51,6 +54,8 @@ class Scheduled:
 
     def __init__(self, schedule: Schedule, duration: float = math.inf) -> None:
         self._schedule, self._duration = schedule, duration
+        self.sideways = any(any(numbers(command)[1:2]) for command in schedule.commands)
+        """Whether a command goes sideways."""
 
     def __enter__(self) -> Scheduled:
         return self
@@ -208,12 +213,13 @@ def parse_request(text: bytes) -> Request:
     """
     try:
         entries = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigurationError(f"not JSON ({error}): {text[:80]!r}") from None
     if not isinstance(entries, dict):
         raise ConfigurationError(
             f'a JSON object such as {{"forward": 0.5}} is needed, got {text!r}'
         )
+    value: Any
     for name, value in entries.items():
         if name not in Request._fields:
             raise ConfigurationError(f"no entry {name!r}; there are {list(Request._fields)}")
@@ -221,6 +227,6 @@ def parse_request(text: bytes) -> Request:
         kind = (str,) if name == "damp" else kind
         if not isinstance(value, kind) or (name in AXES and isinstance(value, bool)):
             raise ConfigurationError(f"{name} must be {kind[-1].__name__}, got {value!r}")
-        if isinstance(value, float) and not math.isfinite(value):
-            raise ConfigurationError(f"{name} must be finite, got {value!r}")
+        if name in AXES and not -_LARGEST <= value <= _LARGEST:
+            raise ConfigurationError(f"{name} must be at most {_LARGEST:g}, got {value!r}")
     return Request(**entries)

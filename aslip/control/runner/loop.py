@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ LATE: Final = 2e-3
 _KNOCK = 1e-3
 # time between repetitions of a command in PD mode [s]: robots stop after 0.1 s of silence
 _REPEAT = 2e-3
+# damping commands that a run sends when it ends at once
+_LAST_WORDS = 5
 _NS = 10**9
 
 
@@ -119,8 +122,11 @@ class Run:
 
     def tick(self, time_ns: int) -> MotorCommand:
         """Advance by a policy step."""
-        now, before = time_ns / _NS, self.supervisor.stage
-        request = self.source.request(now, now - self._walk_began)
+        now, before, request = time_ns / _NS, self.supervisor.stage, self._request
+        try:
+            request = self.source.request(now, now - self._walk_began)
+        except Exception as error:  # whatever fails in a source, the robot must be damped
+            self.interrupted = f"no commands: {type(error).__name__}: {error}"
         if self.interrupted:
             request = request._replace(damp=self.interrupted)
         self._request, self._reading = request, self.readings.newest()
@@ -208,13 +214,30 @@ def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> No
         run.take(clock(), arrivals)
 
     _connect(run, endpoint, patience, clock)
+    try:
+        _keep_time(run, endpoint, clock, drain, period)
+    except BaseException:
+        # a second signal, or a fault of the loop itself
+        for _ in range(_LAST_WORDS):
+            _send(run, endpoint, run.supervisor.damping())
+        raise
+
+
+def _keep_time(
+    run: Run,
+    endpoint: Endpoint,
+    clock: Callable[[], int],
+    drain: Callable[[], None],
+    period: int,
+) -> None:
+    """Take policy steps at their deadlines until the run is over."""
     deadline = clock()
     while not run.is_over(clock()):
         drain()
         now = clock()
         command = run.tick(now)
         if run.readings.newest_only:
-            endpoint.send(run.readings.answer(command))
+            _send(run, endpoint, command)
         reply, lateness = clock() - now, now - deadline
         run.finish_tick(now, lateness / _NS, reply / _NS)
         run.tally.lateness.append(lateness / _NS)
@@ -292,7 +315,13 @@ def _wait(
             time.sleep(min(left, _REPEAT))
             drain()
             if left > _REPEAT:
-                endpoint.send(run.readings.answer(run.command))
+                _send(run, endpoint, run.command)
         elif endpoint.wait(left):
             drain()
-            endpoint.send(run.readings.answer(run.command))
+            _send(run, endpoint, run.command)
+
+
+def _send(run: Run, endpoint: Endpoint, command: MotorCommand) -> None:
+    """Send a command; without a way to the robot, it stops because of the silence."""
+    with contextlib.suppress(NetworkError):
+        endpoint.send(run.readings.answer(command))

@@ -184,6 +184,10 @@ class Supervisor:
         """Whether the motors have been damped for the time that ends a run."""
         return self.stage is Stage.DAMPING and now - self.since >= self.limits.damping
 
+    def damping(self) -> MotorCommand:
+        """Command of velocity gains only, arrays (10,)."""
+        return self._pd(0 * self._pose, 0.0)
+
     def _danger(self, now: float, request: Request) -> str:
         """Reason to damp the motors; empty for none."""
         if request.damp:
@@ -269,7 +273,7 @@ class Supervisor:
         if self.stage in (Stage.CONNECT, Stage.RELEASED):
             return self._pd(0 * self._pose, 0.0, 0.0)
         if self.stage is Stage.DAMPING:
-            return self._pd(0 * self._pose, 0.0)
+            return self.damping()
         part = min((now - self.since) / self.limits.ramp, 1.0) if self.limits.ramp else 1.0
         if self.stage is Stage.HOLD:
             return self._pd(self._hold, part)

@@ -24,6 +24,8 @@ def test_a_schedule_runs_over_the_time_of_the_walk_and_stops() -> None:
 
 def test_a_schedule_in_any_direction() -> None:
     source = Scheduled(Schedule.parse("0.5 0.1 -0.2"))
+    assert source.sideways
+    assert not Scheduled(Schedule.parse("0.5 0 -0.2")).sideways
     assert source.request(0.0, 1e6) == Request(0.5, 0.1, -0.2)
 
 
@@ -103,7 +105,10 @@ def test_a_port_in_use_for_commands_is_named() -> None:
         ("{", "not JSON"),
         ("\xff", "not JSON"),
         ('{"speed": 1}', "no entry 'speed'"),
-        ('{"forward": NaN}', "forward must be finite"),
+        ('{"forward": NaN}', "forward must be at most 100, got nan"),
+        ('{"forward": -Infinity}', "forward must be at most 100"),
+        ('{"yaw_rate": 1' + 500 * "0" + "}", "yaw_rate must be at most 100"),
+        (3000 * "[", "not JSON"),
         ('{"forward": true}', "forward must be float"),
         ('{"walk": 1}', "walk must be bool"),
         ('{"damp": true}', "damp must be str"),

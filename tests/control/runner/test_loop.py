@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ from aslip.wire import (
     STATE_OUT,
     USER_IN,
     Address,
+    Arrival,
     Endpoint,
     Link,
     command_to_pd_in,
@@ -221,6 +223,29 @@ def test_an_interrupt_damps_a_run_in_real_time(loaded: Loaded) -> None:
         timer.start()
         run_real_time(run, endpoint)
     assert (run.supervisor.stage, run.supervisor.reason) == (Stage.DAMPING, "operator: SIGTERM")
+
+
+def test_a_run_that_ends_at_once_leaves_damping_commands(
+    loaded: Loaded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, _ = make_run(loaded)
+    got: list[np.ndarray] = []
+    monkeypatch.setattr(run, "finish_tick", Mock(side_effect=[None, None, KeyboardInterrupt]))
+    with connected(serve_states, got, 1e6) as endpoint:
+        with pytest.raises(KeyboardInterrupt):
+            run_real_time(run, endpoint)
+        time.sleep(0.05)
+    last = pd_in_to_command(got[-1])
+    assert not last.stiffness.any()
+    assert last.damping.all()
+
+
+def test_a_source_of_commands_that_fails_damps(loaded: Loaded) -> None:
+    run, _ = make_run(loaded)
+    run.source = Mock(request=Mock(side_effect=OSError("terminal is gone")))
+    run.take(0, [Arrival(0, estimate_to_state_out(standing_estimate()))])
+    run.tick(0)
+    assert run.supervisor.reason == "no commands: OSError: terminal is gone"
 
 
 def test_a_silent_robot_is_reported_with_what_to_check(loaded: Loaded) -> None:

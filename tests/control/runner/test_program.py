@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from aslip.control.__main__ import Config, local_address, main, make_limits, make_source
+from aslip.control.__main__ import (
+    Config,
+    damping_signals,
+    local_address,
+    main,
+    make_limits,
+    make_source,
+)
 from aslip.control.runner.commands import Datagrams
 from aslip.control.runner.supervisor import Limits
 from aslip.errors import ConfigurationError, NetworkError
@@ -41,6 +52,16 @@ def test_mistakes_are_one_line_before_the_policy_is_loaded() -> None:
     in_use = pytest.raises(NetworkError, match=r"another program listens at 127.0.0.1:\d+")
     with Datagrams(0) as first, in_use:
         main(Config(command="1", local_port=first.port))
+
+
+def test_a_signal_damps_and_a_second_one_ends() -> None:
+    run: Any = SimpleNamespace(interrupted="")
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), damping_signals(run):
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert run.interrupted == "operator: SIGTERM"
+        os.kill(os.getpid(), signal.SIGINT)
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_robot_beyond_loopback_is_reached_from_one_address() -> None:
