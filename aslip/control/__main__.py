@@ -92,7 +92,7 @@ def main(config: Config) -> None:
     link = Link(readings.sends, readings.receives, refuse_not_finite=False)
     peer = Address(config.host, config.port)
     local, beyond = local_address(peer, config.local_port)
-    with source, Endpoint(link, local, peer, beyond_loopback=beyond) as endpoint:
+    with source, _endpoint(link, local, peer, beyond) as endpoint:
         loaded = load(config.policy, config.library)
         if isinstance(source, Scheduled) and source.sideways and loaded.command_size == 1:
             raise ConfigurationError(f"the policy {config.policy!r} cannot walk sideways")
@@ -197,6 +197,16 @@ def damping_signals(run: Run) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _endpoint(link: Link, local: Address, peer: Address, beyond: bool) -> Endpoint:
+    """Socket to the robot; an error names the option that changes the port."""
+    try:
+        return Endpoint(link, local, peer, beyond_loopback=beyond)
+    except NetworkError as error:
+        raise NetworkError(
+            f"{error} with --local-port; it may be a runner, and a robot obeys only one"
+        ) from error
 
 
 def _open_log(config: Config, loaded: Loaded, readings: Readings, limits: Limits) -> RunLog | None:

@@ -219,7 +219,6 @@ def parse_request(text: bytes) -> Request:
         raise ConfigurationError(
             f'a JSON object such as {{"forward": 0.5}} is needed, got {text!r}'
         )
-    value: Any
     for name, value in entries.items():
         if name not in Request._fields:
             raise ConfigurationError(f"no entry {name!r}; there are {list(Request._fields)}")
@@ -227,6 +226,6 @@ def parse_request(text: bytes) -> Request:
         kind = (str,) if name == "damp" else kind
         if not isinstance(value, kind) or (name in AXES and isinstance(value, bool)):
             raise ConfigurationError(f"{name} must be {kind[-1].__name__}, got {value!r}")
-        if name in AXES and not -_LARGEST <= value <= _LARGEST:
+        if isinstance(value, int | float) and not abs(value) <= _LARGEST:
             raise ConfigurationError(f"{name} must be at most {_LARGEST:g}, got {value!r}")
     return Request(**entries)
