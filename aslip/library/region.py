@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import combinations, product
 
 import numpy as np
 
@@ -73,57 +74,104 @@ def _hull_planes(commands: np.ndarray) -> np.ndarray:
         ) from error
 
 
-def extrapolate(values: np.ndarray, present: np.ndarray) -> np.ndarray:
+def extrapolate(values: np.ndarray, present: np.ndarray, axes: Sequence[np.ndarray]) -> np.ndarray:
     """Fill the entries of missing points of a grid, so that its cells can be interpolated.
 
-    Linear from two neighbours in a row, averaged over directions; far from the region the value of
-    a neighbour.
+    The last corner of a cell follows from the others without a term that is mixed over all axes. A
+    corner that lacks more is the mean of lines through two neighbours in a row and of
+    parallelograms. Far from the region it is the mean of its neighbours.
 
     Args:
         values: (*g, ...) values; those at missing points are ignored.
         present: (*g,) True at points with a value.
+        axes: coordinates along each axis of the grid.
     """
     if present.all():
         return values
     filled, known, rounds = np.array(values), present.copy(), 0
     filled[~known] = 0
     while not known.all():
-        found = _neighbours(filled, known, linear=rounds < _LINEAR_ROUNDS)
-        if found is None:
-            found = _neighbours(filled, known, linear=False)
-        assert found is not None  # a known point has an unknown neighbour
-        total, count = found
-        new = count > 0
-        filled[new] = total[new] / count[new].reshape(-1, *(1,) * (values.ndim - known.ndim))
-        known |= new
+        unknown = [tuple(at) for at in np.argwhere(~known).tolist()]
+        near = rounds < _LINEAR_ROUNDS
+        found = {at: _guess(filled, known, axes, at, near=near) for at in unknown}
+        if all(guess is None for guess in found.values()):
+            found = {at: _guess(filled, known, axes, at, near=False) for at in unknown}
+        for at, guess in found.items():
+            if guess is not None:
+                filled[at], known[at] = guess, True
         rounds += 1
     return filled
 
 
-def _neighbours(
-    values: np.ndarray, known: np.ndarray, *, linear: bool
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Sum and number of the guesses for each unknown point; None without any."""
-    total, count = np.zeros_like(values), np.zeros(known.shape, dtype=int)
-    for axis in range(known.ndim):
-        for step in (1, -1):
-            near, far = (_shifted(known, axis, k * step) for k in (1, 2))
-            usable = ~known & near & (far | (not linear))
-            guess = _shifted(values, axis, step)
-            if linear:
-                guess = 2 * guess - _shifted(values, axis, 2 * step)
-            total[usable] += guess[usable]
-            count += usable
-    return (total, count) if count.any() else None
+Place = tuple[int, ...]
+"""Place on a grid."""
 
 
-def _shifted(values: np.ndarray, axis: int, step: int) -> np.ndarray:
-    """Values of the neighbours `step` places ahead along an axis; 0 beyond the grid."""
-    moved, rows = np.zeros_like(values), np.moveaxis(values, axis, 0)
-    target, size = np.moveaxis(moved, axis, 0), len(rows)
-    if abs(step) < size:
-        target[max(0, -step) : size - max(0, step)] = rows[max(0, step) : size + min(0, step)]
-    return moved
+def _guess(
+    values: np.ndarray, known: np.ndarray, axes: Sequence[np.ndarray], at: Place, *, near: bool
+) -> np.ndarray | None:
+    """Guess for an unknown point from known ones; None where there are too few."""
+    wide = [i for i, size in enumerate(known.shape) if size > 1]
+    if not near:
+        return _mean(_corner(values, known, at, {i: s}) for i in wide for s in (1, -1))
+    if len(wide) > 1:
+        whole = _mean(_corner(values, known, at, steps) for steps in _directions(wide))
+        if whole is not None:
+            return whole
+    pairs = [steps for pair in combinations(wide, 2) for steps in _directions(pair)]
+    faces = _mean(_corner(values, known, at, steps) for steps in pairs)
+    lines = _mean(_line(values, known, axes, at, i, s) for i in wide for s in (1, -1))
+    return _mean([faces, lines])
+
+
+def _directions(wide: Sequence[int]) -> list[dict[int, int]]:
+    """Steps of 1 or -1 along axes, in all combinations."""
+    return [dict(zip(wide, signs, strict=True)) for signs in product((1, -1), repeat=len(wide))]
+
+
+def _corner(
+    values: np.ndarray, known: np.ndarray, at: Place, steps: Mapping[int, int]
+) -> np.ndarray | None:
+    """Corner of a box from its other corners, with a mixed difference of zero."""
+    total = np.zeros_like(values[at])
+    for used in list(product((0, 1), repeat=len(steps)))[1:]:
+        place = list(at)
+        for (axis, step), use in zip(steps.items(), used, strict=True):
+            place[axis] += step * use
+        if not _is_known(known, place):
+            return None
+        total += (-1) ** (sum(used) + 1) * values[tuple(place)]
+    return total
+
+
+def _line(
+    values: np.ndarray,
+    known: np.ndarray,
+    axes: Sequence[np.ndarray],
+    at: Place,
+    axis: int,
+    step: int,
+) -> np.ndarray | None:
+    """Value on the line through two neighbours in a row."""
+    one, two = list(at), list(at)
+    one[axis] += step
+    two[axis] += 2 * step
+    if not (_is_known(known, one) and _is_known(known, two)):
+        return None
+    here, near, far = (axes[axis][place[axis]] for place in (at, one, two))
+    first, second = values[tuple(one)], values[tuple(two)]
+    return first + (first - second) * ((here - near) / (near - far))
+
+
+def _is_known(known: np.ndarray, place: Sequence[int]) -> bool:
+    inside = all(0 <= i < size for i, size in zip(place, known.shape, strict=True))
+    return inside and bool(known[tuple(place)])
+
+
+def _mean(guesses: Iterable[np.ndarray | None]) -> np.ndarray | None:
+    """Mean of the guesses that exist."""
+    found = [guess for guess in guesses if guess is not None]
+    return sum(found[1:], found[0]) / len(found) if found else None
 
 
 def listed(commands: Sequence[Sequence[float]]) -> str:

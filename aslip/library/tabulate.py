@@ -80,7 +80,7 @@ def tabulate(
         single = single_precision and name != "strides"
         column = np.zeros((*present.shape, *values.shape[1:]), np.float32 if single else float)
         column[present] = values
-        columns[name] = extrapolate(column, present)
+        columns[name] = extrapolate(column, present, axes)
     return GaitTable(axes=axes, torque_jumps=torque_jumps, robot=robot, present=present, **columns)
 
 

@@ -45,15 +45,30 @@ def test_commands_of_motions_stay_where_they_are() -> None:
     assert moved.tolist() == MISSING.tolist()
 
 
-def test_linear_values_are_extrapolated_exactly() -> None:
-    x, y, w = np.meshgrid(*(np.arange(5.0), np.arange(4.0), np.arange(3.0)), indexing="ij")
+UNEVEN = np.array([0.0, 1.0, 1.5, 3.0, 3.5]), np.array([0.0, 0.2, 1.0, 1.1]), np.arange(3.0)
+
+
+def _outside(values: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values with NaN beyond a slanted plane of the grid, and the mask of the others."""
+    present = np.indices(values.shape[:3]).sum(0) < reach
+    return np.where(present[..., None], values, np.nan), present
+
+
+def test_linear_values_are_extrapolated_exactly_over_uneven_axes() -> None:
+    x, y, w = np.meshgrid(*UNEVEN, indexing="ij")
     values = np.stack([1 + x - 2 * y + 3 * w, 0 * x + 7], axis=-1)
-    present = x + y + w < 4.5
-    holes = np.where(present[..., None], values, np.nan)
-    filled = extrapolate(holes, present)
-    near = x + y + w < 6.5
+    filled = extrapolate(*_outside(values, 5), UNEVEN)
+    near = np.indices(values.shape[:3]).sum(0) < 7
     np.testing.assert_allclose(filled[near], values[near], atol=1e-12)
     assert np.isfinite(filled).all()
+
+
+def test_last_corner_of_a_cell_has_terms_mixed_over_two_axes() -> None:
+    x, y, w = np.meshgrid(*UNEVEN, indexing="ij")
+    values = (x**2 + x * y - y**2 + 2 * w * x - w)[..., None]
+    holes, present = _outside(values, 99)
+    present[4, 3, 2], holes[4, 3, 2] = False, np.nan
+    np.testing.assert_allclose(extrapolate(holes, present, UNEVEN), values, atol=1e-12)
 
 
 def test_library_of_a_convex_region_is_built_saved_and_looked_up(tmp_path: Path) -> None:
