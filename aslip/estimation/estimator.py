@@ -237,13 +237,25 @@ class StateEstimator:
         resting: np.ndarray,
     ) -> Estimate:
         mean, reading, heading = tracking.belief.mean, tracking.packets.reading, tracking.heading
-        position = vector_to_heading(heading, mean[..., P])
+        # one call for all vectors: NumPy's overhead exceeds the arithmetic of few robots
+        vectors = np.concatenate(
+            [
+                mean[..., None, :, P],
+                mean[..., None, :, V],
+                geometry.sole,
+                geometry.half_sole,
+                geometry.lateral,
+            ],
+            axis=1,
+        )
+        turned = vector_to_heading(heading, vectors)
+        position = turned[:, 0]
         return Estimate(
             height=position[:, 2:],
             orientation=normalize(
                 orientation_to_heading(heading, reading[:, self._at["orientation"]])
             ),
-            velocity=vector_to_heading(heading, mean[..., V]),
+            velocity=turned[:, 1],
             angular_velocity=reading[:, self._at["gyro"]],
             acceleration=geometry.acceleration,
             motor_position=reading[:, self._at["motor_position"]],
@@ -251,9 +263,9 @@ class StateEstimator:
             joint_position=reading[:, self._at["joint_position"]],
             joint_velocity=reading[:, self._at["joint_velocity"]],
             position=position,
-            sole=vector_to_heading(heading, geometry.sole),
-            forward=vector_to_heading(heading, geometry.half_sole) / self._legs.half_length,
-            left=vector_to_heading(heading, geometry.lateral),
+            sole=turned[:, 2:4],
+            forward=turned[:, 4:6] / self._legs.half_length,
+            left=turned[:, 6:8],
             sole_radius=self._legs.sole_radius,
             contact=tracking.belief.loaded.copy(),
             innovation=innovation,

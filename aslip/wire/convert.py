@@ -183,9 +183,10 @@ def estimate_to_state_out(
         if position is None:
             raise ShapeError("feet need the position of the pelvis, too")
         relative = np.asarray(feet) - np.asarray(position)[..., None, :]
-        turn = _entry(estimate, "orientation", 4)
+        turn = _entry(estimate, "orientation", 4)[..., None, :]
+        places = rotate_inverse(turn, relative)
         for i, side in enumerate(SIDES):
-            _write(out[f"{side}_foot"], "position", rotate_inverse(turn, relative[..., i, :]))
+            _write(out[f"{side}_foot"], "position", places[..., i, :])
     _release_stop(out["radio"], "signal_good")
     return out
 
