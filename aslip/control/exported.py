@@ -57,8 +57,9 @@ class ExportedController:
     Args:
         path: file of an exported policy.
         robot: robot to be controlled.
-        library: `GaitTable.sha256` of the gait library that the policy must have been exported
-            with; by default any, as the file has its own tables.
+        library: gait library that the policy must have been exported with: name of a shipped one,
+            or a file, whose reading needs PyTorch, or a `GaitTable.sha256`; by default any, as the
+            file has its own tables.
 
     Raises:
         AssetError: there is no such file.
@@ -69,7 +70,7 @@ class ExportedController:
     """
 
     def __init__(
-        self, path: str | Path, robot: Robot = CASSIE, *, library: str | None = None
+        self, path: str | Path, robot: Robot = CASSIE, *, library: str | Path | None = None
     ) -> None:
         self.path, self.robot = Path(path), robot
         if not self.path.is_file():
@@ -79,8 +80,8 @@ class ExportedController:
             )
         self._session, self.contract = _open(self.path, robot)
         found = self.contract.about["library"]["sha256"]
-        if library not in (None, found):
-            raise wrong(self.path, f"its library has the SHA-256 {found}, not {library}")
+        if library is not None and (wanted := _sha256(str(library), robot)) != found:
+            raise wrong(self.path, f"its library has the SHA-256 {found}, not {wanted}")
         outputs = [output["name"] for output in self.contract.outputs]
         self._outputs = outputs
         self._inputs = {
@@ -365,6 +366,18 @@ def _open(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession, Contr
             odd: Any = sorted(set(has) ^ set(is_)) or f"order {[n for n, *_ in is_]}"
             raise damaged(path, f"{kind} of its graph differ from its contract: {odd}")
     return session, contract
+
+
+def _sha256(library: str, robot: Robot) -> str:
+    """SHA-256 of the table of a library by name, file or SHA-256."""
+    if len(library) == 64 and set(library) <= set("0123456789abcdef"):
+        return library
+    # imported late: it imports PyTorch
+    from aslip.files.assets import asset_path
+    from aslip.library.file import read_library
+
+    file = Path(library) if Path(library).suffix else asset_path(f"{library}.npz")
+    return read_library(file, robot)[1].sha256
 
 
 def _numbers(name: str, value: ArrayLike, size: int) -> np.ndarray:

@@ -11,11 +11,14 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.control.export.network import export_network
-    from aslip.control.export.policy import compare, export_policy
+    from aslip.control.export.policy import compare, export_policy, write_pipeline
 
-__all__ = ["compare", "export_network", "export_policy"]
+__all__ = ["compare", "export_network", "export_policy", "write_pipeline"]
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
-    submod_attrs={"network": ["export_network"], "policy": ["compare", "export_policy"]},
+    submod_attrs={
+        "network": ["export_network"],
+        "policy": ["compare", "export_policy", "write_pipeline"],
+    },
 )

@@ -28,6 +28,8 @@ class Config:
     """Random states at which the file is compared with PyTorch."""
     network: bool = False
     """Export the network alone, from observation to action, with mjlab's metadata."""
+    leapp: bool = False
+    """Write a pipeline file for LEAPP beside the ONNX file, too."""
 
 
 def main(config: Config) -> None:
@@ -41,7 +43,7 @@ def main(config: Config) -> None:
 
     from aslip.control import Controller
     from aslip.control.contract import TOLERANCE
-    from aslip.control.export import compare, export_network, export_policy
+    from aslip.control.export import compare, export_network, export_policy, write_pipeline
     from aslip.library import GaitLibrary
 
     controller = Controller(config.policy, GaitLibrary.load(config.library))
@@ -50,6 +52,8 @@ def main(config: Config) -> None:
         print(f"{config.out.stat().st_size / 1e6:.1f} MB")
         return
     exported = export_policy(config.policy, config.out, controller.library)
+    if config.leapp:
+        write_pipeline(exported, config.out.with_suffix(".yaml"))
     print(f"{config.out.stat().st_size / 1e6:.1f} MB")
     print(f"golden trace: largest difference {exported.verify():.2g} rad from PyTorch")
     if config.samples:

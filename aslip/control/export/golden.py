@@ -20,7 +20,7 @@ from aslip.robot import Robot
 STEPS: Final = 200
 """Policy steps of a golden trace."""
 
-_NOISE = 0.05  # standard deviation of all numbers of an estimate, in their units
+_NOISE = 0.02  # standard deviation in any unit; of the size of the noise of the sensors
 _COMMAND_STEPS = 40  # between changes of the command
 _BEYOND = 1.2  # size of the range of commands, relative to the library's
 _LOST = range(60, 63)  # steps without an estimate

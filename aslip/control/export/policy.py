@@ -28,6 +28,7 @@ from aslip.control.export.graph import PolicyStep, trace_graph
 from aslip.control.exported import ExportedController
 from aslip.control.own_estimate import split_estimate
 from aslip.errors import ConfigurationError
+from aslip.files.archive import as_json
 from aslip.files.writing import replacing
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, find_policy, read_card
@@ -75,6 +76,25 @@ def export_policy(
     exported = ExportedController(path, controller.estimator.robot)
     exported.verify()
     return exported
+
+
+def write_pipeline(exported: ExportedController, path: Path) -> None:
+    """Write the pipeline file with which LEAPP runs an exported policy, in JSON, which is YAML.
+
+    Args:
+        exported: the exported policy.
+        path: file to write, `.yaml`, in the folder of the policy.
+    """
+    data, interface = exported.path.read_bytes(), exported.contract.interface
+    parameters = {
+        "model_path": exported.path.name,
+        "backend": "onnx",
+        "md5sum": hashlib.md5(data, usedforsecurity=False).hexdigest(),
+        "sha256sum": hashlib.sha256(data).hexdigest(),
+    }
+    models = {NODE: {**interface["models"][NODE], "parameters": parameters}}
+    with replacing(path) as file:
+        file.write(as_json({**interface, "models": models, "system information": {}}))
 
 
 def mjlab_metadata(controller: Controller, run_path: str) -> dict[str, str]:
