@@ -23,6 +23,7 @@ from benchmarks import (
     black_box,
     collectors,
     estimator,
+    exported,
     film_strip,
     gaits,
     learning_curves,
@@ -380,3 +381,11 @@ def test_learning_curves_train_missing_runs_and_resume(tmp_path: Path) -> None:
         learning_curves.main(learning_curves.Config(total_steps=steps, **settings))
         for variant in ("truth", "default"):
             assert steps_done(tmp_path / f"{variant}-0") == steps
+
+
+@pytest.mark.slow
+def test_exported_policies_start_lighter_than_pytorch(capsys: pytest.CaptureFixture[str]) -> None:
+    exported.main(exported.Config(starts=1, steps=10))
+    rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if "|" in line]
+    memory = {row[1].strip(): float(row[3]) for row in rows[2:]}
+    assert memory["ONNX"] < memory["PyTorch"] / 2
