@@ -19,8 +19,9 @@ Fallback = Literal["damping", "zero"]
 PATIENCE: Final = {"pd_in_t": 0.1, "cassie_user_in_t": 0.01}
 """Longest silence of a client [s] after which the robot drops its command, by kind of command."""
 
-MOST_BEHIND: Final = 0.1
-"""Longest delay [s] that is caught up; ticks of a longer one are left out."""
+MOST_BEHIND: Final = {"pd_in_t": 0.1, "cassie_user_in_t": 0.005}
+"""Longest delay [s] that is caught up, by kind of command; ticks of a longer one are left out. In
+raw mode torques must not be held through many ticks at once: the client cannot answer meanwhile."""
 
 
 @dataclass
@@ -32,7 +33,7 @@ class Load:
     late: int = 0
     """Ticks that began more than a period after they were due."""
     skipped: int = 0
-    """Ticks left out because the loop was more than 0.1 s behind."""
+    """Ticks left out because the loop was further behind than `MOST_BEHIND`."""
     latest: float = 0.0
     """Largest delay of a tick [s]."""
     busy: float = 0.0
@@ -86,9 +87,11 @@ class RealTimeServer:
         self._clock, self._sleep = clock, sleep
         self._period = robot.robot.physics_timestep
         self._patience = round(PATIENCE[robot.receives.name] / self._period)
+        self._most_behind = MOST_BEHIND[robot.receives.name]
         self._gone = round(SILENCE / self._period)
-        # ticks since the last command
-        self._silent = 0
+        # ticks since the last command, and its time
+        self._silent, self._heard = 0, clock()
+        self._dropped = self._said = False
         self._client: Address | None = None
         self._refused: Address | None = None
         self._unsent = ""
@@ -107,7 +110,7 @@ class RealTimeServer:
             if now < due:
                 self._sleep(due - now)
                 now = self._clock()
-            elif now - due > MOST_BEHIND:
+            elif now - due > self._most_behind:
                 missed = int((now - due) / self._period)
                 load.skipped += missed
                 due += missed * self._period
@@ -143,18 +146,24 @@ class RealTimeServer:
     def _wait(self) -> None:
         """Count a tick without a command; drop the last one after too many."""
         self._silent += 1
-        if self._silent == self._patience and not self.robot.idle:
-            self.robot.let_go(damp=self._fallback == "damping")
-            self.load.silences += 1
+        # a loop that catches up ticks faster than a client can answer
+        silent = min(self._silent, round((self._clock() - self._heard) / self._period))
+        if silent >= self._patience and not self._dropped:
+            self._dropped = not self.robot.idle
+            self.load.silences += self._dropped
+            if self._dropped:
+                self.robot.let_go(damp=self._fallback == "damping")
+        if silent >= self._gone and self._dropped and not self._said:
+            self._said = True
             self._say(
-                f"no command from {self._client} for {1e3 * self._patience * self._period:.0f} ms:"
-                f" {self._fallback}"
+                f"no command from {self._client} for {1e3 * SILENCE:.0f} ms: {self._fallback}"
             )
 
     def _greet(self) -> None:
         """Set the robot on its feet for a client that begins after another one has gone."""
         peer, silent = self._endpoint.peer, self._silent
-        self._silent = 0
+        self._silent, self._heard = 0, self._clock()
+        self._dropped = self._said = False
         if peer != self._client:
             self._say(f"client {peer}")
         if (peer != self._client or silent >= self._gone) and self.robot.idle:

@@ -38,7 +38,8 @@ class Bench:
     def __init__(self, twin: TwinRobot, **settings: object) -> None:
         twin.reset()
         twin.radio[:], twin.radio[STOP_CHANNEL] = 0, 1
-        self.twin, self.said = twin, list[str]()
+        self.twin, self.said, self.now = twin, list[str](), 0.0
+        settings = {"clock": lambda: self.now, **settings}
         self.socket = Endpoint(Link(twin.sends, twin.receives, refuse_not_finite=True), ANY_PORT)
         self.server = RealTimeServer(twin, self.socket, say=self.said.append, **settings)  # pyright: ignore[reportArgumentType]
         self.client = self.another()
@@ -53,6 +54,7 @@ class Bench:
             self.client.send(command)
         answers = []
         for _ in range(number):
+            self.now += PERIOD
             self.server.tick()
             answers += self.client.receive_all()
         return answers[-1].record
@@ -116,6 +118,16 @@ def test_a_silence_of_10_ms_drops_the_torque_in_raw_mode() -> None:
         answer = bench.tick(1)
         assert bench.server.load.silences == 1
         assert answer["is_calibrated"]
+
+
+def test_ticks_that_are_caught_up_are_not_a_silence(bench: Bench) -> None:
+    """The client had no time to answer."""
+    bench.tick(1, HOLD)
+    for _ in range(300):
+        bench.server.tick()
+    assert bench.server.load.silences == 0
+    bench.tick(201)
+    assert bench.server.load.silences == 1
 
 
 def test_the_emergency_stop_takes_all_torque_away(bench: Bench, twin: TwinRobot) -> None:
