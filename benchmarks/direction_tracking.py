@@ -110,7 +110,7 @@ def picture(command: np.ndarray, twist: np.ndarray) -> Figure:
             axes.set(xlabel=LIMITS[other], ylabel=LIMITS[0])
             if fell.any():
                 axes.legend(loc="upper right", fontsize=8)
-        figure.colorbar(dots, ax=row.tolist(), label=name)
+        figure.colorbar(dots, ax=row.tolist(), label=name, extend="max")
     return figure
 
 

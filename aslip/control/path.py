@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+_STEEPEST = 0.5  # largest angle towards the path [rad]
+
 Pose = tuple[float, float, float]
 """Place x, y [m] and yaw [rad] in the world."""
 
@@ -44,7 +46,7 @@ class PathFollower:
     With the distance e to the left of the path's nearest point, and the yaw error
     :math:`\theta` there:
 
-    .. math:: v = R(-\psi)\,(u,\,-k e)^T, \quad \omega = \kappa u - k_\theta \theta
+    .. math:: v = R(-\psi)\,(u,\,-k e)^T, \quad \omega = \kappa u - k_\theta (\theta + a e)
 
     for the speed u along the path, its curvature :math:`\kappa`, and the yaw :math:`\psi` of the
     frame of the command from the tangent. It is the usual feedforward with proportional feedback
@@ -59,6 +61,9 @@ class PathFollower:
     """Sideways speed per distance from the path [1/s]."""
     turn_gain: float = 1.0
     """Yaw rate per yaw error [1/s]."""
+    aim: float = 0.5
+    """Angle towards the path per distance from it [rad/m]: robots that follow sideways speeds badly
+    return to it, too."""
     most: float = 0.2
     """Largest sideways speed towards the path [m/s]."""
 
@@ -86,7 +91,8 @@ class PathFollower:
             cosine * self.speed + sine * towards,
             cosine * towards - sine * self.speed,
         )
-        return (forward, sideways, curvature * self.speed - self.turn_gain * turned), way
+        aimed = turned + min(max(self.aim * left, -_STEEPEST), _STEEPEST)
+        return (forward, sideways, curvature * self.speed - self.turn_gain * aimed), way
 
     def errors(self, pose: Pose, way: float) -> tuple[float, float, float]:
         """Distances ahead and to the left of a point of the path [m], and yaw error [rad].
