@@ -37,6 +37,7 @@ ONLY_INSIDE = {
     transforms.PhaseClock: "writes the request of the robots' own reset",
     transforms.StandClock: "writes the request of the robots' own reset",
     transforms.StandCommand: "writes the request of the robots' own reset",
+    transforms.RandomPushes: "writes the force that the robots read",
     transforms.ReferenceStart: "writes the request of the robots' own reset",
     transforms.RandomDynamics: "writes the request of the robots' own reset",
     transforms.StaggeredEnds: "distinguishes resets of all robots from partial resets",
@@ -76,6 +77,7 @@ def make_env(seed: int = 0) -> StackEnv:
             out_keys=["standing_phase", "mode"],
         ),
         stand=partial(transforms.StandCommand, 0.5),
+        pushes=transforms.RandomPushes,
         distance=transforms.ReferenceDistance,
         truth=partial(transforms.TrueState, out_keys=("true_estimate", "copied_odometry")),
     )
