@@ -131,11 +131,9 @@ def test_a_walk_without_files_says_how_to_write_them(capsys: pytest.CaptureFixtu
     assert "nothing was written; add --log" in told
 
 
-@pytest.mark.parametrize(
-    ("number", "status"),
-    [(signal.SIGTERM, 143), pytest.param(signal.SIGINT, 130, marks=pytest.mark.slow)],
-)
-def test_stopped_walk_leaves_a_complete_log(
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_stopped_walk_of_another_process_leaves_a_complete_log(
     tmp_path: Path, number: signal.Signals, status: int
 ) -> None:
     path = tmp_path / "walk.mcap"
@@ -154,8 +152,13 @@ def test_stopped_walk_leaves_a_complete_log(
     assert log_main(["check", str(path)]) == 0
 
 
-def test_walk_stopped_with_ctrl_c_leaves_a_complete_log(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_walk_stopped_by_a_signal_leaves_a_complete_log(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    number: signal.Signals,
+    status: int,
 ) -> None:
     path = tmp_path / "walk.mcap"
     step, left = walk.Walker.step, [40]
@@ -163,13 +166,13 @@ def test_walk_stopped_with_ctrl_c_leaves_a_complete_log(
     def stopped(*args: Any, **settings: Any) -> Any:
         left[0] -= 1
         if left[0] == 0:
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(number)
         return step(*args, **settings)
 
     monkeypatch.setattr(walk.Walker, "step", stopped)
     with pytest.raises(SystemExit) as info, one_line_errors():
         walk.main(Config(command="0.5", duration=1000.0, log=path))
-    assert info.value.code == 130
+    assert info.value.code == status
     told = capsys.readouterr().out
     assert "stopped after 1.17 s" in told
     assert f"wrote {path}" in told

@@ -156,6 +156,7 @@ def test_chosen_policy_acts_falls_and_is_reset(desk):
     wait_for(lambda: not desk.live.walker.fallen)
 
 
+@pytest.mark.slow
 def test_two_visitors_see_the_same_and_one_may_return(desk):
     other = desk.open()
     desk.pause()
