@@ -134,6 +134,22 @@ def test_new_visitors_see_the_present_poses(open_page):
         assert places["/rom/body"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
 
 
+def test_two_visitors_see_the_same_and_one_may_return(open_page):
+    page = open_page()
+    command = page.controls.command
+
+    def is_slow_walk(message):
+        return message["uuid"] == command._impl.uuid and message["updates"].get("value") == 0.65
+
+    with visit(page) as first, visit(page) as second:
+        first.update(command, value=0.65)
+        assert second.messages("GuiUpdateMessage", is_slow_walk)
+    with visit(page) as returned:
+        assert returned.messages("GuiUpdateMessage", is_slow_walk)
+    page.turn()
+    assert page.walker.command == pytest.approx(0.65, abs=1e-6)
+
+
 def test_plot_is_redrawn_when_a_visitor_connects(open_page, monkeypatch):
     page, redrawn = open_page(), []
     monkeypatch.setattr(page._readouts, "redraw", lambda: redrawn.append(1))
