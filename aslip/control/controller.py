@@ -227,12 +227,7 @@ class Controller:
             }
         )
         if restart is not None and restart.any():
-            robots, present = restart.reshape(num), present.clone()
-            ahead = None if ahead is None else ahead[robots].double().numpy()
-            begun = self._begin(
-                rows[robots.numpy()], now[robots], _column("phase", phase, num)[robots], ahead
-            )
-            present[robots] = _completed(begun, like=present)
+            present = self._restarted(present, restart.reshape(num), rows, phase, ahead)
         state = self.act(present)
         return state, state.motor_target
 
@@ -255,6 +250,25 @@ class Controller:
             batch_size=[len(rows)],
         )
         return begun.set("filtered_command", command.clone()) if self._along_path else begun
+
+    def _restarted(
+        self,
+        present: TensorDictBase,
+        robots: Tensor,
+        rows: np.ndarray,
+        phase: float | Tensor,
+        heading: Tensor | None,
+    ) -> TensorDictBase:
+        """Entries (n,) after the robots of a mask (n,) restart with these packets or estimates."""
+        present = present.clone()
+        command = cast("Tensor", present["command"])
+        ahead = None if heading is None else heading[robots].double().numpy()
+        phases = _column("phase", phase, len(present))
+        begun = self._begin(rows[robots.numpy()], command[robots], phases[robots], ahead)
+        # entries that only the other robots have are zero
+        zeros = present[: len(begun)].clone().zero_()
+        present[robots] = zeros.update(begun)
+        return present
 
     def _followed(
         self, past: TensorDictBase, rows: np.ndarray, heading: Tensor | None
@@ -331,12 +345,6 @@ class Controller:
         if size > 1 and value.ndim == 0:
             value = torch.nn.functional.pad(value[None], (0, size - 1))
         return self.library.nearest(_columns("command", value, num, size))
-
-
-def _completed(begun: TensorDict, like: TensorDictBase) -> TensorDictBase:
-    """Entries of restarting robots; zeros for entries that only the other robots have."""
-    zeros = like[: len(begun)].clone().zero_()
-    return zeros.update(begun)
 
 
 def _column(name: str, value: float | Tensor, num: int) -> Tensor:
