@@ -52,7 +52,7 @@ _SETTLE, _WALK = 4.0, 4.0
 def main(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row for each policy.
+    """Measure, print and draw; return a row for each policy.
 
     Args:
         config: the settings.
@@ -94,7 +94,7 @@ def table(rows: list[dict[str, Any]], count: int) -> str:
 
 
 def picture(command: np.ndarray, twist: np.ndarray) -> Figure:
-    """Maps of errors over two pairs of commands; crosses are falls."""
+    """Maps of errors over two pairs of command components; crosses are falls."""
     fell = ~np.isfinite(twist).all(axis=1)
     speed = np.linalg.norm((twist - command)[:, :2], axis=1)
     turn = np.abs(twist - command)[:, 2]

@@ -3,8 +3,9 @@
     python -m benchmarks.exported                                    # a minute
     python -m benchmarks.exported --policy robust --starts 20
 
-Each start is a new process that loads a controller and computes two motor targets. Time is from its
-launch to the second target, memory its largest resident set (Linux). The policy is exported first.
+Each start is a new process that loads a controller and computes two motor targets. The time is that
+from launch to second target, the memory the largest resident set (Linux). The policy is exported
+before.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ class Config:
     policy: str = "aslip"
     """Name of a shipped policy, or policy file."""
     starts: int = 5
-    """Processes of each kind."""
+    """Number of processes for each controller."""
     steps: int = 2000
-    """Policy steps to time in each process."""
+    """Number of policy steps to time in each process."""
 
 
 if __name__ == "__main__":
@@ -75,7 +76,7 @@ print(json.dumps([ready, memory, step * 1e6]))
 
 
 def main(config: Config) -> None:
-    """Print the table of both controllers."""
+    """Measure both controllers and print the table."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "policy.onnx"

@@ -1,4 +1,4 @@
-"""Network protocol: packets, damaged datagrams, a walk in lockstep, cost of ticks, a lossy network.
+"""Tests of the network protocol: packets, damaged datagrams, lockstep, cost of ticks, losses.
 
     python -m benchmarks.network                                     # minutes on an idle core
     python -m benchmarks.network --packets 1000 --strings 1000 --duration 1
@@ -7,8 +7,9 @@
 Random packets of each kind, of any bits, are unpacked and packed: bytes must be the same, each
 field must hold the bytes at its offset, and one packet in a thousand is compared number by number
 with Python's `struct`. Random strings of bytes, half of them as long as a datagram, must all be
-counted. In the walk a controller sees the states of the twin only, over UDP on loopback, and a
-second one the packets of a simulation in this process; targets and states must be bit-equal.
+counted. In the walk in lockstep, a controller receives only the states of the twin, over UDP on
+loopback, and a second controller the sensor packets of a simulation in this process; targets and
+states must be bit-equal.
 
 The cost of a tick is the CPU time of the twin's thread, with both datagrams. Behind a relay that
 drops and delays datagrams, a client in real time counts the answers that reach it in order.
@@ -31,11 +32,11 @@ class Config:
     strings: int = 250_000
     """Number of random byte strings for the link of each kind, a million in all."""
     duration: float = 60.0
-    """Length of the walk [s]."""
+    """Duration of the walk [s]."""
     speed: float = 1.0
     """Commanded speed of the walk [m/s]."""
     ticks: int = 6000
-    """Ticks of the twin in lockstep whose CPU time is measured, in each mode."""
+    """Number of ticks in lockstep whose CPU time is measured, in each mode."""
     lossy: float = 10.0
     """Duration behind a relay that loses and delays datagrams [s]."""
     loss: float = 0.2
@@ -90,7 +91,7 @@ _HEADER = 2
 
 
 def main(config: Config) -> None:
-    """Print the tables of packets, byte strings and lockstep."""
+    """Run all tests and print their results."""
     rng = np.random.default_rng(config.seed)
     rows = []
     for packet in PACKETS:
@@ -111,7 +112,7 @@ def main(config: Config) -> None:
 
 
 def wrong_packets(packet: Packet, config: Config, rng: np.random.Generator) -> int:
-    """Number of random packets that do not return bit for bit."""
+    """Number of random packets that unpacking and packing changes."""
     wrong, left = 0, config.packets
     while left > 0:
         raw = rng.integers(256, size=(min(_CHUNK, left), packet.size), dtype=np.uint8)
@@ -133,7 +134,7 @@ def wrong_packets(packet: Packet, config: Config, rng: np.random.Generator) -> i
 
 
 def string_counts(packet: Packet, config: Config, rng: np.random.Generator) -> tuple[int, ...]:
-    """Number of random byte strings, and how a robot's link counts them.
+    """Number of random byte strings, and their counts by a robot's link.
 
     Raises:
         AssertionError: the counts do not add up.
@@ -153,7 +154,7 @@ def string_counts(packet: Packet, config: Config, rng: np.random.Generator) -> t
 
 
 def walk(steps: int, speed: float) -> tuple[int, int, float]:
-    """Numbers of policy steps with different targets and states, and the way walked [m]."""
+    """Numbers of policy steps with different targets and states, and the distance walked [m]."""
     controller = Controller("aslip", GaitLibrary.load())
     # gains reach the twin in single precision
     gains = {name: getattr(CASSIE, name).astype(np.float32) for name in ("stiffness", "damping")}
@@ -208,7 +209,7 @@ def tick_cost(ticks: int, *, raw: bool) -> float:
 
 
 def lossy_network(config: Config) -> str:
-    """Sentence on a twin in real time that is held by a client behind a lossy relay."""
+    """Hold a twin in real time by a client behind a lossy relay; return the result as text."""
     twin, ended = TwinRobot(), threading.Event()
     hold = command_to_pd_in(CASSIE.standing[CASSIE.indices.motor_qpos])
     with (
@@ -338,7 +339,7 @@ def _field(records: np.ndarray, path: str) -> np.ndarray:
 
 
 def _as_struct_reads(packet: Packet, payload: bytes, record: np.ndarray) -> bool:
-    """Whether the numbers of a record are those that `struct` reads."""
+    """Check that the numbers of a record are those that `struct` reads."""
     codes = {"<f4": "f", "<i4": "i", "<u4": "I", "<i2": "h", "<u2": "H", "u1": "B", "?": "?"}
     form = "<" + "".join(codes[place.kind] * place.count for place in packet.places)
     numbers = [np.ravel(_field(record, place.path)) for place in packet.places]

@@ -1,10 +1,10 @@
-"""Figure of eight, closed over the estimated pose.
+"""Figure of eight, with feedback of the estimated pose.
 
-python -m benchmarks.path --policy runs/ppo_directions
+    python -m benchmarks.path --policy runs/ppo_directions
 
-A law (`aslip.control.PathFollower`) turns the pose that the state estimator's odometry gives into
-commands, as on a robot. Errors are distances from the path, of the estimate and of the truth: dead
-reckoning drifts, so they differ.
+As on a robot, a control law (`aslip.control.PathFollower`) computes commands from the pose of the
+state estimator's odometry. Errors are distances of the estimated and of the true pose from the
+path; dead reckoning drifts, so they differ.
 """
 
 from __future__ import annotations
@@ -57,13 +57,13 @@ from aslip.walking import markdown, next_start, policy_steps, reset_walks, take_
 from benchmarks.common import MakeEnv, Policy, Subject, write_report
 from benchmarks.directions import direction_subjects
 
-_POINTS = 500  # of the drawn path
+_POINTS = 500  # number of points of the drawn path
 
 
 def main(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row for each policy.
+    """Measure, print and draw; return a row for each policy.
 
     Args:
         config: the settings.
@@ -97,7 +97,8 @@ def walk_path(
     """Walk one robot along the path.
 
     Returns:
-        Numbers of the walk; and places (m, 2, 2) after each policy step, estimated and true [m].
+        Numbers of the walk; and positions (m, 2, 2), estimated and true, after each policy step
+        [m].
     """
     start, way = (config.speed, 0.0, 0.0), 0.0
     places, distances, fell = [], [], False
@@ -129,7 +130,7 @@ def walk_path(
 
 
 def world_pose(td: TensorDictBase, group: str) -> tuple[float, float, float]:
-    """Place [m] and yaw [rad] of a pelvis in the world, from its odometry along the path.
+    """Position [m] and yaw [rad] of a pelvis in the world, from its odometry along the path.
 
     Args:
         td: tensordict of one robot.
@@ -147,7 +148,7 @@ def world_pose(td: TensorDictBase, group: str) -> tuple[float, float, float]:
 
 
 def picture(follower: PathFollower, places: np.ndarray) -> Figure:
-    """Path, estimated and true way of the first policy, from above."""
+    """Draw the path, and the estimated and true positions of the first policy, from above."""
     figure = Figure(figsize=(5, 7.5), layout="constrained")
     axes = figure.subplots()
     assert isinstance(follower.path, Eight)

@@ -1,4 +1,4 @@
-"""Runner of a robot: walks over a lossy network, in real time, and beside killed runners.
+"""Tests of the runner: walks over a lossy network, walks in real time, killed runners, cold starts.
 
     python -m benchmarks.runner --part loss                  # 21 speeds of a minute, simulated time
     python -m benchmarks.runner --part real-time             # ten minutes, two processes
@@ -7,7 +7,7 @@
     python -m benchmarks.runner --part real-time --policy aslip.onnx
 
 Loss and jitter are simulated without sockets and clocks: supervisor, sequence numbers and twin are
-those of real runs, every datagram of either direction is lost or delayed at random, and the robot
+those of real runs, each datagram of either direction is lost or delayed at random, and the robot
 drops its command after 0.1 s of silence. A walk survives if its motors are not damped.
 
 The other parts start `python -m aslip.twin --real-time` and `python -m aslip.control`, and need
@@ -86,13 +86,13 @@ _TICK_NS = 500_000
 
 
 def main(config: Config) -> None:
-    """Print the table of a part."""
+    """Measure a part and print its result."""
     parts = {"loss": lossy_walks, "real-time": real_time, "kill": kill_runners, "start": start}
     print(parts[config.part](config))
 
 
 class LossyWay:
-    """Way of datagrams in one direction, with losses and delays.
+    """One direction of a network, with losses and delays.
 
     Args:
         sender: link of the sender.
@@ -129,7 +129,7 @@ class LossyWay:
 
 
 def lossy_walks(config: Config) -> str:
-    """Table of the walks with losses."""
+    """Walk with losses at each speed; return a table."""
     loaded, rows, survived = load(config.policy), [], 0
     for k, speed in enumerate(config.speeds):
         walked, reason, counts = lossy_walk(loaded, speed, config, config.seed + k)
@@ -145,7 +145,12 @@ def lossy_walks(config: Config) -> str:
 def lossy_walk(
     loaded: Loaded, speed: float, config: Config, seed: int
 ) -> tuple[float, str, list[int]]:
-    """Time walked [s], reason of damping or nothing, and counts of lost and late datagrams."""
+    """Walk with losses at a speed [m/s].
+
+    Returns:
+        Time walked [s]; reason of damping, empty for none; and numbers of lost and late datagrams,
+        states first.
+    """
     rng, jitter = np.random.default_rng(seed), config.jitter / CASSIE.physics_timestep
     client = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
     robot = Link(STATE_OUT, PD_IN, refuse_not_finite=True)
@@ -174,7 +179,7 @@ def lossy_walk(
 
 
 class Program:
-    """Program of another process, whose lines arrive with their times.
+    """Program in a process of its own, whose lines are read with their times.
 
     Args:
         words: module and options.
@@ -192,7 +197,7 @@ class Program:
         """Wait for a line with these words; return its time and the line.
 
         Raises:
-            RuntimeError: there is none in time.
+            RuntimeError: no such line arrives in time.
         """
         end = time.monotonic() + timeout
         while (left := end - time.monotonic()) > 0:
@@ -213,7 +218,7 @@ class Program:
 
 @contextmanager
 def real_time_twin() -> Iterator[tuple[Program, str]]:
-    """Twin in real time, and its port."""
+    """Start a twin in real time; yield it and its port."""
     program = Program("aslip.twin", "--real-time", "--port", "0")
     try:
         _, line = program.line("waiting for commands")
@@ -224,13 +229,13 @@ def real_time_twin() -> Iterator[tuple[Program, str]]:
 
 
 def runner(config: Config, port: str, *options: str) -> Program:
-    """Runner that walks the twin at a port."""
+    """Start a runner that walks the twin at a port."""
     words = ("--policy", config.policy, "--port", port, "--local-port", "0")
     return Program("aslip.control", *words, "--command", str(config.speed), *options)
 
 
 def real_time(config: Config) -> str:
-    """Last lines of a long walk in two processes, and the lateness in its log."""
+    """Walk for a long time in two processes; return the last lines and the lateness in the log."""
     with tempfile.TemporaryDirectory() as folder, real_time_twin() as (_, port):
         log = Path(folder) / "run.mcap"
         length = f"{60 * config.minutes:g}"
@@ -245,7 +250,10 @@ def real_time(config: Config) -> str:
 
 
 def kill_runners(config: Config) -> str:
-    """Delays from kills to damping; every runner after the first walks a twin that was damped."""
+    """Kill runners; return the delays from kills to damping.
+
+    Each runner but the first walks a twin that was damped after a kill.
+    """
     rng, delays = np.random.default_rng(config.seed), []
     with real_time_twin() as (robot, port):
         for _ in range(config.kills):
@@ -265,7 +273,7 @@ def kill_runners(config: Config) -> str:
 
 
 def start(config: Config) -> str:
-    """Times until a runner is ready to walk, and its memory; without a robot."""
+    """Start runners without a robot; return times until they can walk, and their memory."""
     times = []
     for _ in range(5):
         began = time.monotonic()

@@ -23,7 +23,7 @@ class Config(Directions):
     changes: int = 1000
     """Number of changes, over all robots."""
     robots: int = 50
-    """Robots that walk side by side."""
+    """Number of robots that walk side by side."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -62,7 +62,7 @@ _HOLD = 0.75, 2.25
 def main(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> list[dict[str, Any]]:
-    """Measure, print and draw; returns a row for each policy.
+    """Measure, print and draw; return a row for each policy.
 
     Args:
         config: the settings.
@@ -83,7 +83,7 @@ def main(
 
 
 def fall_row(config: Config, subject: Subject, library: GaitLibrary) -> dict[str, Any]:
-    """Number of changes, and the commands before and after those that ended in a fall."""
+    """Number of changes, and for each fall the commands before and after the change."""
     each = math.ceil(config.changes / config.robots)
     drawn = random_commands(library, (each + 1) * config.robots, config.seed)
     commands = drawn.reshape(each + 1, config.robots, 3)
@@ -107,7 +107,7 @@ def walk_changes(
 ) -> list[tuple[int, int]]:
     """Walk through commands (k + 1, n, 3), and return (change, robot) of each fall.
 
-    A fall before the first change is none of its own; it counts for the first change.
+    A fall before the first change counts for the first change.
     """
     robots = np.arange(env.num_envs)
     due = hold.cumsum(axis=0)

@@ -1,4 +1,4 @@
-"""Controllers: from sensor packets to motor targets, on a robot as in simulation.
+"""Controllers that turn sensor packets into motor targets, on a robot and in simulation.
 
 `python -m aslip.control` runs a controller over the robot's network protocol.
 """

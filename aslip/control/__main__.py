@@ -3,8 +3,8 @@
     python -m aslip.twin --real-time                     # in another terminal
     python -m aslip.control --command 0.5 --duration 10
 
-Without --command, --schedule and --listen, the keys of the terminal steer. Ctrl-C damps the motors
-and ends. Exit status 0 after a stop by the operator, 1 after any other damping.
+Without --command, --schedule and --listen, keys in the terminal steer. Ctrl-C damps the motors and
+ends the run. The exit status is 0 after a stop by the operator, 1 after any other damping.
 """
 
 from __future__ import annotations
@@ -44,42 +44,43 @@ class Config:
     policy: str = "aslip"
     """Name of a shipped policy, policy file, or folder of a training run."""
     library: str | None = None
-    """Gaits of the policy: file, or name of a shipped library; by default those of its stack."""
+    """Gait library of the policy: file, or name of a shipped one; by default that of its stack."""
     command: str | None = None
     """Command from the start of the walk on: forward speed [m/s]; or forward speed, sideways speed
     and yaw rate [rad/s], separated by spaces."""
     schedule: str | None = None
     """Commands over the time of the walk [s], such as "0:0.0,4:1.0,8:0.5"."""
     listen: int | None = None
-    """Port on loopback at which another program sends commands as JSON."""
+    """Port on loopback that receives commands of another program as JSON."""
     duration: float = math.inf
-    """Duration of a walk with --command or --schedule before it stops [s]."""
+    """Time after which a walk with --command or --schedule stops [s]."""
     host: str = SIMULATOR.host
-    """IPv4 address of the robot; beyond loopback only if it is given here."""
+    """IPv4 address of the robot; by default that of a twin on this machine."""
     port: int = SIMULATOR.port
-    """Port of the robot: 25000 of a twin, 25010 of a robot."""
+    """Port of the robot: 25000 for a twin, 25010 for a robot."""
     local_port: int = CLIENT.port
     """Port of this program: 25001 for a twin, 25011 for a robot, 0 for any."""
     raw: bool = False
-    """Raw mode: sensors instead of estimates from the robot, torques instead of targets to it."""
+    """Use raw mode: the robot sends sensor readings, not estimates, and takes torques, not motor
+    targets."""
     lockstep: bool = False
     """Advance a twin in lockstep, one command per tick, instead of real time."""
     ramp: float | None = None
-    """Duration in which gains rise, and again in which joints move to the first pose [s]; by
-    default 0 on loopback, where a twin stands on its feet, and 2 for robots, which hang from a
+    """Duration of the rise of the gains, and then of the motion of the joints to the first pose
+    [s]; by default 0 for a twin, which stands on its feet, and 2 for a robot, which hangs from a
     gantry."""
     tilt: float = Limits.tilt
     """Angle between pelvis and vertical beyond which the motors are damped [rad]."""
     patience: float = 10.0
     """Longest wait for the first packet [s]."""
     log: Path | None = None
-    """MCAP file to write."""
+    """MCAP file to which the run is logged."""
     replay: Path | None = None
-    """Log of a run to repeat offline; it compares all motor commands, without a robot."""
+    """Log of a run to replay without a robot; all motor commands are compared with the log."""
 
 
 def main(config: Config) -> None:
-    """Run, or replay a log.
+    """Run a controller over the network, or replay a log.
 
     Raises:
         SystemExit: status 1 after damping that the operator did not ask for, or after a replay
@@ -147,10 +148,14 @@ def make_supervisor(loaded: Loaded, limits: Limits) -> Supervisor:
 
 
 def local_address(robot: Address, port: int) -> tuple[Address, bool]:
-    """Address to listen at, on the way to the robot; True if it is beyond loopback.
+    """Local address with a route to the robot, and True if it is beyond loopback.
+
+    Args:
+        robot: address of the robot.
+        port: local port.
 
     Raises:
-        NetworkError: there is no way to the robot.
+        NetworkError: there is no route to the robot.
     """
     if _is_loopback(robot.host):
         return Address(LOOPBACK, port), False
@@ -159,12 +164,12 @@ def local_address(robot: Address, port: int) -> tuple[Address, bool]:
             # sends nothing
             probe.connect(robot)
         except OSError as error:
-            raise NetworkError(f"no way to the robot at {robot}: {error.strerror}") from error
+            raise NetworkError(f"no route to the robot at {robot}: {error.strerror}") from error
         return Address(probe.getsockname()[0], port), True
 
 
 def replay_log(path: Path) -> None:
-    """Repeat a run offline and compare all commands.
+    """Replay a log without a robot, and compare all motor commands with the log.
 
     Raises:
         SystemExit: status 1 if a command differs.
@@ -200,7 +205,7 @@ def damping_signals(run: Run) -> Iterator[None]:
 
 
 def _endpoint(link: Link, local: Address, peer: Address, beyond: bool) -> Endpoint:
-    """Socket to the robot; an error names the option that changes the port."""
+    """Open the socket to the robot; an error names the option that changes the port."""
     try:
         return Endpoint(link, local, peer, beyond_loopback=beyond)
     except NetworkError as error:
@@ -210,7 +215,7 @@ def _endpoint(link: Link, local: Address, peer: Address, beyond: bool) -> Endpoi
 
 
 def _open_log(config: Config, loaded: Loaded, readings: Readings, limits: Limits) -> RunLog | None:
-    """Log of a run, if one is asked for."""
+    """Open the log of a run; None without --log."""
     if config.log is None:
         return None
     # imported late: a run without a log starts faster
@@ -221,7 +226,7 @@ def _open_log(config: Config, loaded: Loaded, readings: Readings, limits: Limits
 
 
 def _is_loopback(host: str) -> bool:
-    """Whether an address is on loopback; False for what is no address."""
+    """Check whether an IPv4 address is on loopback; False for any other text."""
     try:
         return ipaddress.IPv4Address(host).is_loopback
     except ValueError:

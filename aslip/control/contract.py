@@ -1,4 +1,4 @@
-"""Contract of an exported policy: the metadata of its ONNX file; without PyTorch.
+"""Contract of an exported policy, in the metadata of its ONNX file; needs no PyTorch.
 
 | key | content |
 |---|---|
@@ -6,7 +6,7 @@
 | `leapp` | inputs, outputs and feedback in the terms of LEAPP's pipeline files, as JSON, with `unit` and `frame` |
 | `aslip` | robot, rates, limits, library, policy and versions, as JSON |
 | `golden_trace` | 200 policy steps, an `.npz` in base64; names of arrays as in gaitkeeper's traces |
-| `sha256` | hash of all bytes of the file before this entry, which is the last |
+| `sha256` | SHA-256 of all bytes of the file before this entry, which is the last |
 """  # noqa: E501
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _ROBOT_FIELDS = (
     *("joint_names", "gear", "torque_limit", "no_load_speed", "torque_delay"),
     *("physics_timestep", "substeps", "packet_substeps", "packet_sizes", "estimate_sizes"),
 )
-# entry of metadata_props, field 14 of a model: key 1 and value 2 of a string pair
+# Protocol Buffers bytes of the last metadata entry (field 14), up to its 64 hexadecimal digits
 _SEAL = b"\x72\x4a\x0a\x06sha256\x12\x40"
 _SEAL_SIZE = len(_SEAL) + 64
 # name of the entry that points to a file beside the model, in any encoding of the entry
@@ -59,10 +59,10 @@ class Contract:
 
     @classmethod
     def of(cls, metadata: Mapping[str, str]) -> Contract:
-        """Contract in the metadata of a file.
+        """Read the contract from the metadata of a file.
 
         Raises:
-            ValueError: an entry is missing, or is not what it should be.
+            ValueError: an entry is missing or invalid.
         """
         if lacking := [key for key in ("aslip", "leapp", "joint_names") if key not in metadata]:
             raise ValueError(f"its metadata lack {lacking}")
@@ -95,7 +95,7 @@ class Contract:
         return self.metadata["observation_names"].split(",")
 
     def numbers(self, key: str) -> list[float]:
-        """Numbers of an entry, one per motor."""
+        """Numbers of a metadata entry, one per motor."""
         return [float(text) for text in self.metadata[key].split(",")]
 
     def golden_trace(self) -> dict[str, np.ndarray]:
@@ -127,7 +127,7 @@ class Contract:
 
 
 def describe_robot(robot: Robot) -> dict[str, Any]:
-    """Fields of a robot in a contract that mjlab has no key for, as JSON types."""
+    """Fields of a robot in the entry `aslip`, as JSON types; mjlab has keys for the others."""
     return {
         "name": robot.name,
         "model_sha256": hashlib.sha256(robot.mjcf.read_bytes()).hexdigest(),
@@ -151,7 +151,7 @@ def _keys(value: Any) -> Sequence[str]:
 
 
 def observed_name(name: str) -> str:
-    """Output of the graph that has an entry of the observation, other than estimates."""
+    """Name of the graph's output for an entry of the observation that is no estimate."""
     return name if "/" in name else f"observed/{name}"
 
 
@@ -161,7 +161,7 @@ def csv(values: Iterable[float | str]) -> str:
 
 
 def trace_text(arrays: Mapping[str, np.ndarray]) -> str:
-    """Golden trace as an entry of the metadata."""
+    """Encode a golden trace as text for the metadata."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)  # pyright: ignore[reportArgumentType]
     return base64.b64encode(buffer.getvalue()).decode()
@@ -171,12 +171,12 @@ def trace_text(arrays: Mapping[str, np.ndarray]) -> str:
 
 
 def seal(model: bytes) -> bytes:
-    """Serialised ONNX model with the SHA-256 of its bytes as the last entry of its metadata."""
+    """Append the SHA-256 of a serialised ONNX model as the last entry of its metadata."""
     return model + _SEAL + hashlib.sha256(model).hexdigest().encode()
 
 
 def read_sealed(path: Path) -> bytes:
-    """Bytes of an exported policy, complete and unaltered.
+    """Read the bytes of an exported policy, and check that they are complete and unaltered.
 
     Raises:
         FileDamagedError: the file is truncated, altered, no exported policy, or points to another
@@ -207,5 +207,5 @@ def damaged(path: Path, why: str | Exception) -> FileDamagedError:
 
 
 def wrong(path: Path, difference: str) -> ConfigurationError:
-    """Build the error of a policy for another robot, library or package."""
+    """Build the error of a policy that fits another robot, library or version of the package."""
     return ConfigurationError(f"the exported policy {str(path)!r} does not fit: {difference}")

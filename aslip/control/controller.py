@@ -1,4 +1,4 @@
-"""Controller of robots: packets in, motor targets out, without simulator or environment."""
+"""Controller that turns packets into motor targets, without simulator or environment."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ from aslip.transforms.path import advance_heading
 from aslip.transforms.reference import feedforward_target, reference_and_goal
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
-"""Packets of n robots, oldest first: entries (n, w, k) with the names of `Robot.packet_sizes`, or
-all entries concatenated to (n, w, p). One packet of one robot has no leading axes.
+"""Packets of n robots, w each and oldest first: entries (n, w, k) with the names of
+`Robot.packet_sizes`, or all entries concatenated to (n, w, p). One packet of one robot has no
+leading axes.
 
 For robots that estimate their own state, entries (n, k) of `Robot.estimate_sizes` instead: the
 latest estimates, in frames with z up against gravity."""
@@ -45,7 +46,7 @@ _FRESH = ("estimate", "odometry", "estimator", "reference", "goal", "clock")
 
 @dataclass(frozen=True)
 class ControllerState:
-    """State of a `Controller` between policy steps; immutable, a step returns a new one."""
+    """Immutable state of a `Controller` between policy steps; each step returns a new one."""
 
     tensordict: TensorDictBase
     """Inputs and outputs (n,) of the policy, with the keys of an environment's tensordict:
@@ -56,7 +57,7 @@ class ControllerState:
 
     @property
     def motor_target(self) -> Tensor:
-        """Angles (n, m) for the PD loops until the next step [rad]."""
+        """Target angles (n, m) of the PD loops until the next step [rad]."""
         return cast("Tensor", self.tensordict["motor_target"])
 
 
@@ -74,13 +75,13 @@ class Controller:
             state, target = controller.step(state, packets, command=0.5)
 
     A step takes all packets since the previous step. Fill lost packets with NaN, or pass None if
-    all are lost; the estimator detects bad readings and bridges them (`aslip.estimation`). Commands
-    beyond the library become the nearest that it covers.
+    all are lost; the estimator detects bad readings and bridges them (`aslip.estimation`). A
+    command outside the region of the library is moved to the nearest command inside.
 
-    Commands have one value per axis of the library, c in all: forward speed, sideways speed [m/s],
-    yaw rate [rad/s]. A number alone is a forward speed. With several axes, reference and clock
-    follow a filtered command (`CommandFilter`), and heading and origin of the odometry move along
-    its path (`HeadingFrame`), so the heading need not be written to turn.
+    A command has c numbers, one per axis of the library: forward speed, sideways speed [m/s], yaw
+    rate [rad/s]. A number alone is a forward speed. With several axes, reference and clock follow a
+    filtered command (`CommandFilter`), and heading and origin of the odometry move along its path
+    (`HeadingFrame`), so that a yaw rate turns the robot without a new heading.
 
     A robot that estimates its own state sends estimates instead of packets. The controller rotates
     them to the heading and does not filter them. If an estimate is missing or not finite, the last
@@ -92,10 +93,10 @@ class Controller:
         library: the gaits.
         observation: keys of the observation's entries in order; by default those in the policy's
             file, or `OBSERVATION_TABLE`.
-        baseline: key of the angles to which the action is added; by default that in the policy's
-            file, or `("reference", "motor_target")`.
+        baseline: key of the angles to which the action is added; by default the one in the
+            policy's file, or `("reference", "motor_target")`.
         estimator: state estimator; its robot defines packets, gains and the policy period.
-        motor_lead: time by which the motor references are ahead of the phase, in policy steps; see
+        motor_lead: lead of the motor references over the phase, in policy steps; see
             `ReferenceInjection`.
         command_rates: largest rates of the filtered command with a library of several axes
             [m/s^2, rad/s^2], see `CommandFilter`; by default those in the policy's file, or
@@ -186,8 +187,8 @@ class Controller:
         Args:
             state: state that `start` or the previous step returned.
             packets: packets since then, oldest first; None if all are lost.
-            command: new command, one for all robots or (n, c). It counts from the last policy step
-                on, as when a caller writes `command` between the steps of an environment. By
+            command: new command, one for all robots or (n, c). It acts from the previous policy
+                step on, as when a caller writes `command` between the steps of an environment. By
                 default the command does not change.
             heading: new yaw that counts as straight ahead [rad], one or (n, 1). By default it does
                 not change.
@@ -234,7 +235,7 @@ class Controller:
     def _begin(
         self, rows: np.ndarray, command: Tensor, phase: Tensor, heading: ArrayLike | None
     ) -> TensorDict:
-        """Entries of robots that begin with packets (n, w, p), or with estimates (n, e)."""
+        """Entries of robots that start with packets (n, w, p), or with estimates (n, e)."""
         if rows.ndim == 3:
             origin = torch.zeros(len(rows), 3) if self._along_path else None
             entries = estimate_entries(*self.estimator.start(rows, heading), origin)
@@ -273,7 +274,7 @@ class Controller:
     def _followed(
         self, past: TensorDictBase, rows: np.ndarray, heading: Tensor | None
     ) -> dict[str, Any]:
-        """Entries of robots after packets (n, w, p), or after estimates (n, e) of their own."""
+        """Entries of robots after packets (n, w, p), or after their own estimates (n, e)."""
         if (rows.ndim == 2) == ("estimator" in past):
             kinds = ("packets", "estimates")
             got, started = kinds if rows.ndim == 3 else kinds[::-1]
@@ -296,10 +297,16 @@ class Controller:
 
     @torch.no_grad()
     def act(self, present: TensorDictBase) -> ControllerState:
-        """Act on estimate, command and phase; `start` and `step` write these entries.
+        """Compute motor targets from estimate, command and phase, as `start` and `step` do.
 
         Args:
-            present: entries (n,) of a policy step up to the reference; changed in place.
+            present: entries (n,) of a policy step up to the phase; changed in place.
+
+        Returns:
+            State with reference, observation, action and motor targets.
+
+        Raises:
+            UnknownNameError: the policy observes an entry that does not exist.
         """
         steer = "filtered_command" if self._along_path else "command"
         command, phase = (cast("Tensor", present[key]) for key in (steer, "phase"))
@@ -332,7 +339,7 @@ class Controller:
         return rows[None, None] if rows.ndim == 1 else rows
 
     def _lost(self, past: TensorDictBase) -> np.ndarray:
-        """NaN in place of the packets, or of the estimates, of all robots."""
+        """Array of NaN in place of the packets, or of the estimates, of all robots."""
         robot = self.estimator.robot
         own = sum(robot.estimate_sizes.values())
         size = (1, robot.packet_size) if "estimator" in past else (own,)

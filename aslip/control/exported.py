@@ -1,4 +1,4 @@
-"""Controller from an exported policy: NumPy and onnxruntime only, without PyTorch or simulator."""
+"""Controller from an exported policy; needs NumPy and onnxruntime, but no PyTorch or simulator."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from aslip.estimation import Estimate, StateEstimator, Tracking
 
 Packets = Mapping[str, ArrayLike] | np.ndarray
-"""Packets of a robot, oldest first: entries (1, w, k) with the names of `Robot.packet_sizes`, or
+"""w packets of a robot, oldest first: entries (1, w, k) with the names of `Robot.packet_sizes`, or
 all entries concatenated to (1, w, p). One packet has no leading axes.
 
 For a robot that estimates its own state, entries (1, k) or (k,) of `Robot.estimate_sizes` instead:
@@ -32,7 +32,7 @@ _TYPES = {"float32": np.float32, "float64": np.float64, "bool": np.bool_}
 
 @dataclass(frozen=True)
 class ExportedState:
-    """State of an `ExportedController` between policy steps; a step returns a new one."""
+    """Immutable state of an `ExportedController` between policy steps; a step returns a new one."""
 
     entries: Mapping[str, np.ndarray]
     """Outputs (1, k) of the graph by name, such as `motor_target`, `action`, `observation`, `phase`
@@ -43,7 +43,7 @@ class ExportedState:
 
     @property
     def motor_target(self) -> np.ndarray:
-        """Angles (1, m) for the PD loops until the next step [rad]."""
+        """Target angles (1, m) of the PD loops until the next step [rad]."""
         return self.entries["motor_target"]
 
 
@@ -52,14 +52,14 @@ class ExportedController:
 
     The file has everything from estimates to motor targets in one graph: `export_policy` traces it
     from the functions of `aslip.Controller`. Only the estimator for packets is code of this
-    package. `start` and `step` are those of `aslip.Controller`, for one robot, with arrays.
+    package. `start` and `step` work as in `aslip.Controller`, but for one robot and with arrays.
 
     Args:
         path: file of an exported policy.
-        robot: robot to be controlled.
+        robot: robot to control.
         library: gait library that the policy must have been exported with: name of a shipped one,
-            or a file, whose reading needs PyTorch, or a `GaitTable.sha256`; by default any, as the
-            file has its own tables.
+            file (reading it needs PyTorch) or `GaitTable.sha256`; by default any, because the
+            exported policy contains its tables.
 
     Raises:
         AssetError: there is no such file.
@@ -190,7 +190,7 @@ class ExportedController:
         return following, following.motor_target
 
     def verify(self) -> float:
-        """Run the golden trace.
+        """Run the golden trace, and compare its motor targets with PyTorch's.
 
         Returns:
             Largest difference of a motor target from PyTorch's [rad].
@@ -217,7 +217,7 @@ class ExportedController:
         return difference
 
     def outputs(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Outputs of the graph by name, for inputs by name; inputs that are not given are zero."""
+        """Run the graph: inputs by name -> outputs by name; missing inputs are zero."""
         feed = {
             name: np.asarray(values[name], kind) if name in values else np.zeros(shape, kind)
             for name, (kind, shape) in self._inputs.items()
@@ -233,7 +233,7 @@ class ExportedController:
         starts: np.ndarray,
         phase: np.ndarray,
     ) -> list[Mapping[str, np.ndarray]]:
-        """Outputs at the steps of a golden trace."""
+        """Outputs of the graph at each step of a golden trace."""
         entries, state = [], None
         for row, heading, command, start in zip(rows, headings, commands, starts, strict=True):
             estimate = split_estimate(row[None], self.robot)
@@ -249,14 +249,14 @@ class ExportedController:
         """Check that the observation has the entries of the contract in its order.
 
         Raises:
-            ValueError: it has not.
+            ValueError: an entry is missing, or at another place.
         """
         parts = split_estimate(entries["estimate"], self.robot)
         named = {**entries, **{f"estimate/{name}": part for name, part in parts.items()}}
         place, observation = 0, entries["observation"]
         for name in map(observed_name, self.contract.observation):
             if name not in named:
-                raise ValueError(f"no output is named {name!r}, as the contract's observation is")
+                raise ValueError(f"no output is named {name!r}, an entry of the observation")
             end = place + named[name].shape[1]
             if not np.array_equal(observation[:, place:end], named[name]):
                 raise ValueError(
@@ -276,8 +276,8 @@ class ExportedController:
         heading: np.ndarray,
         tracking: np.ndarray | None,
     ) -> ExportedState:
-        """Outputs of the graph for an estimate (1, e), already turned if it was tracked."""
-        # the estimator turns estimates itself
+        """Run the graph for an estimate (1, e)."""
+        # the estimator for packets has already rotated its estimates to the heading
         turn = heading if tracking is None else np.zeros_like(heading)
         entries = self.outputs({**split_estimate(rows, self.robot), "heading": turn, **given})
         return ExportedState({**entries, "heading": heading}, tracking)
@@ -296,7 +296,7 @@ class ExportedController:
     def _track(
         self, memory: np.ndarray, rows: np.ndarray, heading: np.ndarray
     ) -> tuple[np.ndarray, Estimate]:
-        """Memory and estimate after packets (1, w, p)."""
+        """Memory (1, t) and estimate of the estimator after packets (1, w, p)."""
         from aslip.estimation import Tracking
 
         tracking: Tracking = Tracking.from_rows(memory, self.robot)
@@ -328,7 +328,7 @@ class ExportedController:
         return rows
 
     def _lost(self, state: ExportedState) -> np.ndarray:
-        """NaN in place of the packets, or of the estimate."""
+        """Array of NaN in place of the packets, or of the estimate."""
         own = sum(self.robot.estimate_sizes.values())
         size = (1, own) if state.tracking is None else (1, 1, self.robot.packet_size)
         return np.full(size, np.nan)

@@ -1,4 +1,4 @@
-"""Estimates that robots make themselves, in place of packets, as arrays; without PyTorch."""
+"""Arrays of the estimates of robots that estimate their own state; needs no PyTorch."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from aslip.robot.rotation import yaw
 
 
 def is_estimate(packets: object) -> bool:
-    """Whether a mapping has the entries of an estimate rather than those of packets."""
+    """Check whether a mapping has the entries of an estimate, not those of packets."""
     return isinstance(packets, Mapping) and "height" in packets
 
 
@@ -40,7 +40,7 @@ def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
 
 
 def split_estimate(rows: np.ndarray, robot: Robot) -> dict[str, np.ndarray]:
-    """Entries (n, k) of joined estimates (n, e)."""
+    """Split joined estimates (n, e) into entries (n, k)."""
     sizes = robot.estimate_sizes
     parts = np.split(rows, np.cumsum(list(sizes.values()))[:-1], axis=1)
     return dict(zip(sizes, parts, strict=True))
@@ -57,10 +57,10 @@ def start_heading(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> 
 
     Raises:
         ConfigurationError: an estimate or a heading is not finite.
-        ShapeError: there is neither one heading nor one per robot.
+        ShapeError: `heading` has neither one number nor one per robot.
     """
     if not np.isfinite(rows).all():
-        raise ConfigurationError("estimates of robots that start must be finite")
+        raise ConfigurationError("the first estimate of a robot must be finite")
     orientation = split_estimate(rows, robot)["orientation"]
     ahead = yaw(orientation) if heading is None else np.asarray(heading, np.float64)
     if not np.isfinite(ahead).all():

@@ -9,14 +9,14 @@ from typing import Protocol
 _STEEPEST = 0.5  # largest angle towards the path [rad]
 
 Pose = tuple[float, float, float]
-"""Place x, y [m] and yaw [rad] in the world."""
+"""Position x, y [m] and yaw [rad] in the world."""
 
 
 class Path(Protocol):
-    """Curve on the ground, by its arc length."""
+    """Curve on the ground, as a function of its arc length."""
 
     def at(self, way: float) -> tuple[Pose, float]:
-        """Pose of a point, with the yaw of the tangent, and curvature [1/m].
+        """Pose of a point, whose yaw is that of the tangent, and curvature there [1/m].
 
         Args:
             way: arc length from the start [m].
@@ -32,7 +32,7 @@ class Eight:
     """Radius of the circles [m]."""
 
     def at(self, way: float) -> tuple[Pose, float]:
-        """Pose and curvature at an arc length; the path repeats after two circles."""
+        """Pose and curvature [1/m] at an arc length [m]; the path repeats after two circles."""
         turns, angle = divmod(way / self.radius, 2 * math.pi)
         side = -1.0 if turns % 2 else 1.0
         x, y = self.radius * math.sin(angle), side * self.radius * (1 - math.cos(angle))
@@ -48,9 +48,10 @@ class PathFollower:
 
     .. math:: v = R(-\psi)\,(u,\,-k e)^T, \quad \omega = \kappa u - k_\theta (\theta + a e)
 
-    for the speed u along the path, its curvature :math:`\kappa`, and the yaw :math:`\psi` of the
-    frame of the command from the tangent. It is the usual feedforward with proportional feedback
-    (Siciliano et al. 2009, Sec. 11.5), for robots that walk sideways, too.
+    u is the speed along the path, :math:`\kappa` its curvature, and :math:`\psi` the yaw of the
+    command's frame relative to the tangent; k, :math:`k_\theta` and a are `gain`, `turn_gain` and
+    `aim`. The law is feedforward with proportional feedback (Siciliano et al. 2009, Sec. 11.5),
+    extended by a sideways speed.
     """
 
     path: Path
@@ -62,8 +63,8 @@ class PathFollower:
     turn_gain: float = 1.0
     """Yaw rate per yaw error [1/s]."""
     aim: float = 0.5
-    """Angle towards the path per distance from it [rad/m]: robots that follow sideways speeds badly
-    return to it, too."""
+    """Angle towards the path per distance from it [rad/m]; it brings back robots that track
+    sideways speeds badly, too."""
     most: float = 0.2
     """Largest sideways speed towards the path [m/s]."""
 
@@ -73,13 +74,13 @@ class PathFollower:
         """Command for the next policy step.
 
         Args:
-            pose: estimated place and yaw of the pelvis.
+            pose: estimated position and yaw of the pelvis.
             heading: yaw of the frame in which speeds are commanded [rad].
             way: arc length of the nearest point, as returned at the last step [m]; 0 at the start.
 
         Returns:
-            Forward, sideways speed [m/s] and yaw rate [rad/s]; and the arc length of the point of
-            the path that is nearest now [m].
+            Command: forward, sideways speed [m/s] and yaw rate [rad/s]; and arc length of the point
+            of the path that is nearest now [m].
         """
         way += self.errors(pose, way)[0]
         _, left, turned = self.errors(pose, way)
@@ -98,7 +99,7 @@ class PathFollower:
         """Distances ahead and to the left of a point of the path [m], and yaw error [rad].
 
         Args:
-            pose: place and yaw of the robot.
+            pose: position and yaw of the robot.
             way: arc length of the point [m].
         """
         (x, y, tangent), _ = self.path.at(way)

@@ -1,4 +1,4 @@
-"""Estimates of robots in frames with x along their headings."""
+"""Rotation of estimates to heading frames, for robots that estimate their own state."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _ROUNDING = 1e-6
 def start_entries(
     rows: np.ndarray, heading: ArrayLike | None, robot: Robot
 ) -> dict[str, Tensor | dict[str, Tensor]]:
-    """Entries `estimate` and `heading` of robots with estimates (n, e) that start.
+    """Entries `estimate` and `heading` of robots that start with estimates (n, e).
 
     Arguments and errors are those of `start_heading`.
     """
@@ -38,7 +38,7 @@ def start_entries(
 def next_entries(
     past: TensorDictBase, rows: np.ndarray, heading: Tensor | None, robot: Robot
 ) -> dict[str, Tensor | dict[str, Tensor]]:
-    """Entries of robots with new estimates (n, e); for those that are not finite the last hold.
+    """Entries `estimate` and `heading` after new estimates (n, e); see `hold_estimate`.
 
     Args:
         past: entries of the last policy step.
@@ -54,7 +54,7 @@ def next_entries(
 def hold_estimate(
     part: Mapping[str, Tensor], heading: Tensor, last: Mapping[str, Tensor]
 ) -> dict[str, Tensor]:
-    """Estimates in the heading frame; the last ones of robots with a number that is not finite.
+    """Rotate estimates to the heading frame; keep a robot's last one if a number is not finite.
 
     Args:
         part: entries (n, k) of new estimates, in double precision.
@@ -67,10 +67,10 @@ def hold_estimate(
 
 
 def turn_estimate(part: Mapping[str, Tensor], heading: Tensor) -> dict[str, Tensor]:
-    """Estimates in frames with x along headings (n, 1) [rad], in single precision.
+    """Rotate estimates to heading frames, with x along the heading, in single precision.
 
     Args:
-        part: entries (n, k) of estimates in double precision; exactly equal for zero headings.
+        part: entries (n, k) of estimates in double precision; a zero heading keeps them exactly.
         heading: (n, 1) yaw of the heading frame, in the frame of the estimates [rad].
     """
     orientation = multiply(vertical_quaternion(-heading), part["orientation"])
@@ -86,6 +86,6 @@ def turn_estimate(part: Mapping[str, Tensor], heading: Tensor) -> dict[str, Tens
 
 
 def _tensors(rows: np.ndarray, robot: Robot) -> dict[str, Tensor]:
-    """Entries (n, k) of joined estimates (n, e)."""
+    """Split joined estimates (n, e) into entries (n, k)."""
     parts = split_estimate(rows, robot)
     return {name: torch.tensor(value) for name, value in parts.items()}

@@ -1,4 +1,4 @@
-"""Critic that sees more than the policy: the truth and the dynamics of simulated robots."""
+"""Privileged critic, which observes the truth and the dynamics of simulated robots, too."""
 
 from __future__ import annotations
 
@@ -53,16 +53,17 @@ def make_privileged_critic(
     key: NestedKey = "privileged",
     scale: float = 1.0,
 ) -> ValueOperator:
-    """Value function: `observation` and privileged entries -> `state_value`.
+    """Make a value function: `observation` and privileged entries -> `state_value`.
 
-    An asymmetric critic (Pinto et al. 2018): it is used in training only, so it may see what the
-    policy must infer. `AssembleObservation(privileged_table(dynamics), out_keys=[key])` writes its
-    entry; it has a normaliser of its own.
+    The critic is asymmetric (Pinto et al. 2018): it is used in training only, so it may observe
+    quantities that the policy must infer. Its privileged entry, which
+    `AssembleObservation(privileged_table(dynamics), out_keys=[key])` writes, has a normaliser of
+    its own.
 
     Args:
         normalizer: normaliser of the observation, shared with the actor.
-        shape: as the actor's.
-        observation: as the actor's.
+        shape: shape of the network, as for the actor.
+        observation: keys of the observation's entries, as for the actor.
         dynamics: parameters that `RandomDynamics` draws, by their names.
         key: key of the privileged entries.
         scale: factor on the network's output.
@@ -79,7 +80,7 @@ def make_privileged_critic(
     parts = _Normalised(normalizer, RunningNormalizer(size, key=key))
     value: nn.Module = nn.Sequential(parts, net, Scaled(scale))
     if shape.symmetric:
-        # parameters look the same in a mirror
+        # the mirror image of a parameter of the dynamics is the parameter itself
         signs = {**PRIVILEGED_SIGNS, **dict.fromkeys(dynamics, (1.0,)), **shape.mirror_signs}
         value = Symmetrised(value, observation_mirror([*observation, *table], signs))
     return ValueOperator(_Joined(value), in_keys=["observation", key])

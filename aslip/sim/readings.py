@@ -1,4 +1,4 @@
-"""Compiled loops over the readings of all robots' encoders and IMUs."""
+"""Readings of the encoders and IMUs of all robots, as compiled loops."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from aslip.robot.compiled import compiled
 
 MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
-"""Taps on a motor's counts, newest first; the unit of the sum is counts per step times pi (public
-simulator)."""
+"""Filter taps from a motor's counts to its velocity, newest first; the unit of the sum is counts
+per step times pi (public simulator)."""
 
 _TAPS = len(MOTOR_VELOCITY_TAPS)
 _OLDEST_FIRST = MOTOR_VELOCITY_TAPS[::-1].copy()
@@ -114,9 +114,9 @@ def fill_encoders(
         sent_motor_velocity: output.
         joint_angle: (t, n, 6) angles [rad].
         joint_step: (6,) angle of one count [rad].
-        numerator: (4,) of the filter from angle to velocity.
-        denominator: (4,) of the filter.
-        memory: (3, n, 6) of the filter; changes in place.
+        numerator: (4,) coefficients of the filter from angle to velocity.
+        denominator: (4,) coefficients of the filter.
+        memory: (3, n, 6) memory of the filter; changes in place.
         sent_joint_position: output.
         sent_joint_velocity: output.
     """
@@ -153,8 +153,8 @@ def fill_imu(
 
     Args:
         inertial: (13, t, n) attitude, angular velocity, linear and angular acceleration.
-        gravity: (3, n) [m/s^2, world].
-        tilt: (2, n) or (0, n), see `_attitude`.
+        gravity: (3, n) gravity [m/s^2, world].
+        tilt: (2, n) or (0, n) tilt of gravity, see `_attitude`.
         imu: (3,) position of the IMU [m, pelvis].
         sent_orientation: output.
         sent_gyro: output.
@@ -194,8 +194,8 @@ def read_imu(
 def _attitude(inertial: np.ndarray, tilt: np.ndarray) -> tuple[float, float, float, float]:
     """Orientation with w >= 0 in the frame with z against gravity.
 
-    `tilt` has cosine and sine of half the angle about y between that frame and the world; without
-    any, they are the same.
+    `tilt` has cosine and sine of half the angle about y between that frame and the world; if it is
+    empty, the frames are equal.
     """
     w, x, y, z = inertial[0], inertial[1], inertial[2], inertial[3]
     if tilt.size > 0:

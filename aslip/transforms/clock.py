@@ -60,7 +60,7 @@ class PhaseClock(SeededTransform):
         return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
-        # a caller may have overwritten both, the command even with integers
+        # a caller may have overwritten phase and command, even with integers
         command = checked_column(tensordict, self.in_keys[0], self.library.command_size)
         phase = checked_column(tensordict, self.out_keys[0])
         following = advance_phase(self.library, phase, command, self._period)

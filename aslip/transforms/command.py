@@ -1,4 +1,4 @@
-"""Commands: drawn, and limited in their rate."""
+"""Random commands, and a filter that limits their rate of change."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from aslip.transforms.base import (
 )
 
 COMMAND_RATES: Final = (2.0, 1.5, 2.0)
-"""Largest rates of a filtered command: forward, sideways [m/s^2], yaw [rad/s^2]."""
+"""Largest rates of change of a command: forward, sideways speed [m/s^2], yaw rate [rad/s^2]."""
 
-_REDRAWS: Final = 100  # rounds of draws of commands in a region that is no box
+_REDRAWS: Final = 100  # largest number of draws for a region that is no box
 
 
 class RandomCommand(SeededTransform):
@@ -42,7 +42,7 @@ class RandomCommand(SeededTransform):
     Args:
         library: gaits, whose region bounds the command and whose c axes give its size.
         interval: mean time between changes within an episode [s]; each policy step has the same
-            probability of a change. Infinite: the command is constant in an episode.
+            probability of a change. By default the command is constant in an episode.
         out_keys: key of the command (n, c): forward speed, sideways speed [m/s], yaw rate [rad/s].
         period: duration of a policy step [s].
 
@@ -168,8 +168,8 @@ class SpeedCommand(RandomCommand):
 class VelocityCommand(RandomCommand):
     """Draw commands (n, c) uniformly over the region of the library; see `RandomCommand`.
 
-    Shares of the draws are special cases, which a uniform distribution never hits: straight ahead
-    or backward, a turn on the spot, and stepping in place.
+    Some of the draws are special cases, which a uniform distribution never hits: straight ahead or
+    backward, a turn on the spot, and stepping in place.
 
     Args:
         library: gaits over forward speed, sideways speed and yaw rate.
@@ -181,8 +181,8 @@ class VelocityCommand(RandomCommand):
         period: duration of a policy step [s].
 
     Raises:
-        SpeedOutOfRangeError: a share is positive and the zero command is outside the region; or
-            later, a command is.
+        SpeedOutOfRangeError: a share is positive and the zero command is outside the region; later,
+            if a command is outside the region.
         ConfigurationError: a share is negative, their sum exceeds 1, or `interval` is shorter than
             a policy step.
     """
@@ -236,9 +236,9 @@ class VelocityCommand(RandomCommand):
 class CommandFilter(SeededTransform):
     """Limit the rate of the command that clock, reference and path follow.
 
-    The reference then neither jumps nor asks for accelerations that legs cannot give when the
-    command jumps. The filtered command starts at the command, and moves straight towards it, so it
-    stays in a convex region. `command` stays as the caller wrote it.
+    When the command jumps, the reference neither jumps nor needs accelerations beyond the legs'
+    ability. The filtered command starts at the command, and moves straight towards it, so it stays
+    in a convex region. `command` stays as the caller wrote it.
 
     Args:
         rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
@@ -294,7 +294,7 @@ class CommandFilter(SeededTransform):
 
 
 def checked_rates(rates: Sequence[float]) -> tuple[float, ...]:
-    """Largest rates of a command's components, as floats.
+    """Check the largest rates of a command's components, and convert them to floats.
 
     Raises:
         ConfigurationError: a rate is not a positive finite number.

@@ -1,7 +1,7 @@
-"""Path that a command describes: headings and origins of frames that move along it.
+"""Path that a command describes: heading and origin of the frame that moves along it.
 
-The moving frame of `aslip.library.Reference` in the world: over a policy step it moves and turns
-with the twist of the command, the same for true and estimated robots.
+Over a policy step, the moving frame of `aslip.library.Reference` moves and turns in the world with
+the twist of the command. Truth and estimates use the same functions.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from aslip.transforms.rotation import conjugate, heading_to_world, rotate_invers
 
 LEASH: Final = 0.3
 """Largest distance of the pelvis from the origin of the moving frame along the ground [m]; beyond
-it the robot drags the origin along, so that it does not return to where it was pushed from."""
+it the robot drags the origin along, so that it need not walk back after a push."""
 
-# speed below which the place on the path counts, too, in full at rest [m/s]
+# speed below which the distance along the path counts, too [m/s]; at rest it counts in full
 _SLOW: Final = 0.1
 
 
@@ -40,9 +40,10 @@ def advance_heading(
 
 
 def arc(command: Tensor, period: float = CASSIE.policy_period) -> Tensor:
-    """Way (*b, 3) of the moving frame in a policy step, in the frame at its start [m].
+    """Displacement (*b, 3) of the moving frame over a policy step, in the frame at its start [m].
 
-    A circular arc: its chord has the length v T sin(a)/a for a = w T/2, and is turned by a.
+    The displacement is the chord of a circular arc: for speed v, yaw rate w and period T, its
+    length is v T sin(a)/a with a = w T/2, and it is turned by a.
 
     Args:
         command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
@@ -59,27 +60,27 @@ def arc(command: Tensor, period: float = CASSIE.policy_period) -> Tensor:
 def move_origin(
     origin: Tensor, heading: Tensor, way: Tensor, slope: Tensor | None = None
 ) -> Tensor:
-    """Origin (*b, 3) after a way along the ground [m, world].
+    """Origin (*b, 3) after a displacement along the ground [m, world].
 
     Args:
         origin: (*b, 3) point on the floor [m, world].
         heading: (*b, 1) yaw of the heading frame [rad].
-        way: (*b, 3) [m, heading frame], level.
-        slope: (*b, 1) of the floor, which is the world's xy plane [rad]; level by default.
+        way: (*b, 3) level displacement [m, heading frame].
+        slope: (*b, 1) slope of the floor, the world's xy plane [rad]; level by default.
     """
     slope = torch.zeros_like(heading) if slope is None else slope
     from_world = conjugate(heading_to_world(slope, heading))
     moved = origin + rotate_inverse(from_world, way)
-    # back to the floor along gravity, which leaves the place in the heading frame
+    # back to the floor along gravity, which keeps x and y in the heading frame
     up = torch.cat([slope.sin(), torch.zeros_like(slope), slope.cos()], dim=-1)
     return moved - up * (moved[..., 2:] / up[..., 2:])
 
 
 def beyond_leash(pelvis_position: Tensor) -> Tensor:
-    """Level way (*b, 3) that brings the origin within `LEASH` of the pelvis [m, heading frame].
+    """Level displacement (*b, 3) of the origin to within `LEASH` of the pelvis [m, heading frame].
 
     Args:
-        pelvis_position: (*b, 3) in the moving frame [m, heading frame].
+        pelvis_position: (*b, 3) position relative to the origin [m, heading frame].
     """
     level = torch.nn.functional.pad(pelvis_position[..., :2], (0, 1))
     distance = torch.linalg.vector_norm(level, dim=-1, keepdim=True)
@@ -92,13 +93,13 @@ def place_in_path(
     heading: Tensor,
     slope: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """Odometry whose origin the pelvis drags along, with the entries `origin` and `path_error`.
+    """Drag the origin of odometry along with the pelvis; add `origin` and `path_error`.
 
     Args:
         entries: positions, orientations and velocities of `ODOMETRY_SIZES`, relative to `origin`.
         origin: (*b, 3) origin of the moving frame [m, world].
         heading: (*b, 1) yaw of the frame [rad].
-        slope: (*b, 1) of the floor [rad]; level by default.
+        slope: (*b, 1) slope of the floor [rad]; level by default.
 
     Returns:
         The entries; `origin` (*b, 3) [m, world]; and `path_error` (*b, 2), forward and sideways
@@ -114,10 +115,10 @@ def place_in_path(
 
 
 def path_distance(place: Tensor, command: Tensor) -> Tensor:
-    """Distance (*b, 1) of a place from the commanded path [m].
+    """Distance (*b, 1) of a position from the commanded path [m].
 
-    Perpendicular to the commanded motion, as the way ahead is a matter of speed; below 0.1 m/s the
-    distance along the motion counts, too, and at rest in full.
+    The distance is perpendicular to the commanded motion, because progress along it is a matter of
+    speed. Below 0.1 m/s the distance along the motion counts, too, and at rest in full.
 
     Args:
         place: (*b, k) position in the moving frame, forward and sideways first [m].
@@ -133,5 +134,5 @@ def path_distance(place: Tensor, command: Tensor) -> Tensor:
 
 
 def _complete(command: Tensor) -> Tensor:
-    """Commands (*b, 3) from (*b, c)."""
+    """Pad commands (*b, c) with zeros to (*b, 3)."""
     return torch.nn.functional.pad(command, (0, 3 - command.shape[-1]))

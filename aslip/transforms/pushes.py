@@ -1,4 +1,4 @@
-"""Random pushes on the pelvis, for trainings of sturdy policies."""
+"""Random pushes on the pelvis, for the training of robust policies."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from aslip.transforms.base import SeededTransform, check_number, extend_spec
 class RandomPushes(SeededTransform):
     """Push pelvises horizontally at random times, in random directions, with random impulses.
 
-    Pushes begin with the same probability at each policy step without one. Their force is constant;
-    its impulse is uniform between zero and the largest. No push begins at a reset.
+    At each policy step without a push, one begins with the same probability. Its force is constant,
+    and its impulse uniform between zero and the largest. No push begins at a reset.
 
     Args:
         impulse: largest impulse of a push [N s].
         interval: mean time from the end of a push to the next [s].
         duration: duration of a push [s], rounded to whole policy steps.
-        out_keys: keys of the force of the next policy step (n, 3) [N, world], an input of simulated
-            robots; and of the number of policy steps (n, 1) that it still acts.
+        out_keys: keys of the force (n, 3) during the next policy step [N, world], an input of
+            simulated robots; and of the number (n, 1) of policy steps that it still acts.
         period: duration of a policy step [s].
 
     Raises:

@@ -1,6 +1,6 @@
 """Twin of a robot: the simulation behind the robot's network protocol.
 
-`python -m aslip.twin` waits for a client.
+`python -m aslip.twin` starts a twin that waits for a client.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Simulated Cassie behind the robot's network protocol, until Ctrl-C.
+"""Simulate Cassie behind the robot's network protocol, until Ctrl-C.
 
     python -m aslip.twin                                 # PD mode in lockstep, 127.0.0.1:25000
     python -m aslip.twin --real-time                     # at 2 kHz, as the robot
@@ -6,9 +6,10 @@
     python -m aslip.twin --real-time --live              # with a page to watch, push and stop it
     python -m aslip.twin --engine drake                  # in Drake instead of MuJoCo
 
-In lockstep every command is one tick of 0.5 ms, answered by the state after it. In real time the
-robot stands still until a command has torques or gains, holds the last command, and drops it after
-a silence. At the end the numbers of ticks and of datagrams are printed.
+In lockstep each command advances the simulation by a tick of 0.5 ms, and is answered by the state
+after the tick. In real time the robot stands still until a command has torques or gains, holds the
+last command, and drops it after a silence. At the end the numbers of ticks and datagrams are
+printed.
 """
 
 from __future__ import annotations
@@ -35,15 +36,16 @@ class Config:
     port: int = SIMULATOR.port
     """Port to listen at; 0 lets the system choose one."""
     engine: Literal["mujoco", "drake"] = "mujoco"
-    """Physics engine; Drake needs the package's extra of that name."""
+    """Physics engine; Drake needs the extra aslip[drake]."""
     beyond_loopback: bool = False
-    """Allow an address that other machines reach: they can move the robot."""
+    """Allow an address that other machines reach, which can then move the robot."""
     raw: bool = False
-    """Raw mode: torques and all sensors, instead of PD targets and the robot's own estimate."""
+    """Use raw mode: take torques, not PD targets, and send sensor readings, not the robot's own
+    estimate."""
     real_time: bool = False
     """Advance at 2 kHz, whether commands come or not; otherwise in lockstep with the client."""
     fallback: Literal["damping", "zero"] = "damping"
-    """Command in real time after a silence of 0.1 s, in raw mode 10 ms; zero on the robot."""
+    """Command in real time after a silence of 0.1 s, in raw mode 10 ms; the robot uses zero."""
     radio: bool = False
     """Read the operator's radio from the terminal, one "CHANNEL VALUE" per line: "8 -1" is the
     emergency stop, "8 1" releases it."""
@@ -54,7 +56,7 @@ class Config:
 
 
 def main(config: Config) -> None:
-    """Serve clients."""
+    """Serve clients until Ctrl-C."""
     sends, receives = (CASSIE_OUT, USER_IN) if config.raw else (STATE_OUT, PD_IN)
     link = Link(sends, receives, refuse_not_finite=True)
     local = Address(config.address, config.port)

@@ -1,4 +1,4 @@
-"""Low level that takes feedforward, targets and gains with every command, as the robot does."""
+"""Low-level PD control whose commands contain feedforward, targets and gains, as on the robot."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from aslip.wire import MotorCommand
 
 
 class CommandedPD(Drive):
-    r"""PD control with targets and gains of the command.
+    r"""PD control with the feedforward, targets and gains of a command.
 
     .. math:: \tau = \tau_{ff} + P\,(q^* - q) + D\,(\dot q^* - \dot q)
 
-    A command holds the five vectors of `aslip.wire.MotorCommand`, (n, 5 m). All zero leaves the
+    A command (n, 5 m) contains the five vectors of `aslip.wire.MotorCommand`. Zeros leave the
     motors without torque; zero position gains with positive velocity gains damp the robot. Without
     feedforward and target velocity, torques equal those of `aslip.sim.PD` bit for bit.
     """
 
     @property
     def command_size(self) -> int:
-        """Five numbers per motor."""
+        """Size of a command, five numbers per motor."""
         return len(MotorCommand._fields) * super().command_size
 
     def joint_torque(

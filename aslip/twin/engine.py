@@ -47,12 +47,12 @@ MakeEngine = Callable[[Robot, MakeDrive], Engine]
 
 
 def mujoco_engine(robot: Robot, drive: MakeDrive) -> Engine:
-    """Robot in MuJoCo."""
+    """Make the simulation of a robot in MuJoCo."""
     return Simulations(1, num_threads=1, robot=robot, drive=drive)
 
 
 def drake_engine(robot: Robot, drive: MakeDrive, contact: Contact | None = None) -> Engine:
-    """Robot in Drake, with Drake's own contact by default.
+    """Make the simulation of a robot in Drake, with Drake's own contact by default.
 
     Raises:
         ConfigurationError: Drake is not installed.
@@ -65,4 +65,4 @@ def drake_engine(robot: Robot, drive: MakeDrive, contact: Contact | None = None)
 
 
 ENGINES: Final[Mapping[str, MakeEngine]] = {"mujoco": mujoco_engine, "drake": drake_engine}
-"""Engine, by name."""
+"""Functions that make a simulation, by the name of its physics engine."""

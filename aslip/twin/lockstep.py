@@ -7,7 +7,7 @@ from collections.abc import Callable
 from aslip.twin.robot import TwinRobot
 from aslip.wire import Endpoint
 
-# longest wait [s] between two looks at whether to stop
+# longest time between two calls of `stop` [s]
 _PATIENCE = 0.1
 
 
@@ -16,14 +16,14 @@ def serve_lockstep(
 ) -> None:
     """Answer commands until `stop` returns True.
 
-    Every new command is one tick and one answer; of several queued commands only the newest acts. A
-    repeated datagram is answered by a repetition, without a tick: a client that got no answer sends
-    its datagram again, and the simulation does not depend on lost datagrams.
+    Each new command causes one tick and one answer; of several queued commands only the newest
+    acts. A repeated datagram gets the last answer again, without a tick: a client that got no
+    answer sends its datagram again, and the simulation does not depend on lost datagrams.
 
     Args:
         robot: robot to advance.
         endpoint: socket at which commands arrive.
-        stop: asked at least every 0.1 s.
+        stop: function that is called at least every 0.1 s.
     """
     while not stop():
         if endpoint.wait(_PATIENCE):

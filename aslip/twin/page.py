@@ -64,7 +64,7 @@ class TwinPage:
         """Apply clicks and show the robot, if the last picture is 30 ms old and has been drawn.
 
         Args:
-            lines: function that gives name of a line -> text to show.
+            lines: function that returns the lines to show, name -> text.
         """
         now = time.monotonic()
         if now < self._next:
@@ -85,7 +85,7 @@ class TwinPage:
         self._process.join(_PATIENCE)
 
     def _apply(self, answer: Mapping[str, list[list[float]] | float | bool]) -> None:
-        """Push and stop the robot as visitors ask for."""
+        """Push and stop the robot as visitors of the page request."""
         pushes, duration, stopped = (answer[name] for name in ("pushes", "duration", "stopped"))
         assert isinstance(pushes, list)
         for force in pushes:

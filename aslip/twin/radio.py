@@ -1,4 +1,4 @@
-"""Operator's radio of the twin: channels from lines of text."""
+"""Operator's radio of the twin, whose channels are set by lines of text."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from aslip.twin.robot import TwinRobot
 
 
 def read_radio(robot: TwinRobot, lines: Iterable[str] | None = None) -> threading.Thread:
-    """Set channels of a robot's radio by lines, on a thread of their own.
+    """Set channels of a robot's radio from lines of text, on a separate thread.
 
     Args:
-        robot: robot to whom the operator speaks.
-        lines: "CHANNEL VALUE" each; by default those typed into the terminal.
+        robot: robot that hears the radio.
+        lines: lines "CHANNEL VALUE"; by default those typed into the terminal.
 
     Returns:
         The thread; it ends with the lines, and does not keep the program alive.

@@ -20,8 +20,9 @@ PATIENCE: Final = {"pd_in_t": 0.1, "cassie_user_in_t": 0.01}
 """Longest silence of a client [s] after which the robot drops its command, by kind of command."""
 
 MOST_BEHIND: Final = {"pd_in_t": 0.1, "cassie_user_in_t": 0.005}
-"""Longest delay [s] that is caught up, by kind of command; ticks of a longer one are left out. In
-raw mode torques must not be held through many ticks at once: the client cannot answer meanwhile."""
+"""Longest delay [s] that the loop catches up, by kind of command; it leaves out the ticks of a
+longer one. In raw mode the loop must not hold torques through many ticks at once, because the
+client cannot answer meanwhile."""
 
 
 @dataclass
@@ -53,7 +54,7 @@ class Load:
 
 
 class RealTimeServer:
-    """Twin at 2 kHz, for one client at a time.
+    """Server of a twin at 2 kHz, for one client at a time.
 
     The robot stands still until a command has torques or gains. Every tick is answered, whether a
     command has come or not. After a silence of 0.1 s, in raw mode 10 ms, the command is replaced;
@@ -101,7 +102,7 @@ class RealTimeServer:
         robot.reset()
 
     def run(self, stop: Callable[[], bool] = lambda: False) -> None:
-        """Advance in real time until `stop`, asked at every tick, returns True."""
+        """Advance in real time until `stop`, which is called at every tick, returns True."""
         gc.freeze()
         load, start, busy = self.load, self._clock(), time.thread_time()
         due = start

@@ -30,10 +30,10 @@ from aslip.wire import (
 
 
 class TwinRobot:
-    """Simulated robot that takes and gives packets of the wire, tick by tick.
+    """Simulated robot that exchanges packets of the network protocol, tick by tick.
 
-    In PD mode it takes `pd_in_t` and gives `state_out_t`; in raw mode it takes joint torques,
-    `cassie_user_in_t`, and gives all sensors, `cassie_out_t`.
+    In PD mode it takes `pd_in_t` and returns `state_out_t`; in raw mode it takes joint torques,
+    `cassie_user_in_t`, and returns all sensor readings, `cassie_out_t`.
 
     A tick is 0.5 ms: PD with the gains of the packet on the last readings, motor limits, torque
     delay, readings, physics, estimate. Physics, sensors and torque delay are those of
@@ -44,12 +44,12 @@ class TwinRobot:
     Its world is the frame of the IMU's attitude, with the origin on the ground below the pelvis at
     the first tick. In raw mode each tick has its own readings.
 
-    A simulation that diverges starts anew, standing; so does its estimate.
+    A simulation that diverges restarts from standing, and so does its estimate.
 
     Args:
         robot: robot that is simulated.
         make_engine: function of robot and drive that makes the simulation; by default MuJoCo's.
-        raw: torques against sensors instead of targets and gains against estimates.
+        raw: raw mode, with torques and sensor readings instead of PD commands and estimates.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class TwinRobot:
         self._push_ticks = max(round(duration / self.robot.physics_timestep), 1)
 
     def take(self, command: np.ndarray) -> None:
-        """Keep a command, a record of `receives`, for the ticks to come."""
+        """Keep a command, a record of `receives`, for the next ticks."""
         if self._raw:
             self._command[0, : self.robot.damping.size] = user_in_to_torque(command)
             self._command[0, self.robot.damping.size :] = 0.0

@@ -1,4 +1,4 @@
-"""Cassie's network protocol: packets, datagrams, conversions and UDP sockets; no simulator."""
+"""Cassie's network protocol without a simulator: packets, datagrams, conversions, UDP sockets."""
 
 from aslip.wire.convert import (
     ESTIMATE_ENTRIES,

@@ -1,7 +1,7 @@
 """Conversions between packets of the wire and sensor packets, estimates or motor targets.
 
-Leading shape b: () for one packet, (n,) or (n, w) for many. The wire uses single precision: a
-conversion there and back rounds once, and is exact for single-precision numbers.
+Arrays have a leading shape b: () for one packet, (n,) or (n, w) for many. The wire uses single
+precision: a conversion there and back rounds once, and is exact for single-precision numbers.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ ESTIMATE_ENTRIES: Final = ("height", *_STATE_FIELDS)
 
 
 class MotorCommand(NamedTuple):
-    """Numbers of the PD law of all motors, left leg's, then right, each (*b, 10).
+    """Numbers of the PD law, each (*b, 10): motors of the left leg, then of the right leg.
 
-    The robot's torque is torque + stiffness (position - q) + damping (velocity - dq/dt).
+    The torque at a joint is torque + stiffness (position - q) + damping (velocity - dq/dt).
     """
 
     torque: np.ndarray
@@ -66,7 +66,7 @@ _COMMAND = PD_IN.numbers(
     *(f"{side}_leg.motor_pd.{name}" for name in _COMMAND_FIELDS.values() for side in SIDES)
 )
 _PARTS = CASSIE.packet_slices
-# in the order of the parts
+# in the order of `_PARTS`
 _SENSORS = CASSIE_OUT.numbers(
     *(
         f"{side}_leg.{group}.{kind}"
@@ -221,9 +221,9 @@ def command_to_pd_in(
     Args:
         position: target angles (*b, 10) [rad].
         stiffness: position gains [N m/rad], one for all, (10,) or (*b, 10).
-        damping: velocity gains [N m s/rad].
-        torque: feedforward at the joints [N m].
-        velocity: target velocities [rad/s].
+        damping: velocity gains [N m s/rad], as `stiffness`.
+        torque: feedforward at the joints [N m], one for all, (10,) or (*b, 10).
+        velocity: target velocities [rad/s], as `torque`.
 
     Returns:
         (*b) records of `PD_IN`.

@@ -1,4 +1,4 @@
-"""UDP socket of one side: non-blocking; the newest of several queued datagrams counts."""
+"""Non-blocking UDP socket of one side; of several queued datagrams the newest one counts."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ LOOPBACK: Final = "127.0.0.1"
 
 SILENCE: Final = 0.1
 """Time without a datagram [s] after which another program may become the peer, or the peer may have
-restarted its numbers: the robot's PD time-out."""
+restarted its numbers; equal to the robot's PD time-out."""
 
 # largest number of datagrams per call, so that a flood cannot block the caller
 _MOST_QUEUED = 256
 
 
 class Address(NamedTuple):
-    """Address of a side."""
+    """Address of one side."""
 
     host: str
     """IPv4 address."""
@@ -42,7 +42,7 @@ class Arrival(NamedTuple):
     """Accepted datagram."""
 
     step: int
-    """Difference of its number to the one accepted before; 0 for the first."""
+    """Difference of its number from the last accepted one; 0 for the first."""
     record: np.ndarray
     """Packet."""
 
@@ -58,9 +58,9 @@ ROBOT_PORTS: Final = (25010, 25011)
 class Endpoint:
     """Socket that exchanges packets with one peer.
 
-    For a robot, the sender of the first good datagram becomes its peer. Datagrams of other programs
-    are dropped until the peer has been silent for 0.1 s. A client names its peer. After 0.1 s of
-    late datagrams only, the numbers of the peer count as restarted.
+    A client names its peer. A robot's peer is the sender of the first valid datagram; datagrams of
+    other programs are dropped until the peer has been silent for 0.1 s. If only late datagrams
+    arrive for 0.1 s, the peer counts as restarted.
 
     Args:
         link: kinds of packets, sequence numbers and counters.
@@ -144,11 +144,11 @@ class Endpoint:
         """Send a packet to the peer.
 
         Raises:
-            NetworkError: there is no peer yet, or no way to it.
+            NetworkError: there is no peer yet, or no route to it.
             ShapeError: the record is of another kind than the link sends.
         """
         if self.peer is None:
-            raise NetworkError(f"{self.local} has no peer to send to before one has sent to it")
+            raise NetworkError(f"{self.local} has no peer yet: no client has sent to it")
         self._last = self.link.datagram(record)
         self.resend()
 
@@ -156,7 +156,7 @@ class Endpoint:
         """Send the last datagram to this peer again, byte for byte; do nothing without one.
 
         Raises:
-            NetworkError: there is no way to the peer.
+            NetworkError: there is no route to the peer.
         """
         if self._last is None or self.peer is None:
             return
@@ -179,8 +179,11 @@ class Endpoint:
             timeout: longest wait [s].
             repeat: time between repetitions [s].
 
+        Returns:
+            Packet of the answer.
+
         Raises:
-            NetworkError: no answer in time.
+            NetworkError: no answer arrives in time, or there is no route to the peer.
         """
         self.send(record)
         end = time.monotonic() + timeout
@@ -190,8 +193,8 @@ class Endpoint:
             elif (answer := self.receive()) is not None:
                 return answer
         raise NetworkError(
-            f"no answer from {self.peer} within {timeout:g} s; is it running, and without another"
-            " client?"
+            f"no answer from {self.peer} within {timeout:g} s; check that it is running, and that"
+            " no other client holds it"
         )
 
     def _open(self, datagram: bytes, sender: Address) -> np.ndarray | None:

@@ -23,7 +23,7 @@ class Field(NamedTuple):
     kind: str | tuple[Field, ...]
     """Type of a number in NumPy's notation, or the fields of a group."""
     count: int = 1
-    """Count of numbers of the field, or of repetitions of the group; 1 adds no axis."""
+    """Number of numbers in the field, or of repetitions of the group; 1 adds no axis."""
     meaning: str = ""
     """Content, with unit and frame."""
 
@@ -62,7 +62,7 @@ class Packet:
         return self.dtype.itemsize
 
     def zeros(self, *shape: int) -> np.ndarray:
-        """Records of an array's shape, all zero; one record by default."""
+        """Zero records of a given shape; one record by default."""
         return np.zeros(shape, self.dtype)
 
     def pack(self, records: np.ndarray) -> bytes:
@@ -143,7 +143,7 @@ class Packet:
 
     @cached_property
     def _flags(self) -> list[int]:
-        """Places of all flags."""
+        """Bytes of all flags in the payload."""
         flags = [place for place in self.places if place.kind == FLAG]
         return [flag.offset + i for flag in flags for i in range(flag.count)]
 

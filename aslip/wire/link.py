@@ -65,7 +65,7 @@ class Counters:
 
 
 class Link:
-    """One side's sequence numbers, and its checks of datagrams.
+    """Sequence numbers of one side, and its checks of arriving datagrams.
 
     Args:
         sends: kind of packets to the peer.
@@ -79,9 +79,9 @@ class Link:
         self.counters = Counters()
         """Counts of arrived datagrams."""
         self.delay: int | None = None
-        """Number of datagrams sent since the one that the peer answered last, plus one. Times the
-        sending period it is the round-trip time; it is 1 in lockstep, None before the first
-        datagram."""
+        """Number of datagrams sent since the one that the peer answered last, plus one; None before
+        the first datagram. Its product with the sending period is the round-trip time. In lockstep
+        it is 1."""
         self.step: int | None = None
         """Difference of the last two accepted numbers; 1 without loss."""
         self._refuse = refuse_not_finite

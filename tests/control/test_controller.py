@@ -238,7 +238,7 @@ def test_speeds_beyond_the_library_are_those_of_its_nearest_gait(controller: Con
 
 
 @pytest.mark.parametrize("name", ["command", "phase"])
-def test_numbers_for_the_robots_are_checked(controller: Controller, name: str) -> None:
+def test_a_wrong_command_or_phase_is_named(controller: Controller, name: str) -> None:
     packets = _packets(2)
     with pytest.raises(ConfigurationError, match=f"{name} must be finite"):
         controller.start(packets, **{name: math.nan})  # pyright: ignore[reportArgumentType]

@@ -22,7 +22,7 @@ def _moved(pose: Pose, command: tuple[float, float, float], period: float) -> Po
     )
 
 
-def test_an_eight_is_two_circles_that_meet_at_the_origin() -> None:
+def test_a_figure_of_eight_is_two_circles_that_meet_at_the_origin() -> None:
     eight = Eight(2.0)
     ways = np.linspace(0, 8 * math.pi, 400, endpoint=False)
     places = np.array([eight.at(way)[0] for way in ways])

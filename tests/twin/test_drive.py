@@ -33,7 +33,7 @@ def test_feedforward_and_target_velocity_add_to_the_torque() -> None:
     np.testing.assert_allclose(torque * CASSIE.gear, 8 * ones)
 
 
-def test_a_command_of_zeros_is_no_torque() -> None:
+def test_a_command_of_zeros_gives_no_torque() -> None:
     assert not _torque(*RNG.normal(size=(2, 3, 10))).any()
 
 

@@ -37,11 +37,11 @@ def test_headers_are_two_signed_bytes() -> None:
 
 
 @pytest.mark.parametrize(("number", "byte"), [(127, 127), (128, -128), (-129, 127), (256, 0)])
-def test_numbers_wrap(number: int, byte: int) -> None:
+def test_sequence_numbers_wrap_to_signed_bytes(number: int, byte: int) -> None:
     assert wrapped(number) == byte
 
 
-def test_first_datagrams_of_both_sides(robot: Link, client: Link) -> None:
+def test_first_datagrams_have_number_one(robot: Link, client: Link) -> None:
     """The robot's first answer has number 1 and returns the client's; both delays are 1."""
     first = client.datagram(PD_IN.zeros())
     assert first[:2] == b"\x01\x00"

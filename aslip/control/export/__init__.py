@@ -1,4 +1,4 @@
-"""Export of policies to ONNX; needs PyTorch and onnx, which running an exported policy does not.
+"""Export of policies to ONNX; only the export needs PyTorch and onnx, not the exported policy.
 
 `python -m aslip.control.export` exports from the command line.
 """

@@ -25,7 +25,7 @@ class Config:
     library: str = "gaits"
     """Gait library: name of a shipped one, or file."""
     samples: int = 100_000
-    """Random states at which the file is compared with PyTorch."""
+    """Number of random states at which the file is compared with PyTorch."""
     network: bool = False
     """Export the network alone, from observation to action, with mjlab's metadata."""
     leapp: bool = False
@@ -33,7 +33,7 @@ class Config:
 
 
 def main(config: Config) -> None:
-    """Export, and compare with PyTorch.
+    """Export a policy, and compare the file with PyTorch.
 
     Raises:
         SystemExit: motor targets differ by more than the contract allows.

@@ -1,7 +1,7 @@
 """Golden trace of a controller: inputs and outputs of policy steps, computed by PyTorch.
 
 The estimates follow the reference with noise, so that no simulator is needed. Commands change and
-leave the library, the heading changes, estimates are lost, and the robot restarts once.
+leave the library's region, the heading changes, estimates are lost, and the robot restarts once.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from aslip.robot import Robot
 STEPS: Final = 200
 """Policy steps of a golden trace."""
 
-_NOISE = 0.02  # standard deviation in any unit; of the size of the noise of the sensors
-_COMMAND_STEPS = 40  # between changes of the command
+_NOISE = 0.02  # standard deviation in any unit; about that of the sensors
+_COMMAND_STEPS = 40  # policy steps between changes of the command
 _BEYOND = 1.2  # size of the range of commands, relative to the library's
 _LOST = range(60, 63)  # steps without an estimate
-_TURN, _HEADING = 90, 0.25
-_RESTART = 120
-_PHASE = 0.25
+_TURN, _HEADING = 90, 0.25  # step at which the heading changes, and its new value [rad]
+_RESTART = 120  # step at which the robot restarts
+_PHASE = 0.25  # stride fraction at starts
 
 
 def golden_trace(
@@ -72,7 +72,7 @@ def golden_trace(
 
 
 def _joined(states: list[ControllerState], name: str) -> np.ndarray:
-    """Entries (t, k) of states."""
+    """Concatenate an entry of states to (t, k)."""
     return np.concatenate([state.tensordict[name].numpy() for state in states])
 
 
@@ -82,7 +82,7 @@ def _estimate(
     command: np.ndarray,
     generator: np.random.Generator,
 ) -> np.ndarray:
-    """Estimate (1, e) of a robot at the phase of its last state, or of a start."""
+    """Random estimate (1, e) of a robot at the phase of its last state, or of a start."""
     phase = torch.tensor([[_PHASE]]) if last is None else cast("Tensor", last.tensordict["phase"])
     robot = controller.estimator.robot
     return random_estimates(controller.library, robot, phase, command, generator)
@@ -104,7 +104,7 @@ def _state(
 
 
 def random_commands(library: GaitLibrary, count: int, generator: np.random.Generator) -> np.ndarray:
-    """Commands (count, c) in the range of a library, and beyond it by a tenth at each end."""
+    """Random commands (count, c) from the range of a library, widened by a tenth at each end."""
     ends = np.array([(axis[0], axis[-1]) for axis in library.table.axes])
     share = 0.5 + _BEYOND * (generator.random((count, len(ends))) - 0.5)
     return (ends[:, 0] + share * (ends[:, 1] - ends[:, 0])).astype(np.float32)
@@ -117,7 +117,7 @@ def random_estimates(
     command: np.ndarray,
     generator: np.random.Generator,
 ) -> np.ndarray:
-    """Joined estimates (n, e) of robots on the reference, with noise.
+    """Joined estimates (n, e) of robots in the state of the reference, with noise.
 
     Args:
         library: gaits.

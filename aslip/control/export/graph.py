@@ -44,9 +44,9 @@ _ESTIMATE = {
     "joint_velocity": ("state/joint/velocity", "rad/s", ""),
 }
 _AXES = {1: ("z",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
-# last words of the names of other entries -> unit
+# last word of the name of any other entry -> unit
 _UNITS = {"position": "m", "velocity": "m/s", "heading": "rad", "target": "rad", "error": "m"}
-# opsets that onnxruntime has had since 1.17
+# opset that onnxruntime supports since 1.17
 _OPSET = 18
 
 
@@ -58,9 +58,9 @@ class Entry:
     value: Tensor
     """Example (1, k)."""
     kind: str | None = None
-    """Kind in LEAPP's terms, if it has one."""
+    """Kind in LEAPP's terms; None if LEAPP has none."""
     elements: tuple[str, ...] = ()
-    """Name of each number."""
+    """Names of the k numbers."""
     unit: str = ""
     frame: str = ""
     meaning: str = ""
@@ -82,18 +82,18 @@ class Entry:
 
 
 class PolicyStep(nn.Module):
-    """Policy step of a controller, for one robot that estimates its own state, as tensors.
+    """Policy step of a controller as a module, for one robot that estimates its own state.
 
     Inputs (1, k) are the entries of an estimate, `heading`, `command`, `first`, and values of the
     last step: `last_phase`, `last_action`, `last_estimate`, with several axes of the command
     `last_filtered_command`, and the policy's hidden states. At a first step, `first` is True,
-    `last_phase` is the phase to begin at, and the other last values do not matter.
+    `last_phase` is the phase to begin at, and the other last values have no effect.
 
     Args:
         controller: the controller.
 
     Raises:
-        ConfigurationError: the policy observes what a robot's own estimate does not have.
+        ConfigurationError: the policy observes entries that a robot does not estimate itself.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -122,7 +122,7 @@ class PolicyStep(nn.Module):
         """Output -> input that takes its value at the next step."""
 
     def forward(self, *values: Tensor) -> tuple[Tensor, ...]:
-        """Values of the outputs from those of the inputs."""
+        """Compute the values of `outputs` from those of `inputs`, in their orders."""
         return tuple(self._step(*values).values())
 
     def _step(self, *values: Tensor) -> dict[str, Tensor]:
@@ -157,7 +157,7 @@ class PolicyStep(nn.Module):
         return self._results(self._controller.act(acting).tensordict)
 
     def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
-        """Values of the outputs."""
+        """Values of the outputs by name."""
         names = ["motor_target", "action", "observation", "phase"]
         names += ["filtered_command"] if self._along_path else []
         sizes = self._robot.estimate_sizes
@@ -165,11 +165,11 @@ class PolicyStep(nn.Module):
         values = {"nearest_command": found["command"], **{name: found[name] for name in names}}
         values |= {"estimate": estimate, **{name: found["next", name] for name in self._memory}}
         observed = {observed_name(n): found[tuple(n.split("/"))] for n in self._observed}
-        # copies, as outputs of a graph differ from its inputs and from each other
+        # copies: outputs of a graph must be distinct from its inputs and from each other
         return {n: cast("Tensor", v).clone() for n, v in {**observed, **values}.items()}
 
     def _inputs(self, found: TensorDictBase) -> list[Entry]:
-        """Inputs with examples from a controller's entries."""
+        """Inputs of the graph, with examples from a controller's entries."""
         size, robot = self.library.command_size, self._robot
         joints = {"motor": robot.motor_names, "joint": robot.joint_names}
         entries = []
@@ -223,7 +223,7 @@ def standing_estimate(robot: Robot) -> dict[str, np.ndarray]:
 
 
 def _output(name: str, value: Tensor, robot: Robot) -> Entry:
-    """Output with its description."""
+    """Describe an output of the graph."""
     motors = robot.motor_names
     known = {
         "motor_target": Entry(name, value, "target/joint/position", motors, "rad"),
@@ -256,8 +256,11 @@ def trace_graph(
 
     Args:
         module: module of tensors.
-        inputs: its inputs; the shapes of the examples become those of the graph.
-        outputs: its outputs.
+        inputs: inputs of the module; the shapes of the examples become those of the graph.
+        outputs: outputs of the module.
+
+    Returns:
+        The graph, checked and without notes of the exporter.
 
     Raises:
         ConfigurationError: the module cannot be traced, or needs operators beyond ONNX's own.

@@ -1,4 +1,4 @@
-"""Export of the network alone, for runners that make the observation themselves."""
+"""Export of the network alone, for runners that assemble the observation themselves."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def export_network(
 
     The normaliser is inside. The input is `obs` (1, o), the output `actions` (1, m) [rad], which is
     added to the reference; a hidden state goes from the output `h_out` to the input `h_in`, which
-    is zero at first steps. Entries, units and frames of `obs` are those of `export_policy`.
+    is zero at the first step. Entries, units and frames of `obs` are those of `export_policy`.
 
     Args:
         policy: name of a shipped policy, a policy file, or a controller with a policy of your own.
         path: file to write; an existing one is replaced atomically.
-        library: gaits, of which only the number of components of a command matters.
+        library: gaits; only the number of components of their command matters.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
@@ -44,7 +44,7 @@ def export_network(
 
 
 class _Network(nn.Module):
-    """Network of a policy, and its hidden states."""
+    """Network of a policy, with its hidden states as inputs and outputs."""
 
     def __init__(self, controller: Controller) -> None:
         super().__init__()

@@ -51,12 +51,12 @@ def export_policy(
         library: gaits; the shipped ones by default. A controller has its own.
 
     Returns:
-        The controller that the file makes.
+        Controller from the file.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
-        ConfigurationError: the policy cannot be traced, observes what a robot does not estimate
-            itself, or its action is not a delta that is added to angles.
+        ConfigurationError: the policy cannot be traced, observes entries that a robot does not
+            estimate itself, or its action is not a delta that is added to angles.
         OSError: the file cannot be written; an existing one stays intact.
     """
     name = policy if isinstance(policy, str | Path) else type(policy.policy).__name__
@@ -118,17 +118,20 @@ def mjlab_metadata(controller: Controller, run_path: str) -> dict[str, str]:
 
 
 def write_model(model: onnx.ModelProto, metadata: Mapping[str, str], path: Path) -> None:
-    """Write a model with metadata and its hash, as one file.
+    """Write a model with metadata and its hash to one file.
 
     Raises:
-        ConfigurationError: its metadata have the word by which ONNX points to other files.
+        ConfigurationError: the metadata contain the word by which ONNX points to other files.
         OSError: the file cannot be written; an existing one stays intact.
     """
     model.producer_name, model.producer_version = "aslip", aslip.__version__
     onnx.helper.set_model_props(model, dict(metadata))
     data = model.SerializeToString(deterministic=True)
     if external_data(data):
-        raise ConfigurationError("names and metadata of a policy must not have the word 'location'")
+        raise ConfigurationError(
+            "names and metadata of a policy must not contain the word 'location', by which ONNX"
+            " points to other files"
+        )
     with replacing(path) as file:
         file.write(seal(data))
 
@@ -188,11 +191,11 @@ def compare(
     seed: int = 1,
     progress: Callable[[Iterable[int]], Iterable[int]] = iter,
 ) -> float:
-    """Compare an exported policy with PyTorch at random states, as batches of robots there.
+    """Compare an exported policy with PyTorch at random states.
 
     Args:
         exported: the exported policy.
-        controller: controller that it was exported from.
+        controller: controller from which it was exported.
         samples: number of policy steps.
         seed: seed of the states.
         progress: wrapper of the loop over batches, such as `tqdm.tqdm`.

@@ -1,5 +1,6 @@
-"""Runner: a controller at one end of the robot's network protocol, with start-up and safe stop.
+"""Runner of a controller over the robot's network protocol, with start-up and safe stop.
 
-`supervisor` decides, `readings` interpret packets, `commands` ask the operator, `loop` keeps time,
-`record` writes the log and replays it. None of them imports PyTorch or a simulator.
+`supervisor` chooses the motor commands, `readings` converts packets, `commands` reads the
+operator's requests, `loop` keeps time, and `record` writes and replays logs. None of them imports
+PyTorch or a simulator.
 """

@@ -1,6 +1,6 @@
 """Sources of the operator's requests: a schedule, the keyboard, datagrams of another program.
 
-Each is asked once per policy step, and never waits.
+The runner asks a source at every policy step, so a source never waits.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from aslip.errors import ConfigurationError, NetworkError
 from aslip.library import Schedule, numbers
 from aslip.wire import LOOPBACK
 
-# silence after which datagrams count as none [s]
+# silence of the other program after which the robot steps in place [s]
 _STOP_AFTER = 1.0
-# largest speed [m/s] and yaw rate [rad/s] in a datagram; libraries end far below
+# largest speed [m/s] and yaw rate [rad/s] in a datagram, far beyond every library
 _LARGEST = 100.0
 AXES: Final = ("forward", "sideways", "yaw_rate")
 """Components of a command, as entries of a request."""
@@ -35,7 +35,7 @@ class Source(Protocol):
     def __exit__(self, *error: object) -> None: ...
 
     def request(self, time: float, walking: float) -> Request:
-        """Present request.
+        """Present request of the operator.
 
         Args:
             time: time since the start of the program [s].
@@ -45,11 +45,11 @@ class Source(Protocol):
 
 
 class Scheduled:
-    """Commands over the time of the walk, then a stop.
+    """Requests for the commands of a schedule over the time of the walk, then for a stop.
 
     Args:
         schedule: forward speeds, or forward speed, sideways speed and yaw rate.
-        duration: time of the walk at which to stop [s]; infinite by default.
+        duration: time after which the walk stops [s]; infinite by default.
     """
 
     def __init__(self, schedule: Schedule, duration: float = math.inf) -> None:
@@ -63,7 +63,7 @@ class Scheduled:
     def __exit__(self, *error: object) -> None: ...
 
     def request(self, time: float, walking: float) -> Request:
-        """Command that is due."""
+        """Request for the command that is due."""
         command = numbers(self._schedule.at(max(walking, 0.0)))
         stop = walking >= self._duration - 1e-9
         return Request(stop=stop)._replace(**dict(zip(AXES, command, strict=False)))
@@ -71,12 +71,12 @@ class Scheduled:
 
 KEYS: Final[Mapping[str, str]] = {
     "enter": "start the walk",
-    "w, s": "faster, slower by 0.1 m/s",
-    "a, d": "turn left, right by 0.1 rad/s more",
-    "q, e": "to the left, right by 0.1 m/s more, for policies that walk sideways",
+    "w, s": "raise, lower the forward speed by 0.1 m/s",
+    "a, d": "change the yaw rate by 0.1 rad/s to the left, right",
+    "q, e": "change the sideways speed by 0.1 m/s to the left, right, if the policy has one",
     "space": "step in place",
-    ".": "stop: step in place, then damp",
-    "x": "damp at once",
+    ".": "stop: step in place, then damp the motors",
+    "x": "damp the motors at once",
 }
 """Keys of `Keyboard`."""
 
@@ -91,7 +91,7 @@ _CHANGES = {
 
 
 class Keyboard:
-    """Keys of a terminal, see `KEYS`; the terminal's settings return at the end.
+    """Requests by keys of a terminal, see `KEYS`; its settings are restored at the end.
 
     Args:
         descriptor: file descriptor of the terminal; standard input by default.
@@ -104,7 +104,7 @@ class Keyboard:
         self._terminal = sys.stdin.fileno() if descriptor is None else descriptor
         if not os.isatty(self._terminal):
             raise ConfigurationError(
-                "the keyboard needs a terminal, but standard input is none; give --command,"
+                "the keyboard needs a terminal, but standard input is not one; give --command,"
                 " --schedule or --listen"
             )
         self._request = Request(walk=False)
@@ -126,7 +126,7 @@ class Keyboard:
             termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._settings)
 
     def request(self, time: float, walking: float) -> Request:
-        """Request by all keys pressed so far."""
+        """Request after all keys pressed so far."""
         while select.select([self._terminal], [], [], 0)[0]:
             pressed = os.read(self._terminal, 64).decode(errors="ignore")
             if not pressed:
@@ -153,11 +153,11 @@ def press(request: Request, key: str) -> Request:
 
 
 class Datagrams:
-    """Requests as JSON in UDP datagrams on loopback; the newest counts.
+    """Requests as JSON in UDP datagrams on loopback; the newest one applies.
 
     A datagram is an object with any of `forward`, `sideways` [m/s], `yaw_rate` [rad/s], `walk`,
-    `stop` (booleans) and `damp` (text, the reason); what is missing is zero, `walk` is true. After
-    one second without a datagram the robot steps in place.
+    `stop` (booleans) and `damp` (text, the reason). Missing numbers are zero, and `walk` is true by
+    default. After one second without a datagram the robot steps in place.
 
     Args:
         port: port on loopback; 0 lets the system choose one.

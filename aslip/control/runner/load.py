@@ -1,4 +1,4 @@
-"""Controllers by the name or file of their policy."""
+"""Loading of controllers by the name or file of their policy."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from aslip.robot import CASSIE, Robot
 from aslip.wire import STATE_OUT, state_out_to_estimate
 
 _WARM_UP = 5
-# stack -> its library, where that is not "gaits"; None for those that are not shipped
+# stack -> its library if that is not "gaits"; None if it is not shipped
 _LIBRARIES = {"single_reference": "single_reference", "directions": None}
 
 
 class Loaded(NamedTuple):
-    """Controller, and what the supervisor must know about it."""
+    """Controller, its settings for the supervisor, and its files."""
 
     controller: MotorController
     """Controller, warmed up."""
@@ -27,19 +27,19 @@ class Loaded(NamedTuple):
     command_size: int
     """Number of components of its command."""
     files: dict[str, bytes]
-    """Files from which `load` makes it, by name."""
+    """Contents of the files that `load` read, by name."""
 
 
 def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
     """Load a controller, and take some steps so that the first one on the robot is fast.
 
-    An exported policy, a file that ends with ".onnx", needs no PyTorch, and repeats its golden
-    trace first.
+    An exported policy, a file that ends with ".onnx", needs no PyTorch; its golden trace is
+    verified first.
 
     Args:
         policy: name of a shipped policy, policy file, folder of a training run, or exported policy.
-        library: gaits of the policy, a file or the name of a shipped library; by default those of
-            the policy's stack. An exported policy has its own, which must be this one if given.
+        library: gait library of the policy: file, or name of a shipped one; by default that of the
+            policy's stack. An exported policy contains its library; one given here must equal it.
 
     Raises:
         AssetError, FileDamagedError: there is no such policy or library, or it is damaged.
@@ -59,7 +59,7 @@ def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
 
 
 def warm_up(controller: MotorController) -> None:
-    """Take some steps with a standing robot, whose targets must be finite.
+    """Take some steps with the estimate of a standing robot, and check the motor targets.
 
     Raises:
         ConfigurationError: the targets are not ten finite angles.

@@ -36,11 +36,11 @@ class Tally:
     """Timing of the policy steps."""
 
     lateness: list[float] = field(default_factory=list)
-    """Beginnings after their deadlines [s]."""
+    """Time from each deadline to the beginning of its policy step [s]."""
     reply: list[float] = field(default_factory=list)
-    """Times from the beginnings until the command was sent [s]."""
+    """Time from the beginning of each policy step until its command was sent [s]."""
     work: list[float] = field(default_factory=list)
-    """Times from the beginnings until the log was written, too [s]."""
+    """Time from the beginning of each policy step until it was logged [s]."""
     skipped: int = 0
     """Deadlines that passed during an earlier policy step."""
 
@@ -49,7 +49,7 @@ class Tally:
         return self.skipped + sum(value > LATE for value in self.lateness)
 
     def lines(self) -> list[str]:
-        """Summary in words."""
+        """Summary as lines of text."""
         if not self.work:
             return ["no policy steps"]
         steps = len(self.work)
@@ -74,9 +74,9 @@ class Run:
 
     Args:
         supervisor: supervisor of the robot.
-        readings: interpretation of its packets.
-        source: requests of the operator.
-        log: log; None for none.
+        readings: interpretation of the robot's packets.
+        source: source of the operator's requests.
+        log: log to write; None for no log.
         say: function that prints a line.
         chatty: print a line per second.
     """
@@ -95,9 +95,9 @@ class Run:
         self.tally = Tally()
         """Timing."""
         self.interrupted = ""
-        """Reason to damp the motors that comes from outside, such as a signal."""
+        """Reason from outside to damp the motors, such as a signal; empty for none."""
         self.walked = 0.0
-        """Time in which the policy acted [s]."""
+        """Time in which the policy has acted [s]."""
         self._log, self._say, self._chatty = log, say, chatty
         self._walk_began = float("inf")
         self._newest: tuple[int, Arrival] | None = None
@@ -111,7 +111,7 @@ class Run:
         return self._command
 
     def take(self, time_ns: int, arrivals: list[Arrival]) -> None:
-        """Take packets that have arrived."""
+        """Take the packets that were read at a time [ns], oldest first."""
         for arrival in arrivals[-1:] if self.readings.newest_only else arrivals:
             self.readings.take(time_ns / _NS, arrival.step, arrival.record)
             if self.readings.newest_only:
@@ -121,7 +121,7 @@ class Run:
                 self._log.packet(time_ns, *arrival)
 
     def tick(self, time_ns: int) -> MotorCommand:
-        """Advance by a policy step."""
+        """Advance by a policy step that begins at a time [ns]; return its motor command."""
         now, before, request = time_ns / _NS, self.supervisor.stage, self._request
         try:
             request = self.source.request(now, now - self._walk_began)
@@ -138,7 +138,13 @@ class Run:
         return self._command
 
     def finish_tick(self, time_ns: int, lateness: float, reply: float) -> None:
-        """Log and print a policy step after its command was sent."""
+        """Log and print a policy step after its command was sent.
+
+        Args:
+            time_ns: beginning of the policy step [ns].
+            lateness: time from its deadline to its beginning [s].
+            reply: time from its beginning until the command was sent [s].
+        """
         if self._log is not None:
             if self._newest is not None:
                 self._log.packet(self._newest[0], *self._newest[1])
@@ -163,7 +169,7 @@ class Run:
             self._log = None
 
     def is_over(self, time_ns: int) -> bool:
-        """Whether the run has ended."""
+        """Whether the run has ended at a time [ns]."""
         return self.supervisor.is_over(time_ns / _NS)
 
     def _enter(self, time_ns: int) -> None:
@@ -177,7 +183,7 @@ class Run:
             self._log.note(time_ns, text)
 
     def _line(self, now: float) -> str:
-        """State of the robot in words."""
+        """State of the robot as a line of text."""
         line = f"{now:7.2f} s  {self.supervisor.stage.value}"
         reading: Reading | None = self.supervisor.reading
         if reading is None:
@@ -192,13 +198,13 @@ class Run:
 def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> None:
     """Run against a robot that does not wait, until the motors have been damped.
 
+    In PD mode the command is repeated every 2 ms, because robots stop after 0.1 s of silence. In
+    raw mode each arrival of packets is answered with torques.
+
     Args:
         run: supervisor with its inputs.
         endpoint: socket to the robot.
         patience: longest wait for the first packet [s].
-
-    In PD mode the command is repeated every 2 ms, because robots stop after 0.1 s of silence. In
-    raw mode each arrival of packets is answered with torques.
 
     Raises:
         NetworkError: the robot does not answer.
@@ -252,7 +258,7 @@ def _keep_time(
 def run_lockstep(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> None:
     """Run against a simulated robot that waits for a command at each tick.
 
-    Time is that of the robot's ticks, so that a run does not depend on the speed of the machine.
+    Time is counted in ticks of the robot, so that a run does not depend on the machine's speed.
 
     Args:
         run: supervisor with its inputs.
@@ -296,9 +302,9 @@ def _connect(run: Run, endpoint: Endpoint, patience: float, clock: Callable[[], 
     if run.interrupted:
         raise KeyboardInterrupt
     raise NetworkError(
-        f"no answer from {endpoint.peer} within {patience:g} s. Is the robot, or python -m"
-        " aslip.twin, running at this address and port? Does it send to"
-        f" {endpoint.local}, in this mode, and does another runner hold it?"
+        f"no answer from {endpoint.peer} within {patience:g} s; check that the robot, or python -m"
+        f" aslip.twin, runs at this address and port, that it sends to {endpoint.local} in this"
+        " mode, and that no other runner holds it"
     )
 
 
@@ -322,6 +328,6 @@ def _wait(
 
 
 def _send(run: Run, endpoint: Endpoint, command: MotorCommand) -> None:
-    """Send a command; without a way to the robot, it stops because of the silence."""
+    """Send a command; a robot that cannot be reached stops by itself after a silence."""
     with contextlib.suppress(NetworkError):
         endpoint.send(run.readings.answer(command))

@@ -1,8 +1,8 @@
-"""Packets of a robot to the readings of `Supervisor`, and motor commands to packets.
+"""Conversion of a robot's packets to readings of `Supervisor`, and of motor commands to packets.
 
 In PD mode the robot estimates its state, `state_out_t`, and closes the PD loop, `pd_in_t`. In raw
-mode it sends its sensors, `cassie_out_t`, and takes torques, `cassie_user_in_t`: the estimator and
-the PD law run here.
+mode it sends sensor readings, `cassie_out_t`, and takes torques, `cassie_user_in_t`: estimator and
+PD law run here.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ class Readings(Protocol):
     sends: Packet
     """Kind of packets to the robot."""
     newest_only: bool
-    """Only the newest of several packets matters."""
+    """True if only the newest of several packets matters."""
 
     def take(self, time: float, step: int, record: np.ndarray) -> None:
         """Take a packet.
 
         Args:
-            time: arrival [s].
-            step: difference of its sequence number to that of the packet before; 0 for the first.
+            time: time of arrival [s].
+            step: difference of its sequence number from that of the last packet; 0 for the first.
             record: packet.
         """
         ...
 
     def newest(self) -> Reading | None:
-        """Reading by the packets since the last call; None without any."""
+        """Reading from the packets since the last call; None without any."""
         ...
 
     def answer(self, command: MotorCommand) -> np.ndarray:
@@ -64,7 +64,7 @@ class Readings(Protocol):
 
 
 class StateReadings:
-    """Packets `state_out_t` of robots that estimate their own state."""
+    """Readings from packets `state_out_t` of robots that estimate their own state."""
 
     receives, sends, newest_only = STATE_OUT, PD_IN, True
 
@@ -76,7 +76,7 @@ class StateReadings:
         self._newest = time, record
 
     def newest(self) -> Reading | None:
-        """Reading by the newest packet since the last call."""
+        """Reading from the newest packet since the last call; None without any."""
         if self._newest is None:
             return None
         time, record = self._newest
@@ -95,10 +95,10 @@ class StateReadings:
 
 
 class SensorReadings:
-    """Packets `cassie_out_t`, estimated with the filter of training.
+    """Readings from packets `cassie_out_t`, with the state estimator that training uses.
 
     A robot sends at 2 kHz; the estimator takes every sixth packet, with the mean specific force of
-    the six. Sequence numbers count lost packets.
+    the six. Lost packets are noticed by their sequence numbers.
 
     Args:
         robot: robot that sends the packets.
@@ -140,7 +140,7 @@ class SensorReadings:
             self._update(cassie_out_to_sensors(record))
 
     def newest(self) -> Reading | None:
-        """Reading by the packets since the last call."""
+        """Reading from the packets since the last call; None without any."""
         if self._arrived is None or self._estimate is None or self._record is None:
             return None
         time, self._arrived = self._arrived, None

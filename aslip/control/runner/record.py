@@ -7,8 +7,8 @@
 | `/estimate` | estimate on which the policy step acts |
 | `/log` | beginnings of stages with their reasons |
 
-Times are since the start of the run. A packet counts for the first policy step that does not begin
-before its time.
+Times begin with the run. A packet belongs to the first policy step that begins at its time or
+later.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class RunLog:
         path: log to write.
         packet: kind of packets from the robot.
         files: files that load the policy, by name.
-        metadata: more about the run.
+        metadata: further metadata of the run.
 
     Raises:
         ConfigurationError: a log of that name exists, or it cannot be written.
@@ -91,7 +91,7 @@ class RunLog:
         self._flushed = 0
 
     def packet(self, time_ns: int, step: int, record: np.ndarray) -> None:
-        """Write a packet that has arrived."""
+        """Write a packet, with the step of its sequence number, at its arrival [ns]."""
         data = _CDR + struct.pack("<i", step) + record.tobytes()
         self._writer.write(self._received, time_ns, data)
 
@@ -107,12 +107,12 @@ class RunLog:
         """Write a policy step.
 
         Args:
-            time_ns: its beginning.
+            time_ns: beginning of the policy step [ns].
             request: request of the operator.
-            stage: stage after it.
+            stage: stage after the policy step.
             command: command of the motors.
             reading: last reading.
-            timing: lateness of its beginning, and time until the command was sent [s].
+            timing: lateness of the beginning, and time until the command was sent [s].
         """
         asked = [*map(float, request[:5]), float(bool(request.damp))]
         values = np.concatenate([asked, [_STAGES.index(stage)], *command, timing])
@@ -125,7 +125,7 @@ class RunLog:
             self._writer.flush()
 
     def note(self, time_ns: int, text: str) -> None:
-        """Add a line to `/log`."""
+        """Add a line to `/log` at a time [ns]."""
         message = {
             "stamp": messages.stamp(time_ns), "level": messages.INFO, "name": "aslip",
             "msg": text, "file": "", "function": "", "line": 0,
@@ -133,7 +133,7 @@ class RunLog:
         self._writer.write(self._notes, time_ns, messages.LOG.encode(message))
 
     def finish(self, metadata: Mapping[str, str]) -> None:
-        """Finish the file."""
+        """Finish the file with further metadata."""
         self._writer.finish(metadata)
 
     def _write_estimate(self, time_ns: int, reading: Reading) -> None:
@@ -179,7 +179,7 @@ class Replayed(NamedTuple):
     different: int
     """Number of policy steps whose stage, or any bit of the command, differs."""
     first: float
-    """Time of the first of them [s]; NaN if there is none."""
+    """Time of the first different policy step [s]; NaN if none differs."""
 
 
 def replay(path: Path, make: Any, files: Path) -> Replayed:
@@ -187,7 +187,7 @@ def replay(path: Path, make: Any, files: Path) -> Replayed:
 
     Args:
         path: log.
-        make: function from the files of the policy to a supervisor, `(paths, limits)`.
+        make: function of the files of the policy and the limits that makes a supervisor.
         files: folder to which the files of the policy are written.
 
     Raises:

@@ -1,6 +1,7 @@
 """Supervisor of a robot under a controller: start-up, walk, stop and damping.
 
-A state machine without sockets and clocks: time is an argument, so that a log replays it.
+The supervisor is a state machine without sockets and clocks: time is an argument, so that a log
+can be replayed.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from aslip.wire import STOP_CHANNEL, MotorCommand
 SWITCH_CHANNEL: Final = 9
 """Radio channel of the switch: below -0.5 damping, above 0.5 no torque, between them the policy."""
 
+# value of the switch's channel beyond which it is thrown
 _THROWN = 0.5
 # tolerance of durations [s]: policy steps add up to 0.8999999 s
 _ROUNDING = 1e-9
@@ -53,19 +55,19 @@ class Stage(Enum):
     POSE = "pose"
     """Joints move to the pose in which the walk begins."""
     READY = "ready"
-    """Joints hold that pose until the operator starts the walk."""
+    """Joints stay in that pose until the operator starts the walk."""
     WALK = "walk"
     """The policy follows the operator's command."""
     STOP = "stop"
     """The policy steps in place before the motors are damped."""
     RELEASED = "released"
-    """No torque, because the operator switched to it."""
+    """No torque, because the operator threw the switch."""
     DAMPING = "damping"
     """Velocity gains only; the end of a run."""
 
 
 class Reading(NamedTuple):
-    """State of the robot as its last packet gives it."""
+    """State of the robot from its last packet."""
 
     time: float
     """Arrival of the packet [s]."""
@@ -97,11 +99,11 @@ class Limits:
     """Durations of the start-up, and limits beyond which the motors are damped.
 
     Raises:
-        ConfigurationError: a number is negative, not finite, or zero where it must not be.
+        ConfigurationError: a number is negative or not finite, or `patience` or `tilt` is zero.
     """
 
     ramp: float = 0.0
-    """Duration in which the position gains rise, and then in which the joints move to the first
+    """Duration of the rise of the position gains, and then of the motion of the joints to the first
     pose [s]. With zero the walk begins at once: Cassie cannot stand on its feet without a policy,
     so a slower start needs a gantry."""
     patience: float = 0.1
@@ -126,7 +128,7 @@ class Supervisor:
     """Decide at each policy step which motor command the robot gets.
 
     Args:
-        controller: controller, as `aslip.Controller`.
+        controller: controller such as `aslip.Controller`.
         pose: motor angles (10,) in which the walk begins after a slow start-up [rad].
         limits: durations and limits.
         command_size: 1 for policies with a forward speed only, whose heading the supervisor turns;
@@ -158,7 +160,7 @@ class Supervisor:
         self._heading = 0.0
 
     def tick(self, now: float, reading: Reading | None, request: Request) -> MotorCommand:
-        """Advance by a policy step; never raises because of the controller or the reading.
+        """Advance by a policy step; if controller or reading fail, damp instead of raising.
 
         Args:
             now: time, from any origin [s].
@@ -185,7 +187,7 @@ class Supervisor:
         return self.stage is Stage.DAMPING and now - self.since >= self.limits.damping
 
     def damping(self) -> MotorCommand:
-        """Command of velocity gains only, arrays (10,)."""
+        """Command with velocity gains only, arrays (10,)."""
         return self._pd(0 * self._pose, 0.0)
 
     def _danger(self, now: float, request: Request) -> str:
@@ -281,7 +283,7 @@ class Supervisor:
         return self._pd(self._hold + part * (self._pose - self._hold))
 
     def _pd(self, target: np.ndarray, stiffness: float = 1.0, damping: float = 1.0) -> MotorCommand:
-        """Targets (10,) with parts of the robot's gains."""
+        """Command of target angles (10,), with fractions of the robot's gains."""
         zero = np.zeros(len(target))
         robot = self.robot
         return MotorCommand(

@@ -1,4 +1,4 @@
-"""Sliders of the command; in all directions also keys and a gamepad.
+"""Sliders of the command; for policies that walk in all directions also keys and a gamepad.
 
 Browsers read keys and gamepads themselves: a script on the page writes the command that they ask
 for into a text field, which the simulation reads as it reads sliders.
@@ -83,7 +83,7 @@ _HELP = (
 
 
 class Steering:
-    """Controls of the command.
+    """Controls of the command on a page.
 
     Args:
         gui: interface of the server, within the panel to fill.
@@ -101,7 +101,7 @@ class Steering:
         ]
         """A slider for each number of a command."""
         self.field: viser.GuiInputHandle[str] | None = None
-        """Text of the command that keys and gamepad ask for."""
+        """Text field of the command that keys and gamepad ask for; None with forward speed only."""
         if len(limits) > 1:
             self.field = gui.add_text(_FIELD, _text(command), hint="forward, sideways, turn")
             gui.add_html(_HELP + _image())
@@ -155,7 +155,7 @@ def _text(command: Sequence[float]) -> str:
 
 
 def _image() -> str:
-    """Invisible image that cannot be loaded, whose handler of errors is the script."""
+    """Invisible image that cannot be loaded, so that its error handler runs the script."""
     labels = "[" + ", ".join(f"'{label}'" for label in _LABELS) + "]"
     script = _SCRIPT.replace("LABELS", labels).replace("FIELD", f"'{_FIELD}'")
     return f"<img src='data:,' style='display:none' onerror=\"{html.escape(script)}\">"

@@ -1,6 +1,6 @@
-"""Robot in Drake, an engine with dynamics, contact model and solver of its own.
+"""Simulation in Drake, a physics engine with dynamics, contact model and solver of its own.
 
-Needs the package's extra `drake`.
+The simulation needs the extra aslip[drake].
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Hinges differ by their zero, the angle at which the MJCF defines the bodies. The pelvis' position
 follows its quaternion in Drake, and its angular velocity is in the world instead of the pelvis
-frame. Ball joints have roll, pitch and yaw instead of a quaternion, singular at a pitch of 90
-degrees that rods of a leg do not come near, and an angular velocity in the parent's frame.
+frame. Ball joints have an angular velocity in the parent's frame, and roll, pitch and yaw instead
+of a quaternion; the rods of the legs stay far from the singularity at a pitch of 90 degrees.
 """
 
 # Drake's stubs give arrays a wrong shape
@@ -22,7 +22,7 @@ from aslip.robot import Robot
 
 
 class Coordinates:
-    """Places of a robot's joints in MuJoCo's and in Drake's arrays.
+    """Indices of a robot's joints in MuJoCo's and in Drake's arrays.
 
     Args:
         plant: robot in Drake; joints have the names of their bodies.
@@ -47,7 +47,7 @@ class Coordinates:
         self._num_qpos, self._num_qvel = robot.indices.num_qpos, robot.indices.num_qvel
 
     def to_drake(self, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Positions and velocities of Drake from `qpos` (35,) and `qvel` (32,)."""
+        """Convert `qpos` (35,) and `qvel` (32,) to Drake's positions and velocities, joined."""
         q, v = np.zeros(self._num_q), np.zeros(self._num_v)
         q[self._q], v[self._v] = qpos[self._qpos] - self._zero, qvel[self._qvel]
         start, speed = self._free
@@ -63,13 +63,13 @@ class Coordinates:
         return np.concatenate([q, v])
 
     def from_drake(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`qpos` (35,) and `qvel` (32,) from positions and velocities of Drake."""
+        """Convert Drake's positions and velocities, joined, to `qpos` (35,) and `qvel` (32,)."""
         q, v = state[: self._num_q], state[self._num_q :]
         qpos, qvel = np.empty(self._num_qpos), np.empty(self._num_qvel)
         qpos[self._qpos], qvel[self._qvel] = q[self._q] + self._zero, v[self._v]
         start, speed = self._free
         quaternion = q[start : start + 4]
-        # Drake lets its length drift, as only the direction counts
+        # Drake lets the quaternion's length drift, as only the direction counts
         unit = quaternion / math.sqrt(quaternion @ quaternion)
         qpos[:3], qpos[3:7] = q[start + 4 : start + 7], unit
         turn = RotationMatrix(Quaternion(unit)).matrix()

@@ -87,7 +87,7 @@ class Mechanism:
         """Compiled MJCF that gives the numbers."""
         builder = DiagramBuilder()
         plant, scene = AddMultibodyPlantSceneGraph(builder, robot.physics_timestep)
-        # no meshes of the shapes: they are for deformable bodies and warn of a half space
+        # no meshes of the shapes: only deformable bodies need them, and Drake warns of half spaces
         settings = SceneGraphConfig()
         settings.default_proximity_properties.resolution_hint = None
         scene.set_config(settings)
@@ -161,7 +161,7 @@ class Mechanism:
         return self.plant.AddBallConstraint(first, loop.data[:3], second, loop.data[3:6])
 
     def _add_shapes(self, scene: SceneGraph, contact: Contact) -> None:
-        """Add the floor, what touches it, and what touches the other leg."""
+        """Add the floor, spheres that touch it, and capsules that touch the other leg."""
         friction = float(self.model.geom("floor").friction[0])
         rough, smooth = (_material(contact, coefficient) for coefficient in (friction, 0.0))
         register = self.plant.RegisterCollisionGeometry
@@ -188,7 +188,7 @@ class Mechanism:
 
 
 def _material(contact: Contact, friction: float) -> ProximityProperties:
-    """Material of one shape; two equal ones in series have half the stiffness."""
+    """Material of a shape, twice as stiff as the contact: two equal shapes act in series."""
     properties = ProximityProperties()
     AddContactMaterial(
         dissipation=contact.dissipation,

@@ -1,4 +1,4 @@
-"""One robot in Drake with the low level, sensors and truth of `aslip.sim.Simulations`."""
+"""Simulation of one robot in Drake, with drive and sensors of `aslip.sim.Simulations`."""
 
 # Drake's stubs give arrays a wrong shape
 # pyright: reportArgumentType=false, reportCallIssue=false, reportMissingModuleSource=false
@@ -25,9 +25,9 @@ class DrakeSimulation:
     """Robot in Drake, initially standing, driven as by `aslip.sim.Simulations`.
 
     Drive, motor limits, torque delay, encoders and IMU are those of `Simulations`; so are the
-    shapes of all arrays, with n = 1. The accelerations that the IMU feels are changes of velocity
-    over a substep. A robot whose state is not finite, or whose step Drake cannot solve, is reset to
-    standing.
+    shapes of all arrays, with n = 1. Accelerations for the IMU are differences of velocity over a
+    substep. The robot is reset to standing if its state is not finite, or if Drake cannot solve a
+    step.
 
     Args:
         model: compiled MJCF; the robot's by default.
@@ -36,7 +36,7 @@ class DrakeSimulation:
         contact: contact with the floor; Drake's by default.
 
     Raises:
-        ConfigurationError: the model's timestep is not a substep.
+        ConfigurationError: the model's timestep differs from `robot.physics_timestep`.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class DrakeSimulation:
         return self._drive.command_size
 
     def reset(self, qpos: np.ndarray | None = None, qvel: np.ndarray | None = None) -> None:
-        """Restart, with the delayed torques and the sensors.
+        """Restart the robot, the torque delay and the sensors.
 
         Args:
             qpos: (35,) initial positions, the standing keyframe by default.
@@ -98,12 +98,12 @@ class DrakeSimulation:
         self._torque = np.zeros((1, len(self._inputs)))
         self._ground_force = np.zeros((1, 2, 3))
         self._read_state()
-        # as at rest on the floor
+        # accelerations of a robot at rest on the floor
         self._acceleration = np.zeros_like(self._qvel)
         self.sensors.reset(np.arange(1), self._qpos, self._qvel, self._acceleration)
 
     def stand(self) -> None:
-        """Restart, standing."""
+        """Restart at rest in the standing keyframe."""
         self.reset()
 
     def advance(self, motor_target: np.ndarray, push: np.ndarray | None = None) -> np.ndarray:
@@ -139,8 +139,8 @@ class DrakeSimulation:
     def snapshot(self) -> Snapshot:
         """Arrays of the true state, in MuJoCo's coordinates.
 
-        Of MuJoCo's sensors those of the feet have readings; the others are zero. `qfrc_actuator`
-        has the motors' torques only.
+        Readings of MuJoCo's sensors are zero, except those of the feet. `qfrc_actuator` has the
+        motors' torques only.
         """
         sites = list(self.robot.skeleton.sites.values())
         position, matrix = np.zeros((1, len(sites), 3)), np.zeros((1, len(sites), 9))
@@ -195,7 +195,7 @@ class DrakeSimulation:
         sensors.feel(index, self._acceleration)
 
     def _read_state(self) -> None:
-        """Positions (1, 35) and velocities (1, 32) in MuJoCo's coordinates."""
+        """Read positions (1, 35) and velocities (1, 32) in MuJoCo's coordinates."""
         state = self._plant.GetPositionsAndVelocities(self._state)
         self._qpos, self._qvel = (row[None] for row in self._coordinates.from_drake(state))
 

@@ -43,7 +43,7 @@ def test_a_schedule_in_any_direction() -> None:
         ("ü1~", Request(walk=False)),
     ],
 )
-def test_keys(keys: str, expected: Request) -> None:
+def test_keys_change_the_request(keys: str, expected: Request) -> None:
     request = Request(walk=False)
     for key in keys:
         request = press(request, key)

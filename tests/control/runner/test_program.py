@@ -70,7 +70,7 @@ def test_a_robot_beyond_loopback_is_reached_from_one_address() -> None:
     try:
         local, beyond = local_address(Address("192.0.2.1", 25010), 25011)
     except NetworkError as error:  # a machine without a network
-        assert "no way to the robot" in str(error)
+        assert "no route to the robot" in str(error)
     else:
         assert beyond
         assert local.port == 25011

@@ -123,7 +123,7 @@ def test_a_yaw_rate_turns_the_heading_of_a_policy_that_walks_straight_ahead() ->
     assert controller.calls[-1][2:] == (0.5, pytest.approx(2 * PERIOD))
 
 
-def test_a_policy_of_three_commands_gets_them_all() -> None:
+def test_a_policy_for_all_directions_gets_the_whole_command() -> None:
     controller = Recorder()
     supervisor = Supervisor(controller, POSE, command_size=3)
     for k in range(2):
@@ -148,7 +148,7 @@ TILTED = np.array([math.cos(0.5), math.sin(0.5), 0, 0])
         (standing(0.06, orientation=TILTED), Request(), "tilt of 1.00 rad, beyond 0.8 rad"),
     ],
 )
-def test_damping_at_once(reading: Reading | None, request_: Request, reason: str) -> None:
+def test_the_motors_damp_at_once(reading: Reading | None, request_: Request, reason: str) -> None:
     supervisor, _ = walking()
     command = supervisor.tick(0.06, reading, request_)
     assert (supervisor.stage, supervisor.reason) == (Stage.DAMPING, reason)
@@ -156,7 +156,7 @@ def test_damping_at_once(reading: Reading | None, request_: Request, reason: str
     np.testing.assert_array_equal(command.damping, CASSIE.damping)
 
 
-def test_damping_after_a_tenth_of_a_second_without_packets() -> None:
+def test_a_tenth_of_a_second_without_packets_damps() -> None:
     supervisor, _ = walking()
     stages = []
     for k in range(2, 8):
@@ -170,7 +170,7 @@ def test_damping_after_a_tenth_of_a_second_without_packets() -> None:
 @pytest.mark.parametrize(
     ("fails", "reason"), [("raises", "RuntimeError: no session"), ("nan", "10 finite angles")]
 )
-def test_damping_when_the_policy_fails(fails: str, reason: str) -> None:
+def test_a_policy_that_fails_damps(fails: str, reason: str) -> None:
     supervisor, controller = walking()
     controller.fails = fails
     command = supervisor.tick(0.06, standing(0.06), Request())
