@@ -4,7 +4,7 @@
     python -m benchmarks.engines --policy aslip --speeds 0.5 --duration 3
     python -m benchmarks.engines --engine drake --contact.approximation sap
 
-The controller knows the twin by its `state_out_t` only, over UDP on loopback. The robot stands, and
+The controller sees only the twin's `state_out_t`, over UDP on loopback. The robot stands, and
 the command rises to its speed. Needs the package's extra `drake`.
 """
 
@@ -28,7 +28,7 @@ class Config:
     policy: tuple[str, ...] = ("aslip", "robust")
     """Policies: shipped names, files or run folders."""
     engine: tuple[Literal["mujoco", "stiff", "drake"], ...] = ("mujoco", "drake")
-    """Engines of the twin; `stiff` is MuJoCo with loops of the legs that do not give way."""
+    """Engines of the twin; `stiff` is MuJoCo with almost rigid leg loops."""
     speeds: tuple[float, ...] = tuple(np.linspace(0, 2, 21).round(1).tolist())
     """Commanded speeds [m/s]."""
     duration: float = 12.0
@@ -81,7 +81,7 @@ from benchmarks.network import answer
 
 @dataclass(frozen=True)
 class EngineWalk:
-    """Numbers of a walk; means are those of its second half."""
+    """Numbers of a walk; means are over its second half."""
 
     policy: str
     engine: str
@@ -161,7 +161,7 @@ def walk(
 
 
 def stiff_engine(robot: Robot, drive: MakeDrive) -> Simulations:
-    """Robot in MuJoCo, its loops stiffer than the MJCF's by a factor of more than a thousand."""
+    """Robot in MuJoCo with loops more than a thousand times as stiff as the MJCF's."""
     model = load_model(visual=False, robot=robot)
     model.eq_solref[:, 0], model.eq_solimp[:, :2] = 0.001, 0.999
     return Simulations(1, model=model, num_threads=1, robot=robot, drive=drive)

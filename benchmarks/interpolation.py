@@ -1,4 +1,4 @@
-"""Differences between look-ups of a library over three commands and gaits at random commands.
+"""Compare look-ups of a library over three commands with gaits solved at random commands.
 
     python recipes/direction_library.py
     python -m benchmarks.interpolation
@@ -44,7 +44,7 @@ from recipes.direction_library import accuracy_table, differences, random_comman
 
 
 def main(config: Config) -> np.ndarray:
-    """Solve, compare and print; returns (n, 8) commands and differences."""
+    """Solve gaits, compare and print; returns (n, 8) commands and differences."""
     library = GaitLibrary.load(config.library)
     rows = []
     for command in tqdm(random_commands(library, config.count, config.seed), unit="gait"):

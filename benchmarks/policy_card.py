@@ -5,7 +5,7 @@
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
 `aslip.load_policy` finds it by name, and writes the card beside them. The card combines the
-policy's file, walks at all speeds and the other benchmarks, which take some minutes.
+policy's file, walks at all speeds and the other benchmarks. Walks and benchmarks take some minutes.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ _BASELINES = {
 
 
 def main(config: Config) -> Path:
-    """Copy, measure and write; returns the card's path."""
+    """Copy the policy, run the benchmarks and write the card; returns the card's path."""
     shipped, curve = (config.assets / f"{config.name}.{kind}" for kind in ("zip", "png"))
     if config.run is not None:
         _ship(config, config.run, shipped, curve)
@@ -115,7 +115,7 @@ def main(config: Config) -> Path:
     parts.append(interface_section(about))
     if config.measure:
         commit = provenance()["commit"] or "not recorded"
-        parts += [f"What follows was measured with commit {commit}.", walks_section(shipped, about)]
+        parts += [f"The rest was measured with commit {commit}.", walks_section(shipped, about)]
         parts += benchmark_sections(config, str(shipped), about)
     card = config.assets / f"{config.name}.md"
     write_text(card, "\n\n".join(parts) + "\n")
@@ -185,7 +185,7 @@ def interface_section(about: dict[str, Any]) -> str:
 
 
 def walks_section(policy: Path, about: dict[str, Any]) -> str:
-    """Section on evaluation episodes at all speeds, with the sensor noise of the training's."""
+    """Section on evaluation episodes at all speeds, with the sensor noise of the training."""
     seed = about.get("made_by", {}).get("settings", {}).get("seed", 0)
     env, speeds = make_evaluation_env(partial(make_env, stack=policy_stack(policy)), seed)
     with closing(env):

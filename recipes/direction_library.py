@@ -64,7 +64,7 @@ class Config:
     """Gaits solved at random commands and compared with look-ups."""
 
     def __post_init__(self) -> None:
-        """Check the numbers that nothing below checks at once."""
+        """Check the numbers that would otherwise fail only after the solves."""
         if self.checks < 0 or (self.workers is not None and self.workers < 1):
             raise ConfigurationError(
                 "checks must be 0 or more and workers 1 or more, got"
@@ -110,7 +110,7 @@ _HEADER = (
 
 
 def main(config: Config) -> GaitLibrary:
-    """Solve, tabulate, store, draw and check; returns the library."""
+    """Solve gaits, tabulate, store, draw and check; returns the library."""
     start = time.perf_counter()
     grid = DirectionGrid(config.forward, config.sideways, config.yaw_rates, config.limits)
     store = GaitFolder(
@@ -273,7 +273,7 @@ def random_commands(library: GaitLibrary, count: int, seed: int = 0) -> list[np.
 
 
 def _covered(library: GaitLibrary, command: torch.Tensor) -> bool:
-    """True if look-ups do not move a command into the region."""
+    """True if a command is in the region of a library."""
     try:
         library.check_command(command.tolist())
     except SpeedOutOfRangeError:

@@ -7,7 +7,7 @@
 
 PPO is that of `ppo_aslip.py`. Robots, floors and sensors differ between episodes, pushes come at
 random times, and the critic sees true state and dynamics, which the policy does not. Evaluations
-walk commands from all over the region, on nominal robots without pushes and 2 kHz physics.
+walk commands from all over the region, on nominal robots, without pushes, at 2 kHz physics.
 """
 
 from __future__ import annotations

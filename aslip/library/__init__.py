@@ -3,7 +3,7 @@
     walks = optimize_gaits((0.0, 0.5, 1.0), parameters=SlipParameters(mass=33.3))
     library = GaitLibrary.from_motions(walks)      # inverse kinematics
     library.save("gaits.npz")
-    library = GaitLibrary.load("gaits.npz")        # by default the library that ships
+    library = GaitLibrary.load("gaits.npz")        # without a path, the shipped one
     library(phase, command).motor_position
 
 A library is made of motions of any reduced-order model, see `aslip.rom.Motion`. Looking motions up

@@ -1,4 +1,4 @@
-"""Rows of many motions: on all cores, resumed from a folder."""
+"""Rows of a table for many motions: computed on all cores, resumed from a folder."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from aslip.robot import Robot
 from aslip.rom.motion import Motion
 
 Progress = Callable[[int, int], None]
-"""Called with the number of finished motions and of all motions."""
+"""Function called with the numbers of finished motions and of all motions."""
 
 ONE_PROCESS: Final = 128
-"""Most motions that are worked on in this process by default; more than these repay the seconds in
-which other processes start."""
+"""Largest number of motions that this process works on alone by default; for fewer, other processes
+do not repay the seconds of their start."""
 
 _CHUNK = 16  # motions per task and per file
 _FORMAT = ArchiveFormat("rows of a gait library", 1)
@@ -49,8 +49,8 @@ def build_rows(
         workers: number of processes; by default all cores for more than `ONE_PROCESS` motions.
             Processes are spawned: a script must start under `if __name__ == "__main__":`.
         progress: called whenever motions are finished.
-        folder: folder that keeps finished rows, one file for 16 motions. A build that was cut off
-            goes on from there; files of other motions or robots are not used.
+        folder: folder that keeps finished rows, one file for 16 motions. An interrupted build
+            resumes from there; files of other motions or robots are not used.
 
     Raises:
         ConfigurationError: a stride does not end where the command leads.
@@ -130,7 +130,7 @@ def _digest(motions: Sequence[FramedMotion], robot: Robot) -> str:
 
 
 def _read(file: Path) -> list[Rows] | None:
-    """Rows of a chunk, if they were kept and are whole."""
+    """Rows of a chunk from its file; None if there is no intact file."""
     if not file.is_file():
         return None
     try:

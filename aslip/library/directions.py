@@ -1,11 +1,11 @@
-"""Gaits over a grid of directions: solved from their neighbours in processes, kept in a folder.
+"""Gaits over a grid of directions: solved from their neighbours in parallel, kept in a folder.
 
     grid = DirectionGrid(forward=(0.0, 0.5, 1.0), sideways=(0.0, 0.2), yaw_rates=(0.0, 0.5))
     outcomes = solve_directions(grid, GaitFolder(Path("gaits")))
     gaits, left_out = convex_gaits(grid, outcomes)
 
-Guarantees: each gait starts from a neighbour that the grid alone determines, so that the number of
-processes and interruptions change no bit; a finished gait is in the folder at once.
+Guarantees: each gait starts from a neighbour that the grid alone determines, so that neither
+the number of processes nor an interruption changes a bit; a finished gait is stored at once.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ Point = tuple[int, int, int]
 Outcome = Gait | str
 """Gait, or the reason why there is none."""
 Progress = Callable[[int, int, bool], None]
-"""Called with the numbers of finished and of all gaits, and whether the last one was stored."""
+"""Function called with the numbers of finished and of all gaits, and whether the last one was read
+from the folder."""
 
 LOADED = SlipParameters(min_stance_force=0.15)
 """Model and bounds of gaits that keep 15 % of body weight on the standing foot."""
 
 _FORMAT = ArchiveFormat("gait", 2, compressed=True)
 _REASON = "reason.json"
-_ROUNDING = 1e-9  # of a command at the border of a region
+_ROUNDING = 1e-9  # rounding of a command at the border of a region
 _MIRROR = np.array([1.0, -1.0, -1.0])
 
 
@@ -57,7 +58,8 @@ class DirectionGrid:
     """Grid of commands, equal to its mirror image, in a convex region.
 
     Raises:
-        ConfigurationError: an axis does not ascend, or one to either side does not begin with 0.
+        ConfigurationError: an axis does not ascend, or `sideways` or `yaw_rates` does not begin
+            with 0.
     """
 
     forward: tuple[float, ...]
@@ -67,9 +69,9 @@ class DirectionGrid:
     yaw_rates: tuple[float, ...]
     """Yaw rates to the left, ascending from 0 [rad/s]; the grid has those to the right, too."""
     limits: tuple[tuple[float, float, float, float], ...] = ()
-    """Numbers a, b, c, d [s, s, s, m; times m or rad] of half-spaces a v_x + b v_y + c w <= d, each
-    of which holds for a command and for its mirror image (v_x, -v_y, -w). An intersection of
-    half-spaces is convex, and so are the commands of the grid in it."""
+    """Numbers a, b, c [m/rad], d [m/s] of half-spaces a v_x + b v_y + c w <= d, each of which holds
+    for a command and for its mirror image (v_x, -v_y, -w). An intersection of half-spaces is
+    convex, and so is the region."""
 
     def __post_init__(self) -> None:
         """Check the axes."""
@@ -107,7 +109,7 @@ class DirectionGrid:
 
     @property
     def half(self) -> list[Point]:
-        """Points to solve, to the left or not to the right; the others are mirror images."""
+        """Points to solve; the other points are their mirror images."""
         return [point for point in self.points if point >= self.image(point)]
 
     def image(self, point: Point) -> Point:
@@ -132,7 +134,7 @@ class DirectionGrid:
 
 @dataclass(frozen=True)
 class GaitFolder:
-    """Folder of solved gaits, one file each, and all that determines them but their guess."""
+    """Folder of solved gaits, one file each, and the settings of their optimisation."""
 
     folder: Path
     """Folder; made when the first gait is stored."""
@@ -143,7 +145,7 @@ class GaitFolder:
     robot: Robot = CASSIE
     """Robot that must reach the poses."""
     samples: int = 48
-    """Samples of a stride at which it must."""
+    """Samples of a stride at which the robot must reach the poses."""
 
     def file(self, command: np.ndarray) -> Path:
         """File of a command; other settings have other files."""
@@ -153,7 +155,7 @@ class GaitFolder:
         return self.folder / f"{digest.hexdigest()[:32]}.npz"
 
     def read(self, command: np.ndarray) -> Outcome | None:
-        """Stored outcome of a command; None if there is no intact file of it."""
+        """Stored outcome of a command; None if there is no intact file for it."""
         file = self.file(command)
         if not file.is_file():
             return None
@@ -268,7 +270,7 @@ def _outcomes(
 
 @contextmanager
 def _pool(workers: int) -> Iterator[Executor | None]:
-    """Pool of processes, which end with this one; none for one worker."""
+    """Pool of processes, which end with this one; None for one worker."""
     if workers <= 1:
         yield None
         return
@@ -281,7 +283,7 @@ def _pool(workers: int) -> Iterator[Executor | None]:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent was killed: its idle queue would wait for ever."""
+    """End this process when its parent is killed; it would wait on its queue for ever."""
     parent = parent_process()
     assert parent is not None
 
@@ -297,9 +299,9 @@ def convex_gaits(
 ) -> tuple[list[Gait], dict[Point, str]]:
     """Gaits over a convex region in order of the grid, and the reason why others are left out.
 
-    Where a gait is missing amid others, a plane through its command cuts the region, and so does
-    the mirror image of the plane: of those along the limits, the axes, and across the way from
-    rest, the one that costs the fewest gaits.
+    A gap amid the gaits is cut off by a plane through its command and by the mirror image of the
+    plane. Candidates are planes along the limits, along the axes and across the direction from
+    rest; the one that costs the fewest gaits is taken.
 
     Raises:
         ConfigurationError: the gaits that are left span no volume.

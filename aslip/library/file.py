@@ -75,7 +75,7 @@ def write_library(
 def read_library(
     path: Path, robot: Robot = CASSIE
 ) -> tuple[list[Motion], GaitTable, dict[str, str], TransitionTable | None]:
-    """Read motions, table, origin and transitions of a library of a robot, as far as it has them.
+    """Read motions, table and origin of a library of a robot, and its transitions or None.
 
     Raises:
         AssetError: there is no such file.

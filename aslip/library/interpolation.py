@@ -172,7 +172,8 @@ def _nodes_at(nodes: Tensor, index: Tensor) -> Tensor:
 def periodic_slopes(values: np.ndarray) -> np.ndarray:
     """Slopes (n, m, k) per sample of the periodic cubic splines through samples (n, m, k).
 
-    Those of `scipy.interpolate.CubicSpline`, bit for bit, without its import of 0.3 s. The system
+    They equal those of `scipy.interpolate.CubicSpline` bit for bit, without its import of 0.3 s.
+    The system
     s[j - 1] + 4 s[j] + s[j + 1] = 3 (y[j + 1] - y[j - 1]) is reduced by its last unknown to a
     tridiagonal one, which Gaussian elimination solves.
     """

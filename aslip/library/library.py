@@ -2,7 +2,7 @@
 
 Guarantees: the reference is continuous in phase and command, periodic and once continuously
 differentiable in phase, and linear along each axis of the command between neighbouring motions. At
-the command of a motion and the phase of a sample it is that sample.
+the command of a motion and the phase of a sample it equals that sample.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _PLACES = ("body_position", *(f"{side}_foot_position" for side in SIDES))
 class GaitLibrary(nn.Module):
     """Motions over a grid of commands, with their inverse kinematics.
 
-    A module without parameters: tables are buffers, which move to another device with `to` and are
+    Module without parameters: tables are buffers, which move to another device with `to` and are
     left out of `state_dict`, because they come from a file. Environments may share a library.
 
     Args:
@@ -189,7 +189,7 @@ class GaitLibrary(nn.Module):
         return len(self.table.axes)
 
     def nearest(self, command: Tensor) -> Tensor:
-        """Commands (*b, c) whose motions `lookup` gives: those outside the region move into it.
+        """Commands (*b, c) moved into the region, as `lookup` does.
 
         Raises:
             ShapeError: `command` is not a tensor of that shape.
@@ -198,7 +198,7 @@ class GaitLibrary(nn.Module):
         return self._grid.clamp(command).to(command.dtype)
 
     def covers(self, command: Tensor) -> Tensor:
-        """(*b, 1) bool, commands (*b, c) in the region, to the rounding of single precision.
+        """True (*b, 1) for commands (*b, c) in the region, up to rounding in single precision.
 
         Raises:
             ShapeError: `command` is not a tensor of that shape.
@@ -214,7 +214,7 @@ class GaitLibrary(nn.Module):
 
         Raises:
             SpeedOutOfRangeError: the command is outside the library.
-            ShapeError: it has not one number per axis.
+            ShapeError: the command does not have one number per axis.
         """
         numbers = tuple(map(float, np.atleast_1d(np.asarray(command, dtype=float))))
         axes = self.table.axes
@@ -238,7 +238,7 @@ class GaitLibrary(nn.Module):
         return self.lookup(phase, command)
 
     def lookup(self, phase: Tensor, command: Tensor, mode: Tensor | None = None) -> Reference:
-        """Reference motion at a point of the stride (Sec. III-A).
+        """Reference motion at a phase and a command (Sec. III-A).
 
         Interpolation is cubic in phase and multilinear in the command. Phase wraps; commands are
         clamped to the range of the library.
@@ -247,8 +247,8 @@ class GaitLibrary(nn.Module):
             phase: (*b, 1) stride fraction; 0 is left lift-off.
             command: (*b, c) one value per axis of the grid: forward speed, sideways speed [m/s],
                 yaw rate [rad/s].
-            mode: (*b, 1) values of `WalkMode`; walking by default. Where a robot does not walk, the
-                reference is that of `transition`, and the command does not count.
+            mode: (*b, 1) values of `WalkMode`; walking by default. In other modes, the reference is
+                that of `transition`, and the command has no effect.
 
         Returns:
             Reference with batch shape b, single precision.
@@ -267,8 +267,9 @@ class GaitLibrary(nn.Module):
         """Reference motion of a stop, of standing or of a start.
 
         Args:
-            phase: (*b, 1) stride fraction, see `aslip.library.transitions`: which foot landed last,
-                and how far a stop or start is. Beyond its ends a transition keeps its ends.
+            phase: (*b, 1) stride fraction, which tells the foot that landed last and the progress
+                of a stop or start, see `aslip.library.transitions`. Beyond its ends a transition
+                holds its first or last sample.
             mode: (*b, 1) values of `WalkMode` other than walking.
 
         Returns:
@@ -305,7 +306,13 @@ class GaitLibrary(nn.Module):
             )
 
     def stride(self, command: Tensor) -> Tensor:
-        """Duration of a stride [s], (*b, 1); multilinear between motions, clamped outside."""
+        """Duration (*b, 1) of a stride at commands (*b, c) [s], multilinear between motions.
+
+        Commands outside the region are clamped.
+
+        Raises:
+            ShapeError: `command` is not a tensor of that shape.
+        """
         _check_width("command", command, len(self.table.axes))
         motion, weights = self._grid.corners(command)
         return multilinear(self._strides[motion], weights).to(command.dtype)
@@ -325,6 +332,10 @@ class GaitLibrary(nn.Module):
             frame is the world: the pelvis is at its deviation from the mean path, with the velocity
             and yaw rate of the path. Between motions, interpolation opens the loops by a fraction
             of a millimetre.
+
+        Raises:
+            ShapeError: an argument is not a tensor of its shape.
+            ConfigurationError: a mode is given, and the library has no transitions.
         """
         qpos = self._interpolate(self._qpos, phase, command).double()
         qvel = self._interpolate(self._qvel, phase, command).double()

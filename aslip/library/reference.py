@@ -23,13 +23,13 @@ COLUMNS = (
 class Reference:
     """Reference motion at one instant, in the moving frame; batch shape b.
 
-    The moving frame: its origin goes along the mean path on the ground, at the commanded speeds
-    along its own axes x and y; x points along the mean heading, y left, z up, and the frame turns
-    at the commanded yaw rate. On a straight path its axes stay those of the walk.
+    Moving frame: its origin goes along the mean path on the ground, at the commanded speeds along
+    its own axes x and y; x points along the mean heading, y left, z up, and the frame turns at the
+    commanded yaw rate. On a straight path its axes stay those of the walk.
 
     Velocities are over ground, expressed in the axes of the frame, so that a foot in stance has
-    none. Body and feet are the reduced-order model's. The body is mapped to the pelvis origin, a
-    foot to the centre of the sole.
+    zero velocity. Body and feet are the reduced-order model's. The body is mapped to the pelvis
+    origin, a foot to the centre of the sole.
     """
 
     motor_position: Tensor

@@ -77,9 +77,9 @@ def _hull_planes(commands: np.ndarray) -> np.ndarray:
 def extrapolate(values: np.ndarray, present: np.ndarray, axes: Sequence[np.ndarray]) -> np.ndarray:
     """Fill the entries of missing points of a grid, so that its cells can be interpolated.
 
-    The last corner of a cell follows from the others without a term that is mixed over all axes. A
-    corner that lacks more is the mean of lines through two neighbours in a row and of
-    parallelograms. Far from the region it is the mean of its neighbours.
+    The last missing corner of a cell makes the cell's mixed difference over all axes zero. A corner
+    of a cell that lacks several is the mean of linear extrapolations along the axes and of
+    parallelograms. A corner far from the region is the mean of its neighbours.
 
     Args:
         values: (*g, ...) values; those at missing points are ignored.
@@ -175,7 +175,7 @@ def _mean(guesses: Iterable[np.ndarray | None]) -> np.ndarray | None:
 
 
 def listed(commands: Sequence[Sequence[float]]) -> str:
-    """First commands, and the number of all if there are more."""
+    """First commands, and the number of the others."""
     if len(commands) <= _LISTED:
         return str(list(commands))
     return f"{list(commands[:_LISTED])} and {len(commands) - _LISTED} more"

@@ -15,7 +15,7 @@ from aslip.rom.motion import Angle, Motion, MotionSample, Track
 Rows = dict[str, np.ndarray]
 """Rows of one motion by name of the table's array."""
 
-_INSTANT: Final = 1e-5  # step of phase for the rate of the toes
+_INSTANT: Final = 1e-5  # difference of phase for the rate of the toes
 _CLOSED: Final = 1e-6  # largest gap between a stride's end and the next one's start [m, rad]
 
 
@@ -61,9 +61,9 @@ class FramedMotion:
 
     @classmethod
     def still(cls, motion: Motion, phase: np.ndarray) -> FramedMotion:
-        """Sample a motion of zero command whose feet do not turn at phases (m,).
+        """Sample at phases (m,) a motion of zero command whose feet do not turn.
 
-        It need not be periodic.
+        The motion need not be periodic.
         """
         return cls(
             command=np.array(motion.command, dtype=float),
@@ -130,7 +130,7 @@ def _target(
 
 
 def _take(sample: MotionSample, rows: slice) -> MotionSample:
-    """Select instants, without the entries of a special kind of motion."""
+    """Select instants, as a plain `MotionSample`."""
     return MotionSample(
         body=Track(sample.body.position[rows], sample.body.velocity[rows]),
         feet=Track(sample.feet.position[rows], sample.feet.velocity[rows]),
@@ -141,7 +141,11 @@ def _take(sample: MotionSample, rows: slice) -> MotionSample:
 
 
 def _check_closed(motion: Motion, sample: MotionSample) -> None:
-    """Check the last two of some samples, start and end of a stride."""
+    """Check that the last two samples, start and end of a stride, differ by the command alone.
+
+    Raises:
+        ConfigurationError: they do not.
+    """
     stride = displacement(motion, np.array([0.0, 1.0]))
     back = _take(sample, slice(-2, None)).moved(stride.inverse())
     turned = np.diff(sample.heading.angle[-2:]).item()

@@ -69,12 +69,12 @@ class Schedule:
         return cls(times, commands)
 
     def at(self, time: float) -> Command:
-        """Command at a time."""
+        """Command at a time [s]."""
         # half a substep of tolerance: policy steps add up to 3.9999999 s
         return self.commands[int(np.searchsorted(self.times, time + 2.5e-4, side="right")) - 1]
 
     def of_size(self, size: int) -> Schedule:
-        """Schedule for commands of several numbers; a number alone is a forward speed."""
+        """Schedule whose single forward speeds become commands of `size` numbers, the others 0."""
         if size == 1 or any(isinstance(command, tuple) for command in self.commands):
             return self
         rest = (0.0,) * (size - 1)

@@ -23,8 +23,8 @@ class GaitTable:
     """Motions over a grid of commands, sampled at equal steps of phase.
 
     In shapes, g is the shape of the grid, with one axis per axis of the command, and m the number
-    of phases, the first at left lift-off. Moving frame: that of `aslip.library.Reference`, and so
-    are body and feet. Arrays are read-only, in double or single precision.
+    of phases, the first at left lift-off. Moving frame, body and feet are those of
+    `aslip.library.Reference`. Arrays are read-only, in double or single precision.
 
     Raises:
         ConfigurationError: an axis does not ascend, a stride is not positive, an entry is not
@@ -41,19 +41,19 @@ class GaitTable:
     body_position: np.ndarray
     """(*g, m, 3) position: deviation from the mean path, and height [m]."""
     body_velocity: np.ndarray
-    """(*g, m, 3) over ground [m/s]."""
+    """(*g, m, 3) velocity over ground [m/s]."""
     body_heading: np.ndarray
     """(*g, m) deviation of the body's heading from the mean heading [rad]."""
     foot_position: np.ndarray
-    """(*g, m, 2, 3) left and right relative to the body [m]."""
+    """(*g, m, 2, 3) left and right sole centre relative to the body [m]."""
     foot_velocity: np.ndarray
-    """(*g, m, 2, 3) left and right over ground [m/s]."""
+    """(*g, m, 2, 3) velocity of the left and right foot over ground [m/s]."""
     foot_heading: np.ndarray
     """(*g, m, 2) direction of the left and right toes, from the x axis of the frame [rad]."""
     motor_position: np.ndarray
-    """(*g, m, 10) [rad]."""
+    """(*g, m, 10) motor angles [rad]."""
     motor_velocity: np.ndarray
-    """(*g, m, 10) [rad/s]."""
+    """(*g, m, 10) motor velocities [rad/s]."""
     motor_torque: np.ndarray
     """(*g, m, 10) joint torques that balance the model's leg forces [N m]."""
     qpos: np.ndarray

@@ -28,9 +28,9 @@ class BuildOptions(TypedDict, total=False):
     """Number of processes; by default all cores for more than 128 motions. Processes are spawned: a
     script must start under `if __name__ == "__main__":`."""
     progress: Progress | None
-    """Function of the number of finished motions and of all motions."""
+    """Function called with the numbers of finished motions and of all motions."""
     folder: Path | None
-    """Folder that keeps finished rows, from which a build that was cut off goes on."""
+    """Folder that keeps finished rows, from which an interrupted build resumes."""
 
 
 def tabulate(

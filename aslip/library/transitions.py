@@ -30,7 +30,7 @@ HALF = 0.5
 
 
 class WalkMode(IntEnum):
-    """Walk or stand, or in between."""
+    """Mode of a robot: walking, standing, or a transition in between."""
 
     WALK = 0
     STOP = 1
@@ -49,13 +49,13 @@ class TransitionTable:
     Raises:
         ConfigurationError: an entry is not finite, a duration not positive, or the touchdown not
             between 0 and 0.5.
-        ShapeError: an array has not that shape, or fewer than four samples.
+        ShapeError: an array does not have that shape, or has fewer than four samples.
     """
 
     touchdown: float
     """Phase of the left touchdown in the gait in place."""
     durations: np.ndarray
-    """(2,) of stop and start [s]."""
+    """(2,) durations of stop and start [s]."""
     body_position: np.ndarray
     body_velocity: np.ndarray
     body_heading: np.ndarray
@@ -96,7 +96,7 @@ class TransitionTable:
 
     @property
     def standing(self) -> float:
-        """Phase at which the robot stands, half a stride apart from the other one."""
+        """Phase of standing after the left touchdown; after the right one, half a stride later."""
         return (self.touchdown + HALF) / 2
 
     @property
@@ -132,7 +132,7 @@ class Transitions(nn.Module):
         return self._reference(*self.place(phase, mode))
 
     def state(self, phase: Tensor, mode: Tensor) -> tuple[Tensor, Tensor]:
-        """`qpos` and `qvel` of the robot (*b, k)."""
+        """`qpos` and `qvel` (*b, k) of the robot at phases (*b, 1) and modes (*b, 1)."""
         place = self.place(phase, mode)
         return self._qpos(*place), self._qvel(*place)
 

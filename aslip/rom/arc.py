@@ -23,14 +23,14 @@ class Pose:
     position: np.ndarray
     """(m, 3) origins of the frames [m], z = 0."""
     angle: np.ndarray
-    """(m,) angle from the common x axis to those of the frames [rad]."""
+    """(m,) angles from the common x axis to the frames' x axes [rad]."""
 
     def rotate(self, vectors: np.ndarray) -> np.ndarray:
-        """Vectors (m, ..., 3), given in the m frames, in the common frame."""
+        """Rotate vectors (m, ..., 3) from the m frames to the common frame."""
         return rotate(vectors, self.angle)
 
     def transform(self, points: np.ndarray) -> np.ndarray:
-        """Points (m, ..., 3), given in the m frames, in the common frame."""
+        """Transform points (m, ..., 3) from the m frames to the common frame."""
         moved = self.rotate(points)
         return moved + self.position.reshape(-1, *(1,) * (moved.ndim - 2), 3)
 
@@ -70,10 +70,11 @@ def twist_pose(command: np.ndarray, time: np.ndarray) -> Pose:
 
 
 def displacement(motion: Motion, phase: np.ndarray) -> Pose:
-    """Pose at phases (m,) of the frame that moves at the commanded twist, seen from phase 0.
+    """Poses at phases (m,) of the frame that moves at the commanded twist from phase 0 on.
 
     Raises:
-        ConfigurationError: the stride is infinite, or the command has not one to three numbers.
+        ConfigurationError: the stride is not positive and finite, or the command does not have one
+            to three numbers.
     """
     command = np.asarray(motion.command, dtype=float)
     if command.ndim != 1 or len(command) not in COMMAND_SIZES:

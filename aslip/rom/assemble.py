@@ -16,11 +16,11 @@ from aslip.rom.slip import Mode, SlipParameters
 MODES = (Mode.RIGHT, Mode.DOUBLE, Mode.LEFT, Mode.DOUBLE)
 """Contact modes of a stride."""
 POINTS = 2 * INTERVALS
-"""Collocation points per contact mode, except the last one, which opens the next mode."""
+"""Collocation points per contact mode, without its last one, the first of the next mode."""
 
 
 def collocation_times(double_stance: float, p: SlipParameters) -> np.ndarray:
-    """Times (8 N + 1,) of a stride's collocation points [s]."""
+    """Times (8 N + 1,) of a stride's collocation points [s], N intervals per mode."""
     half_period = p.single_stance + double_stance
     time = np.r_[
         np.linspace(0.0, p.single_stance, POINTS, endpoint=False),
@@ -83,7 +83,7 @@ def check_points(gait: Gait) -> None:
     """Check that a gait has the optimiser's number of collocation points.
 
     Raises:
-        ShapeError: it has not.
+        ShapeError: the number differs.
     """
     if len(gait.time) != 4 * POINTS + 1:
         raise ShapeError(f"a guess needs {4 * POINTS + 1} collocation points, got {len(gait.time)}")

@@ -1,4 +1,4 @@
-"""Certificate of a gait: it is optimal, feasible and obeys the dynamics."""
+"""Certificate that a gait is optimal and feasible and obeys the dynamics."""
 
 import json
 from collections.abc import Mapping
@@ -86,5 +86,10 @@ class Certificate:
 
     @classmethod
     def from_json(cls, text: str) -> "Certificate":
-        """Certificate from the text of `to_json`."""
+        """Certificate from the text of `to_json`.
+
+        Raises:
+            ValueError: the text is not JSON.
+            TypeError: a field is missing or unknown.
+        """
         return cls(**json.loads(text))

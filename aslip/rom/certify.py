@@ -12,7 +12,7 @@ from aslip.rom.program import GaitProgram, ModeSolution, Solution
 from aslip.rom.slip import Mode, SlipParameters
 
 _RELATIVE, _ABSOLUTE = 1e-10, 1e-12
-"""Tolerances of the adaptive integrator, far below the 1e-3 m that a certificate allows."""
+"""Tolerances of the adaptive integrator, far below the error that a certificate allows."""
 
 
 def kkt_residual(
@@ -42,7 +42,7 @@ def integrate_mode(
     duration: float,
     p: SlipParameters,
 ) -> np.ndarray:
-    """State at the end of a mode by adaptive integration (DOP853) from its first point, (10,).
+    """State (10,) at the end of a mode, by adaptive integration (DOP853) from its first point.
 
     Args:
         mode: contact mode.

@@ -18,7 +18,7 @@ CONTROL_SIZE = 2
 
 
 def leg_axis(body: ca.SX, velocity: ca.SX, foot: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Length [m], its rate [m/s] and the unit vector from foot to body (3, 1), world frame.
+    """Leg length [m], its rate [m/s] and the unit vector from foot to body (3, 1), world frame.
 
     Args:
         body: body position (3, 1) [m].

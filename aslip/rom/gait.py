@@ -28,20 +28,23 @@ class GaitSample(MotionSample):
     leg_force: np.ndarray
     """(m, 2) axial force of the left and right leg [N], 0 in swing."""
     set_point: np.ndarray
-    """(m, 2) [m]."""
+    """(m, 2) actuator set points d [m]."""
     set_point_velocity: np.ndarray
-    """(m, 2) [m/s]."""
+    """(m, 2) rates of the set points [m/s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gait:
     """One stride, from left lift-off (time 0) to the next left lift-off, both included.
 
-    Frame: heading at time 0; x forward, y left, z up, ground at z = 0. Body and feet move on over
+    Frame: heading at time 0; x forward, y left, z up, ground at z = 0. Body and feet advance over
     the stride. With one speed, the body starts at x = 0 and its mean lateral position is 0; with
     three commands its mean position is on the arc of the commands. Times increase strictly; at the
     instant of a mode change, mode, force and control are those of the mode that begins. All arrays
     are read-only. The four modes of a stride are right, double, left, double.
+
+    Raises:
+        ShapeError: an array has the wrong shape.
     """
 
     command: np.ndarray
@@ -61,7 +64,7 @@ class Gait:
     set_point: np.ndarray
     """(n, 2) actuator set points d [m]."""
     set_point_velocity: np.ndarray
-    """(n, 2) [m/s]."""
+    """(n, 2) rates of the set points [m/s]."""
     control: np.ndarray
     """(n, 2) actuator accelerations u [m/s^2]."""
     cost: float
@@ -111,7 +114,7 @@ class Gait:
 
     @property
     def step_length(self) -> float:
-        """Distance that the body moves forward per footstep, in the mean [m]."""
+        """Mean forward distance of the body per footstep [m]."""
         return self.speed * self.stride / 2
 
     @property
@@ -138,8 +141,8 @@ class Gait:
         forces follow from the interpolated state.
 
         Args:
-            phase: (m,) stride fractions, 0 at left lift-off. Phases outside [0, 1) belong to other
-                strides, further along the path or behind.
+            phase: (m,) stride fractions, 0 at left lift-off. Phases outside [0, 1) belong to
+                earlier or later strides.
 
         Returns:
             Arrays with leading dimension m.
@@ -179,7 +182,7 @@ class Gait:
     def _interpolate(
         self, value: np.ndarray, slope: np.ndarray, time: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        # its import takes 0.3 s, and loading a library interpolates no gait
+        # the import takes 0.3 s, and loading a library does not need it
         from scipy.interpolate import CubicHermiteSpline
 
         spline = CubicHermiteSpline(self.time, value, slope)
@@ -241,7 +244,7 @@ def swinging_feet(
         stride: duration of a stride [s].
         footholds: (2, 2, 3) start and end of the left and of the right swing [m].
         p: model parameters, with duration and clearance of the swing.
-        turn: angle of the arc that a foot follows, that of a stride [rad].
+        turn: angle by which a stride turns, and so the arc of each foot [rad].
     """
     swing = {"duration": p.single_stance, "clearance": p.swing_clearance, "turn": turn}
     feet = [

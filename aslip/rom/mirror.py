@@ -16,8 +16,9 @@ _SIDES = {"left": "right", "right": "left"}
 def mirror(gait: Gait) -> Gait:
     """Mirror image of a gait: its command is (v_x, -v_y, -w).
 
-    The image begins at its own left lift-off, the right one of the gait, half a stride later. It is
-    as optimal as the gait and keeps its certificate, with left and right exchanged by name.
+    The image begins at its own left lift-off, which is the gait's right lift-off, half a stride
+    later. It is as optimal as the gait and keeps the gait's certificate, with left and right
+    exchanged in the names of the margins.
     """
     half = len(gait.time) // 2
     # the first half of the stride, one stride later, follows the second one

@@ -42,7 +42,7 @@ class Track:
     """(..., 3) time derivative of the position [m/s]."""
 
     def moved(self, pose: Pose) -> Track:
-        """Track (m, ..., 3), given in the frames of m poses, in their common frame."""
+        """Transform a track (m, ..., 3) from the frames of m poses to their common frame."""
         return Track(pose.transform(self.position), pose.rotate(self.velocity))
 
 
@@ -100,7 +100,7 @@ class MotionSample:
                 )
 
     def moved(self, pose: Pose) -> Self:
-        """Motion, given in the frames of m poses, in their common frame."""
+        """Transform the motion from the frames of m poses to their common frame."""
         return replace(
             self,
             body=self.body.moved(pose),
@@ -118,7 +118,7 @@ class Motion(Protocol):
     def command(self) -> np.ndarray:
         """(c,) command that the motion obeys, c = 1, 2 or 3.
 
-        Mean forward speed [m/s], sideways speed [m/s], yaw rate [rad/s]; what is left out is 0.
+        Mean forward speed [m/s], sideways speed [m/s], yaw rate [rad/s]; numbers left out are 0.
         """
         ...
 
@@ -165,7 +165,11 @@ class SampledMotion:
         return cls(np.array(motion.command, dtype=float), float(motion.stride), sample)
 
     def sample(self, phase: np.ndarray) -> MotionSample:
-        """Motion at phases (m,)."""
+        """Motion at phases (m,), 0 at left lift-off.
+
+        Raises:
+            ShapeError: phase is not one-dimensional, or not finite.
+        """
         strides, within = split_phase(phase)
         s, next_stride = self.samples, self._next_stride()
         angle = self._hermite(
@@ -236,7 +240,7 @@ class SampledMotion:
 
     def _hermite(self, value: np.ndarray, rate: np.ndarray) -> CubicHermiteSpline:
         """Cubic spline over phase through m + 1 samples with given time derivatives."""
-        # its import takes 0.3 s, and loading a library interpolates no motion
+        # the import takes 0.3 s, and loading a library does not need it
         from scipy.interpolate import CubicHermiteSpline
 
         return CubicHermiteSpline(np.linspace(0.0, 1.0, len(value)), value, self.stride * rate)

@@ -62,7 +62,8 @@ def optimize_gait(
         The gait, with a certificate without failures.
 
     Raises:
-        ShapeError: the command has neither one number nor three.
+        ShapeError: the command has neither one number nor three, or the guess another number of
+            collocation points than the optimiser.
         SpeedOutOfRangeError: a number is not finite or out of range.
         GaitOptimizationError: the solver found no gait, or a check of its certificate failed.
     """
@@ -115,7 +116,7 @@ def optimize_transitions(gait: Gait) -> tuple[Transition, Transition]:
     """Optimise the stop of a gait in place after its left touchdown, and the start from that rest.
 
     Both feet stay where the gait puts them. The integral of the squared inputs over both motions is
-    minimised, over their durations and the height at rest, too; see `aslip.rom.rest`.
+    minimised; their durations and the height at rest are free, see `aslip.rom.rest`.
 
     Args:
         gait: gait at zero speed, of `optimize_gait` with one number or three; its model and bounds
@@ -142,7 +143,7 @@ def _nearest(gaits: Sequence[Gait], command: np.ndarray) -> Gait | None:
 
 
 def _checked(command: ArrayLike, p: SlipParameters) -> np.ndarray:
-    """Command as an array (1,) or (3,) within its range."""
+    """Check shape and range of a command; returns an array (1,) or (3,)."""
     numbers = np.atleast_1d(np.asarray(command, dtype=float))
     if numbers.shape == (1,):
         ranges = [("walking speed", 0.0, p.max_speed, "m/s")]

@@ -2,13 +2,13 @@ r"""Walk of the linear inverted pendulum in closed form: motion of a baseline an
 
 The body keeps its height z. Relative to each stance foot it follows the solution of
 :math:`\ddot x = \omega^2 x` with :math:`\omega = \sqrt{g / z}` (Kajita et al. 2001) that repeats,
-mirrored, at every step:
+mirrored, at every footstep:
 
 .. math::
     x(t) = \tfrac{L}{2}\,\frac{\sinh \omega (t - T/2)}{\sinh \omega T/2}, \qquad
     y(t) = -\tfrac{w}{2}\,\frac{\cosh \omega (t - T/2)}{\cosh \omega T/2}
 
-for a step of length L, width w and duration T, relative to a left stance foot. The ground force
+for a footstep of length L, width w and duration T, relative to a left stance foot. The ground force
 has a single, flat hump per stance. Swing feet move as in the spring-mass gaits; each lands
 before the stance changes, and carries no load until then.
 """
@@ -45,7 +45,7 @@ class PendulumWalk:
     speed: float = 0.75
     """Mean forward speed [m/s]; by default that of the published single-reference motion."""
     stride: float = 0.84
-    """Duration of a stride, two steps [s]."""
+    """Duration of a stride, two footsteps [s]."""
     height: float = 0.92
     """Constant height of the body [m]; at the default the legs are slightly bent at mid-stance."""
     width: float = _MODEL.foot_separation
@@ -55,7 +55,7 @@ class PendulumWalk:
     mass: float = _MODEL.mass
     """Mass of the body [kg], which the ground forces carry."""
     swing_share: float = 0.8
-    """Share of a step for which the swing foot is in the air."""
+    """Share of a footstep's duration for which the swing foot is in the air."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
@@ -77,6 +77,9 @@ class PendulumWalk:
 
         Ground forces act on one foot at a time: in double stance the foot that has just landed
         carries no load.
+
+        Raises:
+            ShapeError: phase is not one-dimensional, or not finite.
         """
         strides, phase = split_phase(phase)
         body, feet = self._body(phase), self._feet(phase)
@@ -123,7 +126,7 @@ class PendulumWalk:
         duration, length = self.stride / 2, self.speed * self.stride / 2
         feet = []
         for i, begins in enumerate((0.0, 0.5)):
-            # a foot lifts off half a step behind the body
+            # a foot lifts off half a footstep behind the body
             first = np.array([(2 * begins - 0.5) * length, (0.5 - i) * self.width, 0.0])
             feet.append(
                 swing_foot(

@@ -40,11 +40,11 @@ class ModeSolution:
     mode: Mode
     """Contact mode."""
     state: np.ndarray
-    """(10, 2 N + 1)."""
+    """(10, 2 N + 1) states."""
     control: np.ndarray
-    """(2, 2 N + 1) [m/s^2]."""
+    """(2, 2 N + 1) inputs [m/s^2]."""
     feet: tuple[np.ndarray, np.ndarray]
-    """Left and right foot (3,) [m]; that of a swing foot has no meaning."""
+    """Positions of left and right foot (3,) [m]; that of a swing foot has no meaning."""
     duration: float
     """Duration of the mode [s]."""
 
@@ -84,7 +84,7 @@ class GaitProgram(ABC, Generic[Solution]):
         """Consecutive contact modes of a solution."""
 
     def title(self, command: np.ndarray) -> str:
-        """Problem at a command (c,) in an error message."""
+        """Name of the problem at a command (c,), for error messages."""
         units = ("m/s forward", "m/s sideways", "rad/s") if len(command) > 1 else ("m/s",)
         values = (f"{number:g} {unit}" for number, unit in zip(command, units, strict=True))
         return f"the gait at {', '.join(values)}"

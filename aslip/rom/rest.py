@@ -25,12 +25,12 @@ from aslip.rom.slip import Mode, SlipParameters
 POINTS = 2 * INTERVALS + 1
 """Collocation points of each motion."""
 MAX_DURATION = 1.0
-"""Longest stop or start allowed [s]; inactive from Table I's model."""
+"""Longest stop or start allowed [s]; inactive with Table I's model."""
 
 _NAMES = ("stop", "start")
 _LANDED = 0  # index of the leg that lands before the stop; the other one leaves after the start
 CHANGING = {"stop": _LANDED, "start": 1 - _LANDED}
-_VALUES, _RATES = [0, 1, 2, 6, 7], [3, 4, 5, 8, 9]  # of the state
+_VALUES, _RATES = [0, 1, 2, 6, 7], [3, 4, 5, 8, 9]  # rows of the state
 _PLANE = [1, 2, 4, 5, 6, 7, 8, 9]  # state without its forward components
 
 
@@ -39,23 +39,22 @@ class StopAndStart:
     """Stop and start at the collocation points."""
 
     stop_state: np.ndarray
-    """(10, 2 N + 1), from left touchdown to rest."""
+    """(10, 2 N + 1) states from left touchdown to rest."""
     start_state: np.ndarray
-    """(10, 2 N + 1), from rest to right lift-off."""
+    """(10, 2 N + 1) states from rest to right lift-off."""
     stop_control: np.ndarray
-    """(2, 2 N + 1) [m/s^2]."""
+    """(2, 2 N + 1) inputs of the stop [m/s^2]."""
     start_control: np.ndarray
-    """(2, 2 N + 1) [m/s^2]."""
+    """(2, 2 N + 1) inputs of the start [m/s^2]."""
     duration: np.ndarray
-    """(2, 1) of stop and start [s]."""
+    """(2, 1) durations of stop and start [s]."""
 
 
 class RestProblem(GaitProgram[StopAndStart]):
-    """Nonlinear program of a stop and a start; its parameters are the ends in the gait.
+    """Nonlinear program of a stop and a start; its parameters are their ends in the gait.
 
-    In place of a command: state at left touchdown (10), state at right lift-off (10), left and
-    right foot (3 + 3), see
-    `aslip.rom.transitions.ends_of_gait`.
+    The parameters, in place of a command: state at left touchdown (10), state at right lift-off
+    (10), left and right foot (3 + 3), see `aslip.rom.transitions.ends_of_gait`.
     """
 
     def _formulate(self) -> None:
@@ -135,7 +134,7 @@ class RestProblem(GaitProgram[StopAndStart]):
         )
 
     def title(self, command: np.ndarray) -> str:
-        """Problem in an error message."""
+        """Name of the problem, for error messages."""
         del command
         return "the stop and start of the gait in place"
 

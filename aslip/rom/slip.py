@@ -20,7 +20,7 @@ class Mode(IntEnum):
 
     @property
     def stance(self) -> tuple[bool, bool]:
-        """Stance of the left and of the right foot."""
+        """Contact of the left and of the right foot, True on the ground."""
         return self is not Mode.RIGHT, self is not Mode.LEFT
 
 
@@ -31,6 +31,10 @@ class SlipParameters:
     The paper prints the five model numbers and the swing clearance. It mentions bounds without
     printing them; those marked "published gaits" were read from the gaits its authors released, and
     with them the optimiser returns those gaits to within 0.5 ms and 0.5 mm.
+
+    Raises:
+        ConfigurationError: a value is not positive and finite, the least stance force is not in
+            [0, 1), or a lower bound is not below its upper bound.
     """
 
     mass: float = 30.0

@@ -6,7 +6,7 @@
     stop.mirrored()                              # after the right touchdown
 
 All are motions, see `aslip.rom.Motion`, in the frame of the gait, with the zero command and both
-feet on the ground. A transition is not periodic: beyond its ends it keeps their samples.
+feet on the ground. A transition is not periodic: beyond its ends it holds its first or last sample.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ class Transition:
     set_point: np.ndarray
     """(n, 2) actuator set points of the left and right leg [m]."""
     set_point_velocity: np.ndarray
-    """(n, 2) [m/s]."""
+    """(n, 2) rates of the set points [m/s]."""
     control: np.ndarray
     """(n, 2) actuator accelerations u [m/s^2]."""
     certificate: Certificate
     """Evidence of optimality and feasibility, shared by stop and start."""
     parameters: SlipParameters
-    """Model and bounds."""
+    """Model and bounds of the motion."""
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
@@ -91,7 +91,7 @@ class Transition:
     def _interpolate(
         self, value: np.ndarray, slope: np.ndarray, time: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        # its import takes 0.3 s, and loading a library interpolates no motion
+        # the import takes 0.3 s, and loading a library does not need it
         from scipy.interpolate import CubicHermiteSpline
 
         spline = CubicHermiteSpline(self.time, value, slope)
@@ -109,7 +109,7 @@ class Standing:
     set_point: np.ndarray
     """(2,) actuator set points [m]."""
     parameters: SlipParameters
-    """Model."""
+    """Model of the legs."""
 
     @classmethod
     def after(cls, stop: Transition) -> Standing:
@@ -123,11 +123,11 @@ class Standing:
 
     @property
     def stride(self) -> float:
-        """Infinite."""
+        """Duration of a stride: infinite."""
         return np.inf
 
     def sample(self, phase: np.ndarray) -> MotionSample:
-        """Rest at phases (m,), of any value."""
+        """Rest at phases (m,); all phases have the same pose."""
         body, set_point = (np.tile(value, (len(phase), 1)) for value in (self.body, self.set_point))
         still = np.zeros_like(body), np.zeros_like(set_point)
         return _planted(body, still[0], set_point, still[1], self.feet, self.parameters)

@@ -1,23 +1,24 @@
 r"""Optimal control problem: a whole stride of the most economical walking in any direction.
 
 Time 0 is left lift-off. The modes of a stride are right single stance, double stance, left single
-stance, double stance. The gait is a relative periodic orbit: after the stride the state is the one
-before, turned by the yaw rate times the stride and moved along the arc of constant twist that the
-command prescribes. Actuators repeat. Both double stances last equally long: otherwise the optimum
-limps, even straight ahead, and its mirror image is as good.
+stance, double stance. The gait is a relative periodic orbit: after the stride the state is the
+first one, turned by the yaw rate times the stride and moved along the arc of constant twist that
+the command prescribes. Actuators repeat. Both double stances last equally long: otherwise the
+optimum limps, even straight ahead, and its mirror image is as good.
 
-Left and right foothold are apart by s >= foot_separation sideways, more than that in sidesteps and
-turns, in which the feet approach each other by a_i at the four lift-offs and touchdowns:
+The sideways distance s of left and right foothold is at least foot_separation. It is larger in
+sidesteps and turns, in which the feet approach each other by a_i at the four lift-offs and
+touchdowns:
 
 .. math:: s - d \ge \sqrt[4]{(s_0 - d)^4 + \tfrac12 \sum_i a_i^4}
 
-with s_0 the foot separation of a straight gait and d the least distance of the feet. Touchdown of
-one foot and lift-off of the other are nearly the same, so that this is a maximum without corners.
-The bare distance would give gaits corners over the command, and look-ups errors there. It is a
-bound, too, but only binds where both approaches differ.
+with s_0 the foot separation of a straight gait and d the least distance of the feet. The
+approaches at the touchdown of one foot and at the lift-off of the other are nearly equal, so that
+this is a smooth maximum. A bound on the bare distance would give the gaits a kink over the command,
+and look-ups errors there. That bound holds, too, but binds only where both approaches differ.
 
-Everything is in the heading frame of the stride's start; the moving frame is the one that leaves
-it at time 0 with the commanded twist. Each foothold is fixed in the moving frame of its own
+All positions are in the heading frame of the stride's start; the moving frame leaves it at time 0
+with the commanded twist. Each foothold is fixed in the moving frame of its own
 mid-stance. The body's mean position in the moving frame is the origin, so that the body, rather
 than a point beside it, obeys the command. Straight ahead the solution is that of
 `aslip.rom.problem`, with both halves alike.
@@ -50,7 +51,7 @@ _NAMES = (
 
 @dataclass(frozen=True)
 class WholeStride:
-    """A stride at the collocation points; modes share the state at their common instant."""
+    """Stride at the collocation points; modes share the state at their common instant."""
 
     state: np.ndarray
     """(10, 8 N + 1) states, N intervals per mode."""
@@ -142,7 +143,7 @@ class StrideProblem(GaitProgram[WholeStride]):
             side = ("left", "right")[swing]
             self._require(f"foot distance, {side} swing", distance, distance >= p.min_foot_distance)
             approach.append(separation - distance[[0, -1]])
-        # a maximum without corners, of which gaits would have corners over the command, too
+        # a smooth maximum: a kink in it would give the gaits a kink over the command
         room = p.foot_separation - p.min_foot_distance
         room = (room**4 + ca.sumsqr(ca.horzcat(*approach) ** 2) / 2) ** 0.25
         wide = separation - p.min_foot_distance - room
@@ -248,7 +249,7 @@ def footholds(solution: WholeStride, command: np.ndarray, p: SlipParameters) -> 
 
 
 def _arc(command: ca.MX, time: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """Angle (1, n) and way (2, n) of the moving frame at times (1, n), see `twist_pose`."""
+    """Angle (1, n) and path (2, n) of the moving frame at times (1, n), see `twist_pose`."""
     angle = command[2] * time
     way = ca.repmat(command[:2], 1, ca.MX(angle).shape[1])
     return angle, _rotate(angle / 2, way) * ca.repmat(_sinc(angle / 2) * time, 2, 1)

@@ -19,7 +19,7 @@ def ends_of_gait(gait: Gait) -> np.ndarray:
 
     Raises:
         ConfigurationError: the gait does not step in place.
-        ShapeError: its number of collocation points is not the optimiser's.
+        ShapeError: the gait's number of collocation points is not the optimiser's.
     """
     check_points(gait)
     if gait.command.any():
@@ -34,7 +34,7 @@ def ends_of_gait(gait: Gait) -> np.ndarray:
 def transitions_of(
     modes: Sequence[ModeSolution], certificate: Certificate, p: SlipParameters
 ) -> tuple[Transition, Transition]:
-    """Stop and start of their two solved modes."""
+    """Stop and start from their two solved modes."""
     stop, start = (
         Transition(
             stride=mode.duration,

@@ -53,7 +53,7 @@ def fold(gait: Gait) -> HalfStride:
 
 
 def mirrored(state: np.ndarray, step: float) -> np.ndarray:
-    """Mirror states (10, n): left and right exchanged, one step ahead."""
+    """Mirror states (10, n): left and right exchanged, one footstep ahead."""
     image = MIRROR_SIGN[:, None] * state[MIRROR]
     image[0] += step
     return image

@@ -32,7 +32,7 @@ def _assert_equal(found: GaitTable, expected: GaitTable) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
-def test_processes_make_the_same_bits(motions: list[Bent], table: GaitTable) -> None:
+def test_number_of_processes_changes_no_bit(motions: list[Bent], table: GaitTable) -> None:
     seen: list[tuple[int, int]] = []
     found = tabulate(motions, samples=4, workers=2, progress=lambda *at: seen.append(at))
     _assert_equal(found, table)
@@ -40,7 +40,7 @@ def test_processes_make_the_same_bits(motions: list[Bent], table: GaitTable) -> 
     assert seen[-1] == (24, 24)
 
 
-def test_build_goes_on_where_it_was_cut_off(
+def test_interrupted_build_resumes(
     motions: list[Bent], table: GaitTable, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Damaged files, and those of other motions, are not used."""

@@ -50,7 +50,7 @@ def _gaits(outcomes: Mapping[Point, Outcome]) -> dict[tuple[float, ...], Gait]:
     return {tuple(gait.command.tolist()): gait for gait in gaits}
 
 
-def test_stopped_build_goes_on_with_the_gaits_in_its_folder(built: Built) -> None:
+def test_interrupted_build_resumes_with_the_gaits_in_its_folder(built: Built) -> None:
     store, outcomes, seen = built
     assert seen == [(1, 4, True), (2, 4, True), (3, 4, False), (4, 4, False)]
     assert len(list(store.folder.iterdir())) == 4

@@ -210,7 +210,7 @@ def test_velocities_are_the_rates_of_positions(
             torch.testing.assert_close(rate, expected, rtol=0, atol=2 * tolerance)
 
 
-def test_mean_velocity_is_the_speed(library: GaitLibrary) -> None:
+def test_mean_velocity_is_the_commanded_speed(library: GaitLibrary) -> None:
     phase = _phase_grid()
     for speed in (0.0, 0.3, 1.0, 1.95):
         velocity = library.lookup(phase, _column(speed, phase)).body_velocity.mean(dim=0)

@@ -16,7 +16,7 @@ def test_schedule_holds_each_speed_until_the_next() -> None:
     assert Schedule.parse("1.5").at(3.0) == 1.5
 
 
-def test_commands_of_three_numbers_and_speeds_alone() -> None:
+def test_single_speed_becomes_a_command_of_three_numbers() -> None:
     schedule = Schedule.parse("0:0.5 0 0,4:0.5 0.1 -0.3")
     assert schedule.at(4.5) == (0.5, 0.1, -0.3)
     assert schedule.of_size(3) is schedule
@@ -25,7 +25,7 @@ def test_commands_of_three_numbers_and_speeds_alone() -> None:
 
 
 @pytest.mark.parametrize("text", ["0:0 0", "0:0 0 nan", "0:0 0 0,1:1", "0:0 0 0 0"])
-def test_refuses_commands_of_other_sizes(text: str) -> None:
+def test_commands_of_other_sizes_are_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match="schedule"):
         Schedule.parse(text)
 
@@ -33,6 +33,6 @@ def test_refuses_commands_of_other_sizes(text: str) -> None:
 @pytest.mark.parametrize(
     "text", ["", "a", "0:1,", "1:0.5", "0:1,0:2", "0:1,3:1,2:1", "0:nan", "0:1:2"]
 )
-def test_refuses_invalid_schedule(text: str) -> None:
+def test_invalid_schedule_is_refused(text: str) -> None:
     with pytest.raises(ConfigurationError, match=r"schedule|times"):
         Schedule.parse(text)

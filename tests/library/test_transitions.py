@@ -124,7 +124,7 @@ def test_mode_chooses_between_gait_and_transition(
     torch.testing.assert_close(qpos[0], walking.initial_state(phase, command)[0][0])
 
 
-def test_beyond_its_ends_a_transition_keeps_them(
+def test_transition_holds_its_end_samples_beyond_its_ends(
     walking: GaitLibrary, table: TransitionTable
 ) -> None:
     phase = _at(0.0, table.touchdown, 0.49, table.standing)

@@ -26,7 +26,7 @@ def test_lift_is_level_at_the_top():
 
 
 @pytest.mark.parametrize("order", range(5))
-def test_lift_is_four_times_continuous_at_the_via_point(order):
+def test_lift_is_four_times_differentiable_at_the_via_point(order):
     """With a via point, least jerk leaves derivatives up to the fourth continuous."""
     below, above = lift(np.array([0.5 - EPSILON, 0.5 + EPSILON]), order)
     assert below == pytest.approx(above, abs=1e-4)
