@@ -71,6 +71,7 @@ from tensordict import TensorDict
 from tqdm import tqdm
 
 import aslip
+from aslip.library import numbers
 from aslip.robot import CASSIE
 from aslip.show.ghost import Ghost
 from aslip.show.plots import save_figure
@@ -142,7 +143,8 @@ def simulated_stride(walker: Walker, wanted: np.ndarray, settle: float) -> Strid
     Raises:
         ConfigurationError: the robot fell before the end of the stride.
     """
-    duration = stride_duration(walker.library, walker.command)
+    (speed,) = numbers(walker.command)
+    duration = stride_duration(walker.library, speed)
     first = np.ceil(settle / duration)
     steps = np.rint((first + wanted) * duration / CASSIE.policy_period).astype(int)
     phases, path, ghosts = [], [], []

@@ -107,7 +107,7 @@ class GaitTable:
         digest = hashlib.sha256(f"{self.torque_jumps}".encode())
         for name, array in arrays.items():
             digest.update(f"{name} {array.dtype} {array.shape}".encode())
-            digest.update(np.ascontiguousarray(array))
+            digest.update(np.ascontiguousarray(array).data)
         return digest.hexdigest()
 
     def _check_present(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from scipy.interpolate import CubicSpline
@@ -26,7 +28,8 @@ def test_open_slopes_are_those_of_clamped_cubic_splines() -> None:
             np.polynomial.Polynomial.fit(at[part], values[0, part, 1], 3).deriv()(at[part][place])
             for part, place in ((slice(4), 0), (slice(-4, None), -1))
         ]
-        spline = CubicSpline(at, values[0, :, 1], bc_type=((1, ends[0]), (1, ends[1])))
+        clamped: Any = tuple((1, end) for end in ends)
+        spline = CubicSpline(at, values[0, :, 1], bc_type=clamped)
         slopes = open_slopes(values)
         np.testing.assert_allclose(slopes[0, :, 1], spline(at, 1), rtol=0, atol=1e-12)
 
