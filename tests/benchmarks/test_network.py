@@ -8,16 +8,12 @@ import numpy as np
 import pytest
 
 from aslip.wire import (
-    LOOPBACK,
     PD_IN,
-    STATE_OUT,
-    Address,
     Counters,
-    Endpoint,
-    Link,
     Packet,
 )
 from benchmarks import network
+from tests.twin.sockets import robot_socket, socket_to
 
 SMALL = network.Config(packets=30, strings=200, duration=0.09, ticks=20, lossy=0.2)
 
@@ -36,12 +32,10 @@ def test_the_report_has_a_row_per_packet_and_no_differences(
 
 def _arrived(loss: float, jitter: float, number: int) -> tuple[Counters, int]:
     """Counts of commands that a robot receives through a relay, and number of dropped ones."""
-    robot = Endpoint(Link(STATE_OUT, PD_IN, refuse_not_finite=True), Address(LOOPBACK, 0))
-    link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)
     with (
-        robot,
+        robot_socket() as robot,
         network.LossyRelay(robot.local, loss, jitter) as relay,
-        Endpoint(link, Address(LOOPBACK, 0), relay.address) as client,
+        socket_to(relay.address) as client,
     ):
         command = PD_IN.zeros()
         for i in range(number):

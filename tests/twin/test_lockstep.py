@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import cast
 
 import numpy as np
@@ -20,46 +17,25 @@ from aslip.robot import CASSIE
 from aslip.sim import PD, Simulations, Torque
 from aslip.twin import TwinRobot, serve_lockstep
 from aslip.wire import (
-    CASSIE_OUT,
     LOOPBACK,
     PD_IN,
     SIMULATOR,
-    STATE_OUT,
     USER_IN,
     Address,
     Endpoint,
-    Link,
     cassie_out_to_sensors,
     command_to_pd_in,
     state_out_to_estimate,
     torque_to_user_in,
 )
 from tests.helpers import started
+from tests.twin.sockets import robot_socket, serving, socket_to
 from tests.twin.test_robot import ROUNDED
 
-ANY_PORT = Address(LOOPBACK, 0)
 STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
 
 
 _ENCODERS = ("position", "velocity")
-
-
-def endpoint_of(twin: TwinRobot) -> Endpoint:
-    return Endpoint(Link(twin.sends, twin.receives, refuse_not_finite=True), ANY_PORT)
-
-
-@contextmanager
-def serving(twin: TwinRobot) -> Iterator[Endpoint]:
-    """Serve a twin in a thread; yields its socket."""
-    ended = threading.Event()
-    with endpoint_of(twin) as endpoint:
-        thread = threading.Thread(target=serve_lockstep, args=(twin, endpoint, ended.is_set))
-        thread.start()
-        try:
-            yield endpoint
-        finally:
-            ended.set()
-            thread.join()
 
 
 def answered(
@@ -75,11 +51,6 @@ def answered(
     return answer
 
 
-def client_of(server: Address, *, raw: bool = False) -> Endpoint:
-    sends, receives = (USER_IN, CASSIE_OUT) if raw else (PD_IN, STATE_OUT)
-    return Endpoint(Link(sends, receives, refuse_not_finite=False), ANY_PORT, server)
-
-
 @pytest.fixture(scope="module")
 def controller() -> Controller:
     return Controller("aslip", GaitLibrary.load())
@@ -91,7 +62,7 @@ def test_two_seconds_over_loopback_equal_the_simulation_in_one_process(
     """The client sees states only; the simulation beside it sees packets."""
     twin, env = TwinRobot(), BatchEnv(1, num_threads=1, robot=ROUNDED)
     now = env.reset()
-    with endpoint_of(twin) as server, client_of(server.local) as client:
+    with robot_socket() as server, socket_to(server.local) as client:
         state = answered(twin, server, client, PD_IN.zeros())
         env.set_states(twin.states())
         over_wire = controller.start(state_out_to_estimate(state), 0.5, heading=0.0)
@@ -134,7 +105,7 @@ def test_a_client_that_closes_the_loop_equals_the_simulation_in_one_process() ->
     """In raw mode the torque of a tick follows from the sensors of the tick before."""
     twin, beside = TwinRobot(raw=True), Simulations(1, num_threads=1, drive=RoundedPD)
     pd = PD(1)
-    with endpoint_of(twin) as server, client_of(server.local, raw=True) as client:
+    with robot_socket(raw=True) as server, socket_to(server.local, raw=True) as client:
         record = answered(twin, server, client, USER_IN.zeros())
         beside.set_states(twin.states())
         for step in range(3):
@@ -157,7 +128,7 @@ def test_a_client_that_closes_the_loop_equals_the_simulation_in_one_process() ->
 
 def test_a_repeated_command_is_answered_without_a_tick() -> None:
     twin = TwinRobot()
-    with serving(twin) as server, client_of(server.local) as client:
+    with serving(serve_lockstep, twin) as server, socket_to(server.local) as client:
         state = client.request(command_to_pd_in(STANDING))
         client.resend()
         assert client.wait(1.0)
@@ -171,7 +142,7 @@ def test_a_repeated_command_is_answered_without_a_tick() -> None:
 
 def test_commands_that_are_not_finite_move_nothing() -> None:
     twin = TwinRobot()
-    with serving(twin) as server, client_of(server.local) as client:
+    with serving(serve_lockstep, twin) as server, socket_to(server.local) as client:
         for _ in range(2):
             client.send(command_to_pd_in(np.full(10, np.nan)))
         client.resend()
@@ -186,7 +157,7 @@ def test_the_program_serves_a_client_and_reports_a_port_in_use() -> None:
         assert process.stdout is not None
         line = process.stdout.readline()
         port = line.split(f"{SIMULATOR.host}:")[1].split(";")[0]
-        with client_of(Address(LOOPBACK, int(port))) as client:
+        with socket_to(Address(LOOPBACK, int(port))) as client:
             client.request(command_to_pd_in(STANDING), timeout=30.0)
         other = subprocess.run([*program, port], capture_output=True, text=True, check=False)
         assert other.returncode == 1

@@ -15,19 +15,20 @@ from aslip.robot import CASSIE
 from aslip.twin import RealTimeServer, TwinRobot
 from aslip.twin.radio import parse_channel, read_radio
 from aslip.wire import (
+    CASSIE_OUT,
     LOOPBACK,
     SIMULATOR,
     STOP_CHANNEL,
+    USER_IN,
     Address,
     Endpoint,
-    Link,
     command_to_pd_in,
     torque_to_user_in,
 )
 from aslip.wire.endpoint import SILENCE
 from tests.helpers import started
+from tests.twin.sockets import robot_socket, socket_to
 
-ANY_PORT = Address(LOOPBACK, 0)
 STANDING = CASSIE.standing[CASSIE.indices.motor_qpos]
 PERIOD = CASSIE.physics_timestep
 
@@ -40,13 +41,13 @@ class Bench:
         twin.radio[:], twin.radio[STOP_CHANNEL] = 0, 1
         self.twin, self.said, self.now = twin, list[str](), 0.0
         settings = {"clock": lambda: self.now, **settings}
-        self.socket = Endpoint(Link(twin.sends, twin.receives, refuse_not_finite=True), ANY_PORT)
+        self.raw = twin.sends is CASSIE_OUT
+        self.socket = robot_socket(self.raw)
         self.server = RealTimeServer(twin, self.socket, say=self.said.append, **settings)  # pyright: ignore[reportArgumentType]
         self.client = self.another()
 
     def another(self) -> Endpoint:
-        link = Link(self.twin.receives, self.twin.sends, refuse_not_finite=False)
-        return Endpoint(link, ANY_PORT, self.socket.local)
+        return socket_to(self.socket.local, self.raw)
 
     def tick(self, number: int = 1, command: np.ndarray | None = None) -> np.ndarray:
         """Advance, with a command at the first tick; return the client's newest answer."""
@@ -226,16 +227,14 @@ def test_the_program_runs_in_real_time_and_obeys_the_radio() -> None:
         assert process.stdin is not None
         line = process.stdout.readline()
         port = int(line.split(f"{SIMULATOR.host}:")[1].split(";")[0])
-        twin = TwinRobot(raw=True)
-        link = Link(twin.receives, twin.sends, refuse_not_finite=False)
-        with Endpoint(link, ANY_PORT, Address(LOOPBACK, port)) as client:
-            client.request(twin.receives.zeros(), timeout=30.0)
+        with socket_to(Address(LOOPBACK, port), raw=True) as client:
+            client.request(USER_IN.zeros(), timeout=30.0)
             process.stdin.write("8 -1\n")
             process.stdin.flush()
             stopped = False
             end = time.monotonic() + 10
             while not stopped and time.monotonic() < end:
-                record = client.request(twin.receives.zeros(), timeout=10.0)
+                record = client.request(USER_IN.zeros(), timeout=10.0)
                 stopped = record["pelvis"]["radio"]["channel"][STOP_CHANNEL] == -1
             assert stopped
         process.send_signal(2)

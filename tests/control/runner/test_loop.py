@@ -28,21 +28,17 @@ from aslip.robot import CASSIE
 from aslip.twin import TwinRobot, serve_lockstep
 from aslip.wire import (
     CASSIE_OUT,
-    LOOPBACK,
     PD_IN,
     STATE_OUT,
-    USER_IN,
-    Address,
     Arrival,
     Endpoint,
-    Link,
     command_to_pd_in,
     estimate_to_state_out,
     pd_in_to_command,
     state_out_to_estimate,
 )
+from tests.twin.sockets import robot_socket, serving, socket_to
 
-ANY_PORT = Address(LOOPBACK, 0)
 QUICK = Limits(settle=0.09, damping=0.06)
 WALK = 1.02
 
@@ -53,31 +49,10 @@ def loaded() -> Loaded:
 
 
 @contextmanager
-def socket_to(robot: Address, raw: bool = False) -> Iterator[Endpoint]:
-    kinds = (USER_IN, CASSIE_OUT) if raw else (PD_IN, STATE_OUT)
-    with Endpoint(Link(*kinds, refuse_not_finite=False), ANY_PORT, robot) as endpoint:
-        yield endpoint
-
-
-@contextmanager
-def robot_socket(raw: bool = False) -> Iterator[Endpoint]:
-    kinds = (CASSIE_OUT, USER_IN) if raw else (STATE_OUT, PD_IN)
-    with Endpoint(Link(*kinds, refuse_not_finite=True), ANY_PORT) as endpoint:
-        yield endpoint
-
-
-@contextmanager
 def connected(serve: Any, *arguments: Any, raw: bool = False) -> Iterator[Endpoint]:
     """Socket to a robot that `serve(*arguments, socket, stop)` plays in a thread."""
-    ended = threading.Event()
-    with robot_socket(raw) as server, socket_to(server.local, raw) as endpoint:
-        thread = threading.Thread(target=serve, args=(*arguments, server, ended.is_set))
-        thread.start()
-        try:
-            yield endpoint
-        finally:
-            ended.set()
-            thread.join()
+    with serving(serve, *arguments, raw=raw) as server, socket_to(server.local, raw) as endpoint:
+        yield endpoint
 
 
 def make_run(
