@@ -27,8 +27,10 @@ from typing import Any
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl import torchrl_logger
+from tqdm import tqdm
 
 import aslip
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits
@@ -39,7 +41,8 @@ from aslip.rom import Gait
 from aslip.show.plots import save_figure
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import write_text
-from aslip.walking import Interval, Walks, record_walks
+from aslip.transforms import PhaseClock, StandClock
+from aslip.walking import Interval, Walks, next_start, record_walks, walk
 from benchmarks.flags import Common
 
 __all__ = [
@@ -52,12 +55,14 @@ __all__ = [
     "Subject",
     "checkpoint_times",
     "constant_walks",
+    "library_of",
     "load_subjects",
     "nearest_gait",
     "quiet",
     "record_subject",
     "shortest_swing",
     "strides",
+    "walk_on",
     "write_report",
     "write_results",
 ]
@@ -172,6 +177,42 @@ def record_subject(config: Common, subject: Subject, command: np.ndarray) -> Wal
     """Record walks of one subject through commands (m, n) [m/s]."""
     with contextlib.closing(subject.walking_env(config, command.shape[1])) as env:
         return record_walks(subject.policy, env, command)
+
+
+def walk_on(
+    env: StackEnv,
+    actor: TensorDictModuleBase,
+    td: TensorDictBase,
+    steps: int,
+    bar: tqdm,
+    force: np.ndarray | None = None,
+) -> tuple[TensorDictBase, np.ndarray]:
+    """Walk on from a tensordict, which is left as it is, until all robots have fallen.
+
+    Args:
+        env: environment of n robots, in the state that belongs to the tensordict.
+        actor: policy.
+        td: start.
+        steps: policy steps.
+        bar: progress bar that counts each robot's steps.
+        force: (n, 3) force on the pelvis throughout [N, world].
+
+    Returns:
+        The tensordict after the last step, and (n,) whether each robot is still up.
+    """
+    alive = np.ones(env.num_envs, dtype=bool)
+    for step in walk(actor, env, td, steps, push=force):
+        alive &= ~np.asarray(step["next", "terminated"][:, 0])
+        td = next_start(step)
+        bar.update(env.num_envs)
+        if not alive.any():
+            break
+    return td, alive
+
+
+def library_of(env: StackEnv) -> GaitLibrary:
+    """Gait library whose strides the clock of an environment follows."""
+    return next(t for t in env.transforms if isinstance(t, PhaseClock | StandClock)).library
 
 
 # ---------------------------------------------------------------------------- gaits

@@ -59,7 +59,7 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects, library = direction_subjects(config, policy, make_env)
+    subjects, library = direction_subjects(config, config.library, policy, make_env)
     command = random_commands(library, config.commands, config.seed)
     first, steps = (round(t / CASSIE.policy_period) for t in (_SETTLE, _SETTLE + _WALK))
     rows, twists = [], []

@@ -70,7 +70,7 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects, library = direction_subjects(config, policy, make_env)
+    subjects, library = direction_subjects(config, config.library, policy, make_env)
     follower = PathFollower(Eight(config.radius), config.speed)
     found = [walk_path(config, subject, library, follower) for subject in subjects]
     rows = [row for row, _ in found]

@@ -2,6 +2,7 @@
 
     python -m benchmarks.perturbation                                       # the shipped policy
     python -m benchmarks.perturbation --policy runs/seed0 runs/seed1 runs/seed2
+    python -m benchmarks.perturbation --policy runs/mine --library runs/directions/gaits.npz
 
 A push is a horizontal force on the pelvis. Bisection finds the largest impulse survived, for all
 directions and phases side by side, each from a state of the same steady walk. Survival need not be
@@ -11,8 +12,8 @@ like a push to the right half a stride later. Mean and range over phases describ
 grid; with several policies, intervals are over policies.
 
 Sweeps change one parameter of robot or floor at a time, see `aslip.sim.DYNAMICS`, and count walks
-without a fall over commanded speeds. Wilson's interval assumes that speeds are random draws and
-that policies are independent.
+without a fall at random commands, uniform over the region of the library. Intervals of one policy
+are over its walks, of several over policies.
 """
 
 from __future__ import annotations
@@ -24,41 +25,15 @@ from typing import Final
 
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Common
+from benchmarks.flags import SWEEPS, Sweeps
 
 SIDES: Final = MappingProxyType({0.0: "forward", 90.0: "left", 180.0: "back", 270.0: "right"})
 """Names of directions of pushes [deg]."""
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """Display of a parameter of `aslip.sim.DYNAMICS`."""
-
-    label: str
-    """Name and unit."""
-    flag: str
-    """Field of `Config` with its values."""
-    scale: float = 1.0
-    """Displayed value over the value in SI units."""
-    nominal: float = 1.0
-    """Displayed value of the unchanged robot."""
-
-
-SWEEPS: Final = MappingProxyType(
-    {
-        "floor_friction": Sweep("floor friction", "floor_friction"),
-        "payload": Sweep("payload [kg]", "payload", nominal=0.0),
-        "slope": Sweep("slope [deg]", "slope_deg", 180 / math.pi, nominal=0.0),
-        "torque_delay": Sweep("torque delay [ms]", "torque_delay_ms", 1e3, nominal=3.0),
-        "motor_strength": Sweep("motor strength", "motor_strength"),
-    }
-)
-"""Parameters that are swept, by name."""
-
-
-@dataclass(frozen=True)
-class Config(Common):
-    """Settings of the benchmark; a sweep without values is skipped."""
+class Config(Sweeps):
+    """Settings of the benchmark."""
 
     speed: float = 1.0
     """Commanded speed of pushed walks [m/s]."""
@@ -78,31 +53,15 @@ class Config(Common):
     """Duration of the walk before a push [s]."""
     after: float = 3.0
     """Duration without a fall after which a push is survived [s]."""
-    floor_friction: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0)
-    """Coefficients of sliding friction."""
-    payload: tuple[float, ...] = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0)
-    """Payloads at the pelvis [kg]."""
-    slope_deg: tuple[float, ...] = (-9.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0)
-    """Slopes of the floor, rising forward [deg]."""
-    torque_delay_ms: tuple[float, ...] = (0.0, 3.0, 5.0, 7.0, 9.0, 12.0)
-    """Delays from command to torque [ms]."""
-    motor_strength: tuple[float, ...] = (0.5, 0.6, 0.7, 0.8, 1.0, 1.2, 1.4)
-    """Ratios of delivered to commanded torque."""
-    speeds: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 1.75, 2.0)
-    """Commanded speeds of sweeps [m/s]."""
-    episodes: int = 1
-    """Walks at each value and speed, with different initial phases."""
-    episode: float = 12.0
-    """Duration of a walk of a sweep [s]."""
 
     def __post_init__(self) -> None:
         """Check the settings."""
         super().__post_init__()
-        least = {"directions": 1, "phases": 0, "repeats": 1, "bisections": 1, "episodes": 1}
+        least = {"directions": 1, "phases": 0, "repeats": 1, "bisections": 1}
         for name, low in least.items():
             if getattr(self, name) < low:
                 raise ConfigurationError(f"{name} must be {low} or more, got {getattr(self, name)}")
-        for name in ("largest", "duration", "settle", "after", "episode"):
+        for name in ("largest", "duration", "settle", "after"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
 
@@ -111,7 +70,6 @@ if __name__ == "__main__":
     # parsed before the slow imports below
     CONFIG = command_line(Config)
 
-from collections.abc import Sequence
 from contextlib import closing
 from typing import Any
 
@@ -124,10 +82,19 @@ from tqdm import tqdm
 from aslip.envs import StackEnv
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
-from aslip.transforms import PhaseClock
-from aslip.walking import Interval, markdown, next_start, policy_steps, reset_walks, walk
-from benchmarks.common import MakeEnv, Policy, Subject, load_subjects, write_report
+from aslip.walking import Interval, markdown, policy_steps, reset_walks
+from benchmarks.common import (
+    MakeEnv,
+    Policy,
+    Subject,
+    library_of,
+    load_subjects,
+    walk_on,
+    write_report,
+)
+from benchmarks.directions import direction_subjects
 from benchmarks.perturbation_picture import picture
+from benchmarks.sweeps import measure_sweeps, sweep_rows, sweep_table, trials
 
 
 def main(
@@ -140,11 +107,14 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects = load_subjects(config, policy, make_env)
+    subjects = swept_subjects(config, policy, make_env)
     total = len(subjects) * count_robot_steps(config)
     with tqdm(total=total, unit="step", unit_scale=True, leave=False) as bar:
         pushes = [measure_pushes(config, subject, bar) for subject in subjects]
-        sweeps = [measure_sweeps(config, subject, bar) for subject in subjects]
+        sweeps = [
+            measure_sweeps(config, subject, config.seed + i, bar)
+            for i, subject in enumerate(subjects)
+        ]
     numbers = {
         "speed": config.speed,
         "push_duration": push_steps(config) * CASSIE.policy_period,
@@ -152,11 +122,20 @@ def main(
         "pushes": push_rows(config, pushes),
         "sweeps": sweep_rows(config, sweeps),
     }
-    tables = [make(numbers) for make in (push_table, sweep_table)]
+    tables = [push_table(numbers), sweep_table(numbers["sweeps"])]
     text = "\n\n".join(table for table in tables if table)
     figure = picture(numbers, SIDES, SWEEPS)
     write_report(config, policy, "perturbation", numbers, text, figure)
     return numbers
+
+
+def swept_subjects(
+    config: Config, policy: Policy | None, make_env: MakeEnv | None
+) -> list[Subject]:
+    """Subjects of the benchmark, in environments of the library if one is given."""
+    if config.library is None:
+        return load_subjects(config, policy, make_env)
+    return direction_subjects(config, config.library, policy, make_env)[0]
 
 
 def count_robot_steps(config: Config) -> int:
@@ -165,37 +144,6 @@ def count_robot_steps(config: Config) -> int:
     once = push_steps(config) + round(config.after / CASSIE.policy_period)
     each = round(config.settle / CASSIE.policy_period) + config.bisections * once
     return pushed * each + len(trials(config)) * round(config.episode / CASSIE.policy_period)
-
-
-def walk_on(
-    env: StackEnv,
-    actor: TensorDictModuleBase,
-    td: TensorDictBase,
-    steps: int,
-    bar: tqdm,
-    force: np.ndarray | None = None,
-) -> tuple[TensorDictBase, np.ndarray]:
-    """Walk on from a tensordict, which is left as it is, until all robots have fallen.
-
-    Args:
-        env: environment of n robots, in the state that belongs to the tensordict.
-        actor: policy.
-        td: start.
-        steps: policy steps.
-        bar: progress bar that counts each robot's steps.
-        force: (n, 3) force on the pelvis throughout [N, world].
-
-    Returns:
-        The tensordict after the last step, and (n,) whether each robot is still up.
-    """
-    alive = np.ones(env.num_envs, dtype=bool)
-    for step in walk(actor, env, td, steps, push=force):
-        alive &= ~np.asarray(step["next", "terminated"][:, 0])
-        td = next_start(step)
-        bar.update(env.num_envs)
-        if not alive.any():
-            break
-    return td, alive
 
 
 # --------------------------------------------------------------------------- pushes
@@ -247,8 +195,10 @@ def settle(
         The tensordict at the end, and (n,) whether each robot has not fallen.
     """
     steps = round(config.settle / CASSIE.policy_period)
-    start = phase - steps * CASSIE.policy_period / stride_of(env, config.speed)
-    td = reset_walks(env, np.full(len(phase), config.speed), start % 1.0)
+    library = library_of(env)
+    ahead = torch.tensor([[config.speed, *[0.0] * (library.command_size - 1)]])
+    start = phase - steps * CASSIE.policy_period / library.stride(ahead).item()
+    td = reset_walks(env, ahead.double().numpy().repeat(len(phase), axis=0), start % 1.0)
     return walk_on(env, actor, td, steps, bar)
 
 
@@ -265,12 +215,6 @@ def push_robots(
     td, during = walk_on(env, actor, td, steps, bar, impulse / (steps * CASSIE.policy_period))
     _, after = walk_on(env, actor, td, round(config.after / CASSIE.policy_period), bar)
     return during & after
-
-
-def stride_of(env: StackEnv, speed: float) -> float:
-    """Duration of a stride of the environment's reference [s]."""
-    clock = next(t for t in env.transforms if isinstance(t, PhaseClock))
-    return float(clock.library.stride(torch.full((1, 1), speed)))
 
 
 def push_rows(config: Config, pushes: list[np.ndarray]) -> list[dict[str, Any]]:
@@ -304,85 +248,6 @@ def push_table(numbers: dict[str, Any]) -> str:
             ]
         )
     header = ["push", "mean over phases [N s]", "minimum, at phase", "maximum, at phase"]
-    return markdown(header, rows) if rows else ""
-
-
-# --------------------------------------------------------------------------- sweeps
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Walk of a robot with one changed parameter."""
-
-    parameter: str
-    """Name in `aslip.sim.DYNAMICS`."""
-    shown: float
-    """Displayed value of the parameter."""
-    speed: float
-    """Commanded speed [m/s]."""
-    phase: float
-    """Phase at the start."""
-
-
-def trials(config: Config) -> list[Trial]:
-    """Walks of all sweeps."""
-    return [
-        Trial(name, shown, speed, (i / len(config.speeds) + k / config.episodes) % 1.0)
-        for name, sweep in SWEEPS.items()
-        for shown in getattr(config, sweep.flag)
-        for i, speed in enumerate(config.speeds)
-        for k in range(config.episodes)
-    ]
-
-
-def measure_sweeps(config: Config, subject: Subject, bar: tqdm) -> np.ndarray:
-    """(n,) whether a policy survived each of the `trials`."""
-    all_trials = trials(config)
-    if not all_trials:
-        return np.zeros(0, dtype=bool)
-    with closing(subject.walking_env(config, len(all_trials))) as env:
-        for i, trial in enumerate(all_trials):
-            value = trial.shown / SWEEPS[trial.parameter].scale
-            env.base_env.set_dynamics({trial.parameter: value}, np.array([i]))
-        speed, phase = (
-            np.array([getattr(t, name) for t in all_trials]) for name in ("speed", "phase")
-        )
-        steps = round(config.episode / CASSIE.policy_period)
-        return walk_on(env, subject.policy, reset_walks(env, speed, phase), steps, bar)[1]
-
-
-def sweep_rows(config: Config, sweeps: Sequence[np.ndarray]) -> list[dict[str, Any]]:
-    """Rows of survival over all policies, one for each parameter and value."""
-    all_trials, survived = trials(config), np.array(sweeps)
-    rows = []
-    for name, shown in dict.fromkeys((t.parameter, t.shown) for t in all_trials):
-        columns = [(t.parameter, t.shown) == (name, shown) for t in all_trials]
-        found = survived[:, columns]
-        at = np.array([t.speed for t in all_trials])[columns]
-        rows.append(
-            {
-                "parameter": name,
-                "value": shown,
-                **vars(Interval.of_share(int(found.sum()), found.size)),
-                "trials": found.size,
-                "by_speed": {str(v): float(found[:, at == v].mean()) for v in config.speeds},
-            }
-        )
-    return rows
-
-
-def sweep_table(numbers: dict[str, Any]) -> str:
-    """Table of survival, a row for each parameter and value."""
-    rows = [
-        [
-            SWEEPS[row["parameter"]].label,
-            f"{row['value']:g}",
-            Interval.of_row(row).text(0, 100),
-            ", ".join(speed for speed, share in row["by_speed"].items() if share < 1),
-        ]
-        for row in numbers["sweeps"]
-    ]
-    header = ["parameter", "value", "survived [%]", "falls at commands [m/s]"]
     return markdown(header, rows) if rows else ""
 
 

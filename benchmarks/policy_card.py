@@ -67,7 +67,7 @@ from benchmarks import (
     velocity_tracking,
     walking_quality,
 )
-from benchmarks.perturbation import SWEEPS
+from benchmarks.flags import SWEEPS
 
 _LEFT = "---"
 # flags of the training command that do not affect the policy
@@ -231,7 +231,7 @@ def limits(numbers: dict[str, Any]) -> str:
         rows = [row for row in numbers["sweeps"] if row["parameter"] == name]
         bad = [f"{row['value']:g}" for row in rows if row["mean"] < 1]
         if bad:
-            lines.append(f"- {sweep.label}: some speeds fail at {', '.join(bad)}.")
+            lines.append(f"- {sweep.label}: some walks fail at {', '.join(bad)}.")
         elif rows:
             values = [row["value"] for row in rows]
             lines.append(f"- {sweep.label}: none from {min(values):g} to {max(values):g}.")

@@ -69,7 +69,7 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects, library = direction_subjects(config, policy, make_env)
+    subjects, library = direction_subjects(config, config.library, policy, make_env)
     rows = [fall_row(config, subject, library) for subject in subjects]
     header = ["policy", "changes", "falls", "falls in 10 000 changes"]
     lines = [

@@ -30,6 +30,7 @@ from benchmarks import (
     walking_quality,
 )
 from benchmarks.common import Common, Subject
+from benchmarks.flags import SWEEPS
 
 
 class AirTime(Transform):
@@ -105,9 +106,9 @@ def test_benchmarks_accept_custom_policy_and_environment(
     rows = ground_reaction.main(ground_reaction.Config(**few), *of)
     assert rows[0]["policy"] == "ProbabilisticActor"
     assert walking_quality.main(walking_quality.Config(**few), *of)[0]["power"]["mean"] > 0
-    sweeps: dict[str, Any] = {sweep.flag: () for sweep in perturbation.SWEEPS.values()}
+    sweeps: dict[str, Any] = {sweep.flag: () for sweep in SWEEPS.values()}
     config = perturbation.Config(
-        **{**few, **sweeps, "payload": (0.0,)},
+        **{**sweeps, "payload": (0.0,)}, out=tmp_path, walks=1,
         directions=1, phases=1, repeats=1, bisections=1, settle=0.06, after=0.06, episode=0.3,
     )  # fmt: skip
     assert perturbation.main(config, *of)["sweeps"][0]["trials"] == 1

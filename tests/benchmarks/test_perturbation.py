@@ -15,21 +15,18 @@ from tqdm import tqdm
 
 from aslip.errors import ConfigurationError
 from aslip.walking import Interval
-from benchmarks import perturbation
-from benchmarks.common import Subject
+from benchmarks import perturbation, sweeps
+from benchmarks.common import Subject, walk_on
+from benchmarks.flags import SWEEPS
 from benchmarks.perturbation import (
-    SWEEPS,
     Config,
     main,
     measure_pushes,
-    measure_sweeps,
     push_rows,
     push_table,
     settle,
-    sweep_rows,
-    trials,
-    walk_on,
 )
+from benchmarks.sweeps import SweepResult, measure_sweeps, sweep_rows, sweep_table, trials
 
 NO_SWEEPS: dict[str, Any] = {s.flag: () for s in SWEEPS.values()}
 BAR = tqdm(disable=True)
@@ -38,7 +35,7 @@ SHIPPED = Subject.load("aslip")
 
 def _config(**settings: Any) -> Config:
     small = {"directions": 2, "phases": 1, "repeats": 1, "bisections": 1, "settle": 0.3}
-    small |= {"after": 0.9, "speeds": (1.0,), "episodes": 1, "episode": 1.2, **NO_SWEEPS}
+    small |= {"after": 0.9, "walks": 1, "episode": 1.2, **NO_SWEEPS}
     return Config(**(small | settings))
 
 
@@ -55,7 +52,8 @@ def test_perturbation_report(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert [(row["value"], row["mean"]) for row in report["sweeps"]] == [(0.0, 0.0), (1.0, 1.0)]
     printed = capsys.readouterr().out
     assert (tmp_path / "perturbation.md").read_text() == printed
-    assert "| motor strength | 0 | 0 [0, 79] | 1.0 |" in printed
+    (speed,) = report["sweeps"][0]["falls"][0]
+    assert f"| motor strength | 0 | 0 [0, 79] | {speed:.2f} |" in printed
     assert "| motor strength | 1 | 100 [21, 100] |  |" in printed
     assert (tmp_path / "perturbation.png").read_bytes().startswith(b"\x89PNG")
 
@@ -137,29 +135,73 @@ def test_walks_from_restored_states_repeat() -> None:
 
 def test_each_robot_of_a_sweep_has_its_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
     """In SI units; all other parameters have their defaults."""
-    config = _config(slope_deg=(-9.0, 0.0, 9.0), torque_delay_ms=(5.0,), payload=(2.0,), episodes=2)
+    config = _config(slope_deg=(-9.0, 0.0, 9.0), torque_delay_ms=(5.0,), payload=(2.0,), walks=2)
     seen = {}
 
     def stand(env: Any, *_: Any) -> tuple[None, np.ndarray]:
         seen.update(env.base_env.dynamics)
         return None, np.ones(env.num_envs, dtype=bool)
 
-    monkeypatch.setattr(perturbation, "walk_on", stand)
-    assert measure_sweeps(config, SHIPPED, BAR).all()
-    rows = [(t.parameter, t.shown) for t in trials(config)]
-    for i, (name, shown) in enumerate(rows):
+    monkeypatch.setattr(sweeps, "walk_on", stand)
+    result = measure_sweeps(config, SHIPPED, 0, BAR)
+    assert result.survived.all()
+    assert result.command.shape == (10, 1)
+    for i, (name, shown) in enumerate(trials(config)):
         value = {"slope": math.radians(shown), "torque_delay": shown / 1000}.get(name, shown)
         assert seen[name][i] == pytest.approx(value, abs=1e-12)
         others = {"payload": 0.0, "slope": 0.0, "torque_delay": 0.003}
         assert all(seen[other][i] == others[other] for other in others.keys() - {name})
 
 
-def test_sweep_rows_pool_policies_and_speeds() -> None:
-    config = _config(payload=(0.0, 5.0), speeds=(0.0, 1.0), episodes=1)
-    sweeps = [np.array([True, True, True, False]), np.array([True, False, False, False])]
-    rows = sweep_rows(config, sweeps)
+def _result(*survived: bool) -> SweepResult:
+    command = np.arange(len(survived)) / 4
+    return SweepResult(command[:, None], np.array(survived))
+
+
+def test_sweep_rows_have_intervals_over_walks_or_policies_and_the_commands_of_falls() -> None:
+    config = _config(payload=(0.0, 5.0), walks=2)
+    (row, other) = sweep_rows(config, [_result(True, False, False, False)])
+    assert (row["mean"], row["trials"], row["falls"]) == (0.5, 2, [[0.25]])
+    assert (row["low"], row["high"]) == pytest.approx((0.0945, 0.9055), abs=1e-4)  # Wilson's
+    assert (other["mean"], other["falls"]) == (0.0, [[0.5], [0.75]])
+    results = [_result(True, True, True, False), _result(True, False, False, False)]
+    rows = sweep_rows(config, results)
     assert [(row["mean"], row["trials"]) for row in rows] == [(0.75, 4), (0.25, 4)]
-    assert rows[0]["by_speed"] == {"0.0": 1.0, "1.0": 0.5}
+    half = 12.706 * 0.25  # Student's interval of 1 and 0.5
+    assert (rows[0]["low"], rows[0]["high"]) == pytest.approx((0.75 - half, 0.75 + half), 1e-3)
+
+
+def test_sweep_table_shows_four_commands_of_falls() -> None:
+    falls = [[0.5 * i, 0.0, 0.1] for i in range(6)]
+    row = {"parameter": "payload", "value": 4.0, "mean": 0.0, "low": 0.0, "high": 0.0}
+    lines = sweep_table([{**row, "falls": falls}, {**row, "falls": [[1.0]]}]).splitlines()
+    assert lines[-2].endswith("| (0.00, 0.00, 0.10), (0.50, 0.00, 0.10), (1.00, 0.00, 0.10),"
+                              " (1.50, 0.00, 0.10), 2 more |")  # fmt: skip
+    assert lines[-1].endswith("| 1.00 |")
+    assert sweep_table([]) == ""
+
+
+def test_commands_and_phases_of_a_sweep_are_random(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Uniform over the library's speeds, the same for the same seed."""
+    config = _config(payload=(0.0,), walks=40)
+    seen = []
+
+    def start(_: Any, command: np.ndarray, phase: np.ndarray) -> None:
+        seen.append((command, phase))
+
+    monkeypatch.setattr(sweeps, "reset_walks", start)
+    monkeypatch.setattr(
+        sweeps, "walk_on", lambda env, *_: (None, np.ones(env.num_envs, dtype=bool))
+    )
+    for seed in (0, 0, 1):
+        measure_sweeps(config, SHIPPED, seed, BAR)
+    (command, phase), again, other = seen
+    assert command.min() < 0.3
+    assert command.max() > 1.7
+    assert np.ptp(phase) > 0.8
+    np.testing.assert_array_equal(command, again[0])
+    np.testing.assert_array_equal(phase, again[1])
+    assert (command != other[0]).all()
 
 
 def _pushes(*impulses: float) -> np.ndarray:

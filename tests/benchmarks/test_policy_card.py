@@ -115,7 +115,7 @@ def test_refuses_missing_run_and_invalid_name(tmp_path: Path) -> None:
 
 def test_limits_on_the_card_are_the_worst_measurements() -> None:
     cells = [{"phase": 0.0, "mean": 9.0}, {"phase": 0.5, "mean": 4.0}]
-    sweep = {"parameter": "payload", "by_speed": {}}
+    sweep = {"parameter": "payload", "falls": []}
     numbers = {
         "speed": 1.0,
         "push_duration": 0.21,
@@ -132,7 +132,7 @@ def test_limits_on_the_card_are_the_worst_measurements() -> None:
     }
     text = policy_card.limits(numbers)
     assert "of more than 4.0 N s, where it is weakest: at phase 0.5, at 90°" in text
-    assert "payload [kg]: some speeds fail at 8." in text
+    assert "payload [kg]: some walks fail at 8." in text
     assert "slope [deg]: none from -3 to 3." in text
 
 
