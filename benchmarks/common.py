@@ -36,14 +36,15 @@ import aslip
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits
 from aslip.library import GaitLibrary
 from aslip.policy import add_memory, policy_stack
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, SIDES
 from aslip.rom import Gait
+from aslip.show.ghost import Footholds
 from aslip.show.plots import save_figure
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import write_text
 from aslip.transforms import PhaseClock, StandClock
 from aslip.walking import Interval, Walks, next_start, record_walks, walk
-from benchmarks.flags import Common
+from benchmarks.flags import Common, WithLibrary
 
 __all__ = [
     "WALKING_LENGTH",
@@ -57,10 +58,12 @@ __all__ = [
     "constant_walks",
     "library_of",
     "load_subjects",
+    "load_with_library",
     "nearest_gait",
     "quiet",
     "record_subject",
     "shortest_swing",
+    "straight",
     "strides",
     "walk_on",
     "write_report",
@@ -91,22 +94,32 @@ class Subject:
     """True for a policy file, whose card environments are checked against."""
 
     @classmethod
-    def load(cls, policy: Policy, make_env: MakeEnv | None = None) -> Subject:
+    def load(
+        cls,
+        policy: Policy,
+        make_env: MakeEnv | None = None,
+        library: GaitLibrary | None = None,
+    ) -> Subject:
         """Make a subject of a policy's name, path or module.
 
         Args:
             policy: the policy.
             make_env: function that makes its environment; by default `aslip.make_env` with the
-                stack named in the policy's card, or the default stack for a module.
+                stack named in the policy's card. For a module it is the default stack, or the one
+                for all directions if the library has several axes.
+            library: library of the default environment; by default that of the stack.
 
         Raises:
             AssetError: no such policy exists.
             ConfigurationError: the card names no stack, and `make_env` is not given.
         """
-        if not isinstance(policy, str | Path):
-            return cls(policy_name(policy), policy, make_env or aslip.make_env, False)
-        make_env = make_env or partial(aslip.make_env, stack=policy_stack(policy))
-        return cls(policy_name(policy), aslip.load_policy(policy), make_env, True)
+        stored = isinstance(policy, str | Path)
+        if make_env is None:
+            several = library is not None and library.command_size > 1
+            stack = policy_stack(policy) if stored else "directions" if several else "aslip"
+            make_env = partial(aslip.make_env, stack=stack, library=library)
+        module = aslip.load_policy(policy) if stored else policy
+        return cls(policy_name(policy), module, make_env, stored)
 
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
         """Environment of the policy whose episodes end as in training.
@@ -145,11 +158,23 @@ def _joined(make_env: MakeEnv, settings: dict[str, Any]) -> dict[str, Any]:
 
 
 def load_subjects(
-    config: Common, policy: Policy | None = None, make_env: MakeEnv | None = None
+    config: Common,
+    policy: Policy | None = None,
+    make_env: MakeEnv | None = None,
+    library: GaitLibrary | None = None,
 ) -> list[Subject]:
     """Subjects of a benchmark: a policy given in Python, or those of the command line."""
     policies = config.policy if policy is None else [policy]
-    return [Subject.load(one, make_env) for one in policies]
+    return [Subject.load(one, make_env, library) for one in policies]
+
+
+def load_with_library(
+    config: WithLibrary, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> tuple[list[Subject], GaitLibrary]:
+    """Subjects of a benchmark, and the library of their gaits: the flag's, or the shipped one."""
+    chosen = None if config.library is None else GaitLibrary.load(config.library)
+    subjects = load_subjects(config, policy, make_env, chosen)
+    return subjects, GaitLibrary.load() if chosen is None else chosen
 
 
 def policy_name(policy: Policy) -> str:
@@ -219,9 +244,14 @@ def library_of(env: StackEnv) -> GaitLibrary:
 
 
 def strides(library: GaitLibrary, speeds: Sequence[float]) -> np.ndarray:
-    """(n,) durations of the library's strides [s]."""
-    column = torch.tensor(np.array(speeds, dtype=np.float64))[:, None]
-    return library.stride(column)[:, 0].numpy()
+    """(n,) durations of the library's strides straight ahead [s]."""
+    command = torch.tensor([straight(library, speed) for speed in speeds], dtype=torch.float64)
+    return library.stride(command)[:, 0].numpy()
+
+
+def straight(library: GaitLibrary, speed: float) -> list[float]:
+    """Command straight ahead, with a number for each axis of the library."""
+    return [speed, *[0.0] * (library.command_size - 1)]
 
 
 def nearest_gait(library: GaitLibrary, speed: float) -> Gait:
@@ -229,13 +259,14 @@ def nearest_gait(library: GaitLibrary, speed: float) -> Gait:
     return min(library.gaits, key=lambda gait: abs(gait.speed - speed))
 
 
-def shortest_swing(library: GaitLibrary, speed: float) -> float:
-    """Shortest time without load that counts as a swing: half of the model's swing [s].
+def shortest_swing(footholds: Footholds, command: float | Sequence[float]) -> float:
+    """Shortest time without load that counts as a swing: half of the model's shorter swing [s].
 
     Shorter ones occur in mid-stance, where the model's leg force may be zero.
     """
-    gait = nearest_gait(library, speed)
-    return (1 - gait.duty_factor) * gait.stride / 2
+    left, right = (footholds.touchdown_phase(side, command) % 1.0 for side in SIDES)
+    # the left swing begins at phase 0, the right one half a stride later
+    return min(left, (right - 0.5) % 1.0) * footholds.stride(command) / 2
 
 
 # -------------------------------------------------------------------------- reports

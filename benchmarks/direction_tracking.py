@@ -42,8 +42,8 @@ from matplotlib.figure import Figure
 from aslip.robot import CASSIE
 from aslip.walking import markdown
 from aslip.walking.metrics import mean_twist, tracking_errors
-from benchmarks.common import MakeEnv, Policy, record_subject, write_report
-from benchmarks.directions import LIMITS, direction_subjects, random_commands
+from benchmarks.common import MakeEnv, Policy, load_with_library, record_subject, write_report
+from benchmarks.directions import LIMITS, random_commands
 
 # durations of settling and of the measurement [s]
 _SETTLE, _WALK = 4.0, 4.0
@@ -59,7 +59,7 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects, library = direction_subjects(config, config.library, policy, make_env)
+    subjects, library = load_with_library(config, policy, make_env)
     command = random_commands(library, config.commands, config.seed)
     first, steps = (round(t / CASSIE.policy_period) for t in (_SETTLE, _SETTLE + _WALK))
     rows, twists = [], []

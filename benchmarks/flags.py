@@ -46,12 +46,20 @@ class Compared(Common):
 
 
 @dataclass(frozen=True)
-class Directions(Common):
+class WithLibrary(Common):
+    """Flags of benchmarks of policies that may walk in all directions."""
+
+    library: str | None = None
+    """Library that the policies were trained with; by default that of their stack."""
+
+
+@dataclass(frozen=True)
+class Directions(WithLibrary):
     """Flags of benchmarks of walks in all directions."""
 
     policy: tuple[str, ...] = ("runs/ppo_directions",)
     """Policies to measure: files or run folders; several count as seeds of one method."""
-    library: str = "runs/directions/gaits.npz"
+    library: str | None = "runs/directions/gaits.npz"
     """Library over three commands that the policies were trained with."""
 
 
@@ -82,11 +90,9 @@ SWEEPS: Final = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Sweeps(Common):
+class Sweeps(WithLibrary):
     """Flags of sweeps of robot and floor; a parameter without values is skipped."""
 
-    library: str | None = None
-    """Library over three commands, for policies that walk in all directions."""
     floor_friction: tuple[float, ...] = (0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0, 1.2)
     """Coefficients of sliding friction."""
     payload: tuple[float, ...] = (0.0, 4.0, 8.0, 12.0, 16.0, 20.0)

@@ -22,7 +22,7 @@ from typing import Final
 
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Common
+from benchmarks.flags import WithLibrary
 
 PUBLISHED: Final = MappingProxyType(
     {
@@ -46,7 +46,7 @@ RELEASED: Final = MappingProxyType(
 
 
 @dataclass(frozen=True)
-class Config(Common):
+class Config(WithLibrary):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = tuple(PUBLISHED)
@@ -77,7 +77,7 @@ from benchmarks.common import (
     MakeEnv,
     Policy,
     constant_walks,
-    load_subjects,
+    load_with_library,
     shortest_swing,
     write_report,
 )
@@ -97,15 +97,16 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    library = GaitLibrary.load()
     if config.log is not None:
         speed, walk = logged_walk(config.log)
-        found = {speed: [walk_placement(walk, 0, speed, library)]}
+        footholds = Footholds(GaitLibrary.load())
+        found = {speed: [walk_placement(walk, 0, speed, footholds)]}
     else:
-        subjects = load_subjects(config, policy, make_env)
+        subjects, library = load_with_library(config, policy, make_env)
+        footholds = Footholds(library)
         walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
         found = {
-            speed: [walk_placement(walk, i, speed, library) for walk in walks]
+            speed: [walk_placement(walk, i, speed, footholds) for walk in walks]
             for i, speed in enumerate(config.speeds)
         }
     figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
@@ -129,9 +130,9 @@ def logged_walk(path: Path) -> tuple[float, Walks]:
     return float(speeds[0]), walk
 
 
-def walk_placement(walk: Walks, index: int, speed: float, library: GaitLibrary) -> Placement:
+def walk_placement(walk: Walks, index: int, speed: float, footholds: Footholds) -> Placement:
     """Placement of the footsteps of one settled walk; a single NaN after a fall."""
-    one, footholds, swing = walk.one(index), Footholds(library), shortest_swing(library, speed)
+    one, swing = walk.one(index), shortest_swing(footholds, speed)
     step = np.stack([footholds.step(side, speed) for side in SIDES])
     if not one.survived[0]:
         nothing = np.full((1, 2), np.nan)

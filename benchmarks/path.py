@@ -54,8 +54,7 @@ from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.walking import markdown, next_start, policy_steps, reset_walks, take_step
-from benchmarks.common import MakeEnv, Policy, Subject, write_report
-from benchmarks.directions import direction_subjects
+from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
 
 _POINTS = 500  # number of points of the drawn path
 
@@ -70,7 +69,7 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects, library = direction_subjects(config, config.library, policy, make_env)
+    subjects, library = load_with_library(config, policy, make_env)
     follower = PathFollower(Eight(config.radius), config.speed)
     found = [walk_path(config, subject, library, follower) for subject in subjects]
     rows = [row for row, _ in found]

@@ -88,11 +88,11 @@ from benchmarks.common import (
     Policy,
     Subject,
     library_of,
-    load_subjects,
+    load_with_library,
+    straight,
     walk_on,
     write_report,
 )
-from benchmarks.directions import direction_subjects
 from benchmarks.perturbation_picture import picture
 from benchmarks.sweeps import measure_sweeps, sweep_rows, sweep_table, trials
 
@@ -107,7 +107,7 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects = swept_subjects(config, policy, make_env)
+    subjects, _ = load_with_library(config, policy, make_env)
     total = len(subjects) * count_robot_steps(config)
     with tqdm(total=total, unit="step", unit_scale=True, leave=False) as bar:
         pushes = [measure_pushes(config, subject, bar) for subject in subjects]
@@ -127,15 +127,6 @@ def main(
     figure = picture(numbers, SIDES, SWEEPS)
     write_report(config, policy, "perturbation", numbers, text, figure)
     return numbers
-
-
-def swept_subjects(
-    config: Config, policy: Policy | None, make_env: MakeEnv | None
-) -> list[Subject]:
-    """Subjects of the benchmark, in environments of the library if one is given."""
-    if config.library is None:
-        return load_subjects(config, policy, make_env)
-    return direction_subjects(config, config.library, policy, make_env)[0]
 
 
 def count_robot_steps(config: Config) -> int:
@@ -196,7 +187,7 @@ def settle(
     """
     steps = round(config.settle / CASSIE.policy_period)
     library = library_of(env)
-    ahead = torch.tensor([[config.speed, *[0.0] * (library.command_size - 1)]])
+    ahead = torch.tensor([straight(library, config.speed)])
     start = phase - steps * CASSIE.policy_period / library.stride(ahead).item()
     td = reset_walks(env, ahead.double().numpy().repeat(len(phase), axis=0), start % 1.0)
     return walk_on(env, actor, td, steps, bar)

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Common
+from benchmarks.flags import WithLibrary
 
 
 @dataclass(frozen=True)
-class Config(Common):
+class Config(WithLibrary):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
+from aslip.show.ghost import Footholds
 from aslip.walking import Walks, markdown
 from aslip.walking.metrics import duty_factor, step_frequency
 from benchmarks.common import (
@@ -38,7 +38,7 @@ from benchmarks.common import (
     MakeEnv,
     Policy,
     constant_walks,
-    load_subjects,
+    load_with_library,
     shortest_swing,
     strides,
     write_report,
@@ -58,14 +58,14 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects = load_subjects(config, policy, make_env)
-    library = GaitLibrary.load()
+    subjects, library = load_with_library(config, policy, make_env)
     model = 2 / strides(library, config.speeds)
     walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
     first = round(_SETTLE / CASSIE.policy_period)
     rows: list[dict[str, Any]] = []
+    footholds = Footholds(library)
     for i, speed in enumerate(config.speeds):
-        swing = shortest_swing(library, speed)
+        swing = shortest_swing(footholds, speed)
         found = [frequency_and_duty(walk.one(i, first), swing) for walk in walks]
         frequency = Interval.of([np.array([f]) for f, _ in found])
         rows.append(

@@ -52,8 +52,8 @@ from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import markdown, next_start, reset_walks, take_step
-from benchmarks.common import MakeEnv, Policy, Subject, write_report
-from benchmarks.directions import LIMITS, direction_subjects, random_commands
+from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
+from benchmarks.directions import LIMITS, random_commands
 
 _HOLD = 0.75, 2.25
 """Shortest and longest time for which a command is held [s]."""
@@ -69,7 +69,7 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    subjects, library = direction_subjects(config, config.library, policy, make_env)
+    subjects, library = load_with_library(config, policy, make_env)
     rows = [fall_row(config, subject, library) for subject in subjects]
     header = ["policy", "changes", "falls", "falls in 10 000 changes"]
     lines = [

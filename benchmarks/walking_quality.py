@@ -6,7 +6,8 @@
 Each policy is a method of its own; `name=` before several policies makes them seeds of one method.
 Forces, torques and positions are sampled at 2 kHz, for 8 s after 4 s of walking. Definitions and
 their sources are in `aslip.walking.metrics`: `airborne_share`, `longest_airborne`, `slip_distance`,
-`touchdown_impact`, `largest_force`, `mechanical_power` and `cost_of_transport`.
+`touchdown_impact`, `largest_force`, `friction_limit_share`, `mechanical_power` and
+`cost_of_transport`.
 
 The spring-mass model nearly unloads its legs in mid-stance, so robot and model are also compared by
 the share of time in which each foot carries less than 20 N.
@@ -19,11 +20,11 @@ from dataclasses import dataclass
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Common
+from benchmarks.flags import WithLibrary
 
 
 @dataclass(frozen=True)
-class Config(Common):
+class Config(WithLibrary):
     """Settings of the benchmark."""
 
     policy: tuple[str, ...] = ("aslip", "robust", "single_reference")
@@ -50,10 +51,12 @@ from tqdm import tqdm
 
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.show.ghost import Footholds
 from aslip.walking import Substeps, markdown, record_substeps
 from aslip.walking.metrics import (
     airborne_share,
     cost_of_transport,
+    friction_limit_share,
     largest_force,
     longest_airborne,
     mechanical_power,
@@ -75,6 +78,7 @@ from benchmarks.ground_reaction import model_force
 
 # durations of settling and of the measurement [s]
 _SETTLE, _WALK = 4.0, 8.0
+_FRICTION = 1.0  # of the model's floor
 _MODEL = "spring-mass model"
 # a method's name before its policy
 _NAMED = re.compile(r"([\w .-]+)=(.+)")
@@ -101,6 +105,7 @@ QUANTITIES: Final[Mapping[str, Quantity]] = {
     "slip": Quantity("slip per stance [cm]", 1, 100, "slip of the sole per stance [cm]"),
     "impact": Quantity("impact / weight", 2, 1, "impact at touchdown / weight"),
     "largest": Quantity("largest force / weight", 2, 1, "largest force of a foot / weight"),
+    "friction": Quantity("at the limit of friction [%]", 2, 100),
     "power": Quantity("power [W]", 0, 1, "positive mechanical power [W]"),
     "cost": Quantity("cost of transport", 2, 1, "mechanical cost of transport"),
 }
@@ -123,15 +128,20 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    library = GaitLibrary.load()
+    library = GaitLibrary.load(config.library or "gaits")
+    footholds = Footholds(library)
     methods = load_methods(config, policy, make_env)
     runs = [(name, one, v) for name, ones in methods.items() for v in config.speeds for one in ones]
     found: dict[tuple[str, float], list[dict[str, float] | None]] = {}
     for name, subject, speed in tqdm(runs, unit="walk", leave=False):
-        found.setdefault((name, speed), []).append(measure(config, library, subject, speed))
+        found.setdefault((name, speed), []).append(measure(config, footholds, subject, speed))
     rows = [summary(name, speed, seeds) for (name, speed), seeds in found.items()]
-    figure = picture(rows, model_rows(library, gaits_between(library, config.speeds)))
-    rows += model_rows(library, config.speeds)
+    # libraries over three commands keep tables, not gaits with leg forces
+    modelled = library.command_size == 1
+    figure = picture(
+        rows, model_rows(library, gaits_between(library, config.speeds)) if modelled else []
+    )
+    rows += model_rows(library, config.speeds) if modelled else []
     write_report(config, policy, "walking_quality", {"rows": rows}, table(rows), figure)
     return rows
 
@@ -140,13 +150,14 @@ def load_methods(
     config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> dict[str, list[Subject]]:
     """Seeds of each method, from `method=policy` or from policies that are methods of their own."""
+    library = None if config.library is None else GaitLibrary.load(config.library)
     if policy is not None:
-        return {policy_name(policy): [Subject.load(policy, make_env)]}
+        return {policy_name(policy): [Subject.load(policy, make_env, library)]}
     methods: dict[str, list[Subject]] = {}
     for text in config.policy:
         named = _NAMED.fullmatch(text)
         name, path = named.groups() if named else (text, text)
-        methods.setdefault(name, []).append(Subject.load(path, make_env))
+        methods.setdefault(name, []).append(Subject.load(path, make_env, library))
     return methods
 
 
@@ -154,7 +165,7 @@ def load_methods(
 
 
 def measure(
-    config: Config, library: GaitLibrary, subject: Subject, speed: float
+    config: Config, footholds: Footholds, subject: Subject, speed: float
 ) -> dict[str, float] | None:
     """Measure a subject's settled walk at one speed; None after a fall."""
     torch.set_num_threads(1)
@@ -164,7 +175,7 @@ def measure(
         weight = float(env.base_env.weight[0])
     if walk.fell:
         return None
-    return quantities(walk.since(_SETTLE), weight, speed, shortest_swing(library, speed))
+    return quantities(walk.since(_SETTLE), weight, speed, shortest_swing(footholds, speed))
 
 
 def quantities(walk: Substeps, weight: float, command: float, swing: float) -> dict[str, float]:
@@ -190,6 +201,7 @@ def quantities(walk: Substeps, weight: float, command: float, swing: float) -> d
         "slip": float(np.mean(slips)),
         "impact": float(np.mean(impacts)),
         "largest": largest_force(force, weight),
+        "friction": friction_limit_share(walk.ground_force, _FRICTION),
         "power": power,
         "cost": cost_of_transport(power, weight, speed) if command > 0 else float("nan"),
     }

@@ -230,21 +230,14 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
         policy: maps the environment's tensordict to `action`.
         env: environment of n robots; without its `aslip.envs.EPISODE_ENDS` transforms walks end in
             falls only.
-        command: (m, n) commanded speed of each policy step [m/s], or (m, n, c) for c axes.
+        command: (m, n) commanded forward speed of each policy step [m/s], or (m, n, c) for c axes.
 
     Raises:
         ShapeError: `command` is not for n robots, or has no policy step.
         ConfigurationError: a command is not finite, or the environment has no odometry, true or
             estimated.
     """
-    command = np.asarray(command, dtype=np.float32)
-    size = env.observation_spec["command"].shape[-1]
-    expected = (env.num_envs,) if size == 1 else (env.num_envs, size)
-    if not command.ndim or command.shape[1:] != expected:
-        shown = ", ".join(map(str, expected))
-        raise ShapeError(f"command must be (m, {shown}), got {command.shape}")
-    if not len(command):
-        raise ShapeError(f"command must have a row for each policy step, got {command.shape}")
+    command = checked_commands(env, command, (env.num_envs,))
     if not np.isfinite(command).all():
         raise ConfigurationError("every commanded speed must be finite")
     place = _place(env)
@@ -254,6 +247,33 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
     ]
     keys = [("next", "terminated"), *_RECORDED.values(), *pelvis, *feet, _FORCE]
     return _as_walks(record(policy, env, command, keys), place, command)
+
+
+def checked_commands(env: StackEnv, command: np.ndarray, robots: tuple[int, ...]) -> np.ndarray:
+    """Commands of each policy step, in single precision, with all axes of the environment.
+
+    Args:
+        env: environment with c axes of commands.
+        command: (m, *robots) forward speeds [m/s], or (m, *robots, c).
+        robots: shape of a policy step's commands, without axes.
+
+    Returns:
+        Commands (m, *robots, c); (m, *robots) if c is 1.
+
+    Raises:
+        ShapeError: `command` has another shape, or no policy step.
+    """
+    command = np.asarray(command, dtype=np.float32)
+    size = env.observation_spec["command"].shape[-1]
+    if size > 1 and command.ndim and command.shape[1:] == robots:
+        command = np.pad(command[..., None], [*[(0, 0)] * command.ndim, (0, size - 1)])
+    expected = robots if size == 1 else (*robots, size)
+    if not command.ndim or not len(command) or command.shape[1:] != expected:
+        shown = ", ".join(["m", *map(str, expected)]) + ("" if expected else ",")
+        raise ShapeError(
+            f"command must be ({shown}) with a policy step or more, got {command.shape}"
+        )
+    return command
 
 
 def _place(env: StackEnv) -> str:

@@ -15,10 +15,10 @@ import numpy as np
 from tensordict.nn import TensorDictModuleBase
 
 from aslip.envs import SimulatedEnv, StackEnv
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ConfigurationError
 from aslip.policy import add_memory
 from aslip.robot import CASSIE
-from aslip.walking.record import commands_kept, reset_walks, walk
+from aslip.walking.record import checked_commands, commands_kept, reset_walks, walk
 
 _FORCES: Final = 6  # last columns of `SimulatedEnv.watched`, before them the torques
 
@@ -61,17 +61,13 @@ def record_substeps(policy: TensorDictModuleBase, env: StackEnv, command: np.nda
         policy: maps the environment's tensordict to `action`.
         env: environment of one simulated robot; without its `aslip.envs.EPISODE_ENDS` transforms
             the walk ends in a fall only.
-        command: (m,) commanded speed of each policy step [m/s], or (m, c) for c axes of commands.
+        command: (m,) commanded forward speed of each policy step [m/s], or (m, c) for c axes.
 
     Raises:
         ShapeError: `command` has another shape, or no policy step.
         ConfigurationError: the environment has several robots, or no simulated one.
     """
-    command = np.asarray(command, dtype=np.float32)
-    size = env.observation_spec["command"].shape[-1]
-    expected, shown = ((), "(m,)") if size == 1 else ((size,), f"(m, {size})")
-    if not command.ndim or not len(command) or command.shape[1:] != expected:
-        raise ShapeError(f"command must be {shown} with a policy step or more, got {command.shape}")
+    command = checked_commands(env, command, ())
     base = env.base_env
     if env.num_envs != 1 or not isinstance(base, SimulatedEnv):
         raise ConfigurationError(

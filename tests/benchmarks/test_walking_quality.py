@@ -31,13 +31,17 @@ WEIGHT, SECOND = 320.0, 2000
 def made_up_walk(speed: float) -> Substeps:
     """Four seconds of alternating footsteps: 400 N for 0.4 s, with gaps of 0.1 s.
 
-    Feet land with 640 N and slide at 0.05 m/s; one motor works with 100 W and one brakes.
+    Feet land with 640 N, push sideways and slide at 0.05 m/s. One motor works with 100 W, and one
+    brakes.
     """
     time = np.arange(4 * SECOND) / SECOND
     force = np.zeros((len(time), 2, 3))
     for i, offset in enumerate((0.1, 0.6)):
         force[:, i, 2] = np.where((time - offset) % 1.0 < 0.4, 400.0, 0.0)
         force[:, i, 2] += np.where((time - offset) % 1.0 < 0.01, 240.0, 0.0)
+    # the left foot uses all friction for 10 ms a second, and is pulled while unloaded
+    force.reshape(4, SECOND, 2, 3)[:, 400:420, 0, 0] = -400.0
+    force.reshape(4, SECOND, 2, 3)[:, 1400:1500, 0, 1] = 10.0
     torque, velocity = np.zeros((2, len(time), 10))
     torque[:, 3], velocity[:, 3], torque[:, 8], velocity[:, 8] = 20.0, 5.0, 20.0, -5.0
     along = np.stack([time, 0 * time, 0 * time], axis=1)
@@ -48,7 +52,7 @@ def made_up_walk(speed: float) -> Substeps:
 def test_quantities_of_made_up_walk() -> None:
     found = quantities(made_up_walk(0.5), WEIGHT, 0.5, 0.15)
     expected = {"airborne": 0.2, "longest": 0.1, "unloaded": 0.2, "slip": 0.02, "impact": 2.0}
-    expected |= {"largest": 2.0, "power": 100.0, "cost": 100 / (WEIGHT * 0.5)}
+    expected |= {"largest": 2.0, "friction": 0.01, "power": 100.0, "cost": 100 / (WEIGHT * 0.5)}
     assert list(found) == list(QUANTITIES)
     assert found == pytest.approx(expected, rel=5e-3)
     in_place = quantities(made_up_walk(0.01), WEIGHT, 0.0, 0.15)
@@ -94,7 +98,7 @@ def test_several_seeds_have_mean_and_interval_and_falls_are_counted() -> None:
     assert "| m | 1.0 | 20.0 [-107.1, 147.1] |" in table([row])
     assert table([row]).endswith("| 2 of 3 |")
     fell = summary("m", 1.0, [None])
-    assert table([fell]).endswith("| m | 1.0 |  |  |  |  |  |  |  |  | 0 of 1 |")
+    assert table([fell]).endswith("| m | 1.0 |  |  |  |  |  |  |  |  |  | 0 of 1 |")
 
 
 def test_picture_has_a_line_for_each_method_and_labels_single_seeds() -> None:

@@ -39,7 +39,9 @@ def test_recorded_walks_have_the_commands_of_all_axes() -> None:
     assert walks.alive.all()
     # the frame moves along: robots stay near its origin
     assert np.abs(walks.pelvis_position[..., :2]).max() < 0.3
-    for wrong in (command[..., 0], command[..., :2], command[:, :1]):
+    forward = record_walks(limp(), make(), command[..., 0])
+    np.testing.assert_array_equal(forward.command, command * [1.0, 0.0, 0.0])
+    for wrong in (command[..., :2], command[:, :1], command[:, :1, 0]):
         with pytest.raises(ShapeError, match=r"command must be \(m, 2, 3\)"):
             record_walks(limp(), make(), wrong)
 
@@ -49,7 +51,11 @@ def test_substeps_are_recorded_with_a_command_of_all_axes() -> None:
     found = record_substeps(limp(), make(1), command)
     assert len(found.pelvis_position) == 2 * CASSIE.substeps
     with pytest.raises(ShapeError, match=r"command must be \(m, 3\)"):
-        record_substeps(limp(), make(1), command[:, 0])
+        record_substeps(limp(), make(1), command[:, :2])
+    ahead = [
+        record_substeps(limp(), make(1), one) for one in (command[:, 0], command * [1.0, 0, 0])
+    ]
+    np.testing.assert_array_equal(ahead[0].pelvis_position, ahead[1].pelvis_position)
 
 
 def test_evaluation_measures_velocities_along_the_path() -> None:

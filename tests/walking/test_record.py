@@ -118,7 +118,7 @@ def test_refuses_invalid_commands(make: MakeEnv) -> None:
     env, policy = make(num_envs=2), aslip.load_policy("aslip")
     with pytest.raises(ShapeError, match=r"\(m, 2\)"):
         record_walks(policy, env, _command(0.5))
-    with pytest.raises(ShapeError, match=r"a row for each policy step, got \(0, 2\)"):
+    with pytest.raises(ShapeError, match=r"a policy step or more, got \(0, 2\)"):
         record_walks(policy, env, np.zeros((0, 2)))
     with pytest.raises(ConfigurationError, match="finite"):
         record_walks(policy, env, _command(0.5, np.nan))

@@ -10,13 +10,16 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import find_peaks
 
 from aslip.errors import ConfigurationError
-from aslip.walking.metrics.contact import SHORTEST_SWING, stances
+from aslip.walking.metrics.contact import CONTACT_FORCE, SHORTEST_SWING, stances
 
 SMOOTHING = 0.03
 """Length of the moving average that is applied twice before humps are counted [s]."""
 
 IMPACT = 0.05
 """Duration from touchdown within which a force is an impact [s]."""
+
+NEAR_LIMIT = 0.95
+"""Ratio of used to available friction from which a foot counts as at its limit."""
 
 PROMINENCE = 25.0
 """Least rise of a hump above the dips beside it [N]."""
@@ -121,6 +124,26 @@ def touchdown_impact(
         for start, stop in stances(force, period, swing=swing)
     ]
     return float(np.mean(found) / weight) if found else float("nan")
+
+
+def friction_limit_share(
+    force: np.ndarray, friction: float, threshold: float = CONTACT_FORCE
+) -> float:
+    """Share of time in which a loaded foot uses more than 95 % of the friction of the floor.
+
+    Args:
+        force: (m, 2, 3) ground force of both feet [N], z up from a level floor.
+        friction: coefficient of sliding friction.
+        threshold: vertical force of a loaded foot [N].
+
+    Raises:
+        ConfigurationError: the friction is not positive.
+    """
+    if not friction > 0:
+        raise ConfigurationError(f"friction must be positive, got {friction}")
+    tangential, normal = np.linalg.norm(force[..., :2], axis=-1), force[..., 2]
+    used = (normal > threshold) & (tangential > NEAR_LIMIT * friction * normal)
+    return float(used.any(axis=-1).mean())
 
 
 def largest_force(force: np.ndarray, weight: float) -> float:

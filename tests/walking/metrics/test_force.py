@@ -11,6 +11,7 @@ from aslip.library import GaitLibrary
 from aslip.walking.metrics import (
     dip_ratio,
     force_profile,
+    friction_limit_share,
     humps,
     largest_force,
     mean_over_strides,
@@ -120,3 +121,16 @@ def test_forces_over_weight_refuse_invalid_weight() -> None:
         touchdown_impact(impacts(), PERIOD, 0.0)
     with pytest.raises(ConfigurationError, match=r"weight.*nan"):
         largest_force(np.zeros((4, 2)), float("nan"))
+
+
+def test_friction_limit_share_counts_loaded_feet_near_the_cone() -> None:
+    force = np.zeros((8, 2, 3))
+    force[:, :, 2] = 200.0
+    force[0, 0, 0] = -191.0  # 95.5 % of friction 1
+    force[1, 1, :2] = 130.0, 142.0  # 96 %, in two directions
+    force[2, 0, 1] = 189.0  # 94.5 %
+    force[3, 0] = 19.0, 0.0, 19.0  # unloaded
+    assert friction_limit_share(force, 1.0) == 2 / 8
+    assert friction_limit_share(force, 2.0) == 0.0
+    with pytest.raises(ConfigurationError, match=r"friction must be positive, got 0\.0"):
+        friction_limit_share(force, 0.0)
