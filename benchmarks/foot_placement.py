@@ -139,7 +139,11 @@ def walk_placement(walk: Walks, index: int, speed: float, footholds: Footholds) 
         return Placement(np.zeros(1, dtype=int), nothing, nothing[:, 0])
     found = placement(
         footsteps(
-            one.ground_force[:, 0, :, 2], one.foot_position[:, 0], CASSIE.policy_period, swing
+            one.ground_force[:, 0, :, 2],
+            one.foot_place[:, 0],
+            CASSIE.policy_period,
+            swing,
+            one.frame[:, 0, 2],
         ),
         step,
     )

@@ -13,6 +13,7 @@ from aslip.robot import CASSIE, SIDES
 from aslip.transforms import ODOMETRY_SIZES
 from aslip.transforms.heading import in_heading_frame, start_of, true_heading
 from aslip.walking import Walks
+from aslip.walking.record import frame_poses
 
 _COMMAND = ("forward", "sideways", "yaw_rate")
 _FEET = tuple(f"{side}_foot_position" for side in SIDES)
@@ -59,6 +60,11 @@ def read_walk(recording: Recording) -> Walks:
         "body_velocity": reference.vector("body_velocity")[rows],
         "body_to_foot": vectors(reference, _FEET),
     }
+    arrays["frame"] = np.zeros((count, 3))
+    if turning:
+        odometry = recording["/true_odometry"]
+        origin, heading = odometry.vector("origin"), odometry["heading"][:, None]
+        arrays["frame"] = frame_poses(origin[rows, None], heading[rows, None])[:, 0]
     # undefined after the fall, as in `record_walks`
     arrays = {name: array.astype(np.float64) for name, array in arrays.items()}
     for array in arrays.values():

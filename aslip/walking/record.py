@@ -79,6 +79,9 @@ class Walks:
     """(m, n, 3) velocity of the model's body [m/s]."""
     body_to_foot: np.ndarray
     """(m, n, 2, 3) feet of the reduced-order model, from its body [m]."""
+    frame: np.ndarray
+    """(m, n, 3) pose of the frame in which places are given, in that after the first step: x, y [m]
+    and yaw [rad]. Zero for frames at rest."""
 
     def __post_init__(self) -> None:
         """Check that all arrays have m steps and n walks.
@@ -97,6 +100,15 @@ class Walks:
     def survived(self) -> np.ndarray:
         """(n,) true for walks without a fall."""
         return self.alive[-1]
+
+    @property
+    def foot_place(self) -> np.ndarray:
+        """(m, n, 2, 2) sole centres along the ground, left and right, in a frame at rest [m].
+
+        It is the heading frame after the first step, even where `foot_position` moves along.
+        """
+        turned = rotate_level(self.foot_position[..., :2], self.frame[..., None, 2])
+        return turned + self.frame[..., None, :2]
 
     def one(self, index: int, start: int = 0, stop: int | None = None) -> Walks:
         """Slice of one walk, n = 1: steps `start` to `stop`."""
@@ -245,7 +257,9 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
     feet: list[NestedKey] = [
         ("next", group, foot) for group in (place, "reference") for foot in _FEET
     ]
-    keys = [("next", "terminated"), *_RECORDED.values(), *pelvis, *feet, _FORCE]
+    frame: list[NestedKey] = [("next", place, name) for name in ("origin", "path_error")]
+    keys = [("next", "terminated"), ("next", "heading"), *frame, _FORCE]
+    keys += [*_RECORDED.values(), *pelvis, *feet]
     return _as_walks(record(policy, env, command, keys), place, command)
 
 
@@ -291,6 +305,34 @@ def _place(env: StackEnv) -> str:
     )
 
 
+def _frame(rows: TensorDict, place: str) -> torch.Tensor:
+    """Poses (m, n, 3) of the frame of a group of places; see `Walks.frame`."""
+    origin = rows.get(("next", place, "origin"), None)
+    if origin is None or ("next", place, "path_error") not in rows.keys(True):
+        return torch.zeros(*rows.shape, 3)
+    heading = cast("torch.Tensor", rows["next", "heading"])
+    pose = frame_poses(*(values.double().numpy() for values in (origin, heading)))
+    return torch.from_numpy(pose)
+
+
+def frame_poses(origin: np.ndarray, heading: np.ndarray) -> np.ndarray:
+    """Poses (m, n, 3) of a moving frame in its first one: x, y [m] and yaw [rad].
+
+    Args:
+        origin: (m, n, 3) origin [m, world].
+        heading: (m, n, 1) yaw [rad, world].
+    """
+    yaw = heading - heading[:1]
+    way = rotate_level((origin - origin[:1])[..., :2], -heading[:1, :, 0])
+    return np.concatenate([way, yaw], axis=-1)
+
+
+def rotate_level(vector: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Vectors (*b, 2) along the ground, turned by angles (*b) [rad]."""
+    x, y, cosine, sine = vector[..., 0], vector[..., 1], np.cos(yaw), np.sin(yaw)
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+
+
 def _as_walks(rows: TensorDict, place: str, command: np.ndarray) -> Walks:
     """Arrays of (m, n) policy steps; NaN from the step of a fall on."""
     fell = cast("torch.Tensor", rows["next", "terminated"])[..., 0]
@@ -302,6 +344,7 @@ def _as_walks(rows: TensorDict, place: str, command: np.ndarray) -> Walks:
         values[name] = torch.stack([rows["next", group, foot] for foot in _FEET], dim=2)
     for name in ("phase", "reward"):
         values[name] = values[name][..., 0]
+    values["frame"] = _frame(rows, place)
     arrays = {name: value.double().numpy() for name, value in values.items()}
     for array in arrays.values():
         array[~alive] = np.nan

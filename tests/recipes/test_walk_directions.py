@@ -61,6 +61,8 @@ def test_the_log_replays_and_gives_the_walk(log: Recording) -> None:
     # in the frame along the path, whose origin moves with the robot
     assert np.abs(walks.pelvis_position[..., 0]).max() < 0.31
     assert log["/truth"]["pelvis_position_x"][-1] > 0.1
+    turn = log["/true_odometry"]["heading"]
+    np.testing.assert_allclose(walks.frame[:, 0, 2], turn[-20:] - turn[-20], atol=1e-6)
 
 
 def test_the_table_has_three_speeds(

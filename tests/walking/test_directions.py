@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,10 @@ from tensordict import TensorDict, TensorDictBase
 import aslip
 from aslip.envs import EPISODE_ENDS, StackEnv, directions_stack
 from aslip.errors import ShapeError
-from aslip.robot import CASSIE
+from aslip.robot import CASSIE, SIDES
 from aslip.training.environments import make_evaluation_env
 from aslip.walking import WalkResult, evaluate, record_substeps, record_walks, walk_table
+from aslip.walking.record import record
 from tests.helpers import limp
 from tests.library.bent import symmetric_library
 
@@ -39,6 +42,18 @@ def test_recorded_walks_have_the_commands_of_all_axes() -> None:
     assert walks.alive.all()
     # the frame moves along: robots stay near its origin
     assert np.abs(walks.pelvis_position[..., :2]).max() < 0.3
+    # the frame turns with the command, and feet in it are those of the world
+    np.testing.assert_allclose(
+        np.diff(walks.frame[:5, 0, 2]), 0.8 * CASSIE.policy_period, rtol=1e-4
+    )
+    with closing(make()) as env:
+        keys: list[Any] = [("next", "truth", f"{side}_foot_position") for side in SIDES]
+        rows = record(limp(), env, command, keys)
+    for i, key in enumerate(keys):
+        feet = np.asarray(rows[key])[..., :2]
+        moved = np.linalg.norm(feet - feet[:1], axis=-1)
+        place = walks.foot_place[..., i, :]
+        np.testing.assert_allclose(np.linalg.norm(place - place[:1], axis=-1), moved, atol=1e-5)
     forward = record_walks(limp(), make(), command[..., 0])
     np.testing.assert_array_equal(forward.command, command * [1.0, 0.0, 0.0])
     for wrong in (command[..., :2], command[:, :1], command[:, :1, 0]):

@@ -24,6 +24,8 @@ class Footsteps:
     """(k,) instant of touchdown [s]."""
     position: np.ndarray
     """(k, 2) position of the foot at mid-stance [m, world]."""
+    heading: np.ndarray
+    """(k,) yaw of the robot's heading at touchdown [rad]."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,11 @@ class Placement:
 
 
 def footsteps(
-    force: np.ndarray, foot: np.ndarray, period: float, swing: float = SHORTEST_SWING
+    force: np.ndarray,
+    foot: np.ndarray,
+    period: float,
+    swing: float = SHORTEST_SWING,
+    heading: np.ndarray | None = None,
 ) -> Footsteps:
     """Find the footsteps of a walk.
 
@@ -58,10 +64,12 @@ def footsteps(
         foot: (m, 2, 3) sole centres [m, world], or at least their x and y.
         period: time between samples [s].
         swing: shortest swing [s].
+        heading: (m,) yaw of the heading [rad]; zero by default.
 
     Raises:
         ShapeError: an array has another shape.
     """
+    heading = np.zeros(len(force)) if heading is None else heading
     if force.ndim != 2 or force.shape[1] != 2 or foot.shape[:2] != force.shape:
         raise ShapeError(
             f"force must be (m, 2) and foot (m, 2, 3), got {force.shape}, {foot.shape}"
@@ -76,10 +84,12 @@ def footsteps(
             first.append(start)
             places.append(foot[low : max(high, low + 1), i, :2].mean(axis=0))
     order = np.argsort(first, kind="stable")
+    first = np.array(first, dtype=int)[order]
     return Footsteps(
         np.array(side, dtype=int)[order],
-        np.array(first, dtype=float)[order] * period,
+        first * period,
         np.array(places, dtype=float).reshape(-1, 2)[order],
+        heading[first],
     )
 
 
@@ -87,14 +97,18 @@ def placement(steps: Footsteps, ideal_step: np.ndarray) -> Placement:
     """Compare footsteps with the reduced-order model's.
 
     The ideal position is the previous footstep's actual position plus the step of the reduced-order
-    model at the commanded speed. Only footsteps after one of the other foot count.
+    model at the command, turned by the heading. Only footsteps after one of the other foot count.
 
     Args:
-        steps: footsteps of a walk at one speed, along x.
+        steps: footsteps of a walk at one command.
         ideal_step: (2, 2) step of the left and of the right foot from the other, forward and left
             [m]; see `aslip.show.ghost.Footholds.step`.
     """
     follows = np.flatnonzero(np.diff(steps.side) != 0) + 1
     side = steps.side[follows]
     step = steps.position[follows] - steps.position[follows - 1]
+    cosine, sine = np.cos(steps.heading[follows]), np.sin(steps.heading[follows])
+    step = np.stack(
+        [cosine * step[:, 0] + sine * step[:, 1], cosine * step[:, 1] - sine * step[:, 0]], axis=1
+    )
     return Placement(side, step - np.asarray(ideal_step)[side], np.abs(step[:, 1]))

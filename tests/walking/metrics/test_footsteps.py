@@ -48,6 +48,26 @@ def test_sliding_foot_is_located_at_mid_stance() -> None:
     np.testing.assert_allclose(steps.position, still.position, atol=0.2 * PERIOD)
 
 
+def test_placement_in_a_turn_compares_steps_in_the_heading() -> None:
+    """A walk at 0.2 rad/s, whose world is turned by 1 rad, has the errors of the straight walk."""
+    force, foot = walk(0.35, 0.23)
+    straight = placement(footsteps(force, foot, PERIOD), np.array([[0.4, 0.2], [0.4, -0.2]]))
+    steps = footsteps(force, foot, PERIOD)
+    heading = 1.0 + 0.2 * np.arange(len(force)) * PERIOD
+    yaw = heading[np.rint(steps.time / PERIOD).astype(int)]
+    moves = np.diff(steps.position, axis=0)
+    cosine, sine = np.cos(yaw[1:]), np.sin(yaw[1:])
+    turned = np.stack(
+        [cosine * moves[:, 0] - sine * moves[:, 1], sine * moves[:, 0] + cosine * moves[:, 1]], 1
+    )
+    places = np.concatenate([np.zeros((1, 2)), turned.cumsum(axis=0)])
+    found = placement(
+        Footsteps(steps.side, steps.time, places, yaw), np.array([[0.4, 0.2], [0.4, -0.2]])
+    )
+    np.testing.assert_allclose(found.offset, straight.offset, atol=1e-12)
+    np.testing.assert_array_equal(footsteps(force, foot, PERIOD, heading=heading).heading, yaw)
+
+
 @pytest.mark.parametrize(("short", "wide"), [(0.0, 0.0), (0.05, 0.0), (0.0, 0.03), (-0.02, 0.04)])
 def test_placement_error_is_actual_minus_ideal(short: float, wide: float) -> None:
     steps = footsteps(*walk(0.4 - short, 0.2 + wide), PERIOD)
@@ -62,7 +82,10 @@ def test_placement_error_is_actual_minus_ideal(short: float, wide: float) -> Non
 def test_feet_have_separate_ideal_steps() -> None:
     """As in a curve, or when one leg is behind."""
     steps = Footsteps(
-        np.array([0, 1, 0]), np.arange(3.0), np.array([[0, 0.1], [0.3, -0.1], [1, 0.1]])
+        np.array([0, 1, 0]),
+        np.arange(3.0),
+        np.array([[0, 0.1], [0.3, -0.1], [1, 0.1]]),
+        np.zeros(3),
     )
     found = placement(steps, np.array([[0.7, 0.2], [0.3, -0.2]]))
     np.testing.assert_allclose(found.offset, 0.0, atol=1e-12)
@@ -70,7 +93,7 @@ def test_feet_have_separate_ideal_steps() -> None:
 
 def test_consecutive_stances_of_one_foot_are_not_a_step() -> None:
     side = np.array([0, 1, 1, 0])
-    steps = Footsteps(side, np.arange(4.0), np.zeros((4, 2)))
+    steps = Footsteps(side, np.arange(4.0), np.zeros((4, 2)), np.zeros(4))
     assert placement(steps, np.zeros((2, 2))).side.tolist() == [1, 0]
 
 
