@@ -19,7 +19,7 @@ from recipes.ppo_settings import Config
 
 MakeEnv = Callable[..., StackEnv]
 
-SHIPPED_STACKS = [name for name in STACKS if name != "directions"]
+SHIPPED_STACKS = [name for name in STACKS if name not in ("directions", "standing")]
 """Stacks whose library ships."""
 
 MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}

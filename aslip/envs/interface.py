@@ -27,6 +27,7 @@ from aslip.transforms import (
     CommandFilter,
     ReferenceInjection,
     SpeedCommand,
+    StandClock,
 )
 
 
@@ -41,6 +42,7 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
         "observation": observation_keys(env),
         "baseline": baseline_key(env),
         "command_rates": command_rates(env),
+        "stands": stands(env),
     }
 
 
@@ -56,9 +58,11 @@ def stack_name(env: StackEnv) -> str | None:
         return None
     libraries = [t.library for t in env.transforms if isinstance(t, ReferenceInjection)]
     turning = any(library.command_size == 3 for library in libraries)
-    for name, make in STACKS.items():
-        if turning != (name == "directions"):
-            continue
+    possible = STACKS.keys() - {"directions", "standing"}
+    if turning:
+        possible = {"standing" if stands(env) else "directions"}
+    for name in (name for name in STACKS if name in possible):
+        make = STACKS[name]
         # no library for all directions ships, so there is no motion to compare with
         stack = make(libraries[0]) if turning else make()
         named = [stack[part]() for part in ("observation", "action", "reference")]
@@ -81,6 +85,11 @@ def command_rates(env: StackEnv) -> tuple[float, ...] | None:
     """Largest rates of the command that the policy follows; None without a `CommandFilter`."""
     rates = [t.rates for t in env.transforms if isinstance(t, CommandFilter)]
     return rates[0] if rates else None
+
+
+def stands(env: StackEnv) -> bool:
+    """True for a stack whose robots stand on a wish, see `aslip.transforms.StandClock`."""
+    return any(isinstance(t, StandClock) for t in env.transforms)
 
 
 def check_policy_fits(policy: str | Path, env: StackEnv) -> None:

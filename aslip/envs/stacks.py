@@ -209,27 +209,31 @@ def _pendulum() -> GaitLibrary:
     return GaitLibrary.load("single_reference")
 
 
-def _directions(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
-    """Stack for walks in all directions; no library for it ships.
+def _turning(
+    name: str, library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
+) -> Stack:
+    """Stack of `aslip.envs.directions` by name; no library for it ships.
 
     Raises:
-        ConfigurationError: there is no library, or its commands have not three numbers.
+        ConfigurationError: there is no library, its commands have not three numbers, or it has no
+            stop and start to stand.
     """
-    from aslip.envs.directions import directions_stack  # imports this module
+    from aslip.envs import directions  # imports this module
 
     if library is None:
         raise ConfigurationError(
-            "the stack 'directions' needs a library over three commands, which does not ship: build"
+            f"the stack {name!r} needs a library over three commands, which does not ship: build"
             " one with recipes/direction_library.py and give library=GaitLibrary.load(PATH)"
         )
-    return directions_stack(library, reward_on)
+    make = {"directions": directions.directions_stack, "standing": directions.standing_stack}
+    return make[name](library, reward_on)
 
 
 STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "aslip": default_stack,
     "paper": paper_stack,
     "single_reference": single_reference_stack,
-    "directions": _directions,
+    **{name: partial(_turning, name) for name in ("directions", "standing")},
 }
 """Name of a stack -> function of gait library and `reward_on` that makes it."""
 
@@ -304,7 +308,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
 
     Observation and action baseline are those of the given stack. Robot, start, rewards and ends of
     episodes are those of `default_stack()`, or of `directions_stack(library)`; the rewards compare
-    with its gaits, even if the policy observes another motion.
+    with its gaits, even if the policy observes another motion. A stack that stands keeps standing.
 
     Args:
         stack: the stack.
@@ -317,7 +321,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     _require_names(stack, ["start"])
     common, names = default_stack(), [*_EVALUATION]
     if library is not None:
-        common = _directions(library)
+        common = STACKS["standing" if "stand" in stack else "directions"](library)
         names = [name for name in common if name in {*names, "path_diff"}]
     evaluation = {name: common[name] for name in ("start", *names)}
     trained = {"dynamics", "pushes", "privileged"}
@@ -325,6 +329,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     judging: dict[str, Any] = {"out_keys": ("judge", "goal")}
     if library is not None:
         judging["in_keys"] = ["filtered_command", "phase"]
+        judging["in_keys"] += ["mode", "stand"] if "stand" in stack else []
     goal = partial(ReferenceInjection, library or GaitLibrary.load(), **judging)
     return {"start": evaluation.pop("start"), **seen, "judge": goal, **evaluation}
 

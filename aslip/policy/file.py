@@ -58,10 +58,11 @@ def save_policy(
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
     baseline: NestedKey | None = ("reference", "motor_target"),
     command_rates: Sequence[float] | None = None,
+    stands: bool = False,
 ) -> None:
     """Write a policy for `load_policy`: an archive of plain arrays and JSON.
 
-    `aslip.envs.policy_interface(env)` gives the last four arguments.
+    `aslip.envs.policy_interface(env)` gives the last five arguments.
 
     Args:
         path: path of the file; an existing one is replaced atomically.
@@ -74,6 +75,7 @@ def save_policy(
         baseline: key of the angles to which the action is added; None for another kind of action.
         command_rates: largest rates of the filtered command that the policy follows [m/s^2,
             rad/s^2], see `aslip.transforms.CommandFilter`; None if it follows the command.
+        stands: True if its robots stand on a wish, see `aslip.transforms.StandClock`.
 
     Raises:
         ConfigurationError: `network` makes an actor that differs from `actor`, or a weight is not
@@ -92,6 +94,7 @@ def save_policy(
         "observation": entry_names(observation),
         "baseline": None if baseline is None else entry_names([baseline])[0],
         "command_rates": None if command_rates is None else [*command_rates],
+        "stands": stands,
         "made_by": dict(made_by or {}),
     }
     weights = {
@@ -293,7 +296,7 @@ def read_card(name_or_path: str | Path) -> dict[str, Any]:
 
     Returns:
         The arguments of `save_policy`: `shape`, `made_by`, `stack`; `network`, `observation` and
-        `baseline` as text; `command_rates` is None in files without it.
+        `baseline` as text; in files without them, `command_rates` is None and `stands` False.
 
     Raises:
         AssetError: there is no such policy.
@@ -312,9 +315,10 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
     try:
         card = json.loads(entries[CARD])
         shape, texts = card["shape"], (card["stack"], card["baseline"])
-        rates = card.get("command_rates")
+        rates, stands = card.get("command_rates"), card.get("stands", False)
         typed = all(isinstance(text, str | None) for text in texts)
         typed = typed and isinstance(card["network"], str) and isinstance(card["made_by"], dict)
+        typed = typed and isinstance(stands, bool)
         if not typed:
             raise ValueError("its card has items of wrong types")
         return {
@@ -322,6 +326,7 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
             "shape": PolicyShape(**{**shape, "hidden": tuple(shape["hidden"])}),
             "observation": [str(name) for name in card["observation"]],
             "command_rates": None if rates is None else checked_rates(rates),
+            "stands": stands,
         }
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error

@@ -103,6 +103,31 @@ def standing_phase(table: TransitionTable, phase: Tensor) -> Tensor:
     return torch.where(phase % 1.0 >= HALF, HALF + table.standing, table.standing).to(phase.dtype)
 
 
+def first_mode(table: TransitionTable, phase: Tensor, stand: Tensor) -> tuple[Tensor, Tensor]:
+    """Phase (*b, 1) and mode (*b, 1) of robots that begin: they stand if they shall, or walk.
+
+    Args:
+        table: stop and start.
+        phase: (*b, 1) stride fraction in [0, 1).
+        stand: (*b, 1) 1 to stand, 0 to walk.
+    """
+    stays = stand > 0.5
+    modes = torch.where(stays, float(WalkMode.STAND), float(WalkMode.WALK))
+    return torch.where(stays, standing_phase(table, phase), phase), modes
+
+
+def led_command(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
+    """Command (*b, c) of robots that walk and shall walk, zero for the others.
+
+    Args:
+        command: (*b, c) one value per axis of the library.
+        stand: (*b, 1) 1 to stand, 0 to walk.
+        mode: (*b, 1) values of `WalkMode`.
+    """
+    walks = (mode == WalkMode.WALK) & (stand <= 0.5)
+    return torch.where(walks, command, torch.zeros_like(command))
+
+
 def _rate(table: TransitionTable, mode: Tensor, walking: Tensor) -> Tensor:
     """Phase per second (*b, 1) in each mode [1/s]."""
     stop, start = table.rates
@@ -221,9 +246,8 @@ class StandClock(SeededTransform):
         key, mode_key = self.out_keys
         draw = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
         tensordict = self._draw_into_reset(tensordict, key, draw)
-        phase, stays = checked_column(tensordict, key) % 1.0, tensordict[self.in_keys[1]] > 0.5
-        phase = torch.where(stays, standing_phase(self._table, phase), phase)
-        modes = torch.where(stays, float(WalkMode.STAND), float(WalkMode.WALK))
+        phase, stand = (checked_column(tensordict, k) for k in (key, self.in_keys[1]))
+        phase, modes = first_mode(self._table, phase % 1.0, stand)
         return tensordict.set(key, phase).set(mode_key, modes)
 
     def _reset(
@@ -288,16 +312,11 @@ class StandFilter(CommandFilter):
             tensordict if tensordict_reset.get(key, None) is None else tensordict_reset
             for key in self.in_keys[1:]
         ]
-        command = self._led(
+        command = led_command(
             tensordict_reset[self.in_keys[0]],
             *(one[key] for one, key in zip(known, self.in_keys[1:], strict=True)),
         )
         return tensordict_reset.set(self.out_keys[0], command.clone())
 
     def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
-        return self._led(command, *(tensordict[key] for key in self.in_keys[1:]))
-
-    def _led(self, command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
-        """Command of robots that walk and shall walk, zero for the others."""
-        walks = (mode == WalkMode.WALK) & (stand <= 0.5)
-        return torch.where(walks, command, torch.zeros_like(command))
+        return led_command(command, *(tensordict[key] for key in self.in_keys[1:]))

@@ -174,7 +174,7 @@ def test_the_command_covers_all_speeds(make: MakeEnv) -> None:
 
 
 def test_stacks_have_names() -> None:
-    assert set(STACKS) == {"aslip", "paper", "single_reference", "directions"}
+    assert set(STACKS) == {"aslip", "paper", "single_reference", "directions", "standing"}
     assert list(single_reference_stack())[-1] == "episode_sum"
     with pytest.raises(UnknownNameError, match="single_reference"):
         aslip.make_env(stack="other")

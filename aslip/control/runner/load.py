@@ -14,7 +14,7 @@ from aslip.wire import STATE_OUT, state_out_to_estimate
 
 _WARM_UP = 5
 # stack -> its library if that is not "gaits"; None if it is not shipped
-_LIBRARIES = {"single_reference": "single_reference", "directions": None}
+_LIBRARIES = {"single_reference": "single_reference", "directions": None, "standing": None}
 
 
 class Loaded(NamedTuple):
