@@ -17,6 +17,7 @@ from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from aslip.control.own_estimate import is_estimate, join_estimate
+from aslip.control.steering import Steering
 from aslip.control.turn import next_entries, start_entries
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
@@ -24,12 +25,12 @@ from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, load_policy, read_card
 from aslip.transforms.action import add_delta
-from aslip.transforms.clock import advance_phase, clock_entries
-from aslip.transforms.command import COMMAND_RATES, approach_command, checked_rates
+from aslip.transforms.clock import clock_entries
+from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
 from aslip.transforms.path import advance_heading
-from aslip.transforms.reference import feedforward_target, reference_and_goal
+from aslip.transforms.reference import feedforward_target
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
 """Packets of n robots, w each and oldest first: entries (n, w, k) with the names of
@@ -53,7 +54,9 @@ class ControllerState:
     `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and faults),
     `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`, `motor_target`,
     and the hidden state of a recurrent policy. With a library of several axes, `filtered_command`,
-    too. For robots that estimate their own state there are no `odometry` and `estimator`."""
+    too; if they stand on a wish, `stand` (n, 1) and `mode` (n, 1), values of
+    `aslip.library.WalkMode`. For robots that estimate their own state there are no `odometry` and
+    `estimator`."""
 
     @property
     def motor_target(self) -> Tensor:
@@ -83,6 +86,9 @@ class Controller:
     filtered command (`CommandFilter`), and heading and origin of the odometry move along its path
     (`HeadingFrame`), so that a yaw rate turns the robot without a new heading.
 
+    A controller whose policy stands takes a wish, 1 to stand and 0 to walk: the robots slow down,
+    stop at a touchdown, stand, and start again (`StandClock`).
+
     A robot that estimates its own state sends estimates instead of packets. The controller rotates
     them to the heading and does not filter them. If an estimate is missing or not finite, the last
     one is kept.
@@ -101,10 +107,13 @@ class Controller:
         command_rates: largest rates of the filtered command with a library of several axes
             [m/s^2, rad/s^2], see `CommandFilter`; by default those in the policy's file, or
             `COMMAND_RATES`.
+        stands: True for robots that stand on a wish; by default as the policy's file says, False
+            for a module.
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
-        ConfigurationError: the policy's action is not a delta that is added to angles.
+        ConfigurationError: the policy's action is not a delta that is added to angles; or the
+            robots shall stand, and the library has no stop and start.
     """
 
     def __init__(
@@ -117,6 +126,7 @@ class Controller:
         estimator: StateEstimator | None = None,
         motor_lead: float = 1.0,
         command_rates: Sequence[float] | None = None,
+        stands: bool | None = None,
     ) -> None:
         if isinstance(policy, str | Path):
             card = read_card(policy)
@@ -128,6 +138,7 @@ class Controller:
                 )
             baseline = baseline or _key(card["baseline"])
             command_rates = command_rates or card["command_rates"]
+            stands = card["stands"] if stands is None else stands
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
         self.library = library
@@ -136,9 +147,12 @@ class Controller:
         self.estimator = StateEstimator() if estimator is None else estimator
         self.motor_lead = motor_lead
         self.command_rates = checked_rates(command_rates or COMMAND_RATES)
-        self._along_path = library.command_size > 1
         robot = self.estimator.robot
         self._period = robot.policy_period
+        self.steering = Steering(
+            library, self.command_rates, bool(stands), motor_lead, self._period
+        )
+        self._along_path = self.steering.along_path
         self._gains = [
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
@@ -148,6 +162,7 @@ class Controller:
         packets: Packets,
         command: float | Sequence[float] | Tensor = 0.0,
         *,
+        stand: bool | float | Tensor = 0.0,
         phase: float | Tensor = 0.0,
         heading: ArrayLike | None = None,
     ) -> ControllerState:
@@ -156,6 +171,7 @@ class Controller:
         Args:
             packets: packets; only the last of each robot is used.
             command: command, one for all robots or (n, c).
+            stand: wish, 1 to stand or 0 to walk, one or (n, 1).
             phase: stride fraction to begin at, one or (n, 1).
             heading: yaw that counts as straight ahead, in the frame of the IMU's attitude [rad],
                 one or (n, 1); by default the yaw in the packets.
@@ -163,14 +179,14 @@ class Controller:
         Raises:
             ShapeError, UnknownNameError: packets, command, phase or heading have the wrong shape,
                 or the packets lack an entry.
-            ConfigurationError: command, phase or heading is not finite.
+            ConfigurationError: command, wish, phase or heading is not finite, or these robots
+                cannot stand.
         """
         rows = self._rows(packets)
         num = len(rows)
-        begun = self._begin(
-            rows, self._command(command, num), _column("phase", phase, num), heading
-        )
-        return self.act(begun)
+        wish, begins = self._wish(stand, num), _column("phase", phase, num)
+        entries = self.steering.begin(self._command(command, num), begins, wish)
+        return self.act(self._begin(rows, entries, heading))
 
     def step(
         self,
@@ -178,6 +194,7 @@ class Controller:
         packets: Packets | None,
         command: float | Sequence[float] | Tensor | None = None,
         *,
+        stand: bool | float | Tensor | None = None,
         heading: float | Tensor | None = None,
         restart: Tensor | None = None,
         phase: float | Tensor = 0.0,
@@ -190,8 +207,8 @@ class Controller:
             command: new command, one for all robots or (n, c). It acts from the previous policy
                 step on, as when a caller writes `command` between the steps of an environment. By
                 default the command does not change.
-            heading: new yaw that counts as straight ahead [rad], one or (n, 1). By default it does
-                not change.
+            stand: new wish, 1 to stand or 0 to walk, one or (n, 1), which acts like a new command.
+            heading: new yaw that counts as straight ahead [rad], one or (n, 1).
             restart: (n, 1) bool, robots that restart with these packets, as after a reset of an
                 environment.
             phase: stride fraction at which robots restart, one or (n, 1).
@@ -202,29 +219,21 @@ class Controller:
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or the packets lack an
                 entry.
-            ConfigurationError: command, phase or heading is not finite.
+            ConfigurationError: an argument is not finite, or these robots cannot stand.
         """
         past, num = state.tensordict, len(state.tensordict)
         rows = self._lost(past) if packets is None else self._rows(packets)
         now = past["command"] if command is None else self._command(command, num)
+        wish = past.get("stand", None) if stand is None else self._wish(stand, num)
         ahead = None if heading is None else _column("heading", heading, num)
-        steer = cast("Tensor", past["filtered_command"] if self._along_path else now)
-        entries = self._followed(past, rows, ahead)
-        if self._along_path:
-            entries["filtered_command"] = approach_command(
-                steer, now, self.command_rates, self._period
-            )
         # a recurrent policy reads its memory under "next", as in TorchRL's `step_mdp`
         present = past.exclude("next", *_FRESH).update(past.get("next", {}))
         present.update(
             {
-                "command": now,
-                "phase": advance_phase(
-                    self.library, cast("Tensor", past["phase"]), steer, self._period
-                ),
                 "last_action": past["action"],
                 "is_init": torch.zeros(num, 1, dtype=torch.bool),
-                **entries,
+                **self._followed(past, rows, ahead),
+                **self.steering.advance(past, now, cast("Tensor | None", wish)),
             }
         )
         if restart is not None and restart.any():
@@ -233,7 +242,7 @@ class Controller:
         return state, state.motor_target
 
     def _begin(
-        self, rows: np.ndarray, command: Tensor, phase: Tensor, heading: ArrayLike | None
+        self, rows: np.ndarray, steered: Mapping[str, Tensor], heading: ArrayLike | None
     ) -> TensorDict:
         """Entries of robots that start with packets (n, w, p), or with estimates (n, e)."""
         if rows.ndim == 3:
@@ -241,16 +250,8 @@ class Controller:
             entries = estimate_entries(*self.estimator.start(rows, heading), origin)
         else:
             entries = start_entries(rows, heading, self.estimator.robot)
-        begun = TensorDict(
-            {
-                "command": command,
-                "phase": phase % 1.0,
-                "is_init": torch.ones(len(rows), 1, dtype=torch.bool),
-                **entries,
-            },
-            batch_size=[len(rows)],
-        )
-        return begun.set("filtered_command", command.clone()) if self._along_path else begun
+        first = torch.ones(len(rows), 1, dtype=torch.bool)
+        return TensorDict({**steered, "is_init": first, **entries}, batch_size=[len(rows)])
 
     def _restarted(
         self,
@@ -262,10 +263,12 @@ class Controller:
     ) -> TensorDictBase:
         """Entries (n,) after the robots of a mask (n,) restart with these packets or estimates."""
         present = present.clone()
-        command = cast("Tensor", present["command"])
         ahead = None if heading is None else heading[robots].double().numpy()
         phases = _column("phase", phase, len(present))
-        begun = self._begin(rows[robots.numpy()], command[robots], phases[robots], ahead)
+        command, stand = (cast("Tensor", present.get(k, phases)) for k in ("command", "stand"))
+        wish = stand[robots] if self.steering.stands else None
+        entries = self.steering.begin(command[robots], phases[robots], wish)
+        begun = self._begin(rows[robots.numpy()], entries, ahead)
         # entries that only the other robots have are zero
         zeros = present[: len(begun)].clone().zero_()
         present[robots] = zeros.update(begun)
@@ -308,13 +311,10 @@ class Controller:
         Raises:
             UnknownNameError: the policy observes an entry that does not exist.
         """
-        steer = "filtered_command" if self._along_path else "command"
-        command, phase = (cast("Tensor", present[key]) for key in (steer, "phase"))
-        reference, goal = reference_and_goal(
-            self.library, command, phase, motor_lead=self.motor_lead, period=self._period
-        )
+        reference, goal = self.steering.reference(cast("Mapping[str, Tensor]", present))
         reference["motor_target"] = feedforward_target(reference, *self._gains)
-        present.update({"reference": reference, "goal": goal, "clock": clock_entries(phase)})
+        clock = clock_entries(cast("Tensor", present["phase"]))
+        present.update({"reference": reference, "goal": goal, "clock": clock})
         if "last_action" not in present:
             present["last_action"] = torch.zeros_like(reference["motor_position"])
         for key in (*self.observation, self.baseline):
@@ -352,6 +352,22 @@ class Controller:
         if size > 1 and value.ndim == 0:
             value = torch.nn.functional.pad(value[None], (0, size - 1))
         return self.library.nearest(_columns("command", value, num, size))
+
+    def _wish(self, stand: float | Tensor, num: int) -> Tensor | None:
+        """Wish (num, 1) to stand; None for robots that only walk.
+
+        Raises:
+            ConfigurationError: a robot that cannot stand shall.
+        """
+        wish = _column("stand", stand, num)
+        if self.steering.stands:
+            return wish
+        if (wish > 0.5).any():
+            raise ConfigurationError(
+                "these robots cannot stand: their policy was not trained for it; give"
+                " Controller(..., stands=True) if it was, and a library with stop and start"
+            )
+        return None
 
 
 def _column(name: str, value: float | Tensor, num: int) -> Tensor:

@@ -1,0 +1,127 @@
+"""Clock, filtered command and reference of robots, with the functions of the training stacks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.transforms.clock import advance_phase
+from aslip.transforms.command import approach_command
+from aslip.transforms.reference import reference_and_goal
+from aslip.transforms.standing import advance_mode, first_mode, led_command, transitions_of
+
+
+@dataclass(frozen=True, eq=False)
+class Steering:
+    """Motion that robots follow, from their commands and wishes to stand.
+
+    The clock is that of `PhaseClock`, with several axes of the command behind the filter
+    `CommandFilter`. Robots that stand on a wish have `StandClock` and `StandFilter`.
+
+    Raises:
+        ConfigurationError: robots shall stand, and the library has no stop and start, or one axis.
+    """
+
+    library: GaitLibrary
+    """Gaits."""
+    rates: tuple[float, ...]
+    """Largest rates of the filtered command [m/s^2, rad/s^2]."""
+    stands: bool
+    """True for robots that stand on a wish."""
+    motor_lead: float
+    """Lead of the motor references over the phase, in policy steps."""
+    period: float
+    """Duration of a policy step [s]."""
+
+    def __post_init__(self) -> None:
+        """Check that the library has what standing needs."""
+        if self.stands:
+            transitions_of(self.library)
+            if not self.along_path:
+                raise ConfigurationError(
+                    "standing needs a library over several commands, got one over forward speed"
+                )
+
+    @property
+    def along_path(self) -> bool:
+        """True if robots follow a filtered command, along its path."""
+        return self.library.command_size > 1
+
+    def begin(self, command: Tensor, phase: Tensor, stand: Tensor | None) -> dict[str, Tensor]:
+        """Entries (n, k) of robots that begin, see `advance`.
+
+        Args:
+            command: (n, c) command.
+            phase: (n, 1) stride fraction.
+            stand: (n, 1) wish to stand; None for robots that only walk.
+        """
+        phase, mode = phase % 1.0, None
+        if stand is not None:
+            phase, mode = first_mode(transitions_of(self.library), phase, stand)
+        entries = self._entries(command, phase, stand, mode)
+        if self.along_path:
+            entries["filtered_command"] = self._led(command, stand, mode).clone()
+        return entries
+
+    def advance(
+        self, past: Mapping[str, Any], command: Tensor, stand: Tensor | None
+    ) -> dict[str, Tensor]:
+        """Entries (n, k) a policy step later.
+
+        Args:
+            past: `phase`, and `filtered_command` and `mode` where `begin` returned them.
+            command: (n, c) command during the step.
+            stand: (n, 1) wish to stand during the step; None for robots that only walk.
+
+        Returns:
+            `command` and `phase`; with several axes of the command `filtered_command`; for robots
+            that stand `stand` and `mode`, values of `aslip.library.WalkMode`.
+        """
+        phase, mode = past["phase"], None
+        steer = past["filtered_command"] if self.along_path else command
+        if stand is None:
+            phase = advance_phase(self.library, phase, steer, self.period)
+        else:
+            mode = past["mode"]
+            phase, mode = advance_mode(self.library, phase, mode, steer, stand, self.period)
+        entries = self._entries(command, phase, stand, mode)
+        if self.along_path:
+            aim = self._led(command, stand, past["mode"] if self.stands else None)
+            entries["filtered_command"] = approach_command(steer, aim, self.rates, self.period)
+        return entries
+
+    def reference(self, present: Mapping[str, Any]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Entries of the reference and of the goal, see `ReferenceInjection`.
+
+        Args:
+            present: entries that `begin` or `advance` returned.
+        """
+        steer = present["filtered_command" if self.along_path else "command"]
+        standing = (present["mode"], present["stand"]) if self.stands else None
+        return reference_and_goal(
+            self.library,
+            steer,
+            present["phase"],
+            motor_lead=self.motor_lead,
+            period=self.period,
+            standing=standing,
+        )
+
+    @staticmethod
+    def _entries(
+        command: Tensor, phase: Tensor, stand: Tensor | None, mode: Tensor | None
+    ) -> dict[str, Tensor]:
+        entries = {"command": command, "phase": phase}
+        if stand is not None and mode is not None:
+            entries |= {"stand": stand, "mode": mode}
+        return entries
+
+    @staticmethod
+    def _led(command: Tensor, stand: Tensor | None, mode: Tensor | None) -> Tensor:
+        """Command that the filtered one approaches."""
+        return command if stand is None or mode is None else led_command(command, stand, mode)

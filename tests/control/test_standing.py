@@ -1,0 +1,129 @@
+"""Controllers give the motor targets of stacks that stand, stop and start."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from pathlib import Path
+
+import pytest
+import torch
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+
+import aslip
+from aslip.control import Controller
+from aslip.envs import StackEnv, check_policy_fits, policy_interface
+from aslip.errors import ConfigurationError
+from aslip.library import WalkMode
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.transforms import DIRECTION_TABLE, StandCommand
+from tests.library.bent import symmetric_library
+from tests.library.standing import standing_library
+
+
+@cache
+def _policy() -> TensorDictModule:
+    """Untrained network with small actions."""
+    torch.manual_seed(4)
+    net = torch.nn.Sequential(torch.nn.Linear(72, 10), torch.nn.Tanh())
+    return TensorDictModule(
+        lambda seen: 0.02 * net(seen), in_keys=["observation"], out_keys=["action"]
+    )
+
+
+def _controller(stands: bool = True) -> Controller:
+    return Controller(_policy(), standing_library(), observation=DIRECTION_TABLE, stands=stands)
+
+
+@pytest.fixture(scope="module")
+def env() -> StackEnv:
+    return aslip.make_env(
+        stack="standing",
+        library=standing_library(),
+        num_envs=3,
+        seed=5,
+        num_threads=1,
+        drop=["low_reward"],
+        replace={"stand": partial(StandCommand, share=0.5)},
+    )
+
+
+@torch.no_grad()
+def test_motor_targets_are_those_of_a_stacks_rollout(env: StackEnv) -> None:
+    """With noise, changes of command and wish, falls, and resets to walk and to stand."""
+    policy, controller = _policy(), _controller()
+    td = env.reset(TensorDict(command=torch.tensor([[0.1, 0, 0.1]] * 3), batch_size=3))
+    state = controller.start(
+        td["sensors"], td["command"], stand=td["stand"], phase=td["phase"], heading=td["heading"]
+    )
+    modes, restarts = set(), []
+    for step in range(90):
+        if step % 20 == 3:
+            td["stand"] = torch.tensor([[step % 40 < 20], [step % 40 > 20], [True]]).float()
+            td["command"] = torch.tensor([[0.002, 0.0, -0.005]] * 3) * step
+        turned = td["heading"]
+        td, following = env.step_and_maybe_reset(policy(td))
+        ours, theirs = state.tensordict, env.transform.inv(td)
+        for key in ("motor_target", "observation", "phase", "mode", "filtered_command"):
+            assert torch.equal(ours[key], theirs[key]), (step, key)
+        modes |= set(ours["mode"].flatten().tolist())
+        restart = td["next", "done"]
+        restarts += following["stand"][restart].tolist()
+        state, _ = controller.step(
+            state,
+            following["sensors"],
+            following["command"],
+            stand=following["stand"],
+            heading=torch.where(restart, following["heading"], turned),
+            restart=restart,
+            phase=following["phase"],
+        )
+        td = following
+    assert modes == {0, 1, 2, 3}
+    assert set(restarts) == {0, 1}
+
+
+def test_a_wish_stays_until_the_next(env: StackEnv) -> None:
+    packets, controller = env.reset()["sensors"], _controller()
+    state = controller.start(packets, [0.2, 0.0, 0.0], stand=True)
+    entries = state.tensordict
+    assert (entries["mode"] == WalkMode.STAND).all()
+    assert not entries["filtered_command"].any()
+    for _ in range(3):
+        state, _ = controller.step(state, packets)
+    assert torch.equal(state.tensordict["stand"], torch.ones(3, 1))
+    assert torch.equal(state.tensordict["phase"], entries["phase"])
+    walks = torch.tensor([[0.0], [1.0], [0.0]])
+    for _ in range(2):
+        state, _ = controller.step(state, packets, stand=walks)
+        walks = None
+    assert state.tensordict["mode"].flatten().tolist() == [3, 2, 3]
+
+
+def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) -> None:
+    interface, shape = policy_interface(env), PolicyShape(72)
+    assert interface["stack"] == "standing"
+    actor = make_actor(RunningNormalizer(72), shape, interface["observation"])
+    save_policy(path := tmp_path / "policy.zip", actor, shape, **interface)
+    check_policy_fits(path, env)
+    packets, controller = env.reset()["sensors"], Controller(path, standing_library())
+    assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()
+    with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
+        Controller(path, symmetric_library())
+    for library, why in ((None, "'standing' needs a library"), (symmetric_library(), "stop and")):
+        with pytest.raises(ConfigurationError, match=why):
+            aslip.make_env(stack="standing", library=library)
+
+
+def test_wishes_that_cannot_be_met_are_refused(env: StackEnv) -> None:
+    packets, walking = env.reset()["sensors"], _controller(stands=False)
+    state = walking.start(packets, stand=0.0)
+    assert "stand" not in state.tensordict
+    with pytest.raises(ConfigurationError, match="these robots cannot stand"):
+        walking.start(packets, stand=True)
+    with pytest.raises(ConfigurationError, match="these robots cannot stand"):
+        walking.step(state, packets, stand=1.0)
+    with pytest.raises(ConfigurationError, match="stand must be finite"):
+        _controller().start(packets, stand=float("nan"))
+    with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
+        Controller(_policy(), symmetric_library(), stands=True)
