@@ -7,6 +7,7 @@ r"""Walk with a policy through a schedule of commands; log, film, watch or steer
     python recipes/walk.py --live                               # a page in your browser to steer it
     python recipes/walk.py --policy runs/ppo_directions --library runs/directions/gaits.npz \
         --command "0:0.5 0 0,4:0.5 0 0.5,8:0 -0.2 0"            # forward, sideways, yaw rate
+    python recipes/walk.py ... --command "0:0.5 0 0,4:stand,9:0 0 0.3"    # policies that stand
 
 A log replays with `python -m aslip.log replay --verify walk.mcap`, and opens in Foxglove, Rerun and
 PlotJuggler. Without a display, films need MUJOCO_GL=egl, or MUJOCO_GL=osmesa in software.
@@ -34,7 +35,8 @@ class Config:
     """Library of gaits; the stack's own by default. A policy for all directions needs one."""
     command: str = "0:0.0,4:1.0,8:0.5"
     """Speeds over time, "seconds:m/s,..."; each holds until the next begins. In all directions
-    three numbers: "seconds:m/s m/s rad/s,..." forward, sideways, yaw rate."""
+    three numbers: "seconds:m/s m/s rad/s,..." forward, sideways, yaw rate; "seconds:stand" to
+    stand, with a policy that can."""
     push: tuple[str, ...] = ()
     """Pushes on the pelvis, "seconds:x,y,z" or "seconds:x,y,z:duration" [N, world]; durations are
     rounded up to policy steps of 0.03 s, 0.12 s by default."""
@@ -106,6 +108,7 @@ from tqdm import tqdm
 import aslip
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.library import Schedule, numbers
+from aslip.library.schedule import STAND
 from aslip.log import Recorder
 from aslip.policy import policy_stack
 from aslip.robot import CASSIE
@@ -220,7 +223,10 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
         replace=edits.get("replace"),
         num_threads=1,
     )
-    return Walker(config.policy, env, library=library, speed=schedule.at(0.0))
+    walker = Walker(config.policy, env, library=library, speed=schedule.at(0.0))
+    if schedule.stand_at(0.0):
+        walker.reset(stand=True)
+    return walker
 
 
 def duration(config: Config, schedule: Schedule) -> float:
@@ -262,6 +268,7 @@ def walk(
             show = stack.enter_context(open_viewer(ghost=config.rom))
         for _ in tqdm(range(policy_steps(duration(config, schedule))), unit="step"):
             walker.command = schedule.at(walker.time)
+            walker.stand = schedule.stand_at(walker.time)
             if waiting and waiting[-1].time <= walker.time + 1e-9:
                 push = waiting.pop()
                 walker.push(push.force, push.duration)
@@ -303,11 +310,14 @@ def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:
     times = np.array([row["time"] for row in rows])
     ends = [*schedule.times[1:], math.inf]
     names = ("speed", "sideways", "yaw_rate")[: len(numbers(schedule.commands[0]))]
-    for start, end, command in zip(schedule.times, ends, schedule.commands, strict=True):
+    stands = schedule.stands or (False,) * len(ends)
+    parts = zip(schedule.times, ends, schedule.commands, stands, strict=True)
+    for start, end, command, stays in parts:
         middle = (start + min(end, times[-1])) / 2
         part = [row for row in rows if middle < row["time"] <= end]
         if part:
             told = ", ".join(f"{number:.2f}" for number in numbers(command))
+            told = STAND if stays else told
             mean = ", ".join(f"{np.mean([row[name] for row in part]):.3f}" for name in names)
             reward = np.mean([row["reward"] for row in part])
             lines.append([f"{start:g}", told, mean, f"{reward:.3f}"])

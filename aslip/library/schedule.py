@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from aslip.errors import ConfigurationError
 
 Command = float | tuple[float, ...]
 """Forward speed [m/s]; or forward speed, sideways speed [m/s] and yaw rate [rad/s]."""
+
+STAND: Final = "stand"
+"""Word of a schedule for the wish to stand."""
 
 
 def numbers(command: Command) -> tuple[float, ...]:
@@ -26,6 +30,8 @@ class Schedule:
     """Start time of each command [s], ascending from 0."""
     commands: tuple[Command, ...]
     """Commands of one size."""
+    stands: tuple[bool, ...] = ()
+    """True for each command with the wish to stand, which is zero; empty if there is none."""
 
     def __post_init__(self) -> None:
         """Check the times.
@@ -37,6 +43,10 @@ class Schedule:
         given = f"times {self.times} and commands {self.commands}"
         if not self.times or len(self.times) != len(self.commands):
             raise ConfigurationError(f"a schedule needs as many times as commands, got {given}")
+        if len(self.stands) not in (0, len(self.times)):
+            raise ConfigurationError(
+                f"a schedule needs as many wishes to stand as commands, got {self.stands}"
+            )
         components = [number for command in self.commands for number in numbers(command)]
         if not all(map(math.isfinite, (*self.times, *components))):
             raise ConfigurationError(f"a schedule needs finite numbers, got {given}")
@@ -49,29 +59,41 @@ class Schedule:
     def parse(cls, text: str) -> Schedule:
         """Read "time:command,time:command,...", or a single command.
 
-        A command is a forward speed, or three numbers separated by spaces.
+        A command is a forward speed, three numbers separated by spaces, or the word "stand".
 
         Raises:
             ConfigurationError: the text has another form.
         """
         try:
-            if ":" not in text:
-                return cls((0.0,), (_command(text),))
-            pairs = [entry.split(":") for entry in text.split(",")]
-            times, commands = zip(*((float(at), _command(to)) for at, to in pairs), strict=True)
+            pairs = [("0", text)]
+            if ":" in text:
+                pairs = [entry.split(":") for entry in text.split(",")]
+            times, words = zip(*((float(at), to.strip()) for at, to in pairs), strict=True)
+            stands = tuple(word == STAND for word in words)
+            moves = [_command(word) for word in words if word != STAND] or [0.0]
+            rest = (0.0,) * len(moves[0]) if isinstance(moves[0], tuple) else 0.0
+            waiting = iter(moves)
+            commands = tuple(rest if stays else next(waiting) for stays in stands)
         except ValueError as error:
             if isinstance(error, ConfigurationError):
                 raise
             raise ConfigurationError(
                 'a schedule is "time:command,..." such as "0:0.0,4:1.0,8:0.5" or'
-                f' "0:0 0 0,4:0.5 0.1 -0.3", got {text!r}'
+                f' "0:0 0 0,4:0.5 0.1 -0.3,8:stand", got {text!r}'
             ) from None
-        return cls(times, commands)
+        return cls(times, commands, stands if any(stands) else ())
 
     def at(self, time: float) -> Command:
         """Command at a time [s]."""
+        return self.commands[self._index(time)]
+
+    def stand_at(self, time: float) -> bool:
+        """Wish to stand at a time [s]."""
+        return bool(self.stands) and self.stands[self._index(time)]
+
+    def _index(self, time: float) -> int:
         # half a substep of tolerance: policy steps add up to 3.9999999 s
-        return self.commands[int(np.searchsorted(self.times, time + 2.5e-4, side="right")) - 1]
+        return int(np.searchsorted(self.times, time + 2.5e-4, side="right")) - 1
 
     def of_size(self, size: int) -> Schedule:
         """Schedule whose single forward speeds become commands of `size` numbers, the others 0."""

@@ -26,7 +26,7 @@ from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.policy import add_memory
 from aslip.robot import SIDES
-from aslip.transforms import RandomCommand
+from aslip.transforms import RandomCommand, StandCommand
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
@@ -138,6 +138,7 @@ def walk(
     steps: int,
     *,
     command: np.ndarray | None = None,
+    stand: np.ndarray | None = None,
     push: np.ndarray | None = None,
 ) -> Iterator[TensorDictBase]:
     """Walk from a tensordict, which is not modified; fallen robots are not reset.
@@ -149,6 +150,8 @@ def walk(
         steps: number of policy steps m.
         command: (m, n) commanded speed of each step [m/s], or (m, n, c) for c axes of commands; by
             default the tensordict's.
+        stand: (m, n) wish to stand in each step, for stacks of robots that stand on a wish; by
+            default the tensordict's.
         push: (n, 3) force on the pelvis throughout [N, world].
 
     Yields:
@@ -158,6 +161,8 @@ def walk(
     for i in range(steps):
         if command is not None:
             td["command"] = _columns(command[i])
+        if stand is not None:
+            td["stand"] = _columns(stand[i])
         if push is not None:
             td["push"] = torch.from_numpy(push).float()
         td = take_step(policy, env, td)
@@ -166,7 +171,10 @@ def walk(
 
 
 def reset_walks(
-    env: StackEnv, command: np.ndarray, phase: np.ndarray | float = 0.0
+    env: StackEnv,
+    command: np.ndarray,
+    phase: np.ndarray | float = 0.0,
+    stand: np.ndarray | float = 0.0,
 ) -> TensorDictBase:
     """Reset all robots onto the reference.
 
@@ -174,10 +182,23 @@ def reset_walks(
         env: environment of n robots.
         command: (n,) commanded speeds [m/s], or (n, c) for c axes of commands.
         phase: stride fraction, one or (n,).
+        stand: 1 to stand and 0 to walk, one or (n,); walks by default.
+
+    Raises:
+        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
     """
     values = {"command": command, "phase": np.broadcast_to(phase, len(command))}
+    if can_stand(env):
+        values["stand"] = np.broadcast_to(stand, len(command))
+    elif np.any(np.asarray(stand) > 0):
+        raise ConfigurationError("robots of this stack cannot stand; see aslip.envs.standing_stack")
     request = {name: _columns(value) for name, value in values.items()}
     return env.reset(TensorDict(request, batch_size=env.num_envs))
+
+
+def can_stand(env: StackEnv) -> bool:
+    """True if robots of an environment stand on a wish, see `aslip.transforms.StandClock`."""
+    return "stand" in env.observation_spec.keys()  # noqa: SIM118
 
 
 def _columns(values: np.ndarray) -> torch.Tensor:
@@ -192,6 +213,7 @@ def record(
     command: np.ndarray,
     keys: Sequence[NestedKey],
     *,
+    stand: np.ndarray | None = None,
     until_all_ended: bool = False,
 ) -> TensorDict:
     """Record entries of walks from phase 0 at given commands.
@@ -201,6 +223,7 @@ def record(
         env: environment of n robots; `add_memory` prepares it for a recurrent policy.
         command: (m, n) commanded speed of each policy step [m/s], or (m, n, c) for c axes.
         keys: entries of a policy step to record; absent ones are left out.
+        stand: (m, n) wish to stand, 1 or 0, in each policy step; robots walk by default.
         until_all_ended: stop once the episode of every robot has ended.
 
     Returns:
@@ -209,8 +232,10 @@ def record(
     ended = torch.zeros(env.num_envs, dtype=torch.bool)
     rows: list[Any] = []  # torch.stack takes tensordicts, too
     with commands_kept(env):
-        start = reset_walks(add_memory(env, policy), command[0])
-        for td in walk(policy, env, start, len(command), command=command):
+        start = reset_walks(
+            add_memory(env, policy), command[0], stand=0.0 if stand is None else stand[0]
+        )
+        for td in walk(policy, env, start, len(command), command=command, stand=stand):
             rows.append(td.select(*keys, strict=False).clone())
             ended |= td["next", "done"][:, 0]
             if until_all_ended and ended.all():
@@ -220,8 +245,8 @@ def record(
 
 @contextmanager
 def commands_kept(env: StackEnv) -> Iterator[None]:
-    """Suspend the environment's own changes of the command."""
-    transforms = [t for t in env.transforms if isinstance(t, RandomCommand)]
+    """Suspend the environment's own changes of the command and of the wish to stand."""
+    transforms = [t for t in env.transforms if isinstance(t, RandomCommand | StandCommand)]
     intervals = [transform.interval for transform in transforms]
     for transform in transforms:
         transform.interval = math.inf
@@ -235,7 +260,12 @@ def commands_kept(env: StackEnv) -> Iterator[None]:
 # ------------------------------------------------------------------------- arrays
 
 
-def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarray) -> Walks:
+def record_walks(
+    policy: TensorDictModuleBase,
+    env: StackEnv,
+    command: np.ndarray,
+    stand: np.ndarray | None = None,
+) -> Walks:
     """Walk from phase 0 without exploration noise.
 
     Args:
@@ -243,15 +273,18 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
         env: environment of n robots; without its `aslip.envs.EPISODE_ENDS` transforms walks end in
             falls only.
         command: (m, n) commanded forward speed of each policy step [m/s], or (m, n, c) for c axes.
+        stand: (m, n) wish to stand, 1 or 0, in each policy step; robots walk by default.
 
     Raises:
-        ShapeError: `command` is not for n robots, or has no policy step.
+        ShapeError: `command` or `stand` is not for n robots, or has no policy step.
         ConfigurationError: a command is not finite, or the environment has no odometry, true or
             estimated.
     """
     command = checked_commands(env, command, (env.num_envs,))
     if not np.isfinite(command).all():
         raise ConfigurationError("every commanded speed must be finite")
+    if stand is not None and stand.shape != command.shape[:2]:
+        raise ShapeError(f"stand must be {command.shape[:2]} as the command, got {stand.shape}")
     place = _place(env)
     pelvis: list[NestedKey] = [("next", place, name) for name in _PELVIS]
     feet: list[NestedKey] = [
@@ -260,7 +293,7 @@ def record_walks(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarra
     frame: list[NestedKey] = [("next", place, name) for name in ("origin", "path_error")]
     keys = [("next", "terminated"), ("next", "heading"), *frame, _FORCE]
     keys += [*_RECORDED.values(), *pelvis, *feet]
-    return _as_walks(record(policy, env, command, keys), place, command)
+    return _as_walks(record(policy, env, command, keys, stand=stand), place, command)
 
 
 def checked_commands(env: StackEnv, command: np.ndarray, robots: tuple[int, ...]) -> np.ndarray:

@@ -18,7 +18,7 @@ from aslip.library import Command, GaitLibrary, numbers
 from aslip.policy import add_memory, load_policy, policy_stack
 from aslip.robot import CASSIE
 from aslip.walking.push import policy_steps
-from aslip.walking.record import next_start, reset_walks, take_step
+from aslip.walking.record import can_stand, next_start, reset_walks, take_step
 
 
 class Walker:
@@ -91,6 +91,31 @@ class Walker:
     def command(self, command: Command) -> None:
         self.td["command"] = torch.tensor([self._checked(command)])
 
+    @property
+    def can_stand(self) -> bool:
+        """True if the robot stands on a wish; see `stand`."""
+        return can_stand(self.env)
+
+    @property
+    def stand(self) -> bool:
+        """Wish to stand; assign to change it. False for robots that cannot stand.
+
+        The robot slows down, stops at a touchdown and stands, until it shall walk again.
+
+        Raises:
+            ConfigurationError: at assignment of True, the robot cannot stand.
+        """
+        return self.can_stand and bool(self.td["stand"] > 0.5)
+
+    @stand.setter
+    def stand(self, stand: bool) -> None:
+        if self.can_stand:
+            self.td["stand"] = torch.tensor([[float(stand)]])
+        elif stand:
+            raise ConfigurationError(
+                "the robot cannot stand on a wish; it needs a policy of the stack 'standing'"
+            )
+
     def _checked(self, command: Command) -> tuple[float, ...]:
         size = self.library.command_size
         if size > 1 and not isinstance(command, tuple):
@@ -114,17 +139,19 @@ class Walker:
             raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
         self._push, self._push_steps = vector[None], policy_steps(duration)
 
-    def reset(self, speed: Command | None = None) -> None:
-        """Start again on the reference at phase 0.
+    def reset(self, speed: Command | None = None, stand: bool = False) -> None:
+        """Start again on the reference at phase 0, or standing.
 
         Args:
             speed: command; by default the current one.
+            stand: wish to stand.
 
         Raises:
             SpeedOutOfRangeError: the library does not cover the command.
+            ConfigurationError: the robot shall stand and cannot.
         """
         command = numbers(self.command) if speed is None else self._checked(speed)
-        self.td: TensorDictBase = reset_walks(self.env, np.array([command]))
+        self.td: TensorDictBase = reset_walks(self.env, np.array([command]), stand=float(stand))
         """Current tensordict, input of the next policy step."""
         self.steps = 0
         """Policy steps since the last reset."""

@@ -1,0 +1,79 @@
+"""Recording and interactive walks of robots that stand on a wish."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tensordict.utils import NestedKey
+
+import aslip
+from aslip.envs import EPISODE_ENDS, StackEnv
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.library import GaitLibrary, WalkMode
+from aslip.transforms import StandCommand
+from aslip.walking import Walker, evaluate, record_walks
+from aslip.walking.record import record
+from tests.helpers import limp
+from tests.library.standing import standing_library
+
+
+@pytest.fixture(scope="module")
+def library() -> GaitLibrary:
+    return standing_library()
+
+
+def make(library: GaitLibrary, num_envs: int = 1, **settings: object) -> StackEnv:
+    return aslip.make_env(
+        stack="standing", library=library, num_envs=num_envs, num_threads=1, drop=EPISODE_ENDS,
+        **settings,  # pyright: ignore[reportArgumentType]
+    )  # fmt: skip
+
+
+def test_recorded_robots_stand_when_they_are_told(library: GaitLibrary) -> None:
+    """And walk by default, though the stack draws wishes at resets and within episodes."""
+    env = make(library, 2, replace={"stand": lambda: StandCommand(1.0, 0.03)})
+    command = np.zeros((6, 2, 3))
+    stand = np.array([[1, 1]] * 3 + [[0, 1]] * 3)
+    keys: list[NestedKey] = [("next", "mode"), ("next", "stand")]
+    told = record(limp(), env, command, keys, stand=stand)
+    modes = np.asarray(told["next", "mode"])[..., 0]
+    assert (modes[:3] == WalkMode.STAND).all()
+    assert (modes[3:, 0] == WalkMode.START).all()
+    assert (modes[3:, 1] == WalkMode.STAND).all()
+    free = record(limp(), env, command, keys)
+    assert not any(np.asarray(free[key]).any() for key in keys)
+    walks = record_walks(limp(), env, command, stand)
+    # in standing, the model's body does not move
+    assert np.abs(walks.body_velocity[:3]).max() < 1e-12
+    assert np.abs(record_walks(limp(), env, command).body_velocity[:3]).max() > 0.1
+    with pytest.raises(ShapeError, match=r"stand must be \(6, 2\)"):
+        record_walks(limp(), env, command, stand[:, :1])
+    assert [result.survived for result in evaluate(limp(), env, command[0].tolist(), 3)] == [
+        True
+    ] * 2
+
+
+def test_walker_stands_on_a_wish(library: GaitLibrary) -> None:
+    walker = Walker(limp(), make(library), library=library)
+    assert walker.can_stand
+    assert not walker.stand
+    walker.stand = True
+    walker.step()
+    assert walker.stand
+    walker.reset(stand=True)
+    assert walker.stand
+    assert np.asarray(walker.step()["next", "mode"]) == WalkMode.STAND
+    walker.stand = False
+    assert np.asarray(walker.step()["next", "mode"]) == WalkMode.START
+    walker.reset()
+    assert not walker.stand
+
+
+def test_robots_of_other_stacks_cannot_stand() -> None:
+    walker = Walker()
+    walker.stand = False
+    assert not walker.can_stand
+    with pytest.raises(ConfigurationError, match="policy of the stack 'standing'"):
+        walker.stand = True
+    with pytest.raises(ConfigurationError, match="standing_stack"):
+        walker.reset(stand=True)
