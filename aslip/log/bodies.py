@@ -7,11 +7,11 @@ import xml.etree.ElementTree as ET
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import APPEARANCE_GROUP, geom_color
+from aslip.robot.rotation import quaternion_to_matrix
 from aslip.show.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
 
 
@@ -107,7 +107,7 @@ def _link(robot: ET.Element, name: str, pose: np.ndarray) -> ET.Element:
     joint = ET.SubElement(robot, "joint", name=f"{name}_pose", type="floating")
     ET.SubElement(joint, "parent", link=WORLD_FRAME)
     ET.SubElement(joint, "child", link=name)
-    _origin(joint, pose[:3], Rotation.from_quat(pose[3:]).as_matrix())
+    _origin(joint, pose[:3], quaternion_to_matrix(np.roll(pose[3:], 1)))
     return ET.SubElement(robot, "link", name=name)
 
 
@@ -115,7 +115,7 @@ def _geom(link: ET.Element, model: mujoco.MjModel, geom: int) -> None:
     """Add the visual shapes of a geom."""
     kinds = mujoco.mjtGeom
     kind, size, position = model.geom_type[geom], model.geom_size[geom], model.geom_pos[geom]
-    rotation = Rotation.from_quat(model.geom_quat[geom], scalar_first=True).as_matrix()
+    rotation = quaternion_to_matrix(model.geom_quat[geom])
     name, rgba = f"{link.get('name')}_{geom}", _text(*geom_color(model, geom))
     if kind == kinds.mjGEOM_BOX:
         ET.SubElement(_visual(link, name, rgba, position, rotation), "box", size=_text(*2 * size))
@@ -151,6 +151,8 @@ def _visual(
 
 
 def _origin(element: ET.Element, position: np.ndarray, rotation: np.ndarray) -> None:
+    from scipy.spatial.transform import Rotation  # slow to import
+
     with warnings.catch_warnings():
         # at a pitch of 90 degrees, roll and yaw are not unique; any solution is valid
         warnings.filterwarnings("ignore", message="Gimbal lock")

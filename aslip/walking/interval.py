@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from scipy import stats
 
 CONFIDENCE: Final = 0.95
 """Confidence of all intervals."""
@@ -43,6 +42,8 @@ class Interval:
             mean = float(values[0])  # without rounding errors
             return cls(mean, mean, mean)
         if len(means) > 1:
+            from scipy import stats  # slow to import
+
             half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
             return cls(mean, mean - float(half), mean + float(half))
         if len(values) < _LEAST_VALUES:
@@ -55,6 +56,8 @@ class Interval:
     @classmethod
     def of_share(cls, successes: int, trials: int) -> Interval:
         """Share of successes with Wilson's interval, valid at 0 and 1, too."""
+        from scipy import stats  # slow to import
+
         found = stats.binomtest(successes, trials)
         interval = found.proportion_ci(CONFIDENCE, method="wilson")
         return cls(successes / trials, float(interval.low), float(interval.high))

@@ -6,8 +6,6 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import find_peaks
 
 from aslip.errors import ConfigurationError
 from aslip.walking.metrics.contact import CONTACT_FORCE, SHORTEST_SWING, stances
@@ -78,7 +76,7 @@ def humps(force: np.ndarray, period: float) -> np.ndarray:
         period: time between samples [s].
     """
     smooth, margin = _smoothed(force, period)
-    return find_peaks(smooth, prominence=PROMINENCE)[0] - margin
+    return _peaks(smooth) - margin
 
 
 def dip_ratio(force: np.ndarray, period: float) -> float:
@@ -91,7 +89,7 @@ def dip_ratio(force: np.ndarray, period: float) -> float:
         period: time between samples [s].
     """
     smooth, _ = _smoothed(force, period)
-    peaks = find_peaks(smooth, prominence=PROMINENCE)[0]
+    peaks = _peaks(smooth)
     if len(peaks) < 2:
         return 1.0
     outer = smooth[peaks[[0, -1]]].min()
@@ -188,8 +186,17 @@ def mean_over_strides(
     return np.mean(strides, axis=0), np.std(strides, axis=0)
 
 
+def _peaks(smooth: np.ndarray) -> np.ndarray:
+    """Samples of the prominent local maxima."""
+    from scipy.signal import find_peaks  # slow to import
+
+    return find_peaks(smooth, prominence=PROMINENCE)[0]
+
+
 def _smoothed(force: np.ndarray, period: float) -> tuple[np.ndarray, int]:
     """Stance padded with zeros and smoothed, and the number of samples put in front."""
+    from scipy.ndimage import uniform_filter1d  # slow to import
+
     length = max(round(SMOOTHING / period), 1)
     padded = np.pad(np.asarray(force, dtype=np.float64), 2 * length)
     for _ in range(2):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 SETTLED = 0.1
 """Largest difference from the new command of a settled speed [m/s]."""
@@ -34,6 +33,8 @@ def stride_average(signal: np.ndarray, stride: float, period: float) -> np.ndarr
         stride: duration of a stride [s].
         period: time between samples [s].
     """
+    from scipy.ndimage import uniform_filter1d  # slow to import
+
     length = max(round(stride / period), 1)
     return uniform_filter1d(np.asarray(signal, dtype=np.float64), length, axis=0, mode="reflect")
 
