@@ -292,10 +292,11 @@ def _step(
             else:
                 _plant(mean, cov, column, sole, settings.leg)
             resting[i, foot] = rests
-        lost &= not resting[i].any()
+        lost &= not (resting[i, 0] or resting[i, 1])
         adrift[i] = adrift[i] + 1 if lost else 0
         if adrift[i] > settings.patience:
-            cov[:, V, V] += settings.surprise
+            for axis in range(3):
+                cov[axis, V, V] += settings.surprise
             cov[_Z, P, P] += settings.surprise_height
             adrift[i] = 0
 
@@ -321,6 +322,7 @@ def _predict(
         for foot in range(2):
             arm = min(max(half[foot, _Z] / settings.rock_height, -1.0), 1.0)
             x[LEFT + foot] += arm * (half[foot, axis] - half_sole[foot, axis])
+            half_sole[foot, axis] = half[foot, axis]
         # F P F^T with F = 1 + dt in (p, v) and (v, b)
         for k in range(5):
             p[P, k] += dt * p[V, k]
@@ -330,7 +332,6 @@ def _predict(
             p[k, V] += dt * p[k, B]
             p[k, k] += settings.walk[axis, k]
         p[V, V] += dt * dt * shock
-    half_sole[:] = half
 
 
 @compiled
@@ -352,11 +353,16 @@ def _correct(
     settings: _Settings,
 ) -> bool:
     """Measure sole - pelvis if the foot is at rest; return whether it is."""
-    gain = cov[:, column] - cov[:, P]  # P H^T
-    variance = gain[:, column] - gain[:, P] + settings.leg
-    innovation = sole - (mean[:, column] - mean[:, P])
-    squared[:] = innovation**2 / variance
-    if not (squared < settings.gate).all():
+    gain, variance, innovation = np.empty((3, 5)), np.empty(3), np.empty(3)
+    rests = True
+    for axis in range(3):
+        for k in range(5):
+            gain[axis, k] = cov[axis, column, k] - cov[axis, P, k]  # P H^T
+        variance[axis] = gain[axis, column] - gain[axis, P] + settings.leg
+        innovation[axis] = sole[axis] - (mean[axis, column] - mean[axis, P])
+        squared[axis] = innovation[axis] ** 2 / variance[axis]
+        rests &= squared[axis] < settings.gate
+    if not rests:
         return False
     for axis in range(3):
         _update(mean[axis], cov[axis], gain[axis], variance[axis], innovation[axis])
@@ -385,7 +391,10 @@ def _update(
 @compiled
 def _plant(mean: np.ndarray, cov: np.ndarray, column: int, sole: np.ndarray, leg: float) -> None:
     """Set a foot's position from the leg kinematics; pelvis and encoders give its variance."""
-    mean[:, column] = mean[:, P] + sole
-    cov[:, column] = cov[:, P]
-    cov[:, :, column] = cov[:, :, P]
-    cov[:, column, column] += leg
+    for axis in range(3):
+        mean[axis, column] = mean[axis, P] + sole[axis]
+        for k in range(5):
+            cov[axis, column, k] = cov[axis, P, k]
+        for k in range(5):
+            cov[axis, k, column] = cov[axis, k, P]
+        cov[axis, column, column] += leg

@@ -165,14 +165,18 @@ def fill_imu(
     for k in range(substeps // per):
         last = (k + 1) * per - 1
         for i in range(num):
-            sent_orientation[i, k] = _attitude(inertial[:, last, i], tilt[:, i])
+            attitude = _attitude(inertial[:, last, i], tilt[:, i])
+            for j in range(4):
+                sent_orientation[i, k, j] = attitude[j]
             x, y, z = _specific_force(inertial[:, k * per, i], gravity[:, i], imu)
             for t in range(k * per + 1, last + 1):
                 more = _specific_force(inertial[:, t, i], gravity[:, i], imu)
                 x, y, z = x + more[0], y + more[1], z + more[2]
             for j in range(3):
                 sent_gyro[i, k, j] = inertial[4 + j, last, i]
-            sent_force[i, k] = x / per, y / per, z / per
+            sent_force[i, k, 0] = x / per
+            sent_force[i, k, 1] = y / per
+            sent_force[i, k, 2] = z / per
 
 
 @compiled
@@ -186,8 +190,12 @@ def read_imu(
 ) -> None:
     """Write orientations (n, 4) and specific forces (n, 3) of one substep, inertial (13, n)."""
     for i in range(inertial.shape[1]):
-        orientation[i] = _attitude(inertial[:, i], tilt[:, i])
-        force[i] = _specific_force(inertial[:, i], gravity[:, i], imu)
+        attitude = _attitude(inertial[:, i], tilt[:, i])
+        for j in range(4):
+            orientation[i, j] = attitude[j]
+        specific = _specific_force(inertial[:, i], gravity[:, i], imu)
+        for j in range(3):
+            force[i, j] = specific[j]
 
 
 @compiled
@@ -199,7 +207,7 @@ def _attitude(inertial: np.ndarray, tilt: np.ndarray) -> tuple[float, float, flo
     """
     w, x, y, z = inertial[0], inertial[1], inertial[2], inertial[3]
     if tilt.size > 0:
-        c, s = tilt
+        c, s = tilt[0], tilt[1]
         w, x, y, z = c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x
     if w < 0:
         return -w, -x, -y, -z
