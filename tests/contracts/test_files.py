@@ -29,12 +29,22 @@ every_archive = pytest.mark.parametrize(
 )
 
 
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """Content of an intact file of each kind, written once: a log takes a simulation."""
+    folder, contents = tmp_path_factory.mktemp("intact"), {}
+    for name, kind in KINDS.items():
+        kind.write(folder / f"whole{kind.suffix}")
+        contents[name] = (folder / f"whole{kind.suffix}").read_bytes()
+    return contents
+
+
 @pytest.fixture
-def path(kind: Kind, tmp_path: Path) -> Path:
+def path(kind: Kind, intact: dict[str, bytes], tmp_path: Path) -> Path:
     """An intact file, alone in its folder."""
     folder = tmp_path / "folder"
     folder.mkdir()
-    kind.write(folder / f"whole{kind.suffix}")
+    (folder / f"whole{kind.suffix}").write_bytes(intact[kind.name])
     return folder / f"whole{kind.suffix}"
 
 
@@ -109,7 +119,9 @@ def test_files_of_another_format_are_refused(kind: Kind, path: Path, content: by
 
 
 @every_kind
-def test_files_of_another_kind_are_refused(kind: Kind, path: Path, tmp_path: Path) -> None:
+def test_files_of_another_kind_are_refused(
+    kind: Kind, path: Path, intact: dict[str, bytes]
+) -> None:
     foreign = io.BytesIO()
     np.save(foreign, np.zeros(3))
     contents = [
@@ -117,9 +129,7 @@ def test_files_of_another_kind_are_refused(kind: Kind, path: Path, tmp_path: Pat
         write_zip({"readme.txt": b"none"}),
         forge_archive({"a.npy": b""}),
     ]
-    for other in (other for other in KINDS.values() if other is not kind):
-        other.write(tmp_path / f"other{other.suffix}")
-        contents.append((tmp_path / f"other{other.suffix}").read_bytes())
+    contents += [content for name, content in intact.items() if name != kind.name]
     for content in contents:
         path.write_bytes(content)
         with pytest.raises(FileDamagedError, match=path.name):
