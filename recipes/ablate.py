@@ -229,10 +229,11 @@ def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, li
             durations.append(time.perf_counter() - start)
         found.setdefault(name, {})[seed] = results
         write_text(config.out / "ablation.md", table(found, config.total_steps) + "\n")
-        runs = {
-            key: [read_progress(config.out / f"{key}-{s}") for s in found[key]] for key in found
-        }
-        save_figure(compare_learning(runs), config.out / "ablation.png")
+        if durations or i + 1 == len(jobs):
+            runs = {
+                key: [read_progress(config.out / f"{key}-{s}") for s in found[key]] for key in found
+            }
+            save_figure(compare_learning(runs), config.out / "ablation.png")
     print(table(found, config.total_steps))
     return found
 

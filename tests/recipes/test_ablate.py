@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +21,27 @@ from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import WalkResult
 
 
-@pytest.fixture(autouse=True)
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Small updates and short walks."""
+@pytest.fixture(scope="module", autouse=True)
+def small() -> Iterator[None]:
+    """Small updates and short walks, without a picture of each training."""
     small = {"num_envs": 4, "samples": 16, "minibatch": 8, "eval_steps": 3}
-    monkeypatch.setitem(
-        ablate.PRESETS, "default", ablate.replace(ablate.PRESETS["default"], **small)
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(ablate.PRESETS, "default", ablate.replace(ablate.PRESETS["default"], **small))
+        patch.setattr(ablate.ppo_aslip, "save_figure", lambda *_: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def trained_once(small: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    """Folder and results of an ablation of one seed of the default."""
+    folder = tmp_path_factory.mktemp("ablation") / "runs"
+    return folder, ablate.main(tiny(folder, "default"))
+
+
+@pytest.fixture
+def finished(trained_once: tuple[Path, Any], tmp_path: Path) -> Path:
+    """Copy of the folder with one finished training."""
+    return shutil.copytree(trained_once[0], tmp_path / "runs")
 
 
 def tiny(out: Path, *variants: str, seeds: tuple[int, ...] = (0,)) -> ablate.Config:
@@ -36,11 +52,42 @@ def env_of(name: str) -> Any:
     return aslip.make_env(num_envs=2, **VARIANTS[name].edits())
 
 
-@pytest.mark.parametrize("name", sorted(VARIANTS))
-def test_every_variant_has_an_environment(name: str) -> None:
+def evaluation_env_of(name: str) -> Any:
+    stack = aslip.envs.evaluation_stack(ablate.trained_on(VARIANTS[name]))
+    return aslip.make_env(num_envs=2, num_threads=1, stack=stack)
+
+
+@pytest.fixture(scope="module", params=sorted(VARIANTS))
+def name(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def training_env(name: str) -> Iterator[Any]:
     env = env_of(name)
-    env.rollout(2)
+    yield env
     env.close()
+
+
+@pytest.fixture(scope="module")
+def evaluating_env(name: str) -> Iterator[Any]:
+    env = evaluation_env_of(name)
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def default_step() -> tuple[torch.Tensor, TensorDictBase]:
+    """Motor target and next entries of a step in the default variant's evaluation."""
+    env = evaluation_env_of("default")
+    target = env.reset(walking())[baseline_key(env)].clone()
+    found = step_towards(env, target)
+    env.close()
+    return target, found
+
+
+def test_every_variant_has_an_environment(training_env: Any) -> None:
+    training_env.rollout(2)
 
 
 @pytest.mark.parametrize("term", sorted(PAPER_WEIGHTS))
@@ -81,26 +128,26 @@ def test_without_inputs_of_the_model_the_policy_sees_clock_and_speed() -> None:
 
 
 def test_finished_trainings_are_not_repeated(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    trained_once: tuple[Path, Any], finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    first = ablate.main(tiny(tmp_path, "default"))
-    assert "1 of 1: default, seed 0" in capsys.readouterr().out
+    first = trained_once[1]
     # a single seed has no interval
-    shown = (tmp_path / "ablation.md").read_text()
+    shown = (finished / "ablation.md").read_text()
     assert "values of one seed" in shown
     assert "interval" not in shown
     assert "±" not in shown
-    both = ablate.main(tiny(tmp_path, "default", "no_symmetry", seeds=(0, 1)))
+    both = ablate.main(tiny(finished, "default", "no_symmetry", seeds=(0, 1)))
     printed = capsys.readouterr().out
+    assert "2 of 4: no_symmetry, seed 0" in printed
     assert "of 4: default, seed 0" not in printed
     assert "left" in printed
-    shown = (tmp_path / "ablation.md").read_text()
+    shown = (finished / "ablation.md").read_text()
     assert "mean and 95 % interval over seeds; the largest" in shown
     assert both["default"][0] == first["default"][0]
-    rows = (tmp_path / "ablation.md").read_text().splitlines()
+    rows = (finished / "ablation.md").read_text().splitlines()
     assert [row.split("|")[1].strip() for row in rows[2:4]] == ["default", "no_symmetry"]
     assert "±" in rows[2]
-    assert (tmp_path / "ablation.png").stat().st_size > 10_000
+    assert (finished / "ablation.png").stat().st_size > 10_000
 
 
 def test_an_interrupted_training_gives_no_result(
@@ -133,21 +180,19 @@ def test_an_interrupted_training_gives_no_result(
     assert list(found) == ["default", "no_symmetry"]
 
 
-def test_damaged_results_are_named(tmp_path: Path) -> None:
-    ablate.main(tiny(tmp_path, "default"))
-    file = tmp_path / "default-0" / "judged.json"
+def test_damaged_results_are_named(finished: Path) -> None:
+    file = finished / "default-0" / "judged.json"
     for text in (file.read_text()[:-20], "[]", "{}"):
         file.write_text(text)
         with pytest.raises(FileDamagedError, match="default-0"):
-            ablate.main(tiny(tmp_path, "default"))
+            ablate.main(tiny(finished, "default"))
 
 
-def test_results_of_another_budget_are_refused(tmp_path: Path) -> None:
+def test_results_of_another_budget_are_refused(finished: Path) -> None:
     """A finished training, whose learning rate has decayed, is not one with a larger budget."""
-    ablate.main(tiny(tmp_path, "default"))
     for change in ({"total_steps": 32}, {"num_envs": 8}):
         with pytest.raises(ConfigurationError, match=rf"default-0.*{next(iter(change))}.*--out"):
-            ablate.main(ablate.replace(tiny(tmp_path, "default"), **change))
+            ablate.main(ablate.replace(tiny(finished, "default"), **change))
 
 
 def test_the_first_message_estimates_the_remaining_time(
@@ -207,17 +252,30 @@ def test_the_list_states_the_question_of_each_variant(capsys: pytest.CaptureFixt
 # ---------------------------------------------------------------- evaluation
 
 
-def evaluation_env_of(name: str) -> Any:
-    stack = aslip.envs.evaluation_stack(ablate.trained_on(VARIANTS[name]))
-    return aslip.make_env(num_envs=2, num_threads=1, stack=stack)
+def walking() -> TensorDict:
+    """Start in the middle of a stride at 1 m/s."""
+    return TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
 
 
-@pytest.mark.parametrize("name", sorted(VARIANTS))
-def test_each_policy_is_evaluated_with_its_own_observation(name: str) -> None:
+def baseline_key(env: Any) -> Any:
+    """Entry to which the actions of an environment are added."""
+    (delta,) = [t for t in env.transforms if isinstance(t, ActionDelta)]
+    return delta.baseline_key
+
+
+def step_towards(env: Any, target: torch.Tensor) -> TensorDictBase:
+    """Next entries after one step with a motor target."""
+    td = env.reset(walking())
+    td["action"] = target - td[baseline_key(env)]
+    return env.step(td)["next"]
+
+
+def test_each_policy_is_evaluated_with_its_own_observation(
+    training_env: Any, evaluating_env: Any
+) -> None:
     """It gets its own observation and baseline, at the same state of the robot."""
-    trained, evaluating = env_of(name), evaluation_env_of(name)
-    start = TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
-    own, seen = trained.reset(start.clone()), evaluating.reset(start.clone())
+    trained, evaluating = training_env, evaluating_env
+    own, seen = trained.reset(walking()), evaluating.reset(walking())
     for group in ("reference", "baseline"):
         for key, value in own.get(group, TensorDict()).items():
             torch.testing.assert_close(seen[group, key], value, rtol=0, atol=0)
@@ -230,25 +288,19 @@ def test_each_policy_is_evaluated_with_its_own_observation(name: str) -> None:
         assert has[0] == has[1]
 
 
-@pytest.mark.parametrize("name", sorted(VARIANTS))
-def test_all_policies_are_evaluated_with_the_same_rewards(name: str) -> None:
+def test_all_policies_are_evaluated_with_the_same_rewards(
+    evaluating_env: Any, default_step: tuple[torch.Tensor, TensorDictBase]
+) -> None:
     """Equal robots in equal states with equal motor targets get equal rewards."""
-    found, target = [], torch.zeros(2, 10)
-    for variant in ("default", name):
-        env = evaluation_env_of(variant)
-        start = TensorDict(command=torch.ones(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
-        td = env.reset(start)
-        (delta,) = [t for t in env.transforms if isinstance(t, ActionDelta)]
-        target = target if found else td[delta.baseline_key].clone()
-        td["action"] = target - td[delta.baseline_key]
-        found.append(env.step(td)["next"])
+    target, expected = default_step
+    env, found = evaluating_env, step_towards(evaluating_env, target)
     names = set(PAPER_WEIGHTS) - {
         "action_diff"
     }  # the term of actions, which are added to different baselines
     for key in [("truth", "qpos"), *(("reward_terms", term) for term in sorted(names))]:
-        torch.testing.assert_close(found[1][key], found[0][key], rtol=0, atol=1e-5)
-    total = sum(w * found[1]["reward_terms", term] for term, w in PAPER_WEIGHTS.items())
-    torch.testing.assert_close(found[1]["reward"], total)
+        torch.testing.assert_close(found[key], expected[key], rtol=0, atol=1e-5)
+    total = sum(w * found["reward_terms", term] for term, w in PAPER_WEIGHTS.items())
+    torch.testing.assert_close(found["reward"], total)
     assert {key: float(v[0]) for key, v in env.base_env.dynamics.items()} == dict(
         env.base_env._dynamics.nominal
     )
