@@ -233,13 +233,24 @@ def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco
 
 @contextlib.contextmanager
 def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
-    """Limit the off-screen buffer to the size of a picture, for speed in software rendering."""
-    limits, whole = model.vis.global_, (model.vis.global_.offwidth, model.vis.global_.offheight)
-    limits.offwidth, limits.offheight = width, height
+    """Limit buffer, shadow map and facets to a picture's size, for speed in software rendering."""
+    limits, quality = model.vis.global_, model.vis.quality
+    size = max(width, height)
+    less = (
+        (limits, "offwidth", width),
+        (limits, "offheight", height),
+        (quality, "shadowsize", 8 * size),
+        (quality, "numslices", max(size // 10, 16)),
+        (quality, "numstacks", max(size // 20, 8)),
+    )
+    whole = [getattr(settings, name) for settings, name, _ in less]
+    for (settings, name, most), value in zip(less, whole, strict=True):
+        setattr(settings, name, min(most, value))
     try:
         yield
     finally:
-        limits.offwidth, limits.offheight = whole
+        for (settings, name, _), value in zip(less, whole, strict=True):
+            setattr(settings, name, value)
 
 
 def _check_display() -> None:
