@@ -6,6 +6,12 @@
 Needs viser: `pip install 'aslip[live]'`.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
 from aslip.errors import ConfigurationError
 
 try:
@@ -15,7 +21,12 @@ except ImportError as error:
         "the live page needs viser, which is not installed: pip install 'aslip[live]'"
     ) from error
 
-from aslip.show.live.page import LivePage
-from aslip.show.live.robot_page import RobotPage
+if TYPE_CHECKING:
+    from aslip.show.live.page import LivePage
+    from aslip.show.live.robot_page import RobotPage
 
 __all__ = ["LivePage", "RobotPage"]
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__, submod_attrs={"page": ["LivePage"], "robot_page": ["RobotPage"]}
+)
