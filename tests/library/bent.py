@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aslip.library import GaitLibrary
 from aslip.rom import Angle, Gait, MotionSample, Track
 from aslip.rom.arc import Pose, displacement
+
+if TYPE_CHECKING:
+    from aslip.library import GaitLibrary
 
 
 class Bent:
@@ -69,6 +72,9 @@ class Bent:
 @cache
 def symmetric_library() -> GaitLibrary:
     """Library over three commands whose mirror images it contains; -0.2 to 0.2 m/s, -0.8 to 0.8."""
+    # imported late: processes that build a library from these motions need no PyTorch
+    from aslip.library import GaitLibrary
+
     gaits = GaitLibrary.load().gaits
     grid = [(i, y, w) for i in (0, 8) for y in (-0.2, 0.2) for w in (-0.8, 0.8)]
     motions = [Bent(gaits[i], y, w) for i, y, w in grid]
