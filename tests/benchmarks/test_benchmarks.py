@@ -34,7 +34,8 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(module, "_SETTLE", 1.0)
         monkeypatch.setattr(module, "_WALK", 3.0)
     monkeypatch.setattr(foot_placement, "_FOOTSTEPS", 4)
-    for name in ("_HOLD", "_BEFORE", "_AFTER"):
+    monkeypatch.setattr(velocity_tracking, "_HOLD", 0.5)
+    for name in ("_BEFORE", "_AFTER"):
         monkeypatch.setattr(velocity_tracking, name, 1.0)
 
 
@@ -62,7 +63,7 @@ def test_foot_placement_of_a_policy(tmp_path: Path) -> None:
 
 def test_foot_placement_of_a_log(tmp_path: Path) -> None:
     log = tmp_path / "walk.mcap"
-    walk.main(walk.Config(command="0.5", duration=4.0, log=log))
+    walk.main(walk.Config(command="0.5", duration=3.0, log=log))
     found = foot_placement.main(foot_placement.Config(out=tmp_path, log=log))
     assert list(found) == [0.5]
     varied = tmp_path / "varied.mcap"

@@ -90,7 +90,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(velocity_tracking, name, 0.15)
     monkeypatch.setattr(velocity_tracking, "_TRANSIENT", 0.03)
     monkeypatch.setattr(black_box, "_EPISODE", 20)
-    monkeypatch.setattr(estimator, "_AGES", ((0, 1), (1, 20)))
+    monkeypatch.setattr(estimator, "_AGES", ((0, 1), (1, 10)))
 
 
 def test_benchmarks_accept_custom_policy_and_environment(

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from torchrl.envs import ParallelEnv, SerialEnv
 
 from aslip import GaitLibrary
 from aslip.errors import (
@@ -77,7 +78,12 @@ def test_a_library_of_impossible_speeds_leaves_no_file(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_throughput_reports_every_candidate(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("parallel", [SerialEnv, pytest.param(ParallelEnv, marks=pytest.mark.slow)])
+def test_throughput_reports_every_candidate(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, parallel: type
+) -> None:
+    """In the fast tests without other processes."""
+    monkeypatch.setattr(throughput, "ParallelEnv", parallel)
     config = throughput.Config(
         num_envs=(1, 2), num_threads=(1,), rounds=1, robot_steps=1, single=1, updates=False
     )
