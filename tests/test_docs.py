@@ -26,7 +26,7 @@ LARGEST_README = 9000
 """Bytes."""
 
 # numbers on the pages -> smaller numbers for tests
-_LITTLE = "total_steps=64, num_envs=8, samples=64, minibatch=32, eval_steps=20"
+_LITTLE = "total_steps=64, num_envs=8, samples=64, minibatch=32, eval_steps=5"
 _SMALLER = {"total_steps=300_000": _LITTLE, "range(100)": "range(10)"}
 # programs outside this repository
 _FOREIGN = {"pip", "ray", "rerun", "plotjuggler"}

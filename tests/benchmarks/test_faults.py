@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import multiprocessing
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -69,8 +70,17 @@ def test_faults_of_other_processes_are_survived(
     assert _survived(inject, count, tmp_path) == count
 
 
-def test_damaged_files_are_survived(folder: Path) -> None:
-    """One of each kind of damage to a checkpoint; changed content that loads is detected."""
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize("start", ["fork", pytest.param("spawn", marks=pytest.mark.slow)])
+def test_damaged_files_are_survived(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, start: str
+) -> None:
+    """One of each kind of damage to a checkpoint; changed content that loads is detected.
+
+    In the fast tests, the process that reads them does not import all libraries again.
+    """
+    context = multiprocessing.get_context(start)
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _: context)
     kind = KINDS["checkpoint"]
     count = len(files.damages(kind))
     assert files.damaged_files("checkpoint", count, np.random.default_rng(0), folder) == count

@@ -3,15 +3,38 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
 
+from aslip.library import GaitLibrary
 from aslip.show.live import LivePage
+from aslip.walking import Walker
 from tests.show.live.helpers import wait_for
 from tests.show.live.visitor import Visitor, visit
 
 INVALID = [None, "", "1.0", "9" * 309, math.nan, [], {}, [0.5], {"a": 1}, b"x", True]
+
+
+@pytest.fixture(scope="module")
+def opened(library: GaitLibrary) -> Iterator[tuple[LivePage, list[float]]]:
+    """Page of a walking robot, and the first values of its sliders."""
+    page = LivePage(Walker(library=library, speed=0.5), port=0)
+    yield page, [slider.value for slider in sliders(page)]
+    page.stop()
+
+
+@pytest.fixture
+def page(opened: tuple[LivePage, list[float]]) -> LivePage:
+    """Page with its first values."""
+    for slider, value in zip(sliders(opened[0]), opened[1], strict=True):
+        slider.value = value
+    return opened[0]
+
+
+def sliders(page: LivePage) -> list[Any]:
+    return [page.controls.pushes.size, page.controls.pushes.direction, page.controls.command]
 
 
 def serves_others(page: LivePage) -> bool:
@@ -28,14 +51,12 @@ def settle(page: LivePage, visitor: Visitor) -> None:
 
 
 @pytest.mark.parametrize("value", [1e308, 2**63, -(2**63), 1e25, math.inf, -math.inf])
-def test_huge_numbers_are_clamped_and_the_page_stays_open(open_page, value):
-    page = open_page(speed=0.5)
-    sliders = (page.controls.pushes.size, page.controls.pushes.direction, page.controls.command)
+def test_huge_numbers_are_clamped_and_the_page_stays_open(page, value):
     with visit(page) as visitor:
-        for slider in sliders:
+        for slider in sliders(page):
             visitor.update(slider, value=value)
         settle(page, visitor)
-    for slider in sliders:
+    for slider in sliders(page):
         assert slider.value == (slider.max if value > 0 else slider.min)
     assert serves_others(page)
     page.turn()
@@ -43,8 +64,7 @@ def test_huge_numbers_are_clamped_and_the_page_stays_open(open_page, value):
 
 
 @pytest.mark.parametrize("value", INVALID, ids=repr)
-def test_invalid_numbers_and_choices_change_nothing(open_page, value):
-    page = open_page(speed=0.5)
+def test_invalid_numbers_and_choices_change_nothing(page, value):
     before = page.controls.settings(), page.controls.pushes.force().tolist()
     controls = page.controls
     with visit(page) as visitor:
@@ -97,10 +117,9 @@ def test_malformed_updates_are_dropped(open_page, capfd):
     ],
     ids=lambda message: message["type"],
 )
-def test_other_messages_are_dropped(open_page, monkeypatch, message: dict[str, Any]):
+def test_other_messages_are_dropped(page, monkeypatch, message: dict[str, Any]):
     asked = []
     monkeypatch.setattr("viser.ViserServer.request_share_url", lambda *_: asked.append(1))
-    page = open_page()
     buffer = page._server._websock_server._broadcast_buffer
     before = len(buffer.message_from_id)
     with visit(page) as visitor:
