@@ -203,6 +203,10 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     stack = STACKS[policy_stack(config.policy)](chosen)
     library = aslip.GaitLibrary.load() if chosen is None else chosen
     schedule = schedule.of_size(library.command_size)
+    if any(schedule.stands) and "stand" not in stack:
+        raise ConfigurationError(
+            f"the policy {config.policy!r} was not trained to stand, which --command asks for"
+        )
     for command in schedule.commands:
         library.check_command(command)
     edits = ON_TRUTH if config.truth else {}

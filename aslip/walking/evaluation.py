@@ -117,21 +117,23 @@ def evaluate(
     env: StackEnv,
     speeds: Sequence[float] | Sequence[Sequence[float]],
     num_steps: int = MAX_EPISODE_STEPS,
+    stand: Sequence[bool] | None = None,
 ) -> list[WalkResult]:
     """Evaluate one walk at each command, from phase 0, without exploration noise.
 
-    Commands stay constant: `RandomCommand` does not change them. A walk ends with its
-    episode or after `num_steps`.
+    Commands and wishes stay constant: `RandomCommand` and `StandCommand` do not change them. A walk
+    ends with its episode or after `num_steps`.
 
     Args:
         policy: maps the environment's tensordict to `action`.
         env: environment with one robot for each speed.
         speeds: commanded speeds [m/s]; in a stack for all directions, (n, 3) commands.
         num_steps: largest number of policy steps of a walk, 1 or more.
+        stand: (n,) wishes, true to stand instead; by default all walk.
 
     Raises:
-        ConfigurationError: the environment has another number of robots or lacks their truth, or
-            `num_steps` is not a whole number of 1 or more.
+        ConfigurationError: the environment has another number of robots or lacks their truth,
+            `num_steps` is not a whole number of 1 or more, or a robot cannot stand.
     """
     if not isinstance(num_steps, Integral) or isinstance(num_steps, bool) or num_steps < 1:
         raise ConfigurationError(
@@ -150,7 +152,8 @@ def evaluate(
     command = np.asarray(speeds, dtype=np.float32)
     repeated = np.repeat(command[None], num_steps, axis=0)
     keys = [*_RECORDED, *_POSES] if command.ndim == 2 else _RECORDED
-    rows = record(policy, env, repeated, keys, until_all_ended=True)
+    wishes = None if stand is None else np.repeat(np.asarray(stand)[None], num_steps, axis=0)
+    rows = record(policy, env, repeated, keys, stand=wishes, until_all_ended=True)
     given = np.asarray(speeds, dtype=np.float64).reshape(len(speeds), -1)
     results = _results(rows, given[:, 0], env.base_env.weight)
     return _turned(results, rows, given) if command.ndim == 2 else results

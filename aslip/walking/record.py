@@ -190,8 +190,8 @@ def reset_walks(
     values = {"command": command, "phase": np.broadcast_to(phase, len(command))}
     if can_stand(env):
         values["stand"] = np.broadcast_to(stand, len(command))
-    elif np.any(np.asarray(stand) > 0):
-        raise ConfigurationError("robots of this stack cannot stand; see aslip.envs.standing_stack")
+    else:
+        _refuse_wish(stand)
     request = {name: _columns(value) for name, value in values.items()}
     return env.reset(TensorDict(request, batch_size=env.num_envs))
 
@@ -199,6 +199,29 @@ def reset_walks(
 def can_stand(env: StackEnv) -> bool:
     """True if robots of an environment stand on a wish, see `aslip.transforms.StandClock`."""
     return "stand" in env.observation_spec.keys()  # noqa: SIM118
+
+
+def checked_wishes(
+    env: StackEnv, stand: np.ndarray | None, shape: tuple[int, ...]
+) -> np.ndarray | None:
+    """Wishes to stand of a shape; None for robots that cannot stand, which walk.
+
+    Raises:
+        ShapeError: `stand` has another shape.
+        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
+    """
+    wishes = np.zeros(shape) if stand is None else np.asarray(stand)
+    if wishes.shape != shape:
+        raise ShapeError(f"stand must be {shape} as the command, got {wishes.shape}")
+    if can_stand(env):
+        return wishes
+    _refuse_wish(wishes)
+    return None
+
+
+def _refuse_wish(stand: np.ndarray | float) -> None:
+    if np.any(np.asarray(stand) > 0):
+        raise ConfigurationError("robots of this stack cannot stand; see aslip.envs.standing_stack")
 
 
 def _columns(values: np.ndarray) -> torch.Tensor:
@@ -228,7 +251,12 @@ def record(
 
     Returns:
         (m, n) policy steps, fewer if all episodes ended earlier.
+
+    Raises:
+        ShapeError: `stand` has another shape.
+        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
     """
+    stand = checked_wishes(env, stand, command.shape[:2])
     ended = torch.zeros(env.num_envs, dtype=torch.bool)
     rows: list[Any] = []  # torch.stack takes tensordicts, too
     with commands_kept(env):
@@ -245,16 +273,21 @@ def record(
 
 @contextmanager
 def commands_kept(env: StackEnv) -> Iterator[None]:
-    """Suspend the environment's own changes of the command and of the wish to stand."""
-    transforms = [t for t in env.transforms if isinstance(t, RandomCommand | StandCommand)]
-    intervals = [transform.interval for transform in transforms]
-    for transform in transforms:
+    """Suspend the environment's own changes of the command, and its wishes to stand."""
+    changing = [t for t in env.transforms if isinstance(t, RandomCommand | StandCommand)]
+    wishing = [t for t in changing if isinstance(t, StandCommand)]
+    intervals, shares = [t.interval for t in changing], [t.share for t in wishing]
+    for transform in changing:
         transform.interval = math.inf
+    for transform in wishing:
+        transform.share = 0.0
     try:
         yield
     finally:
-        for transform, interval in zip(transforms, intervals, strict=True):
+        for transform, interval in zip(changing, intervals, strict=True):
             transform.interval = interval
+        for transform, share in zip(wishing, shares, strict=True):
+            transform.share = share
 
 
 # ------------------------------------------------------------------------- arrays
@@ -277,14 +310,12 @@ def record_walks(
 
     Raises:
         ShapeError: `command` or `stand` is not for n robots, or has no policy step.
-        ConfigurationError: a command is not finite, or the environment has no odometry, true or
-            estimated.
+        ConfigurationError: a command is not finite, the environment has no odometry, true or
+            estimated, or a robot shall stand and cannot.
     """
     command = checked_commands(env, command, (env.num_envs,))
     if not np.isfinite(command).all():
         raise ConfigurationError("every commanded speed must be finite")
-    if stand is not None and stand.shape != command.shape[:2]:
-        raise ShapeError(f"stand must be {command.shape[:2]} as the command, got {stand.shape}")
     place = _place(env)
     pelvis: list[NestedKey] = [("next", place, name) for name in _PELVIS]
     feet: list[NestedKey] = [

@@ -18,7 +18,13 @@ from aslip.envs import SimulatedEnv, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.policy import add_memory
 from aslip.robot import CASSIE
-from aslip.walking.record import checked_commands, commands_kept, reset_walks, walk
+from aslip.walking.record import (
+    checked_commands,
+    checked_wishes,
+    commands_kept,
+    reset_walks,
+    walk,
+)
 
 _FORCES: Final = 6  # last columns of `SimulatedEnv.watched`, before them the torques
 
@@ -54,7 +60,12 @@ class Substeps:
         return Substeps(**arrays, fell=self.fell)
 
 
-def record_substeps(policy: TensorDictModuleBase, env: StackEnv, command: np.ndarray) -> Substeps:
+def record_substeps(
+    policy: TensorDictModuleBase,
+    env: StackEnv,
+    command: np.ndarray,
+    stand: np.ndarray | None = None,
+) -> Substeps:
     """Walk from phase 0 without exploration noise, up to a fall.
 
     Args:
@@ -62,10 +73,12 @@ def record_substeps(policy: TensorDictModuleBase, env: StackEnv, command: np.nda
         env: environment of one simulated robot; without its `aslip.envs.EPISODE_ENDS` transforms
             the walk ends in a fall only.
         command: (m,) commanded forward speed of each policy step [m/s], or (m, c) for c axes.
+        stand: (m,) wishes of each policy step, true to stand; by default it walks.
 
     Raises:
-        ShapeError: `command` has another shape, or no policy step.
-        ConfigurationError: the environment has several robots, or no simulated one.
+        ShapeError: `command` or `stand` has another shape, or no policy step.
+        ConfigurationError: the environment has several robots, or no simulated one, or the robot
+            shall stand, and the stack has no wish to stand.
     """
     command = checked_commands(env, command, ())
     base = env.base_env
@@ -75,9 +88,12 @@ def record_substeps(policy: TensorDictModuleBase, env: StackEnv, command: np.nda
         )
     rows, fell = [], False
     with commands_kept(env):
-        start = reset_walks(add_memory(env, policy), command[:1])
+        wishes = checked_wishes(env, None if stand is None else stand[:, None], (len(command), 1))
+        begins = 0.0 if wishes is None else wishes[0]
+        start = reset_walks(add_memory(env, policy), command[:1], stand=begins)
         base.watch(0)
-        for td in walk(policy, env, start, len(command), command=command[:, None]):
+        given = {"command": command[:, None], "stand": wishes}
+        for td in walk(policy, env, start, len(command), **given):
             rows.append(base.watched.copy())
             fell = bool(td["next", "terminated"])
             if fell:

@@ -12,13 +12,13 @@ from tensordict.nn import TensorDictModule
 
 import aslip
 from aslip.control import Controller
-from aslip.envs import StackEnv, check_policy_fits, policy_interface
+from aslip.envs import StackEnv, check_policy_fits
 from aslip.errors import ConfigurationError
 from aslip.library import WalkMode
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.policy import policy_stack
 from aslip.transforms import DIRECTION_TABLE, StandCommand
 from tests.library.bent import symmetric_library
-from tests.library.standing import standing_library
+from tests.library.standing import standing_files, standing_library
 
 
 @cache
@@ -101,10 +101,8 @@ def test_a_wish_stays_until_the_next(env: StackEnv) -> None:
 
 
 def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) -> None:
-    interface, shape = policy_interface(env), PolicyShape(72)
-    assert interface["stack"] == "standing"
-    actor = make_actor(RunningNormalizer(72), shape, interface["observation"])
-    save_policy(path := tmp_path / "policy.zip", actor, shape, **interface)
+    _, path = standing_files(tmp_path)
+    assert policy_stack(path) == "standing"
     check_policy_fits(path, env)
     packets, controller = env.reset()["sensors"], Controller(path, standing_library())
     assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()

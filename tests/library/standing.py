@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
+import aslip
+from aslip.envs import policy_interface
 from aslip.library import GaitLibrary, tabulate_transitions
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.rom import optimize_transitions
 from tests.library.bent import Bent
 
@@ -16,3 +20,13 @@ def standing_library() -> GaitLibrary:
     motions = [Bent(gaits[i], 0.0, w) for i in (0, 5) for w in (-0.5, 0.0, 0.5)]
     transitions = tabulate_transitions(gaits[0], optimize_transitions(gaits[0]), samples=24)
     return GaitLibrary.from_motions(motions, samples=32, transitions=transitions)
+
+
+def standing_files(folder: Path) -> tuple[Path, Path]:
+    """Library, and untrained policy that stands, in a folder."""
+    standing_library().save(folder / "gaits.npz")
+    env = aslip.make_env(stack="standing", library=standing_library(), num_threads=1)
+    interface, shape = policy_interface(env), PolicyShape(72)
+    actor = make_actor(RunningNormalizer(72), shape, interface["observation"])
+    save_policy(folder / "policy.zip", actor, shape, **interface)
+    return folder / "gaits.npz", folder / "policy.zip"

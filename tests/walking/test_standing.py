@@ -11,7 +11,7 @@ from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary, WalkMode
 from aslip.transforms import StandCommand
-from aslip.walking import Walker, evaluate, record_walks
+from aslip.walking import Walker, evaluate, record_substeps, record_walks
 from aslip.walking.record import record
 from tests.helpers import limp
 from tests.library.standing import standing_library
@@ -77,3 +77,20 @@ def test_robots_of_other_stacks_cannot_stand() -> None:
         walker.stand = True
     with pytest.raises(ConfigurationError, match="standing_stack"):
         walker.reset(stand=True)
+
+
+def test_evaluations_and_substeps_take_wishes(library: GaitLibrary) -> None:
+    env = make(library, 2)
+    results = evaluate(limp(), env, [[0.3, 0.0, 0.0]] * 2, 3, stand=[True, False])
+    assert results[0].mean_speed < 0.05 < results[1].mean_speed
+    walk = record_substeps(limp(), make(library), np.zeros((2, 3)), np.ones(2))
+    assert np.ptp(walk.pelvis_position, axis=0).max() < 0.01
+
+
+def test_wishes_need_a_stack_that_stands() -> None:
+    env = aslip.make_env(num_threads=1, drop=EPISODE_ENDS)
+    record_walks(limp(), env, np.zeros((2, 1)), np.zeros((2, 1)))
+    with pytest.raises(ConfigurationError, match="standing_stack"):
+        record_walks(limp(), env, np.zeros((2, 1)), np.array([[0], [1]]))
+    with pytest.raises(ConfigurationError, match="standing_stack"):
+        record_substeps(limp(), env, np.zeros(2), np.ones(2))
