@@ -11,7 +11,7 @@
 | `/observation` | 33 Hz | observation that the policy acts on next |
 | `/sensors` | 33 Hz | packets with noise; an array per number, oldest first |
 | `/step` | 33 Hz | `phase`, `command`, `action`, `motor_target`, `push`: inputs of the step |
-| | | in all directions also `filtered_command` |
+| | | in all directions also `filtered_command`; of robots that stand also wish `stand` and `mode` |
 | | | `reward`, terms, `ground_force`, `terminated`, `truncated`, `done`: its outcome |
 | `/touchdown` | a footstep | side (0 left, 1 right), actual and planned place [m] |
 | `/state` | 1 Hz, resets | physics state and sensors' memory, for replays |

@@ -40,8 +40,8 @@ _TRUTH = (
 _TRUTH_READ = {*_TRUTH, "qpos", "qvel", "ground_force", "diverged"}
 # groups of the tensordict that are topics of named numbers
 _GROUPS = ("truth", "estimate", "odometry", "true_odometry", "reference")
-# `filtered_command` in stacks for all directions only
-_CLOCK = ("phase", "command", "filtered_command")
+# `filtered_command` in stacks for all directions only, wish and mode in those that stand
+_CLOCK = ("phase", "command", "filtered_command", "stand", "mode")
 # inputs of a step
 _CAUSES = (*_CLOCK, "action", "motor_target", "push")
 _OUTCOMES = ("reward", "terminated", "truncated", "done")
