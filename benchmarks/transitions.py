@@ -52,6 +52,7 @@ from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import markdown, next_start, reset_walks, take_step
+from aslip.walking.record import commands_kept
 from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
 from benchmarks.directions import LIMITS, random_commands
 
@@ -87,7 +88,8 @@ def fall_row(config: Config, subject: Subject, library: GaitLibrary) -> dict[str
     each = math.ceil(config.changes / config.robots)
     drawn = random_commands(library, (each + 1) * config.robots, config.seed)
     commands = drawn.reshape(each + 1, config.robots, 3)
-    with contextlib.closing(subject.walking_env(config, config.robots)) as env:
+    env = subject.walking_env(config, config.robots)
+    with contextlib.closing(env), commands_kept(env):
         fallen = walk_changes(subject, env, commands, hold_steps(config, each))
     falls = [[commands[i, robot].tolist(), commands[i + 1, robot].tolist()] for i, robot in fallen]
     changes = each * config.robots
