@@ -227,10 +227,8 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
         replace=edits.get("replace"),
         num_threads=1,
     )
-    walker = Walker(config.policy, env, library=library, speed=schedule.at(0.0))
-    if schedule.stand_at(0.0):
-        walker.reset(stand=True)
-    return walker
+    first = schedule.at(0.0), schedule.stand_at(0.0)
+    return Walker(config.policy, env, library=library, speed=first[0], stand=first[1])
 
 
 def duration(config: Config, schedule: Schedule) -> float:

@@ -32,10 +32,11 @@ class Walker:
         library: gaits of the default environment, and the range of commands.
         seed: seed of the default environment.
         speed: first command: forward speed [m/s], or a number for each axis of the library.
+        stand: first wish to stand.
 
     Raises:
-        ConfigurationError: the environment has several robots, or another observation or action
-            baseline than the policy's card.
+        ConfigurationError: the environment has several robots, another observation or action
+            baseline than the policy's card, or a robot that shall stand and cannot.
         SpeedOutOfRangeError: the library does not cover the command.
     """
 
@@ -47,6 +48,7 @@ class Walker:
         library: GaitLibrary | None = None,
         seed: int = 0,
         speed: Command = 0.0,
+        stand: bool = False,
     ) -> None:
         self.library = GaitLibrary.load() if library is None else library
         if env is None:
@@ -55,7 +57,7 @@ class Walker:
             raise ConfigurationError(f"env of a Walker must have one robot, got {env.num_envs}")
         self.env = env
         self.policy = policy
-        self.reset(speed)
+        self.reset(speed, stand)
 
     def _default_env(self, policy: TensorDictModuleBase | str | Path, seed: int) -> StackEnv:
         named = isinstance(policy, str | Path)
