@@ -116,21 +116,27 @@ def test_full_scene_is_refused(model):
         add_ghost(scene, Ghost(np.array([0, 0, 0.9]), np.zeros(3), np.ones(3)))
 
 
-def test_off_screen_buffer_has_the_size_of_the_picture(model, monkeypatch):
-    whole = model.vis.global_.offwidth, model.vis.global_.offheight
-    buffers = []
+def test_buffer_shadow_and_facets_have_the_size_of_the_picture(model, monkeypatch):
+    def settings():
+        limits, quality = model.vis.global_, model.vis.quality
+        facets = quality.numslices, quality.numstacks
+        return limits.offwidth, limits.offheight, quality.shadowsize, *facets
+
+    whole, used = settings(), []
 
     class Renderer:
         def __init__(self, model, height, width):
-            buffers.append((model.vis.global_.offwidth, model.vis.global_.offheight))
+            used.append(settings())
             raise OSError("no OpenGL here")
 
     monkeypatch.setattr(mujoco, "Renderer", Renderer)
     monkeypatch.setattr("aslip.show.render._check_display", lambda: None)
     with pytest.raises(RenderingError, match="no OpenGL here"):
         render_robot(model.key("standing").qpos, model=model, supersampling=2, **SIZE)
-    assert buffers == [(192, 144)]
-    assert (model.vis.global_.offwidth, model.vis.global_.offheight) == whole
+    with pytest.raises(RenderingError, match="no OpenGL here"):
+        render_robot(model.key("standing").qpos, model=model, width=560, height=480)
+    assert used == [(192, 144, 1536, 19, 9), (560, 480, *whole[2:])]
+    assert settings() == whole
 
 
 def test_wrong_arguments_are_named(model):
