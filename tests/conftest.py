@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes.util
 import os
 import signal
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,6 +19,8 @@ import aslip
 from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from tests.helpers import MakeEnv
+
+_UNCOMPILED = Path(__file__).parent / "rom" / "test_stride.py"
 
 # no test gains from more threads
 torch.set_num_threads(1)
@@ -38,6 +41,16 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if os.environ.get("ASLIP_FAIL_ON_SKIP") and reporter and reporter.stats.get("skipped"):
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let the second process begin with a file that needs nothing of Numba.
+
+    Otherwise both would compile the same functions in a fresh checkout.
+    """
+    first = items[0].path if items else None
+    order = {first: 0, _UNCOMPILED: 1}
+    items.sort(key=lambda item: order.get(item.path, 2))
 
 
 @pytest.fixture(autouse=True)
