@@ -11,7 +11,7 @@ from tensordict.utils import NestedKey
 from torchrl.envs.transforms import Transform
 
 from aslip.envs import RewardSource
-from aslip.envs.stacks import REWARD_SOURCES, Stack, default_stack, insert_before
+from aslip.envs.stacks import Stack, default_stack, insert_before
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
@@ -53,7 +53,8 @@ def directions_stack(library: GaitLibrary, reward_on: RewardSource = "truth") ->
 
     Args:
         library: gait library over three commands.
-        reward_on: source of pelvis and feet in the rewards.
+        reward_on: source of pelvis and feet in the rewards; the distance from the path is always
+            the estimated one, which the policy observes.
 
     Raises:
         ConfigurationError: commands of the library have not three numbers.
@@ -72,10 +73,10 @@ def directions_stack(library: GaitLibrary, reward_on: RewardSource = "truth") ->
         "observation": lambda: AssembleObservation(DIRECTION_TABLE),
         "reward": lambda: WeightedReward(DIRECTION_WEIGHTS),
     }
-    place: list[NestedKey] = [(REWARD_SOURCES[reward_on], "pelvis_position")]
-    terms: Stack = {
-        "path_diff": partial(RewardTerm, "path_diff", rewards.path_diff, place, [_STEER])
-    }
+    # the policy observes this error; the true one drifts away with the odometry
+    place: list[NestedKey] = [("odometry", "path_error")]
+    body: list[NestedKey] = [("goal", "body_position")]
+    terms: Stack = {"path_diff": partial(RewardTerm, "path_diff", rewards.path_diff, place, body)}
     for name in _HEADINGS:
         stack[name] = partial(_with_headings, stack[name])
     stack = insert_before(stack, "clock", command_filter=CommandFilter)

@@ -20,9 +20,6 @@ LEASH: Final = 0.3
 """Largest distance of the pelvis from the origin of the moving frame along the ground [m]; beyond
 it the robot drags the origin along, so that it need not walk back after a push."""
 
-# speed below which the distance along the path counts, too [m/s]; at rest it counts in full
-_SLOW: Final = 0.1
-
 
 def advance_heading(
     heading: Tensor, command: Tensor, period: float = CASSIE.policy_period
@@ -112,25 +109,6 @@ def place_in_path(
     }
     error = placed["pelvis_position"][..., :2].clone()
     return {**placed, "origin": move_origin(origin, heading, way, slope), "path_error": error}
-
-
-def path_distance(place: Tensor, command: Tensor) -> Tensor:
-    """Distance (*b, 1) of a position from the commanded path [m].
-
-    The distance is perpendicular to the commanded motion, because progress along it is a matter of
-    speed. Below 0.1 m/s the distance along the motion counts, too, and at rest in full.
-
-    Args:
-        place: (*b, k) position in the moving frame, forward and sideways first [m].
-        command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
-    """
-    x, y = place[..., 0:1], place[..., 1:2]
-    forward, sideways, _ = _complete(command).split(1, dim=-1)
-    speed = torch.hypot(forward, sideways)
-    still = speed == 0
-    ahead = torch.where(still, 1.0, forward / speed), torch.where(still, 0.0, sideways / speed)
-    along, across = x * ahead[0] + y * ahead[1], y * ahead[0] - x * ahead[1]
-    return torch.hypot(across, along * (1 - speed / _SLOW).clamp(min=0))
 
 
 def _complete(command: Tensor) -> Tensor:

@@ -13,7 +13,6 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from aslip.transforms.path import path_distance
 from aslip.transforms.rotation import (
     conjugate,
     multiply,
@@ -36,10 +35,19 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
-    {"path_diff" if name == "straight_diff" else name: w for name, w in PAPER_WEIGHTS.items()}
+    {
+        "com_vel": 0.25,
+        "foot_pos": 0.25,
+        "path_diff": 0.2,
+        "foot_orient": 0.2,
+        "action_diff": 0.1,
+    }
 )
-"""Weights of the reward for walks in all directions: the paper's, with `path_diff` in place of
-`straight_diff`."""
+"""Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
+`path_diff` takes the place of `straight_diff` with twice its weight."""
+
+PATH_SCALE: Final = 0.1
+"""Distance at which `path_diff` is 1/e [m]."""
 
 
 def com_vel(
@@ -108,16 +116,18 @@ def straight_diff(pelvis_position: Tensor) -> Tensor:
     return torch.exp(-pelvis_position[..., 1:2].abs())
 
 
-def path_diff(pelvis_position: Tensor, command: Tensor) -> Tensor:
-    r""":math:`\exp(-d)`, d the distance from the commanded path; see `path_distance`.
+def path_diff(path_error: Tensor, body_position: Tensor) -> Tensor:
+    r""":math:`\exp(-d / 0.1\,\mathrm{m})`, d the level distance of the pelvis from the reference.
 
-    On a straight path ahead it equals `straight_diff` at 0.1 m/s and more.
+    The distance accumulates errors of the mean velocity in any direction, which the oscillation
+    over a stride hides from `com_vel`. Ours; see `aslip.transforms.HeadingFrame`.
 
     Args:
-        pelvis_position: (*b, 3) in a frame that moves along the path [m].
-        command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s].
+        path_error: (*b, 2) pelvis relative to the origin of the moving frame, forward and sideways
+            [m].
+        body_position: (*b, 3) body of the reference, relative to the same origin [m].
     """
-    return torch.exp(-path_distance(pelvis_position, command))
+    return torch.exp(-_norm(path_error - body_position[..., :2]) / PATH_SCALE)
 
 
 def foot_orient(

@@ -15,7 +15,6 @@ from aslip.transforms.path import (
     arc,
     beyond_leash,
     move_origin,
-    path_distance,
     place_in_path,
 )
 from aslip.transforms.rotation import heading_to_world, rotate_inverse
@@ -65,19 +64,3 @@ def test_a_pelvis_far_from_the_origin_drags_it_along() -> None:
     expected = torch.stack([torch.zeros(3), moved]) + torch.tensor([1.0, 1.0, 0.0])
     torch.testing.assert_close(found["origin"], expected)
     assert torch.equal(beyond_leash(place[:1]), torch.zeros(1, 3))
-
-
-def test_distance_is_across_the_motion_and_at_rest_from_the_place() -> None:
-    place = torch.tensor([[0.3, 0.4, 0.9]])
-    cases = {
-        (1.0, 0.0, 0.5): 0.4,
-        (-0.2, 0.0, 0.0): 0.4,
-        (0.0, 0.3, 0.0): 0.3,
-        (0.6, 0.8, 0.0): 0.0,
-        (0.0, 0.0, 1.0): 0.5,
-        (0.05, 0.0, 0.0): math.hypot(0.4, 0.15),
-    }
-    for command, distance in cases.items():
-        found = path_distance(place, torch.tensor([command]))
-        assert found.item() == pytest.approx(distance, abs=1e-7), command
-    assert path_distance(place, torch.tensor([[0.7]])).item() == place[0, 1]

@@ -193,13 +193,17 @@ def test_straight_ahead_terms_for_any_direction_are_the_papers_bit_for_bit() -> 
         "com_vel": rewards.com_vel(x["orientation"], x["velocity"], x["body"], zero),
         "foot_pos": rewards.foot_pos(x["orientation"], x["position"], *feet, zero),
         "foot_orient": rewards.foot_orient(x["left_q"], x["right_q"], zero, zero),
-        "straight_diff": rewards.path_diff(x["position"], 0.1 + x["velocity"][:, :1].abs()),
     }
     expected = _terms(x)
     for name, term in found.items():
         assert torch.equal(term, expected[name]), name
-    ahead = torch.nn.functional.pad(0.1 + x["velocity"][:, :1].abs(), (0, 2))
-    assert torch.equal(rewards.path_diff(x["position"], ahead), expected["straight_diff"])
+
+
+def test_path_diff_falls_with_the_distance_in_any_direction() -> None:
+    error = torch.tensor([[0.0, 0.0], [0.1, 0.0], [0.06, -0.08], [-0.3, 0.0]])
+    body = torch.tensor([0.02, -0.01, 0.9]).expand(4, 3)
+    expected = torch.tensor([0.0, -1.0, -1.0, -3.0]).exp()[:, None]
+    torch.testing.assert_close(rewards.path_diff(error + body[:, :2], body), expected)
 
 
 def test_terms_do_not_depend_on_the_direction_of_the_reference() -> None:
