@@ -38,6 +38,8 @@ class Substeps:
 
     pelvis_position: np.ndarray
     """(k, 3) position of the pelvis [m, world]."""
+    pelvis_orientation: np.ndarray
+    """(k, 4) orientation of the pelvis, wxyz, to the world."""
     foot_position: np.ndarray
     """(k, 2, 3) sole centres, left and right [m, world]."""
     ground_force: np.ndarray
@@ -108,6 +110,7 @@ def _as_substeps(model: mujoco.MjModel, rows: np.ndarray, fell: bool) -> Substep
     qpos, qvel = rows[:, : model.nq], rows[:, model.nq : model.nq + model.nv]
     return Substeps(
         pelvis_position=qpos[:, indices.pelvis_position],
+        pelvis_orientation=qpos[:, indices.pelvis_orientation],
         foot_position=_sole_centres(model, qpos),
         ground_force=rows[:, -_FORCES:].reshape(-1, 2, 3),
         motor_torque=rows[:, -_FORCES - model.nu : -_FORCES],

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError
-from benchmarks import direction_tracking, path, transitions
+from aslip.walking import Substeps
+from benchmarks import direction_tracking, path, standing, transitions
 from tests.helpers import limp
 from tests.library.bent import symmetric_library
+from tests.library.standing import standing_library
 
 
 @pytest.fixture(scope="module")
@@ -72,3 +75,53 @@ def test_a_path_is_walked_over_the_estimate(library: str, tmp_path: Path) -> Non
     # within half a second the estimate does not drift far
     assert row["truth"] == pytest.approx(row["estimate"], abs=0.1)
     _written(tmp_path, "path")
+
+
+def test_stops_standing_and_starts_are_measured(
+    library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Feet at rest stay planted; a robot without a policy falls later."""
+    standing_library().save(tmp_path / "gaits.npz")
+    for name, time in (("_WALK", 0.03), ("_REST", 0.6), ("_GO_ON", 1.5)):
+        monkeypatch.setattr(standing, name, time)
+    config = standing.Config(
+        library=str(tmp_path / "gaits.npz"), speeds=(0.0,), walks=1, duration=0.5, out=tmp_path
+    )
+    (row,) = standing.main(config, limp())
+    assert sum(row["falls"].values()) == 1
+    assert row["falls"]["walk"] == row["falls"]["stop"] == 0
+    numbers = _written(tmp_path, "standing")["rows"][0]
+    (walk,) = numbers["walks"]
+    assert walk["command"] == [0.0, 0.0, 0.0]
+    assert walk["fell"] in ("stand", "start")
+    with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
+        standing.main(standing.Config(library=library, out=tmp_path), limp())
+    with pytest.raises(ConfigurationError, match="duration must be"):
+        standing.Config(duration=0.1)
+
+
+def test_a_robot_that_stands_is_measured_after_it_came_to_rest() -> None:
+    """It drifts 2 cm and turns 0.1 rad in the last second, and lifts a foot for 0.1 s."""
+    ticks = 2000
+    time = np.arange(4 * ticks) / ticks
+    force = np.full((len(time), 2, 3), 160.0)
+    force[1 * ticks + 400 : 1 * ticks + 600, 0] = 0.0
+    force[2 * ticks + 100 : 2 * ticks + 300, 1] = 0.0
+    along = np.clip(time - 2, 0, 1)[:, None]
+    half = 0.05 * along[:, 0]
+    orientation = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    torque = velocity = np.tile([2.0, *[0.0] * 9], (len(time), 1))
+    walk = Substeps(
+        along * [0.02, 0.0, 0.5], orientation, np.zeros((len(time), 2, 3)), force, torque,
+        velocity, fell=False,
+    )  # fmt: skip
+    found = standing.quantities(walk, np.zeros(3), np.array([1, 2, 3, 4]) * ticks)
+    assert found["fell"] is None
+    assert found["planted"] == pytest.approx(0.3)
+    assert found["drift"] == pytest.approx(0.02, rel=1e-3)
+    assert found["turn"] == pytest.approx(0.1, rel=1e-3)
+    assert (found["lifted"], found["power"]) == (1, pytest.approx(4.0))
+    short = replace(walk.since(0.0), fell=True, ground_force=force[: 2 * ticks + 5])
+    assert (
+        standing.quantities(short, np.zeros(3), np.array([1, 2, 3, 4]) * ticks)["fell"] == "stand"
+    )

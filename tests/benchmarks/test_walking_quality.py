@@ -46,7 +46,8 @@ def made_up_walk(speed: float) -> Substeps:
     torque[:, 3], velocity[:, 3], torque[:, 8], velocity[:, 8] = 20.0, 5.0, 20.0, -5.0
     along = np.stack([time, 0 * time, 0 * time], axis=1)
     feet = np.repeat(0.05 * along[:, None], 2, axis=1)
-    return Substeps(speed * along, feet, force, torque, velocity, fell=False)
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(time), 1))
+    return Substeps(speed * along, upright, feet, force, torque, velocity, fell=False)
 
 
 def test_quantities_of_made_up_walk() -> None:

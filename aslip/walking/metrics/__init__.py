@@ -26,6 +26,7 @@ from aslip.walking.metrics.force import (
     mean_over_strides,
     touchdown_impact,
 )
+from aslip.walking.metrics.standing import drift, lifted_feet, planting_time, turned
 from aslip.walking.metrics.tracking import (
     StepResponse,
     leg_length_correlation,
@@ -44,6 +45,7 @@ __all__ = [
     "airborne_share",
     "cost_of_transport",
     "dip_ratio",
+    "drift",
     "duty_factor",
     "footsteps",
     "force_profile",
@@ -52,12 +54,14 @@ __all__ = [
     "jerk",
     "largest_force",
     "leg_length_correlation",
+    "lifted_feet",
     "longest_airborne",
     "mean_over_strides",
     "mean_twist",
     "mechanical_power",
     "merge_short",
     "placement",
+    "planting_time",
     "root_mean_square",
     "slip_distance",
     "stances",
@@ -68,4 +72,5 @@ __all__ = [
     "touchdown_spike",
     "touchdown_times",
     "tracking_errors",
+    "turned",
 ]

@@ -1,0 +1,69 @@
+"""Metrics of standing: feet on the ground, and how far the robot drifts and turns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aslip.errors import ShapeError
+from aslip.robot.rotation import yaw
+
+
+def planting_time(force: np.ndarray, period: float, hold: float = 0.5) -> float:
+    """Time until both feet stay on the ground [s]; NaN if they do not.
+
+    Args:
+        force: (m, 2) vertical ground force of both feet [N].
+        period: time between samples [s].
+        hold: time for which both feet must carry a force from then on [s].
+
+    Raises:
+        ShapeError: `force` is not of two feet.
+    """
+    both = _loaded(force).all(axis=1)
+    count = round(hold / period)
+    if len(both) < count:
+        return float("nan")
+    # samples with an unloaded foot, up to each sample
+    off = np.concatenate([[0], np.cumsum(~both)])
+    held = np.flatnonzero(off[count:] == off[: len(off) - count])
+    return float(held[0] * period) if len(held) else float("nan")
+
+
+def lifted_feet(force: np.ndarray) -> int:
+    """Number of times a foot loses the ground, both feet counted.
+
+    Args:
+        force: (m, 2) vertical ground force of both feet [N].
+
+    Raises:
+        ShapeError: `force` is not of two feet.
+    """
+    loaded = _loaded(force)
+    return int((loaded[:-1] & ~loaded[1:]).sum())
+
+
+def drift(position: np.ndarray) -> np.ndarray:
+    """Horizontal distance (m,) from the first position [m].
+
+    Args:
+        position: (m, 3) or (m, 2) positions [m, world].
+    """
+    return np.linalg.norm(position[:, :2] - position[0, :2], axis=1)
+
+
+def turned(orientation: np.ndarray) -> np.ndarray:
+    """Turn (m,) about the vertical since the first orientation [rad].
+
+    Args:
+        orientation: (m, 4) orientations in the world, wxyz.
+    """
+    angle = np.unwrap(np.ravel(yaw(orientation)))
+    return angle - angle[0]
+
+
+def _loaded(force: np.ndarray) -> np.ndarray:
+    """(m, 2) true where a foot carries a force."""
+    force = np.asarray(force, dtype=np.float64)
+    if force.ndim != 2 or force.shape[1] != 2:
+        raise ShapeError(f"force must be of both feet, (m, 2), got shape {force.shape}")
+    return force > 0
