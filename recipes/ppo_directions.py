@@ -1,13 +1,14 @@
-"""Teach Cassie to walk in all directions: forward speed, sideways speed and yaw rate.
+"""Teach Cassie to walk in all directions and to stand: forward, sideways speed and yaw rate.
 
     python recipes/direction_library.py                # gaits, in runs/directions
     python recipes/ppo_directions.py                   # train, evaluate, draw: runs/ppo_directions/
     python recipes/ppo_directions.py --resume          # continue after Ctrl-C, kill or a crash
     python recipes/ppo_directions.py --library runs/small/gaits.npz --no-randomise --push-impulse 0
 
-PPO is that of `ppo_aslip.py`. Robots, floors and sensors differ between episodes, pushes come at
-random times, and the critic sees true state and dynamics, which the policy does not. Evaluations
-walk commands from all over the region, on nominal robots, without pushes, at 2 kHz physics.
+PPO is that of `ppo_aslip.py`. Robots, floors and sensors differ between episodes, pushes and
+wishes to stand come at random times, and the critic sees true state and dynamics, which the policy
+does not. Evaluations walk commands from all over the region, on nominal robots, without pushes, at
+2 kHz physics.
 """
 
 from __future__ import annotations
@@ -32,7 +33,10 @@ class DirectionConfig(Config):
     library: str = "runs/directions/gaits.npz"
     """Library over three commands, from `direction_library.py`."""
     command_interval: float = 4.0
-    """Mean time between changes of the command in an episode [s]."""
+    """Mean time between changes of the command, and of the wish to stand, in an episode [s]."""
+    stand: float = 0.15
+    """Share of the time with a wish to stand; 0 for robots that only walk. Others need a library
+    with stop and start."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
     push_impulse: float = 15.0
@@ -51,6 +55,8 @@ class DirectionConfig(Config):
             ConfigurationError: a setting is invalid.
         """
         super().__post_init__()
+        if not 0 <= self.stand <= 1:
+            raise ConfigurationError(f"stand must be from 0 to 1, got {self.stand}")
         if self.push_impulse < 0:
             raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
 
@@ -76,10 +82,10 @@ from functools import partial
 import ppo_aslip
 
 import aslip
-from aslip.envs import Stack, directions_stack, insert_before, randomise_stack
+from aslip.envs import Stack, directions_stack, insert_before, randomise_stack, standing_stack
 from aslip.policy import make_critic, make_privileged_critic, privileged_table
 from aslip.training.environments import make_training_env
-from aslip.transforms import WIDE_RANGES, AssembleObservation, RandomPushes
+from aslip.transforms import WIDE_RANGES, AssembleObservation, RandomPushes, StandCommand
 from aslip.walking import WalkResult
 
 PRIVILEGED = "privileged"
@@ -93,7 +99,8 @@ def main(config: DirectionConfig, go_on: str = "resume=True") -> list[WalkResult
         config: the settings.
         go_on: command that resumes the training, for messages.
     """
-    stack = directions_stack(aslip.GaitLibrary.load(config.library))
+    make_stack = standing_stack if config.stand else directions_stack
+    stack = make_stack(aslip.GaitLibrary.load(config.library))
     robots = partial(
         aslip.make_env, stack=training_stack(config, stack), timestep=config.physics_timestep
     )
@@ -110,7 +117,9 @@ def main(config: DirectionConfig, go_on: str = "resume=True") -> list[WalkResult
 
 
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
-    """Stack for training: other robots, pushes, and entries for the critic."""
+    """Stack for training: wishes to stand, other robots, pushes, and entries for the critic."""
+    if config.stand:
+        stack = {**stack, "stand": partial(StandCommand, config.stand, config.command_interval)}
     if config.randomise:
         stack = randomise_stack(stack, WIDE_RANGES)
     if config.push_impulse:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
 import aslip
 from aslip.control import Controller
-from aslip.envs import directions_stack
+from aslip.envs import directions_stack, standing_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import policy_stack, read_card
 from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES
@@ -19,6 +20,7 @@ from recipes import ppo_directions
 from recipes.ppo_directions import DirectionConfig
 from tests.helpers import TINY
 from tests.library.bent import symmetric_library
+from tests.library.standing import standing_library
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +29,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> DirectionConfig:
     folder = tmp_path_factory.mktemp("runs")
     symmetric_library().save(folder / "gaits.npz")
     own = {"out": folder / "tiny", "library": str(folder / "gaits.npz"), "push_interval": 0.03}
-    return DirectionConfig(**{**vars(TINY), **own})
+    return DirectionConfig(**{**vars(TINY), **own}, stand=0.0)
 
 
 @pytest.fixture(scope="module")
@@ -99,3 +101,20 @@ def test_settings_of_a_run_are_kept_when_it_is_resumed(
     assert kept.push_interval == 0.03
     with pytest.raises(ConfigurationError, match="push_impulse must be 0 or more"):
         replace(config, push_impulse=-1.0)
+    with pytest.raises(ConfigurationError, match=r"stand must be from 0 to 1, got 1\.5"):
+        replace(config, stand=1.5)
+
+
+def test_robots_learn_to_stand_if_the_library_has_stop_and_start(
+    config: DirectionConfig, tmp_path: Path
+) -> None:
+    file = tmp_path / "gaits.npz"
+    standing_library().save(file)
+    stands = replace(config, stand=1.0, library=str(file), out=tmp_path / "run", total_steps=64)
+    ppo_directions.main(stands)
+    assert policy_stack(stands.out) == "standing"
+    assert Controller(stands.out, standing_library()).steering.stands
+    trained = ppo_directions.training_stack(stands, standing_stack(standing_library()))
+    assert aslip.make_env(stack=trained, num_envs=8, num_threads=1).reset()["stand"].all()
+    with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
+        ppo_directions.main(replace(config, stand=0.1))
