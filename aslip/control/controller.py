@@ -29,7 +29,6 @@ from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
 from aslip.transforms.observation import OBSERVATION_TABLE, join_entries
-from aslip.transforms.path import advance_heading
 from aslip.transforms.reference import feedforward_target
 
 Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
@@ -38,11 +37,14 @@ Packets = Mapping[str, ArrayLike] | TensorDictBase | np.ndarray
 leading axes.
 
 For robots that estimate their own state, entries (n, k) of `Robot.estimate_sizes` instead: the
-latest estimates, in frames with z up against gravity."""
+latest estimates, in frames with z up against gravity. Policies that observe their distance from the
+commanded path also need `position` (n, 3) of the pelvis [m]."""
 
 
 # groups of entries that each step overwrites
 _FRESH = ("estimate", "odometry", "estimator", "reference", "goal", "clock")
+PATH_ERROR = ("odometry", "path_error")
+"""Key of the distance from the commanded path, for which robots' own estimates need positions."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,8 @@ class ControllerState:
     `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`, `motor_target`,
     and the hidden state of a recurrent policy. With a library of several axes, `filtered_command`,
     too; if they stand on a wish, `stand` (n, 1) and `mode` (n, 1), values of
-    `aslip.library.WalkMode`. For robots that estimate their own state there are no `odometry` and
-    `estimator`."""
+    `aslip.library.WalkMode`. For robots that estimate their own state there is no `estimator`, and
+    `odometry` has only `origin` and `path_error`, with estimated positions."""
 
     @property
     def motor_target(self) -> Tensor:
@@ -249,7 +251,7 @@ class Controller:
             origin = torch.zeros(len(rows), 3) if self._along_path else None
             entries = estimate_entries(*self.estimator.start(rows, heading), origin)
         else:
-            entries = start_entries(rows, heading, self.estimator.robot)
+            entries = start_entries(rows, heading, self.estimator.robot, self._along_path)
         first = torch.ones(len(rows), 1, dtype=torch.bool)
         return TensorDict({**steered, "is_init": first, **entries}, batch_size=[len(rows)])
 
@@ -284,10 +286,7 @@ class Controller:
             raise ConfigurationError(f"got {got}, but the robots started with {started}")
         command = cast("Tensor | None", past.get("filtered_command", None))
         if rows.ndim == 2:
-            if command is not None:
-                before = cast("Tensor", past["heading"]) if heading is None else heading
-                heading = advance_heading(before, command, self._period)
-            return next_entries(past, rows, heading, self.estimator.robot)
+            return next_entries(past, rows, heading, self.estimator.robot, command)
         memory = cast("Tensor", past["estimator", "memory"])
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
         origin = None
@@ -320,7 +319,10 @@ class Controller:
         for key in (*self.observation, self.baseline):
             if present.get(key, None) is None:
                 known = sorted(entry_names(present.keys(True, True)))
-                raise UnknownNameError(f"a controller cannot observe {key!r}; there are {known}")
+                lacks = "; estimates lack 'position'" if key == PATH_ERROR else ""
+                raise UnknownNameError(
+                    f"a controller cannot observe {key!r}{lacks}; there are {known}"
+                )
         present["observation"] = join_entries(present, self.observation)
         with set_exploration_type(ExplorationType.DETERMINISTIC):
             present = self.policy(present)

@@ -9,11 +9,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-import onnxruntime
 from numpy.typing import ArrayLike
 
-from aslip.control.contract import TOLERANCE, Contract, damaged, observed_name, read_sealed, wrong
-from aslip.control.own_estimate import is_estimate, join_estimate, split_estimate, start_heading
+from aslip.control.contract import TOLERANCE, damaged, wrong
+from aslip.control.exported_file import check_order, library_sha256, open_policy
+from aslip.control.own_estimate import (
+    POSITION,
+    is_estimate,
+    join_estimate,
+    split_estimate,
+    start_heading,
+)
 from aslip.errors import AssetError, ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
 
@@ -25,7 +31,8 @@ Packets = Mapping[str, ArrayLike] | np.ndarray
 all entries concatenated to (1, w, p). One packet has no leading axes.
 
 For a robot that estimates its own state, entries (1, k) or (k,) of `Robot.estimate_sizes` instead:
-the latest estimate, in a frame with z up against gravity."""
+the latest estimate, in a frame with z up against gravity. Policies that observe their distance from
+the commanded path also need `position` (3,) of the pelvis [m]."""
 
 _TYPES = {"float32": np.float32, "float64": np.float64, "bool": np.bool_}
 
@@ -36,7 +43,8 @@ class ExportedState:
 
     entries: Mapping[str, np.ndarray]
     """Outputs (1, k) of the graph by name, such as `motor_target`, `action`, `observation`, `phase`
-    and `estimate`, and `heading` [rad]; `Contract.outputs` describes them."""
+    and `estimate`, and `heading` [rad]; `Contract.outputs` describes them. If the policy stands on
+    a wish, `stand` (1 to stand, 0 to walk), too."""
     tracking: np.ndarray | None = None
     """(1, t) memory of the estimator, as `aslip.estimation.Tracking.to_rows` gives it; None for a
     robot that estimates its own state."""
@@ -78,9 +86,9 @@ class ExportedController:
                 f"there is no exported policy {str(path)!r}; python -m aslip.control.export makes"
                 " one"
             )
-        self._session, self.contract = _open(self.path, robot)
+        self._session, self.contract = open_policy(self.path, robot)
         found = self.contract.about["library"]["sha256"]
-        if library is not None and (wanted := _sha256(str(library), robot)) != found:
+        if library is not None and (wanted := library_sha256(str(library), robot)) != found:
             raise wrong(self.path, f"its library has the SHA-256 {found}, not {wanted}")
         outputs = [output["name"] for output in self.contract.outputs]
         self._outputs = outputs
@@ -103,6 +111,11 @@ class ExportedController:
         return self._inputs["command"][1][-1]
 
     @property
+    def stands(self) -> bool:
+        """True for a policy that stands on a wish."""
+        return "stand" in self._inputs
+
+    @property
     def pose(self) -> np.ndarray:
         """Motor angles (m,) of the reference at phase 0 and zero command [rad]."""
         return np.array(self.contract.numbers("default_joint_pos"))
@@ -112,6 +125,7 @@ class ExportedController:
         packets: Packets,
         command: float | ArrayLike = 0.0,
         *,
+        stand: ArrayLike = 0.0,
         phase: float | ArrayLike = 0.0,
         heading: ArrayLike | None = None,
     ) -> ExportedState:
@@ -120,13 +134,15 @@ class ExportedController:
         Args:
             packets: packets, of which only the last is used, or an estimate.
             command: command, one number or (1, c); a number alone is a forward speed.
+            stand: wish, 1 to stand or 0 to walk.
             phase: stride fraction to begin at.
             heading: yaw that counts as straight ahead, in the frame of the IMU's attitude or of the
                 estimates [rad]; by default that of the packets or estimates.
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
-            ConfigurationError: command, phase, heading or an estimate is not finite.
+            ConfigurationError: an argument or an estimate is not finite, the policy cannot stand,
+                or needs a position that the estimate lacks.
         """
         rows, tracking = self._rows(packets), None
         if rows.ndim == 3:
@@ -139,7 +155,11 @@ class ExportedController:
             "first": np.ones((1, 1), dtype=bool),
             "command": self._command(command),
             "last_phase": _numbers("phase", phase, 1),
+            "path_heading": ahead,
+            **self._wish(stand),
         }
+        if POSITION in self._inputs:
+            given["last_origin"] = self._origin(rows, tracking)
         return self._run(given, rows, ahead, tracking)
 
     def step(
@@ -148,6 +168,7 @@ class ExportedController:
         packets: Packets | None,
         command: float | ArrayLike | None = None,
         *,
+        stand: ArrayLike | None = None,
         heading: float | ArrayLike | None = None,
         restart: ArrayLike | None = None,
         phase: float | ArrayLike = 0.0,
@@ -158,6 +179,7 @@ class ExportedController:
             state: state that `start` or the previous step returned.
             packets: packets since then, oldest first, or the latest estimate; None if all are lost.
             command: new command, one number or (1, c). By default it does not change.
+            stand: new wish, 1 to stand or 0 to walk. By default it does not change.
             heading: new yaw that counts as straight ahead [rad]. By default it does not change.
             restart: True for a robot that restarts with these packets.
             phase: stride fraction at which the robot restarts.
@@ -167,8 +189,8 @@ class ExportedController:
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
-            ConfigurationError: command, phase or heading is not finite, or packets come after a
-                start with an estimate, or the reverse.
+            ConfigurationError: an argument is not finite, the policy cannot stand, or packets come
+                after a start with an estimate, or the reverse.
         """
         last = state.entries
         now = last["nearest_command"] if command is None else self._command(command)
@@ -176,16 +198,18 @@ class ExportedController:
         if (rows.ndim == 2) == (state.tracking is not None):
             kinds = ("packets", "estimates") if rows.ndim == 3 else ("estimates", "packets")
             raise ConfigurationError(f"got {kinds[0]}, but the robot started with {kinds[1]}")
+        wish = last.get("stand", 0.0) if stand is None else stand
         if restart is not None and np.asarray(restart).any():
-            begun = self.start(rows, now, phase=phase, heading=heading)
+            begun = self.start(rows, now, stand=wish, phase=phase, heading=heading)
             return begun, begun.motor_target
-        ahead = self._ahead(last, heading)
+        before, ahead = self._headings(last, heading)
         tracking = state.tracking
         if tracking is not None:
             tracking, estimate = self._track(tracking, rows, ahead)
             rows = self._joined(estimate)
         given = {target: last[source] for source, target in self._feedback.items()}
         given |= {"first": np.zeros((1, 1), dtype=bool), "command": now}
+        given |= {"path_heading": before, **self._wish(wish)}
         following = self._run(given, rows, ahead, tracking)
         return following, following.motor_target
 
@@ -201,9 +225,8 @@ class ExportedController:
         """
         try:
             trace = self.contract.golden_trace()
-            rows, headings, commands = (trace[k] for k in ("estimate", "heading", "command"))
-            expected, starts, phase = (trace[k] for k in ("target", "reset", "phase"))
-            entries = self._replayed(rows, headings, commands, starts, phase)
+            entries = self._replayed(trace)
+            expected = trace["target"]
         except (ValueError, KeyError, OSError, EOFError) as error:
             raise damaged(self.path, f"its golden trace cannot be run: {error}") from error
         targets = np.concatenate([step["motor_target"] for step in entries])
@@ -225,49 +248,22 @@ class ExportedController:
         found = cast("list[np.ndarray]", self._session.run(self._outputs, feed))
         return dict(zip(self._outputs, found, strict=True))
 
-    def _replayed(
-        self,
-        rows: np.ndarray,
-        headings: np.ndarray,
-        commands: np.ndarray,
-        starts: np.ndarray,
-        phase: np.ndarray,
-    ) -> list[Mapping[str, np.ndarray]]:
+    def _replayed(self, trace: Mapping[str, np.ndarray]) -> list[Mapping[str, np.ndarray]]:
         """Outputs of the graph at each step of a golden trace."""
+        names = ("estimate", "heading", "command", "reset")
+        wishes = trace["stand"] if self.stands else np.zeros(len(trace["reset"]))
+        columns = zip(*(trace[name] for name in names), wishes, strict=True)
         entries, state = [], None
-        for row, heading, command, start in zip(rows, headings, commands, starts, strict=True):
+        for row, heading, command, start, stand in columns:
             estimate = split_estimate(row[None], self.robot)
+            wish: dict[str, Any] = {"stand": stand, "heading": heading[None]}
             if state is None or start:
-                state = self.start(estimate, command[None], phase=phase, heading=heading[None])
+                state = self.start(estimate, command[None], phase=trace["phase"], **wish)
             else:
-                state, _ = self.step(state, estimate, command[None], heading=heading[None])
+                state, _ = self.step(state, estimate, command[None], **wish)
             entries.append(state.entries)
-            self._check_order(state.entries)
+            check_order(state.entries, self.contract.observation, self.robot)
         return entries
-
-    def _check_order(self, entries: Mapping[str, np.ndarray]) -> None:
-        """Check that the observation has the entries of the contract in its order.
-
-        Raises:
-            ValueError: an entry is missing, or at another place.
-        """
-        parts = split_estimate(entries["estimate"], self.robot)
-        named = {**entries, **{f"estimate/{name}": part for name, part in parts.items()}}
-        place, observation = 0, entries["observation"]
-        for name in map(observed_name, self.contract.observation):
-            if name not in named:
-                raise ValueError(f"no output is named {name!r}, an entry of the observation")
-            end = place + named[name].shape[1]
-            if not np.array_equal(observation[:, place:end], named[name]):
-                raise ValueError(
-                    f"numbers {place} to {end - 1} of the observation are not {name!r}, as the"
-                    " contract says"
-                )
-            place = end
-        if place != observation.shape[1]:
-            raise ValueError(
-                f"the contract names {place} of {observation.shape[1]} numbers of the observation"
-            )
 
     def _run(
         self,
@@ -279,19 +275,55 @@ class ExportedController:
         """Run the graph for an estimate (1, e)."""
         # the estimator for packets has already rotated its estimates to the heading
         turn = heading if tracking is None else np.zeros_like(heading)
-        entries = self.outputs({**split_estimate(rows, self.robot), "heading": turn, **given})
-        return ExportedState({**entries, "heading": heading}, tracking)
+        parts = {POSITION: np.full((1, 3), np.nan), **split_estimate(rows, self.robot)}
+        entries = self.outputs({**parts, "heading": turn, **given})
+        wish = {"stand": given["stand"]} if self.stands else {}
+        return ExportedState({**entries, "heading": heading, **wish}, tracking)
 
-    def _ahead(self, last: Mapping[str, np.ndarray], heading: ArrayLike | None) -> np.ndarray:
-        """Heading (1, 1) of a step [rad], advanced along the path of a command with a yaw rate."""
+    def _headings(
+        self, last: Mapping[str, np.ndarray], heading: ArrayLike | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Headings (1, 1) before and after a step along the path of a command [rad]."""
         before = last["heading"]
         if heading is not None:
             # rounded as PyTorch does by default
             before = _numbers("heading", heading, 1).astype(np.float32).astype(np.float64)
         steer = last.get("filtered_command")
         if steer is None or steer.shape[1] < 3:
-            return before
-        return before + np.float32(self.robot.policy_period) * steer[:, 2:3]
+            return before, before
+        return before, before + np.float32(self.robot.policy_period) * steer[:, 2:3]
+
+    def _origin(self, rows: np.ndarray, tracking: np.ndarray | None) -> np.ndarray:
+        """Origin (1, 3) of the path of a robot that starts [m].
+
+        Raises:
+            ConfigurationError: the estimate has no position.
+        """
+        if tracking is not None:
+            return np.zeros((1, 3))
+        position = split_estimate(rows, self.robot).get(POSITION)
+        if position is None:
+            raise ConfigurationError(
+                f"the exported policy {str(self.path)!r} observes its distance from the commanded"
+                f" path, so estimates need {POSITION!r}, which this one lacks"
+            )
+        return np.pad(position[:, :2], ((0, 0), (0, 1)))
+
+    def _wish(self, stand: ArrayLike) -> dict[str, np.ndarray]:
+        """Input `stand` of the graph, if it has one.
+
+        Raises:
+            ConfigurationError: the policy cannot stand, and shall.
+        """
+        wish = _numbers("stand", np.asarray(stand, dtype=np.float32), 1)
+        if self.stands:
+            return {"stand": wish}
+        if wish > 0.5:
+            raise ConfigurationError(
+                f"the exported policy {str(self.path)!r} cannot stand: its contract has no input"
+                " 'stand'; only policies of the stack 'standing' have it"
+            )
+        return {}
 
     def _track(
         self, memory: np.ndarray, rows: np.ndarray, heading: np.ndarray
@@ -306,9 +338,8 @@ class ExportedController:
 
     def _joined(self, estimate: Estimate) -> np.ndarray:
         """Estimate of the estimator as (1, e)."""
-        return join_estimate(
-            {name: getattr(estimate, name) for name in self.robot.estimate_sizes}, self.robot
-        )
+        names = (*self.robot.estimate_sizes, POSITION)
+        return join_estimate({name: getattr(estimate, name) for name in names}, self.robot)
 
     def _rows(self, packets: Packets) -> np.ndarray:
         """Packets (1, w, p) or estimate (1, e) from any accepted form."""
@@ -339,45 +370,6 @@ class ExportedController:
         if size > 1 and value.ndim == 0:
             value = np.pad(value[None], (0, size - 1))
         return _numbers("command", value, size).astype(np.float32)
-
-
-def _open(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession, Contract]:
-    """Session and contract of a file, checked against the robot and each other."""
-    data = read_sealed(path)
-    options = onnxruntime.SessionOptions()
-    # one robot's network is too small for several threads
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    try:
-        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        contract = Contract.of(session.get_modelmeta().custom_metadata_map)
-        difference = contract.difference(robot)
-    except Exception as error:  # onnxruntime's errors have no common class
-        raise damaged(path, str(error).splitlines()[0]) from error
-    if difference is not None:
-        raise wrong(path, difference)
-    for kind, described, found in (
-        ("inputs", contract.inputs, session.get_inputs()),
-        ("outputs", contract.outputs, session.get_outputs()),
-    ):
-        has = [(entry["name"], *entry["shape"]) for entry in described]
-        is_ = [(entry.name, *entry.shape) for entry in found]
-        if has != is_:
-            odd: Any = sorted(set(has) ^ set(is_)) or f"order {[n for n, *_ in is_]}"
-            raise damaged(path, f"{kind} of its graph differ from its contract: {odd}")
-    return session, contract
-
-
-def _sha256(library: str, robot: Robot) -> str:
-    """SHA-256 of the table of a library by name, file or SHA-256."""
-    if len(library) == 64 and set(library) <= set("0123456789abcdef"):
-        return library
-    # imported late: it imports PyTorch
-    from aslip.files.assets import asset_path
-    from aslip.library.file import read_library
-
-    file = Path(library) if Path(library).suffix else asset_path(f"{library}.npz")
-    return read_library(file, robot)[1].sha256
 
 
 def _numbers(name: str, value: ArrayLike, size: int) -> np.ndarray:

@@ -11,6 +11,10 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import Robot
 from aslip.robot.rotation import yaw
 
+POSITION = "position"
+"""Optional entry of an estimate: position of the pelvis (3,) [m], level in the frame of the
+estimates; policies that observe their distance from the commanded path need it."""
+
 
 def is_estimate(packets: object) -> bool:
     """Check whether a mapping has the entries of an estimate, not those of packets."""
@@ -20,11 +24,13 @@ def is_estimate(packets: object) -> bool:
 def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
     """Join the entries of estimates, (n, k) each or (k,) of one robot, to an array (n, e).
 
+    The last columns are those of `POSITION`, if the estimates have it.
+
     Raises:
         UnknownNameError: an entry is missing.
         ShapeError: an entry has the wrong shape.
     """
-    sizes, columns = robot.estimate_sizes, []
+    sizes, columns = _sizes(robot, POSITION in entries), []
     for name, size in sizes.items():
         if name not in entries:
             raise UnknownNameError(f"an estimate needs {list(sizes)}; {name!r} is missing")
@@ -41,9 +47,14 @@ def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
 
 def split_estimate(rows: np.ndarray, robot: Robot) -> dict[str, np.ndarray]:
     """Split joined estimates (n, e) into entries (n, k)."""
-    sizes = robot.estimate_sizes
+    sizes = _sizes(robot, rows.shape[1] > sum(robot.estimate_sizes.values()))
     parts = np.split(rows, np.cumsum(list(sizes.values()))[:-1], axis=1)
     return dict(zip(sizes, parts, strict=True))
+
+
+def _sizes(robot: Robot, placed: bool) -> dict[str, int]:
+    """Sizes of the entries of an estimate, with or without a position."""
+    return {**robot.estimate_sizes, **({POSITION: 3} if placed else {})}
 
 
 def start_heading(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> np.ndarray:

@@ -141,10 +141,13 @@ class Transitions(nn.Module):
 
         Standing is the end of a stop.
         """
-        phase, table = phase.double() % 1.0, self.table
+        phase = phase.double() % 1.0
+        # tensors, because exporters round other numbers to single precision
+        ends = self.table.touchdown, self.table.standing
+        touchdown, standing = (torch.tensor(end, dtype=torch.float64) for end in ends)
         within, right = phase % HALF, phase >= HALF
-        stopped = (within - table.touchdown) / (table.standing - table.touchdown)
-        started = (within - table.standing) / (HALF - table.standing)
+        stopped = (within - touchdown) / (standing - touchdown)
+        started = (within - standing) / (HALF - standing)
         starting = mode == WalkMode.START
         fraction = torch.where(starting, started, stopped).clamp(0.0, 1.0)
         fraction = torch.where(mode == WalkMode.STAND, 1.0, fraction)

@@ -22,7 +22,7 @@ from aslip.estimation import (
 )
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
-from aslip.transforms.path import advance_heading, arc, move_origin, place_in_path
+from aslip.transforms.path import advance_frame, place_in_path
 from aslip.transforms.rotation import rotate_about_vertical
 
 ESTIMATE_SIZES: Final = MappingProxyType(CASSIE.estimate_sizes)
@@ -239,10 +239,9 @@ def follow_path(
         (n, 3) origin after the step.
     """
     before = torch.from_numpy(tracking.heading)[:, None] if heading is None else heading
-    before = before.float()
-    after = advance_heading(before, command, period)
+    origin, after = advance_frame(origin, before.float(), command, period)
     tracking.heading = after[:, 0].double().numpy()
-    return move_origin(origin, before, arc(command, period))
+    return origin
 
 
 def estimate_entries(

@@ -36,6 +36,17 @@ def advance_heading(
     return heading + period * command[..., 2:3]
 
 
+def advance_frame(
+    origin: Tensor, heading: Tensor, command: Tensor, period: float = CASSIE.policy_period
+) -> tuple[Tensor, Tensor]:
+    """Origin (*b, 3) [m, world] and yaw (*b, 1) [rad] of the moving frame a policy step later.
+
+    Arguments are those of `advance_heading`, and `origin` (*b, 3) on a level floor [m, world].
+    """
+    after = advance_heading(heading, command, period)
+    return move_origin(origin, heading, arc(command, period)), after
+
+
 def arc(command: Tensor, period: float = CASSIE.policy_period) -> Tensor:
     """Displacement (*b, 3) of the moving frame over a policy step, in the frame at its start [m].
 

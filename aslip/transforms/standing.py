@@ -75,8 +75,9 @@ def advance_mode(
         torch.where(lands, table.touchdown, math.inf),
         *(table.standing, math.inf, HALF),
     )
-    rate, moved = _rate(table, mode, walking), within
-    moved = within + period * rate
+    rate = _rate(table, mode, walking)
+    # a tensor, because exporters round other numbers to single precision
+    moved = within + torch.tensor(period, dtype=torch.float64) * rate
     passed = moved >= end - _ROUNDING
     spare = torch.where(passed, moved - end, 0.0).clamp(min=0.0) / rate.clamp(min=_ROUNDING)
     following = _chosen(mode, WalkMode.STOP, WalkMode.STAND, WalkMode.STAND, WalkMode.WALK)
@@ -138,7 +139,7 @@ def _chosen(mode: Tensor, *values: Tensor | float) -> Tensor:
     """Value (*b, 1) of each robot's mode, in double precision."""
     found = torch.zeros_like(mode, dtype=torch.float64)
     for one, value in zip(WalkMode, values, strict=True):
-        found = torch.where(mode == one, value, found)
+        found = torch.where(mode == one, torch.as_tensor(value, dtype=found.dtype), found)
     return found
 
 

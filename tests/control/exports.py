@@ -13,23 +13,22 @@ from aslip.control.contract import seal
 from aslip.control.own_estimate import split_estimate
 from aslip.policy import PolicyShape, RunningNormalizer, make_recurrent_actor
 from aslip.robot import CASSIE, STANDARD_GRAVITY
-from aslip.transforms import OBSERVATION_TABLE
-from tests.library.bent import symmetric_library
+from aslip.transforms import DIRECTION_TABLE
+from tests.library.standing import standing_library
 
 
 def recurrent_controller() -> Controller:
-    """Controller with an untrained GRU policy of large actions, for gaits in any direction."""
+    """Controller with an untrained GRU policy of large actions that walks anywhere, and stands."""
     torch.manual_seed(3)
-    table = (*OBSERVATION_TABLE, "filtered_command")
-    normalizer = RunningNormalizer(67)
-    normalizer.update(torch.randn(100, 67))
-    shape = PolicyShape(observation_size=67, hidden=(16, 16))
+    normalizer = RunningNormalizer(72)
+    normalizer.update(torch.randn(100, 72))
+    shape = PolicyShape(observation_size=72, hidden=(16, 16))
     actor = make_recurrent_actor(normalizer, shape)
     for name, weight in actor.named_parameters():
         if name.endswith("weight"):
             weight.data.mul_(3.0)
     policy = actor.eval().requires_grad_(False)
-    return Controller(policy, symmetric_library(), observation=table)
+    return Controller(policy, standing_library(), observation=DIRECTION_TABLE, stands=True)
 
 
 def estimate(row: np.ndarray) -> dict[str, np.ndarray]:

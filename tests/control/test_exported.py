@@ -33,7 +33,7 @@ from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.transforms import DIRECTION_TABLE
-from tests.control.exports import altered, estimate, recurrent_controller, standing_packet
+from tests.control.exports import altered, estimate, standing_packet
 
 
 @pytest.fixture(scope="module")
@@ -115,47 +115,6 @@ def test_the_robust_policy_is_exported(library: GaitLibrary, tmp_path: Path) -> 
     assert compare(robust, Controller("robust", library), 50) <= TOLERANCE
 
 
-@pytest.fixture(scope="module")
-def recurrent() -> Controller:
-    return recurrent_controller()
-
-
-@pytest.fixture(scope="module")
-def turning(recurrent: Controller, tmp_path_factory: pytest.TempPathFactory) -> ExportedController:
-    return export_policy(recurrent, tmp_path_factory.mktemp("gru") / "gru.onnx")
-
-
-def test_hidden_states_and_filtered_commands_are_part_of_the_graph(
-    recurrent: Controller, turning: ExportedController
-) -> None:
-    assert turning.contract.feedback["memory"] == "last_memory"
-    assert turning.verify() <= TOLERANCE
-    assert compare(turning, recurrent, 50) <= TOLERANCE
-    row = estimate(turning.contract.golden_trace()["estimate"][0])
-    state = turning.start(row, 0.5)
-    for name in ("memory", "filtered_command"):
-        forgetful = {**state.entries, name: np.zeros_like(state.entries[name])}
-        _, remembered = turning.step(state, row)
-        _, forgotten = turning.step(replace(state, entries=forgetful), row)
-        assert np.abs(remembered - forgotten).max() > 1e-4, name
-
-
-@pytest.mark.parametrize("mode", ["estimates", "packets"])
-def test_the_heading_advances_with_the_filtered_command(
-    recurrent: Controller, turning: ExportedController, mode: str
-) -> None:
-    rows: list[Any] = [estimate(row) for row in turning.contract.golden_trace()["estimate"][:20]]
-    if mode == "packets":
-        rows = [standing_packet() + 0.001 * i for i in range(20)]
-    theirs = recurrent.start(rows[0], [0.5, 0.0, 0.3], heading=0.2)
-    ours = turning.start(rows[0], [0.5, 0.0, 0.3], heading=0.2)
-    for i, row in enumerate(rows[1:]):
-        command, turn = [0.2, 0.1, -0.4 + 0.1 * i], 1.0 if i == 9 else None
-        theirs, expected = recurrent.step(theirs, row, command, heading=turn)
-        ours, found = turning.step(ours, row, command, heading=turn)
-        np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=2e-6)
-
-
 def test_packets_are_tracked_as_by_the_controller(
     controller: Controller, exported: ExportedController
 ) -> None:
@@ -205,6 +164,12 @@ def test_wrong_arguments_are_named(
         exported.start({**good, "height": np.array([[np.nan]])})
     with pytest.raises(ShapeError, match="one robot, got packets of 2"):
         exported.start(np.zeros((2, 1, 42)))
+    assert not exported.stands
+    assert "stand" not in exported.start(good, stand=0.0).entries
+    with pytest.raises(ConfigurationError, match="cannot stand: its contract has no input 'stand'"):
+        exported.start(good, stand=1.0)
+    with pytest.raises(ConfigurationError, match="cannot stand: its contract has no input 'stand'"):
+        exported.step(exported.start(good), good, stand=True)
     with pytest.raises(ConfigurationError, match="got packets, but the robot started with esti"):
         exported.step(exported.start(good), np.zeros((1, 1, 42)))
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from aslip.control.controller import Controller, ControllerState
+from aslip.control.controller import PATH_ERROR, Controller, ControllerState
 from aslip.control.own_estimate import join_estimate, split_estimate
 from aslip.library import GaitLibrary
 from aslip.robot import Robot
@@ -27,6 +27,8 @@ _LOST = range(60, 63)  # steps without an estimate
 _TURN, _HEADING = 90, 0.25  # step at which the heading changes, and its new value [rad]
 _RESTART = 120  # step at which the robot restarts
 _PHASE = 0.25  # stride fraction at starts
+_STANDS = (range(10, 90), range(110, 140))  # steps with the wish to stand; a restart within
+_PLACE = 0.1  # standard deviation of the distance from the path [m]
 
 
 def golden_trace(
@@ -42,8 +44,10 @@ def golden_trace(
     Returns:
         Arrays with the names of gaitkeeper's traces: `obs` (t, o), `action`, `target` (t, m) [rad],
         `command` (t, c), `reset` (t,) True at steps that start, `episode_step` (t,); and the inputs
-        `estimate` (t, e), joined in the order of `Robot.estimate_sizes`, NaN if lost; `heading`
-        (t, 1) [rad]; `phase` (1, 1) at starts.
+        `estimate` (t, e), joined in the order of `Robot.estimate_sizes`, NaN if lost, with three
+        numbers of the position at the end for policies that observe their path; `heading` (t, 1)
+        [rad]; `phase` (1, 1) at starts; `stand` (t, 1) for policies that stand, through stops and
+        starts.
     """
     step = np.arange(steps)
     generator = np.random.default_rng(seed)
@@ -51,14 +55,16 @@ def golden_trace(
     commands = commands[step // _COMMAND_STEPS]
     headings = np.where(step < _TURN, 0.0, _HEADING)[:, None]
     starts = np.isin(step, (0, _RESTART))
+    stands = controller.steering.stands
+    wishes = np.isin(step, [i for part in _STANDS for i in part])[:, None] * np.float32(stands)
     rows, states = [], []
     for i, start in enumerate(starts):
         last = None if start else states[-1]
         rows.append(_estimate(controller, last, commands[i : i + 1], generator))
         if i in _LOST:
             rows[-1] *= np.nan
-        states.append(_state(controller, last, rows[-1], commands[i], headings[i]))
-    return {
+        states.append(_state(controller, last, rows[-1], commands[i], headings[i], wishes[i]))
+    trace = {
         "obs": _joined(states, "observation"),
         "action": _joined(states, "action"),
         "target": _joined(states, "motor_target"),
@@ -69,6 +75,7 @@ def golden_trace(
         "heading": headings,
         "phase": np.array([[_PHASE]], dtype=np.float32),
     }
+    return {**trace, "stand": wishes} if stands else trace
 
 
 def _joined(states: list[ControllerState], name: str) -> np.ndarray:
@@ -83,9 +90,16 @@ def _estimate(
     generator: np.random.Generator,
 ) -> np.ndarray:
     """Random estimate (1, e) of a robot at the phase of its last state, or of a start."""
-    phase = torch.tensor([[_PHASE]]) if last is None else cast("Tensor", last.tensordict["phase"])
+    phase, mode, origin = torch.tensor([[_PHASE]]), None, np.zeros((1, 3))
+    if last is not None:
+        entries = last.tensordict
+        phase, mode = cast("Tensor", entries["phase"]), entries.get("mode", None)
+        origin = cast("Tensor", entries.get(("odometry", "origin"), torch.zeros(1, 3))).numpy()
     robot = controller.estimator.robot
-    return random_estimates(controller.library, robot, phase, command, generator)
+    row = random_estimates(controller.library, robot, phase, command, generator, mode)
+    if PATH_ERROR not in controller.observation:
+        return row
+    return np.concatenate([row, origin + _PLACE * generator.standard_normal((1, 3))], axis=1)
 
 
 def _state(
@@ -94,13 +108,15 @@ def _state(
     row: np.ndarray,
     command: np.ndarray,
     heading: np.ndarray,
+    stand: np.ndarray,
 ) -> ControllerState:
     """State after a step of the trace."""
     estimate = split_estimate(row, controller.estimator.robot)
     commanded, ahead = torch.from_numpy(command)[None], torch.tensor(heading)[None].float()
+    wish = torch.from_numpy(stand)[None]
     if last is None:
-        return controller.start(estimate, commanded, phase=_PHASE, heading=ahead)
-    return controller.step(last, estimate, commanded, heading=ahead)[0]
+        return controller.start(estimate, commanded, stand=wish, phase=_PHASE, heading=ahead)
+    return controller.step(last, estimate, commanded, stand=wish, heading=ahead)[0]
 
 
 def random_commands(library: GaitLibrary, count: int, generator: np.random.Generator) -> np.ndarray:
@@ -116,6 +132,7 @@ def random_estimates(
     phase: Tensor,
     command: np.ndarray,
     generator: np.random.Generator,
+    mode: Tensor | None = None,
 ) -> np.ndarray:
     """Joined estimates (n, e) of robots in the state of the reference, with noise.
 
@@ -125,9 +142,10 @@ def random_estimates(
         phase: (n, 1) stride fraction.
         command: (n, c) command.
         generator: source of the noise.
+        mode: (n, 1) values of `aslip.library.WalkMode`; walking by default.
     """
     at = robot.indices
-    found = library.initial_state(phase, torch.from_numpy(command))
+    found = library.initial_state(phase, torch.from_numpy(command), mode)
     qpos, qvel = (values.numpy() for values in found)
     estimate = {
         "height": qpos[:, at.pelvis_position][:, 2:],

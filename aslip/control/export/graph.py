@@ -6,7 +6,7 @@ import contextlib
 import io
 import logging
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -17,14 +17,16 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 
 from aslip.control.contract import observed_name
-from aslip.control.controller import Controller
-from aslip.control.turn import hold_estimate
+from aslip.control.controller import PATH_ERROR, Controller
+from aslip.control.own_estimate import POSITION
+from aslip.control.turn import hold_estimate, place_on_path
 from aslip.errors import ConfigurationError
 from aslip.library.region import COMMANDS
 from aslip.policy import entry_names
 from aslip.robot import Robot
-from aslip.transforms.clock import advance_phase
-from aslip.transforms.command import approach_command
+from aslip.transforms import PATH_SIZES
+from aslip.transforms.path import advance_frame
+from aslip.transforms.rotation import rotate_about_vertical
 
 _WORLD = "frame of the estimates, z up against gravity"
 _HEADING = "heading frame: z up against gravity, x along the heading"
@@ -45,7 +47,10 @@ _ESTIMATE = {
 }
 _AXES = {1: ("z",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 # last word of the name of any other entry -> unit
-_UNITS = {"position": "m", "velocity": "m/s", "heading": "rad", "target": "rad", "error": "m"}
+_UNITS = {"position": "m", "velocity": "m/s", "heading": "rad", "target": "rad", "error": "m"} | {
+    "origin": "m"
+}
+_MODES = "0 walks, 1 stops, 2 stands, 3 starts"
 # opset that onnxruntime supports since 1.17
 _OPSET = 18
 
@@ -86,8 +91,10 @@ class PolicyStep(nn.Module):
 
     Inputs (1, k) are the entries of an estimate, `heading`, `command`, `first`, and values of the
     last step: `last_phase`, `last_action`, `last_estimate`, with several axes of the command
-    `last_filtered_command`, and the policy's hidden states. At a first step, `first` is True,
-    `last_phase` is the phase to begin at, and the other last values have no effect.
+    `last_filtered_command`, and the policy's hidden states. A policy that stands also takes `stand`
+    and `last_mode`; one that observes its distance from the path takes `position`, `path_heading`,
+    `last_origin` and `last_path_error`. At a first step, `first` is True, `last_phase` is the phase
+    to begin at, `last_origin` the place of the pelvis, and the other last values have no effect.
 
     Args:
         controller: the controller.
@@ -103,7 +110,9 @@ class PolicyStep(nn.Module):
         self._controller, self._robot = controller, controller.estimator.robot
         self._along_path = self.library.command_size > 1
         names = entry_names(controller.observation)
-        if odd := [name for name in names if name.startswith(("odometry", "estimator"))]:
+        self._placed = self._along_path and PATH_ERROR in controller.observation
+        hidden = [name for name in names if not (self._placed and name == "/".join(PATH_ERROR))]
+        if odd := [name for name in hidden if name.startswith(("odometry", "estimator"))]:
             raise ConfigurationError(
                 f"the policy observes {odd}, which robots do not estimate themselves, so it cannot"
                 " be exported"
@@ -127,43 +136,59 @@ class PolicyStep(nn.Module):
 
     def _step(self, *values: Tensor) -> dict[str, Tensor]:
         given = dict(zip((entry.name for entry in self.inputs), values, strict=True))
-        period = self._robot.policy_period
-        first, command = given["first"], self.library.nearest(given["command"])
-        steer = given["last_filtered_command"] if self._along_path else command
-        phase = advance_phase(self.library, given["last_phase"], steer, period)
+        first = given["first"]
         sizes = self._robot.estimate_sizes
         last = given["last_estimate"].split(list(sizes.values()), dim=-1)
-        estimate = hold_estimate(
-            {name: given[name] for name in sizes},
-            given["heading"],
-            dict(zip(sizes, last, strict=True)),
-        )
         present: dict[str, Any] = {
-            "command": command,
-            "phase": torch.where(first, given["last_phase"] % 1.0, phase),
-            "estimate": estimate,
+            **self._steered(given),
+            "estimate": hold_estimate(
+                {name: given[name] for name in sizes},
+                given["heading"],
+                dict(zip(sizes, last, strict=True)),
+            ),
             "last_action": torch.where(first, 0.0, given["last_action"]),
             # hidden states of first steps are set to zero here
             "is_init": torch.tensor([[False]] * len(first)),
         }
+        if self._placed:
+            present["odometry"] = self._odometry(given)
         for name in self._memory:
             state = given[f"last_{name}"]
             present[name] = torch.where(first.reshape(-1, *[1] * (state.ndim - 1)), 0.0, state)
-        if self._along_path:
-            rates = self._controller.command_rates
-            following = approach_command(steer, command, rates, period)
-            present["filtered_command"] = torch.where(first, command, following)
         acting = TensorDict(present, batch_size=[len(first)])
         return self._results(self._controller.act(acting).tensordict)
+
+    def _steered(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Command, phase, and what else follows from command and wish."""
+        steering, first = self._controller.steering, given["first"]
+        command, stand = self.library.nearest(given["command"]), given.get("stand")
+        begun = steering.begin(command, given["last_phase"], stand)
+        names = ("phase", "filtered_command", "mode")
+        past = {name: given[f"last_{name}"] for name in names if f"last_{name}" in given}
+        following = steering.advance(past, command, stand)
+        now = {name: torch.where(first, begun[name], following[name]) for name in past}
+        return {**following, **now}
+
+    def _odometry(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Origin of the path of the command, and distance of the pelvis from it."""
+        first, before = given["first"], given["path_heading"].float()
+        place = rotate_about_vertical(given[POSITION], -given["heading"])
+        steer, begun = given["last_filtered_command"], given["last_origin"]
+        origin, ahead = advance_frame(begun, before, steer, self._robot.policy_period)
+        origin, ahead = torch.where(first, begun, origin), torch.where(first, before, ahead)
+        return place_on_path(place, origin, ahead, given["last_path_error"])
 
     def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
         """Values of the outputs by name."""
         names = ["motor_target", "action", "observation", "phase"]
         names += ["filtered_command"] if self._along_path else []
+        names += ["mode"] if self._controller.steering.stands else []
         sizes = self._robot.estimate_sizes
         estimate = torch.cat([cast("Tensor", found["estimate", name]) for name in sizes], dim=-1)
         values = {"nearest_command": found["command"], **{name: found[name] for name in names}}
         values |= {"estimate": estimate, **{name: found["next", name] for name in self._memory}}
+        if self._placed:
+            values |= {name: found["odometry", name] for name in PATH_SIZES}
         observed = {observed_name(n): found[tuple(n.split("/"))] for n in self._observed}
         # copies: outputs of a graph must be distinct from its inputs and from each other
         return {n: cast("Tensor", v).clone() for n, v in {**observed, **values}.items()}
@@ -189,6 +214,10 @@ class PolicyStep(nn.Module):
         ]
         if self._along_path:
             entries.append(Entry("last_filtered_command", command, elements=_axes(size)))
+        if self._controller.steering.stands:
+            entries += _STAND_INPUTS
+        if self._placed:
+            entries += _PATH_INPUTS
         return entries + [
             Entry(f"last_{name}", value, meaning="hidden state of the policy")
             for name, value in self._memory.items()
@@ -203,6 +232,37 @@ _HEADING_INPUT = Entry(
     meaning="yaw that counts as straight ahead; at a first step usually that of the orientation",
 )
 
+_STAND_INPUTS = (
+    Entry("stand", torch.zeros(1, 1), meaning="wish: 1 to stand, 0 to walk"),
+    Entry("last_mode", torch.zeros(1, 1), meaning=_MODES),
+)
+_PATH_INPUTS = (
+    Entry(
+        POSITION,
+        torch.zeros(1, 3, dtype=torch.float64),
+        "state/body/position",
+        ("x", "y", "z"),
+        "m",
+        _WORLD,
+        "position of the pelvis; z has no effect",
+    ),
+    Entry(
+        "path_heading",
+        torch.zeros(1, 1, dtype=torch.float64),
+        unit="rad",
+        frame=_WORLD,
+        meaning="yaw of the moving frame before the step; heading is that after the step",
+    ),
+    Entry(
+        "last_origin",
+        torch.zeros(1, 3),
+        unit="m",
+        frame=_WORLD,
+        meaning="origin of the moving frame; at a first step the place of the pelvis, with z zero",
+    ),
+    Entry("last_path_error", torch.zeros(1, 2), unit="m", frame=_HEADING),
+)
+
 
 def _axes(size: int) -> tuple[str, ...]:
     """Names of the components of a command."""
@@ -210,7 +270,7 @@ def _axes(size: int) -> tuple[str, ...]:
 
 
 def standing_estimate(robot: Robot) -> dict[str, np.ndarray]:
-    """Estimate of a robot that stands upright."""
+    """Estimate of a robot that stands upright at the origin."""
     at, qpos = robot.indices, robot.standing
     zeros = {name: np.zeros((1, size)) for name, size in robot.estimate_sizes.items()}
     return {
@@ -219,6 +279,7 @@ def standing_estimate(robot: Robot) -> dict[str, np.ndarray]:
         "orientation": np.array([[1.0, 0.0, 0.0, 0.0]]),
         "motor_position": qpos[at.motor_qpos][None],
         "joint_position": qpos[at.joint_qpos][None],
+        POSITION: np.zeros((1, 3)),
     }
 
 
@@ -231,6 +292,7 @@ def _output(name: str, value: Tensor, robot: Robot) -> Entry:
         "observation": Entry(name, value, meaning="entries of observation_names, in order"),
         "nearest_command": Entry(name, value, meaning="command moved into the library's region"),
         "phase": Entry(name, value, meaning="stride fraction; 0 is left lift-off"),
+        "mode": Entry(name, value, meaning=_MODES),
         "filtered_command": Entry(name, value, None, _axes(value.shape[-1]), "m/s, rad/s"),
         "estimate": Entry(
             name, value, None, frame=_HEADING, meaning="entries of the estimate, in order"

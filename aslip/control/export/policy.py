@@ -30,7 +30,7 @@ from aslip.control.own_estimate import split_estimate
 from aslip.errors import ConfigurationError
 from aslip.files.archive import as_json
 from aslip.files.writing import replacing
-from aslip.library import GaitLibrary
+from aslip.library import GaitLibrary, WalkMode
 from aslip.policy import entry_names, find_policy, read_card
 
 _BATCH = 1000  # steps that PyTorch computes at once in a comparison
@@ -111,7 +111,7 @@ def mjlab_metadata(controller: Controller, run_path: str) -> dict[str, str]:
         "joint_stiffness": csv(robot.stiffness),
         "joint_damping": csv(robot.damping),
         "default_joint_pos": csv(start.motor_position[0].tolist()),
-        "command_names": "command",
+        "command_names": csv(["command", *(["stand"] if controller.steering.stands else [])]),
         "observation_names": csv(entry_names(controller.observation)),
         "action_scale": csv([1.0] * len(robot.motor_names)),
     }
@@ -231,7 +231,11 @@ def _random_inputs(
     given = {name: torch.from_numpy(value) for name, value in split_estimate(rows, robot).items()}
     given |= {"command": torch.from_numpy(command), "last_phase": phase}
     given["heading"] = torch.from_numpy(generator.normal(0, 0.3, (num, 1)))
+    given["path_heading"] = given["heading"]
     given["first"] = torch.from_numpy(generator.random((num, 1)) < 0.1)
+    given["position"] = torch.from_numpy(generator.normal(0, 0.2, (num, 3)))
+    for name, count in (("stand", 2), ("last_mode", len(WalkMode))):
+        given[name] = torch.from_numpy(generator.integers(0, count, (num, 1)).astype(np.float32))
     for entry in step.inputs:
         if entry.name not in given:
             shape = (num, *entry.value.shape[1:])

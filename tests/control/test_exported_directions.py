@@ -1,0 +1,119 @@
+"""Exported policies that walk in all directions along a path, and stand on a wish."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aslip.control import Controller
+from aslip.control.contract import TOLERANCE
+from aslip.control.export import compare, export_policy
+from aslip.control.exported import ExportedController
+from aslip.errors import ConfigurationError, UnknownNameError
+from tests.control.exports import (
+    estimate,
+    recurrent_controller,
+    standing_packet,
+)
+
+
+@pytest.fixture(scope="module")
+def recurrent() -> Controller:
+    return recurrent_controller()
+
+
+@pytest.fixture(scope="module")
+def turning(recurrent: Controller, tmp_path_factory: pytest.TempPathFactory) -> ExportedController:
+    return export_policy(recurrent, tmp_path_factory.mktemp("gru") / "gru.onnx")
+
+
+def test_hidden_states_and_filtered_commands_are_part_of_the_graph(
+    recurrent: Controller, turning: ExportedController
+) -> None:
+    assert turning.contract.feedback["memory"] == "last_memory"
+    assert turning.verify() <= TOLERANCE
+    assert compare(turning, recurrent, 50) <= TOLERANCE
+    row = estimate(turning.contract.golden_trace()["estimate"][0])
+    state = turning.start(row, 0.5)
+    for name in ("memory", "filtered_command"):
+        forgetful = {**state.entries, name: np.zeros_like(state.entries[name])}
+        _, remembered = turning.step(state, row)
+        _, forgotten = turning.step(replace(state, entries=forgetful), row)
+        assert np.abs(remembered - forgotten).max() > 1e-4, name
+
+
+@pytest.mark.parametrize("mode", ["estimates", "packets"])
+def test_the_heading_advances_with_the_filtered_command(
+    recurrent: Controller, turning: ExportedController, mode: str
+) -> None:
+    rows: list[Any] = [estimate(row) for row in turning.contract.golden_trace()["estimate"][:20]]
+    if mode == "packets":
+        rows = [standing_packet() + 0.001 * i for i in range(20)]
+    theirs = recurrent.start(rows[0], [0.5, 0.0, 0.3], heading=0.2)
+    ours = turning.start(rows[0], [0.5, 0.0, 0.3], heading=0.2)
+    for i, row in enumerate(rows[1:]):
+        command, turn = [0.2, 0.1, -0.4 + 0.1 * i], 1.0 if i == 9 else None
+        theirs, expected = recurrent.step(theirs, row, command, heading=turn)
+        ours, found = turning.step(ours, row, command, heading=turn)
+        np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=2e-6)
+
+
+def test_the_golden_trace_covers_stops_and_starts(
+    turning: ExportedController,
+) -> None:
+    contract = turning.contract
+    assert turning.stands
+    assert contract.metadata["command_names"] == "command,stand"
+    assert contract.feedback["mode"] == "last_mode"
+    entries = turning._replayed(contract.golden_trace())
+    modes = np.array([step["mode"].item() for step in entries])
+    assert set(modes) == {0, 1, 2, 3}
+    for before, after in ((1, 2), (2, 3), (3, 0)):
+        assert ((modes[:-1] == before) & (modes[1:] == after)).any()
+    errors = np.concatenate([step["path_error"] for step in entries])
+    assert errors.std(axis=0).min() > 0.05
+
+
+@pytest.mark.parametrize("mode", ["estimates", "packets"])
+def test_motor_targets_are_those_of_the_controller(
+    recurrent: Controller, turning: ExportedController, mode: str
+) -> None:
+    """With new headings, lost estimates, a restart into standing, and wishes that hold."""
+    rng = np.random.default_rng(2)
+    rows: list[Any] = [
+        standing_packet() + 0.01 * rng.standard_normal((1, 10, 42)) for _ in "x" * 40
+    ]
+    if mode == "estimates":
+        rows = [estimate(row) for row in turning.contract.golden_trace()["estimate"][:40]]
+    wishes = {3: 1.0, 20: 0.0, 30: 1.0}
+    both: list[Any] = [
+        one.start(rows[0], [0.1, 0.0, 0.3], heading=0.2) for one in (recurrent, turning)
+    ]
+    for i, row in enumerate(rows[1:]):
+        given: dict[str, Any] = {"stand": wishes.get(i), "heading": 1.0 if i == 9 else None}
+        got = None if i == 12 else row
+        again = {"restart": i == 32, "phase": 0.3}
+        theirs, expected = recurrent.step(both[0], got, **given)
+        if again["restart"]:
+            theirs = recurrent.start(row, theirs.tensordict["command"], stand=1.0, phase=0.3)
+            expected = theirs.motor_target
+        ours, found = turning.step(both[1], got, **given, **again)
+        np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=2e-6)
+        error = theirs.tensordict["odometry", "path_error"].numpy()
+        np.testing.assert_allclose(ours.entries["path_error"], error, rtol=0, atol=1e-6)
+        both = [theirs, ours]
+    assert both[1].entries["mode"].item() == 2
+
+
+def test_places_that_an_estimate_lacks_are_named(
+    recurrent: Controller, turning: ExportedController
+) -> None:
+    row = estimate(turning.contract.golden_trace()["estimate"][0])
+    del row["position"]
+    with pytest.raises(ConfigurationError, match="estimates need 'position'"):
+        turning.start(row)
+    with pytest.raises(UnknownNameError, match="estimates lack 'position'"):
+        recurrent.start(row)
