@@ -49,7 +49,7 @@ class Config:
     """Command from the start of the walk on: forward speed [m/s]; or forward speed, sideways speed
     and yaw rate [rad/s], separated by spaces."""
     schedule: str | None = None
-    """Commands over the time of the walk [s], such as "0:0.0,4:1.0,8:0.5"."""
+    """Commands over the time of the walk [s], such as "0:0.0,4:1.0,8:0.5" or "0:0.5,6:stand"."""
     listen: int | None = None
     """Port on loopback that receives commands of another program as JSON."""
     duration: float = math.inf
@@ -97,6 +97,8 @@ def main(config: Config) -> None:
         loaded = load(config.policy, config.library)
         if isinstance(source, Scheduled) and source.sideways and loaded.command_size == 1:
             raise ConfigurationError(f"the policy {config.policy!r} cannot walk sideways")
+        if isinstance(source, Scheduled) and source.stands and not loaded.stands:
+            raise ConfigurationError(f"the policy {config.policy!r} cannot stand on a wish")
         supervisor = make_supervisor(loaded, limits)
         _say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
         log = _open_log(config, loaded, readings, limits)
@@ -144,7 +146,8 @@ def make_limits(config: Config) -> Limits:
 
 def make_supervisor(loaded: Loaded, limits: Limits) -> Supervisor:
     """Supervisor of a loaded controller."""
-    return Supervisor(loaded.controller, loaded.pose, limits, command_size=loaded.command_size)
+    size, stands = loaded.command_size, loaded.stands
+    return Supervisor(loaded.controller, loaded.pose, limits, command_size=size, stands=stands)
 
 
 def local_address(robot: Address, port: int) -> tuple[Address, bool]:

@@ -56,6 +56,8 @@ class Scheduled:
         self._schedule, self._duration = schedule, duration
         self.sideways = any(any(numbers(command)[1:2]) for command in schedule.commands)
         """Whether a command goes sideways."""
+        self.stands = any(schedule.stands)
+        """Whether the robot shall stand."""
 
     def __enter__(self) -> Scheduled:
         return self
@@ -64,9 +66,9 @@ class Scheduled:
 
     def request(self, time: float, walking: float) -> Request:
         """Request for the command that is due."""
-        command = numbers(self._schedule.at(max(walking, 0.0)))
-        stop = walking >= self._duration - 1e-9
-        return Request(stop=stop)._replace(**dict(zip(AXES, command, strict=False)))
+        now, stop = max(walking, 0.0), walking >= self._duration - 1e-9
+        command = dict(zip(AXES, numbers(self._schedule.at(now)), strict=False))
+        return Request(stop=stop, stand=self._schedule.stand_at(now))._replace(**command)
 
 
 KEYS: Final[Mapping[str, str]] = {
@@ -75,6 +77,7 @@ KEYS: Final[Mapping[str, str]] = {
     "a, d": "change the yaw rate by 0.1 rad/s to the left, right",
     "q, e": "change the sideways speed by 0.1 m/s to the left, right, if the policy has one",
     "space": "step in place",
+    "c": "stand, or walk again; policies that cannot stand step in place",
     ".": "stop: step in place, then damp the motors",
     "x": "damp the motors at once",
 }
@@ -143,6 +146,8 @@ def press(request: Request, key: str) -> Request:
         return request._replace(**{axis: round(getattr(request, axis) + change, 6)})
     if key == " ":
         return request._replace(forward=0.0, sideways=0.0, yaw_rate=0.0)
+    if key == "c":
+        return request._replace(stand=not request.stand)
     if key in "\r\n":
         return request._replace(walk=True)
     if key == ".":
@@ -156,8 +161,8 @@ class Datagrams:
     """Requests as JSON in UDP datagrams on loopback; the newest one applies.
 
     A datagram is an object with any of `forward`, `sideways` [m/s], `yaw_rate` [rad/s], `walk`,
-    `stop` (booleans) and `damp` (text, the reason). Missing numbers are zero, and `walk` is true by
-    default. After one second without a datagram the robot steps in place.
+    `stand`, `stop` (booleans) and `damp` (text, the reason). Missing numbers are zero, and `walk`
+    is true by default. After one second without a datagram the robot steps in place.
 
     Args:
         port: port on loopback; 0 lets the system choose one.

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aslip.control.own_estimate import POSITION
 from aslip.control.runner.supervisor import MotorController
 from aslip.errors import AslipError, ConfigurationError
 from aslip.robot import CASSIE, Robot
@@ -26,6 +27,8 @@ class Loaded(NamedTuple):
     """Motor angles (10,) of its reference in place, at the start of a stride [rad]."""
     command_size: int
     """Number of components of its command."""
+    stands: bool
+    """True if it stands on a wish."""
     files: dict[str, bytes]
     """Contents of the files that `load` read, by name."""
 
@@ -74,7 +77,7 @@ def warm_up(controller: MotorController) -> None:
 
 
 def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
-    """Estimate of a robot that stands upright: entries (k,) of `("estimate", ...)`."""
+    """Estimate of a robot that stands upright: entries (k,) of `("estimate", ...)`, position."""
     at, qpos = robot.indices, robot.standing
     return {
         **state_out_to_estimate(STATE_OUT.zeros()),
@@ -82,6 +85,7 @@ def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
         "orientation": np.array([1.0, 0.0, 0.0, 0.0]),
         "motor_position": qpos[at.motor_qpos],
         "joint_position": qpos[at.joint_qpos],
+        POSITION: qpos[at.pelvis_position],
     }
 
 
@@ -97,7 +101,8 @@ def _of_export(path: Path, library: str | Path | None) -> Loaded:
     controller = ExportedController(path, library=None if library is None else str(library))
     controller.verify()
     files = {"policy.onnx": path.read_bytes()}
-    return Loaded(controller, controller.pose, controller.command_size, files)
+    size, stands = controller.command_size, controller.stands
+    return Loaded(controller, controller.pose, size, stands, files)
 
 
 def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
@@ -127,4 +132,4 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
     zero = torch.zeros(1, gaits.command_size)
     pose = gaits.lookup(torch.zeros(1, 1), zero).motor_position[0].double().numpy()
     files = {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()}
-    return Loaded(controller, pose, gaits.command_size, files)
+    return Loaded(controller, pose, gaits.command_size, controller.steering.stands, files)

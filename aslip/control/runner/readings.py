@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from aslip.control.own_estimate import POSITION
 from aslip.control.runner.supervisor import Reading
 from aslip.robot import CASSIE, Robot
 from aslip.wire import (
@@ -81,7 +82,9 @@ class StateReadings:
             return None
         time, record = self._newest
         self._newest = None
-        return Reading(time, state_out_to_estimate(record), record["radio"]["channel"].copy())
+        estimate = state_out_to_estimate(record)
+        estimate[POSITION] = record["pelvis"]["position"].copy()
+        return Reading(time, estimate, record["radio"]["channel"].copy())
 
     def answer(self, command: MotorCommand) -> np.ndarray:
         """Targets and gains for the PD loop of the robot."""
@@ -144,7 +147,8 @@ class SensorReadings:
         if self._arrived is None or self._estimate is None or self._record is None:
             return None
         time, self._arrived = self._arrived, None
-        estimate = {name: getattr(self._estimate, name)[0] for name in ESTIMATE_ENTRIES}
+        names = (*ESTIMATE_ENTRIES, POSITION)
+        estimate = {name: getattr(self._estimate, name)[0] for name in names}
         return Reading(time, estimate, self._record["pelvis"]["radio"]["channel"].copy())
 
     def answer(self, command: MotorCommand) -> np.ndarray:

@@ -41,7 +41,7 @@ FILES: Final = "files"
 """Metadata entry: names of the attached files that load the policy, joined by spaces."""
 
 _STAGES = tuple(Stage)
-_REQUEST = ("forward", "sideways", "yaw_rate", "walk", "stop", "damp")
+_REQUEST = ("forward", "sideways", "yaw_rate", "walk", "stop", "damp", "stand")
 _TIMING = ("lateness", "reply")
 # little-endian CDR, then the numbers
 _CDR = b"\x00\x01\x00\x00"
@@ -114,7 +114,7 @@ class RunLog:
             reading: last reading.
             timing: lateness of the beginning, and time until the command was sent [s].
         """
-        asked = [*map(float, request[:5]), float(bool(request.damp))]
+        asked = [*map(float, request[:5]), float(bool(request.damp)), float(request.stand)]
         values = np.concatenate([asked, [_STAGES.index(stage)], *command, timing])
         channel, template = self._tick
         self._writer.write(channel, time_ns, template.encode(time_ns, values))
@@ -226,11 +226,13 @@ def _compare(series: Mapping[str, Any], supervisor: Supervisor, raw: bool) -> Re
             record = readings.receives.unpack(payload)
             readings.take(float(arrivals[waiting]), int(received["step"][waiting]), record)
             waiting += 1
-        numbers = [float(ticks[name][k]) for name in _REQUEST]
+        # logs of earlier versions have no wish to stand
+        numbers = [float(ticks[n][k]) if n in ticks.columns else 0.0 for n in _REQUEST]
         damp = "operator" if numbers[5] else ""
         forward, sideways, yaw_rate = numbers[:3]
         walk, stop = map(bool, numbers[3:5])
-        request = Request(forward, sideways, yaw_rate, walk, stop, damp)
+        stand = bool(numbers[6])
+        request = Request(forward, sideways, yaw_rate, walk, stop, damp, stand)
         command = np.concatenate(supervisor.tick(now, readings.newest(), request))
         logged = np.array([ticks[name][k] for name in names])
         stage = _STAGES[int(ticks["stage"][k])]

@@ -34,12 +34,20 @@ class MotorController(Protocol):
     States have `motor_target`, (1, 10) angles [rad], as an array or a tensor.
     """
 
-    def start(self, packets: Any, command: Any = 0.0, *, heading: Any = None) -> Any:
+    def start(
+        self, packets: Any, command: Any = 0.0, *, heading: Any = None, stand: Any = 0.0
+    ) -> Any:
         """Start with an estimate; return a state."""
         ...
 
     def step(
-        self, state: Any, packets: Any, command: Any = None, *, heading: Any = None
+        self,
+        state: Any,
+        packets: Any,
+        command: Any = None,
+        *,
+        heading: Any = None,
+        stand: Any = None,
     ) -> tuple[Any, Any]:
         """Advance by a policy step; return a new state and its motor targets."""
         ...
@@ -92,6 +100,8 @@ class Request(NamedTuple):
     """Step in place, then damp."""
     damp: str = ""
     """Reason to damp at once; empty for none."""
+    stand: bool = False
+    """Stand on both feet; policies that cannot step in place."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +143,7 @@ class Supervisor:
         limits: durations and limits.
         command_size: 1 for policies with a forward speed only, whose heading the supervisor turns;
             3 for forward speed, sideways speed and yaw rate.
+        stands: True for policies that stand on a wish.
         robot: robot that gives gains and the policy period.
     """
 
@@ -143,6 +154,7 @@ class Supervisor:
         limits: Limits | None = None,
         *,
         command_size: int = 1,
+        stands: bool = False,
         robot: Robot = CASSIE,
     ) -> None:
         self.robot, self.limits = robot, limits or Limits()
@@ -155,6 +167,7 @@ class Supervisor:
         self.reading: Reading | None = None
         """Last reading."""
         self._controller, self._pose, self._size = controller, np.array(pose), command_size
+        self._stands = stands
         self._hold = self._pose
         self._state: Any = None
         self._heading = 0.0
@@ -250,21 +263,24 @@ class Supervisor:
 
     def _walked(self, reading: Reading | None, request: Request) -> np.ndarray:
         """Motor targets (10,) of the policy's next step."""
-        standing = self.stage is Stage.STOP
-        command = (0.0,) * 3 if standing else (request.forward, request.sideways, request.yaw_rate)
+        in_place = self.stage is Stage.STOP or request.stand
+        command = (0.0,) * 3 if in_place else (request.forward, request.sideways, request.yaw_rate)
         wanted = command if self._size > 1 else command[0]
+        wish = {"stand": request.stand} if self._stands else {}
         if self._state is None:
             assert self.reading is not None
             self._heading = float(yaw(self.reading.estimate["orientation"]))
             self._state = self._controller.start(
-                self.reading.estimate, wanted, heading=self._heading
+                self.reading.estimate, wanted, heading=self._heading, **wish
             )
         else:
             estimate = None if reading is None else reading.estimate
             turned = self._heading + command[2] * self.robot.policy_period
             heading = turned if self._size == 1 and command[2] else None
             self._heading = self._heading if heading is None else heading
-            self._state, _ = self._controller.step(self._state, estimate, wanted, heading=heading)
+            self._state, _ = self._controller.step(
+                self._state, estimate, wanted, heading=heading, **wish
+            )
         target = np.asarray(self._state.motor_target, dtype=np.float64).reshape(-1)
         if target.shape != self._pose.shape or not np.isfinite(target).all():
             raise ValueError(f"motor targets must be {self._pose.size} finite angles, got {target}")

@@ -27,6 +27,11 @@ def test_a_schedule_in_any_direction() -> None:
     assert source.sideways
     assert not Scheduled(Schedule.parse("0.5 0 -0.2")).sideways
     assert source.request(0.0, 1e6) == Request(0.5, 0.1, -0.2)
+    assert not source.stands
+    resting = Scheduled(Schedule.parse("0:0.5 0 0,2:stand"))
+    assert resting.stands
+    assert resting.request(0.0, 1.0) == Request(0.5)
+    assert resting.request(0.0, 2.0) == Request(stand=True)
 
 
 @pytest.mark.parametrize(
@@ -38,6 +43,8 @@ def test_a_schedule_in_any_direction() -> None:
         ("adda", Request(walk=False)),
         ("aq", Request(yaw_rate=0.1, sideways=0.1, walk=False)),
         ("\nwq ", Request()),
+        ("wc", Request(forward=0.1, walk=False, stand=True)),
+        ("cc", Request(walk=False)),
         ("w.", Request(forward=0.1, walk=False, stop=True)),
         ("x", Request(walk=False, damp="operator: key x")),
         ("ü1~", Request(walk=False)),

@@ -25,15 +25,18 @@ class Recorder:
     """Controller that records how it is called; its targets count its steps."""
 
     calls: list[tuple[Any, ...]] = field(default_factory=list)
+    wishes: list[dict[str, Any]] = field(default_factory=list)
     fails: str = ""
 
-    def start(self, packets: Any, command: Any = 0.0, *, heading: Any = None) -> Any:
+    def start(self, packets: Any, command: Any = 0.0, *, heading: Any = None, **wish: Any) -> Any:
         self.calls.append(("start", packets, command, heading))
+        self.wishes.append(wish)
         return SimpleNamespace(motor_target=np.ones((1, 10)))
 
     def step(
-        self, state: Any, packets: Any, command: Any = None, *, heading: Any = None
+        self, state: Any, packets: Any, command: Any = None, *, heading: Any = None, **wish: Any
     ) -> tuple[Any, Any]:
+        self.wishes.append(wish)
         if self.fails == "raises":
             raise RuntimeError("no session")
         self.calls.append(("step", packets, command, heading))
@@ -129,6 +132,17 @@ def test_a_policy_for_all_directions_gets_the_whole_command() -> None:
     for k in range(2):
         supervisor.tick(k * PERIOD, standing(k * PERIOD), Request(0.5, 0.1, 0.2))
     assert controller.calls[-1][2:] == ((0.5, 0.1, 0.2), None)
+
+
+def test_only_policies_that_stand_get_the_wish_and_others_step_in_place() -> None:
+    for stands in (True, False):
+        controller = Recorder()
+        supervisor = Supervisor(controller, POSE, command_size=3, stands=stands)
+        for k in range(2):
+            supervisor.tick(k * PERIOD, standing(k * PERIOD), Request(0.5, stand=k == 1))
+        assert [call[2][0] for call in controller.calls] == [0.5, 0.0]
+        expected = [{"stand": False}, {"stand": True}] if stands else [{}, {}]
+        assert controller.wishes == expected
 
 
 TILTED = np.array([math.cos(0.5), math.sin(0.5), 0, 0])
