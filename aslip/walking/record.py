@@ -27,6 +27,7 @@ from aslip.errors import ConfigurationError, ShapeError
 from aslip.policy import add_memory
 from aslip.robot import SIDES
 from aslip.transforms import RandomCommand, StandCommand
+from aslip.walking.wishes import can_stand, checked_wishes, refuse_wish
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
@@ -191,37 +192,9 @@ def reset_walks(
     if can_stand(env):
         values["stand"] = np.broadcast_to(stand, len(command))
     else:
-        _refuse_wish(stand)
+        refuse_wish(stand)
     request = {name: _columns(value) for name, value in values.items()}
     return env.reset(TensorDict(request, batch_size=env.num_envs))
-
-
-def can_stand(env: StackEnv) -> bool:
-    """True if robots of an environment stand on a wish, see `aslip.transforms.StandClock`."""
-    return "stand" in env.observation_spec.keys()  # noqa: SIM118
-
-
-def checked_wishes(
-    env: StackEnv, stand: np.ndarray | None, shape: tuple[int, ...]
-) -> np.ndarray | None:
-    """Wishes to stand of a shape; None for robots that cannot stand, which walk.
-
-    Raises:
-        ShapeError: `stand` has another shape.
-        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
-    """
-    wishes = np.zeros(shape) if stand is None else np.asarray(stand)
-    if wishes.shape != shape:
-        raise ShapeError(f"stand must be {shape} as the command, got {wishes.shape}")
-    if can_stand(env):
-        return wishes
-    _refuse_wish(wishes)
-    return None
-
-
-def _refuse_wish(stand: np.ndarray | float) -> None:
-    if np.any(np.asarray(stand) > 0):
-        raise ConfigurationError("robots of this stack cannot stand; see aslip.envs.standing_stack")
 
 
 def _columns(values: np.ndarray) -> torch.Tensor:

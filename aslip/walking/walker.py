@@ -18,7 +18,8 @@ from aslip.library import Command, GaitLibrary, numbers
 from aslip.policy import add_memory, load_policy, policy_stack
 from aslip.robot import CASSIE
 from aslip.walking.push import policy_steps
-from aslip.walking.record import can_stand, next_start, reset_walks, take_step
+from aslip.walking.record import next_start, reset_walks, take_step
+from aslip.walking.wishes import can_stand
 
 
 class Walker:

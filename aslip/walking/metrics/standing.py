@@ -19,7 +19,8 @@ def planting_time(force: np.ndarray, period: float, hold: float = 0.5) -> float:
     Raises:
         ShapeError: `force` is not of two feet.
     """
-    both = _loaded(force).all(axis=1)
+    loaded = _loaded(force)
+    both = loaded[:, 0] & loaded[:, 1]
     count = round(hold / period)
     if len(both) < count:
         return float("nan")
