@@ -7,8 +7,8 @@
 
 PPO is that of `ppo_aslip.py`. Robots, floors and sensors differ between episodes, pushes and
 wishes to stand come at random times, and the critic sees true state and dynamics, which the policy
-does not. Evaluations walk commands from all over the region, on nominal robots, without pushes, at
-2 kHz physics.
+does not. Training begins with nominal robots and without pushes. Evaluations walk commands from all
+over the region, on nominal robots, without pushes, at 2 kHz physics.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from ppo_settings import Config, resume_command, run_settings
+from ppo_settings import Config, resume_command, run_settings, with_schedule
 
 from aslip.errors import AslipError, ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line, usage_error
@@ -39,10 +39,13 @@ class DirectionConfig(Config):
     with stop and start."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
-    push_impulse: float = 15.0
+    push_impulse: float = 30.0
     """Largest impulse of random pushes [N s]; 0 for none."""
-    push_interval: float = 5.0
+    push_interval: float = 4.0
     """Mean time between pushes [s]."""
+    ramp: float = 0.5
+    """Share of the training after which robots, floors, sensors and pushes have their full ranges,
+    which grow from the nominal ones; 0 for full ranges from the start."""
     privileged: bool = True
     """Show true state and dynamics to the critic."""
     physics_timestep: float = 1e-3
@@ -57,6 +60,8 @@ class DirectionConfig(Config):
         super().__post_init__()
         if not 0 <= self.stand <= 1:
             raise ConfigurationError(f"stand must be from 0 to 1, got {self.stand}")
+        if not 0 <= self.ramp <= 1:
+            raise ConfigurationError(f"ramp must be from 0 to 1, got {self.ramp}")
         if self.push_impulse < 0:
             raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
 
@@ -78,6 +83,7 @@ if __name__ == "__main__":
     CONFIG = settings()
 
 from functools import partial
+from typing import Any
 
 import ppo_aslip
 
@@ -85,7 +91,15 @@ import aslip
 from aslip.envs import Stack, directions_stack, insert_before, randomise_stack, standing_stack
 from aslip.policy import make_critic, make_privileged_critic, privileged_table
 from aslip.training.environments import make_training_env
-from aslip.transforms import WIDE_RANGES, AssembleObservation, RandomPushes, StandCommand
+from aslip.training.settings import read_settings
+from aslip.transforms import (
+    WIDE_RANGES,
+    AssembleObservation,
+    Difficulty,
+    RandomDynamics,
+    RandomPushes,
+    StandCommand,
+)
 from aslip.walking import WalkResult
 
 PRIVILEGED = "privileged"
@@ -99,6 +113,7 @@ def main(config: DirectionConfig, go_on: str = "resume=True") -> list[WalkResult
         config: the settings.
         go_on: command that resumes the training, for messages.
     """
+    config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     make_stack = standing_stack if config.stand else directions_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
     robots = partial(
@@ -120,10 +135,16 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     """Stack for training: wishes to stand, other robots, pushes, and entries for the critic."""
     if config.stand:
         stack = {**stack, "stand": partial(StandCommand, config.stand, config.command_interval)}
+    steps = config.schedule_steps or config.total_steps
+    ramp = round(config.ramp * steps / config.num_envs)
+    scaled: dict[str, Any] = {"in_keys": ["difficulty"]} if ramp else {}
+    if ramp and (config.randomise or config.push_impulse):
+        stack = insert_before(stack, "start", difficulty=partial(Difficulty, ramp))
     if config.randomise:
         stack = randomise_stack(stack, WIDE_RANGES)
+        stack["dynamics"] = partial(RandomDynamics, WIDE_RANGES, **scaled)
     if config.push_impulse:
-        pushes = partial(RandomPushes, config.push_impulse, config.push_interval)
+        pushes = partial(RandomPushes, config.push_impulse, config.push_interval, **scaled)
         stack = insert_before(stack, "command", pushes=pushes)
     if config.privileged:
         seen = partial(AssembleObservation, privileged_table(drawn(config)), out_keys=[PRIVILEGED])

@@ -324,7 +324,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         common = STACKS["standing" if "stand" in stack else "directions"](library)
         names = [name for name in common if name in {*names, "path_diff"}]
     evaluation = {name: common[name] for name in ("start", *names)}
-    trained = {"dynamics", "pushes", "privileged"}
+    trained = {"difficulty", "dynamics", "pushes", "privileged"}
     seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}
     judging: dict[str, Any] = {"out_keys": ("judge", "goal")}
     if library is not None:

@@ -21,6 +21,8 @@ class Parameter:
     """Largest value."""
     fields: tuple[str, ...]
     """Fields of `mujoco.MjModel`, and gains of the drive, that depend on the parameter."""
+    nominal: float = 1.0
+    """Value of the robot's own model."""
 
 
 DRIVE: Final = "drive."
@@ -35,7 +37,7 @@ DYNAMICS: Final = MappingProxyType(
             ("body_mass", "body_inertia"),
         ),
         "payload": Parameter(
-            "point mass added at the pelvis' centre of mass [kg]", 0.0, 100.0, ("body_mass",)
+            "point mass added at the pelvis' centre of mass [kg]", 0.0, 100.0, ("body_mass",), 0.0
         ),
         "floor_friction": Parameter("sliding friction of the floor", 0.01, 5.0, ("geom_friction",)),
         "spring_stiffness": Parameter(
@@ -59,9 +61,10 @@ DYNAMICS: Final = MappingProxyType(
             0.0,
             CASSIE.substeps * CASSIE.physics_timestep,
             ("actuator_delay",),
+            CASSIE.torque_delay,
         ),
         "slope": Parameter(
-            "rise of the floor along the world's x [rad]", -0.7, 0.7, ("opt.gravity",)
+            "rise of the floor along the world's x [rad]", -0.7, 0.7, ("opt.gravity",), 0.0
         ),
         "pd_stiffness": Parameter(
             "factor on the position gains of the PD loop", 0.0, 10.0, ("drive.stiffness",)

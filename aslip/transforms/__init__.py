@@ -16,6 +16,7 @@ from aslip.transforms.command import (
     SpeedCommand,
     VelocityCommand,
 )
+from aslip.transforms.curriculum import Difficulty
 from aslip.transforms.episode import Fall, FirstStep, LowReward, StaggeredEnds
 from aslip.transforms.estimate import (
     ESTIMATE_SIZES,
@@ -57,6 +58,7 @@ __all__ = [
     "AssembleObservation",
     "ClockInput",
     "CommandFilter",
+    "Difficulty",
     "EpisodeSum",
     "EstimatedState",
     "Fall",

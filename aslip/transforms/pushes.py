@@ -14,7 +14,8 @@ from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
-from aslip.transforms.base import SeededTransform, check_number, extend_spec
+from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.curriculum import difficulty_of
 
 
 class RandomPushes(SeededTransform):
@@ -27,6 +28,8 @@ class RandomPushes(SeededTransform):
         impulse: largest impulse of a push [N s].
         interval: mean time from the end of a push to the next [s].
         duration: duration of a push [s], rounded to whole policy steps.
+        in_keys: key of the difficulty (n, 1), see `aslip.transforms.Difficulty`, which scales the
+            impulses; or none.
         out_keys: keys of the force (n, 3) during the next policy step [N, world], an input of
             simulated robots; and of the number (n, 1) of policy steps that it still acts.
         period: duration of a policy step [s].
@@ -36,7 +39,7 @@ class RandomPushes(SeededTransform):
             policy step.
     """
 
-    num_in_keys, num_out_keys = 0, 2
+    num_out_keys = 2
     needs_env = "it pushes simulated robots"
 
     def __init__(
@@ -45,10 +48,11 @@ class RandomPushes(SeededTransform):
         interval: float = 5.0,
         duration: float = 0.21,
         *,
+        in_keys: Sequence[NestedKey] = (),
         out_keys: Sequence[NestedKey] = ("push", "push_steps"),
         period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(in_keys=[], out_keys=out_keys)
+        super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
         if not interval >= period:
             raise ConfigurationError(
@@ -79,6 +83,7 @@ class RandomPushes(SeededTransform):
         begins = (steps == 0) & (chance < self._period / self.interval)
         angle = 2 * math.pi * turn
         size = share * self.impulse / (self._steps * self._period)
+        size = size * difficulty_of(tensordict, self.in_keys)
         drawn = size * torch.cat([angle.cos(), angle.sin(), torch.zeros(shape)], dim=-1)
         force = torch.where(begins, drawn, torch.where(steps > 0, force, 0.0))
         next_tensordict.set(self.out_keys[0], force)
@@ -86,4 +91,5 @@ class RandomPushes(SeededTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the force and its remaining policy steps."""
+        require_keys(self, observation_spec, self.in_keys)
         return extend_spec(observation_spec, dict(zip(self.out_keys, (3, 1), strict=True)))

@@ -8,13 +8,15 @@ from typing import Final, cast
 
 import torch
 from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.parameters import parameter_named
-from aslip.transforms.base import SeededTransform, check_number, extend_spec
+from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.curriculum import difficulty_of
 from aslip.transforms.noise import ObservationNoise
 
 DYNAMICS_RANGES: Final = MappingProxyType(
@@ -76,10 +78,13 @@ class RandomDynamics(SeededTransform):
     To choose a value, pass `("dynamics", name)` to `env.reset`; the parameter needs no range. A
     partial reset (with a `_reset` mask) draws new values for the reset robots only.
 
+    With the difficulty of a `Difficulty`, ranges grow from the nominal value to their full width.
+
     No stack has it by default; `aslip.envs.randomise_stack` adds it and `RandomNoise`.
 
     Args:
         ranges: parameter -> least and greatest value.
+        in_keys: key of the difficulty (n, 1), or none.
 
     Raises:
         UnknownNameError: there is no such parameter.
@@ -87,10 +92,14 @@ class RandomDynamics(SeededTransform):
             limits of the parameter.
     """
 
-    num_in_keys = 0
     needs_env = "it draws parameters at resets"
 
-    def __init__(self, ranges: Mapping[str, tuple[float, float]] = DYNAMICS_RANGES) -> None:
+    def __init__(
+        self,
+        ranges: Mapping[str, tuple[float, float]] = DYNAMICS_RANGES,
+        *,
+        in_keys: Sequence[NestedKey] = (),
+    ) -> None:
         if not isinstance(ranges, Mapping):
             raise ConfigurationError(f"ranges must map parameters to (low, high), got {ranges!r}")
         for name, pair in ranges.items():
@@ -103,7 +112,7 @@ class RandomDynamics(SeededTransform):
                     f"{name} must be drawn from a range within {parameter.low:g} to"
                     f" {parameter.high:g} ({parameter.meaning}), got {low!r} to {high!r}"
                 )
-        super().__init__(in_keys=[], out_keys=[("dynamics", name) for name in ranges])
+        super().__init__(in_keys=in_keys, out_keys=[("dynamics", name) for name in ranges])
         self.ranges = MappingProxyType(dict(ranges))
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
@@ -115,6 +124,9 @@ class RandomDynamics(SeededTransform):
         columns |= _draw(tensordict.batch_size, _GAINS, aside)
         for name, (low, high) in self.ranges.items():
             draw = (low + (high - low) * columns[name]).clamp(low, high)
+            if self.in_keys:
+                nominal = DYNAMICS[name].nominal
+                draw = nominal + difficulty_of(tensordict, self.in_keys) * (draw - nominal)
             tensordict = self._draw_into_reset(tensordict, ("dynamics", name), draw)
         return tensordict
 
@@ -133,6 +145,7 @@ class RandomDynamics(SeededTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the parameters that are drawn."""
+        require_keys(self, observation_spec, self.in_keys)
         return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:

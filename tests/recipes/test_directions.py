@@ -8,12 +8,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from tensordict import TensorDict
 
 import aslip
 from aslip.control import Controller
 from aslip.envs import directions_stack, standing_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import policy_stack, read_card
+from aslip.sim import DYNAMICS
 from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES
 from aslip.walking import WalkResult
 from recipes import ppo_directions
@@ -56,7 +58,7 @@ def test_a_resumed_run_goes_on_with_the_critics_normaliser(
     longer = replace(config, resume=True, total_steps=192)
     ppo_directions.main(longer)
     assert "192" in (config.out / "summary.md").read_text()
-    with pytest.raises(ConfigurationError, match="push_impulse was 15"):
+    with pytest.raises(ConfigurationError, match="push_impulse was 30"):
         ppo_directions.main(replace(longer, push_impulse=20.0))
 
 
@@ -74,14 +76,21 @@ def test_the_policys_file_says_how_fast_its_command_may_change(
 def test_only_training_has_other_robots_pushes_and_coarse_physics(config: DirectionConfig) -> None:
     stack = directions_stack(symmetric_library())
     trained = ppo_directions.training_stack(config, stack)
-    assert set(trained) - set(stack) == {"dynamics", "pushes", "privileged"}
+    assert set(trained) - set(stack) == {"difficulty", "dynamics", "pushes", "privileged"}
     env = aslip.make_env(stack=trained, num_envs=2, num_threads=1, timestep=1e-3)
     td = env.reset()
     # 16 numbers of the truth, and the parameters
     assert td["privileged"].shape == (2, 16 + len(WIDE_RANGES))
+    # half of 128 policy steps of eight robots
+    assert env.transforms[0].ramp == 8
+    assert all(td["dynamics", name][0] == DYNAMICS[name].nominal for name in WIDE_RANGES)
+    hard = env.reset(TensorDict(difficulty=torch.ones(2, 1), batch_size=2))
     for name, (low, high) in WIDE_RANGES.items():
-        assert low <= float(td["dynamics", name][0]) <= high
+        assert low <= float(hard["dynamics", name][0]) <= high
+        assert hard["dynamics", name][0] != hard["dynamics", name][1]
     assert env.base_env.model.opt.timestep == 1e-3
+    whole = ppo_directions.training_stack(replace(config, ramp=0.0), stack)
+    assert "difficulty" not in whole
     nominal = replace(config, randomise=False, push_impulse=0.0, privileged=False)
     assert ppo_directions.training_stack(nominal, stack) == stack
 
@@ -103,6 +112,8 @@ def test_settings_of_a_run_are_kept_when_it_is_resumed(
         replace(config, push_impulse=-1.0)
     with pytest.raises(ConfigurationError, match=r"stand must be from 0 to 1, got 1\.5"):
         replace(config, stand=1.5)
+    with pytest.raises(ConfigurationError, match=r"ramp must be from 0 to 1, got -0\.1"):
+        replace(config, ramp=-0.1)
 
 
 def test_robots_learn_to_stand_if_the_library_has_stop_and_start(

@@ -19,12 +19,12 @@ from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
 
 import aslip
-from aslip.envs import SimulatedEnv, default_stack, randomise_stack
+from aslip.envs import SimulatedEnv, Stack, default_stack, insert_before, randomise_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import TrainingRun
-from aslip.transforms import TrueState
+from aslip.transforms import Difficulty, RandomDynamics, RandomPushes, TrueState
 from benchmarks.faults.trainings import (
     TINY,
     Holder,
@@ -40,12 +40,20 @@ from tests.helpers import MakeEnv, differing
 ROBOTS, STEPS = 4, 8
 
 
+def _harder(stack: Stack) -> Stack:
+    """Stack with pushes, and with robots that become more different."""
+    key: dict[str, Any] = {"in_keys": ["difficulty"]}
+    stack |= {"dynamics": partial(RandomDynamics, **key)}
+    stack = insert_before(stack, "command", pushes=partial(RandomPushes, 40.0, 0.3, **key))
+    return insert_before(stack, "dynamics", difficulty=partial(Difficulty, 30))
+
+
 STACKS: dict[str, Callable[[], dict[str, Any]]] = {
     "aslip": dict,
     "truth": lambda: {"drop": ["noise"], "replace": {"estimator": TrueState}},
     "paper": lambda: {"stack": "paper"},
     "single_reference": lambda: {"stack": "single_reference"},
-    "random robots": lambda: {"stack": randomise_stack(default_stack())},
+    "random robots": lambda: {"stack": _harder(randomise_stack(default_stack()))},
     "dm_control": lambda: {"backend": "dm_control"},
 }
 

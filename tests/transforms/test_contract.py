@@ -37,6 +37,7 @@ ONLY_INSIDE = {
     transforms.PhaseClock: "writes the request of the robots' own reset",
     transforms.StandClock: "writes the request of the robots' own reset",
     transforms.StandCommand: "writes the request of the robots' own reset",
+    transforms.Difficulty: "carries over resets",
     transforms.RandomPushes: "writes the force that the robots read",
     transforms.ReferenceStart: "writes the request of the robots' own reset",
     transforms.RandomDynamics: "writes the request of the robots' own reset",
@@ -59,7 +60,12 @@ def library_that_stands() -> GaitLibrary:
 def make_env(seed: int = 0) -> StackEnv:
     """An environment with one transform of each public class."""
     library = GaitLibrary.load()
-    stack = insert_before(default_stack(library), "start", dynamics=transforms.RandomDynamics)
+    stack = insert_before(
+        default_stack(library),
+        "start",
+        difficulty=partial(transforms.Difficulty, 4),
+        dynamics=partial(transforms.RandomDynamics, in_keys=["difficulty"]),
+    )
     stack = insert_before(
         stack,
         "observation",

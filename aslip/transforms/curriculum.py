@@ -1,0 +1,71 @@
+"""Curriculum: training begins with easy robots, and becomes harder with experience."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import cast
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite
+
+from aslip.errors import ConfigurationError
+from aslip.transforms.base import SeededTransform, checked_column, extend_spec
+
+
+class Difficulty(SeededTransform):
+    """Write the difficulty of training, from 0 to 1, which rises with a robot's policy steps.
+
+    `RandomDynamics` and `RandomPushes` narrow their ranges by it, if they read it and come later in
+    the stack. It carries over from episode to episode. A reset of all robots without the entry
+    starts again at 0; to choose a value, pass it to the reset or write it between steps.
+
+    Args:
+        ramp: policy steps of a robot until the difficulty is 1.
+        out_keys: key of the difficulty (n, 1).
+
+    Raises:
+        ConfigurationError: `ramp` is not a whole number of 1 or more.
+    """
+
+    num_in_keys, num_out_keys = 0, 1
+    needs_env = "it carries over resets"
+
+    def __init__(self, ramp: int, *, out_keys: Sequence[NestedKey] = ("difficulty",)) -> None:
+        super().__init__(in_keys=[], out_keys=out_keys)
+        if isinstance(ramp, bool) or not isinstance(ramp, int) or ramp < 1:
+            raise ConfigurationError(f"ramp must be a whole number of 1 or more, got {ramp!r}")
+        self.ramp = ramp
+
+    def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+        tensordict, key = self._request(tensordict), self.out_keys[0]
+        if tensordict.get(key, None) is None:
+            tensordict.set(key, torch.zeros(*tensordict.batch_size, 1))
+        return tensordict.set(key, checked_column(tensordict, key))
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        harder = checked_column(tensordict, self.out_keys[0]) + 1 / self.ramp
+        return next_tensordict.set(self.out_keys[0], harder.clamp(max=1.0))
+
+    def transform_observation_spec(self, observation_spec: Composite) -> Composite:
+        """Add the difficulty."""
+        return extend_spec(observation_spec, {self.out_keys[0]: 1})
+
+    def transform_state_spec(self, state_spec: Composite) -> Composite:
+        """Declare the difficulty as an entry that a caller may set."""
+        return extend_spec(state_spec, {self.out_keys[0]: 1})
+
+
+def difficulty_of(tensordict: TensorDictBase, keys: Sequence[NestedKey]) -> Tensor | float:
+    """Difficulty (*b, 1) at the only key of a list; 1 for an empty list.
+
+    A request for a reset that does not choose it begins at 0, as `Difficulty` does.
+    """
+    return cast("Tensor | float", tensordict.get(keys[0], 0.0)) if keys else 1.0

@@ -1,0 +1,87 @@
+"""Difficulty rises with a robot's steps, and narrows dynamics and pushes."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+import torch
+from tensordict import TensorDict
+
+import aslip
+from aslip.envs import StackEnv, default_stack, insert_before
+from aslip.errors import ConfigurationError, ShapeError
+from aslip.sim import DYNAMICS
+from aslip.transforms import Difficulty, RandomDynamics, RandomPushes
+
+RANGES = {"mass": (0.8, 1.4), "payload": (4.0, 8.0), "torque_delay": (0.005, 0.009)}
+
+
+def make(num: int = 4, ramp: int = 5) -> StackEnv:
+    stack = insert_before(
+        default_stack(),
+        "start",
+        difficulty=partial(Difficulty, ramp),
+        dynamics=partial(RandomDynamics, RANGES, in_keys=["difficulty"]),
+        pushes=partial(RandomPushes, 20.0, 0.03, 0.03, in_keys=["difficulty"]),
+    )
+    return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"])
+
+
+def test_difficulty_rises_to_one_and_carries_over_partial_resets() -> None:
+    env, seen = make(2), []
+    td = env.reset()
+    for _ in range(7):
+        seen.append(td["difficulty"])
+        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(2, 10)))
+    seen = torch.cat(seen, dim=-1)
+    torch.testing.assert_close(seen[0], torch.tensor([0, 0.2, 0.4, 0.6, 0.8, 1, 1]))
+    td = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
+    assert td["difficulty"].flatten().tolist() == [1.0, 1.0]
+    assert env.reset()["difficulty"].sum() == 0
+
+
+def test_ranges_grow_from_the_nominal_value() -> None:
+    env, drawn = make(200), []
+    for difficulty in (0.0, 0.5, 1.0):
+        env.set_seed(3)
+        request = TensorDict(difficulty=torch.full((200, 1), difficulty), batch_size=200)
+        td = env.reset(request)
+        drawn.append({name: td["dynamics", name] for name in RANGES})
+        for name in RANGES:
+            found = torch.from_numpy(env.base_env.dynamics[name])[:, None].float()
+            # a delay is a whole number of physics steps
+            torch.testing.assert_close(found, td["dynamics", name], atol=3e-4, rtol=0)
+    for name, (low, high) in RANGES.items():
+        easy, middle, hard = (one[name] for one in drawn)
+        assert (easy == DYNAMICS[name].nominal).all()
+        torch.testing.assert_close(middle, (easy + hard) / 2)
+        assert low <= hard.min() < hard.max() <= high
+
+
+def test_impulses_grow_from_zero() -> None:
+    env = make()
+    forces = []
+    for difficulty in (0.0, 0.5, 1.0):
+        env.set_seed(3)
+        td = env.reset(TensorDict(difficulty=torch.full((4, 1), difficulty), batch_size=4))
+        forces.append(env.step(td.set("action", torch.zeros(4, 10)))["next", "push"])
+    assert not forces[0].any()
+    assert forces[2].norm(dim=-1).min() > 0
+    torch.testing.assert_close(forces[1], forces[2] / 2)
+
+
+def test_nominal_values_are_those_of_the_shipped_model() -> None:
+    values = make(1).base_env._dynamics.nominal
+    assert {name: one.nominal for name, one in DYNAMICS.items()} == pytest.approx(dict(values))
+
+
+@pytest.mark.parametrize("ramp", [0, 2.5, True])
+def test_refuses_invalid_ramps(ramp: int) -> None:
+    with pytest.raises(ConfigurationError, match="ramp must be a whole number of 1 or more"):
+        Difficulty(ramp)
+
+
+def test_refuses_difficulties_of_another_shape() -> None:
+    with pytest.raises((ConfigurationError, ShapeError)):
+        make(2).reset(TensorDict(difficulty=torch.zeros(2, 3), batch_size=2))
