@@ -20,7 +20,7 @@ from aslip.show.live.scene import ROM_PLACES, RomPlace
 from aslip.show.live.server import Check, guard, one_of, switch
 from aslip.show.live.steering import Steering
 
-Click = Literal["pause", "step", "reset", "push"]
+Click = Literal["pause", "step", "reset", "push", "stand"]
 
 _LEGEND = (
     "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Blue is the left leg, red the"
@@ -54,6 +54,7 @@ class Controls:
         limits: lowest and highest value of each number of a command.
         command: first command.
         policies: names to choose from; the first one is chosen.
+        stands: True for robots that stand on a wish.
     """
 
     def __init__(
@@ -63,10 +64,11 @@ class Controls:
         limits: Sequence[tuple[float, float]],
         command: Sequence[float],
         policies: Sequence[str],
+        stands: bool = False,
     ) -> None:
         self._clicks: queue.SimpleQueue[Click] = queue.SimpleQueue()
         gui = server.gui
-        self.steering = Steering(gui, limits, command)
+        self.steering = Steering(gui, limits, command, stands)
         self.command = self.steering.sliders[0]
         self.policy = gui.add_dropdown("policy", tuple(policies))
         with gui.add_folder("Time"):
@@ -88,6 +90,8 @@ class Controls:
             "reset": self.reset,
             "push": self.pushes.button,
         }
+        if self.steering.stand is not None:
+            buttons["stand"] = self.steering.stand
         for click, button in buttons.items():
             button.on_click(lambda _, click=click: self._clicks.put(click))
         self._guard(server, buttons.values())

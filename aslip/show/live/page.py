@@ -103,8 +103,10 @@ class LivePage:
             limits=[(float(axis[0]), float(axis[-1])) for axis in walker.library.table.axes],
             command=numbers(walker.command),
             policies=list(self._policies),
+            stands=walker.can_stand,
         )
         """Sliders, buttons and choices."""
+        self.controls.steering.show_standing(walker.stand)
         # the walker already has its command; other settings are applied below
         self._settings = replace(self.controls.settings(), policy="", rom="through")
         panel = gui.add_panel()
@@ -194,6 +196,9 @@ class LivePage:
             self.walker.push((heading @ self.controls.pushes.force()).tolist(), PUSH_DURATION)
         elif click == "reset":
             self._reset()
+        elif click == "stand":
+            self.walker.stand = not self.walker.stand
+            self.controls.steering.show_standing(self.walker.stand)
         elif click == "step":
             self._single_steps += self.paused
         else:
@@ -237,7 +242,7 @@ class LivePage:
                 self._reset()
 
     def _reset(self) -> None:
-        self.walker.reset()
+        self.walker.reset(stand=self.walker.stand)
         self._single_steps = 0
 
     def _show(self) -> None:

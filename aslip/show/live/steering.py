@@ -1,5 +1,7 @@
 """Sliders of the command; for policies that walk in all directions also keys and a gamepad.
 
+Robots that stand on a wish have a button for it, which a key and the gamepad press, too.
+
 Browsers read keys and gamepads themselves: a script on the page writes the command that they ask
 for into a text field, which the simulation reads as it reads sliders.
 """
@@ -18,6 +20,7 @@ from aslip.show.live.server import Check, number_within
 _SPEED_STEP = 0.05
 _LABELS = ("forward [m/s]", "sideways [m/s]", "turn [rad/s]")
 _FIELD = "steer"
+_STAND, _WALK = "Stand", "Walk"
 
 # `onerror` runs the script, because browsers ignore <script> in HTML that is set later. Keys change
 # the command by steps, sticks set it; both listen before viser, whose camera moves with WASD.
@@ -44,9 +47,17 @@ _SCRIPT = """
     set.call(input, wish.map(value => value.toFixed(2)).join(', '));
     input.dispatchEvent(new Event('input', {bubbles: true}));
   };
+  const stand = () => [...document.querySelectorAll('button')]
+    .find(button => STANDS.includes(button.textContent.trim()));
   window.addEventListener('keydown', event => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (event.target.closest?.('input, textarea, [role=slider], [role=combobox]')) return;
+    if (event.code === 'KeyC' && stand()) {
+      event.preventDefault();
+      event.stopImmediatePropagation();
+      if (!event.repeat) stand().click();
+      return;
+    }
     const key = keys[event.code];
     if (!key && event.code !== 'KeyX') return;
     event.preventDefault();
@@ -56,10 +67,13 @@ _SCRIPT = """
     if (key) values[key[0]] += key[1] * steps[key[0]];
     write(values);
   }, true);
-  let moved = false;
+  let moved = false, held = false;
   const poll = () => {
     const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad && pad.connected);
     if (!pad) return;
+    const pressed = Boolean(pad.buttons?.[0]?.pressed);
+    if (pressed && !held) stand()?.click();
+    held = pressed;
     const stick = [1, 0, 2].map(i => {
       const value = -(pad.axes[i] ?? 0), size = Math.abs(value);
       return size < 0.12 ? 0 : Math.sign(value) * (size - 0.12) / 0.88;
@@ -78,8 +92,9 @@ _SCRIPT = """
 _HELP = (
     "<div style='padding:0 0.5em 0.5em;font-size:0.8em;color:#6b7280'>Keys: W S or \u2191 \u2193"
     " forward, A D or \u2190 \u2192 sideways, Q E turn, X stop. Gamepad: left stick walks, right"
-    " stick turns.</div>"
+    " stick turns.STANDING</div>"
 )
+_STAND_HELP = " C or the gamepad's first button: stand, and walk again."
 
 
 class Steering:
@@ -89,10 +104,15 @@ class Steering:
         gui: interface of the server, within the panel to fill.
         limits: lowest and highest value of each number of a command.
         command: first command.
+        stands: True for robots that stand on a wish.
     """
 
     def __init__(
-        self, gui: viser.GuiApi, limits: Sequence[tuple[float, float]], command: Sequence[float]
+        self,
+        gui: viser.GuiApi,
+        limits: Sequence[tuple[float, float]],
+        command: Sequence[float],
+        stands: bool = False,
     ) -> None:
         labels = ("command [m/s]",) if len(limits) == 1 else _LABELS[: len(limits)]
         self.sliders = [
@@ -104,7 +124,10 @@ class Steering:
         """Text field of the command that keys and gamepad ask for; None with forward speed only."""
         if len(limits) > 1:
             self.field = gui.add_text(_FIELD, _text(command), hint="forward, sideways, turn")
-            gui.add_html(_HELP + _image())
+            help_text = _HELP.replace("STANDING", _STAND_HELP if stands else "")
+            gui.add_html(help_text + _image())
+        self.stand = gui.add_button(_STAND, icon=viser.Icon.HAND_STOP) if stands else None
+        """Button of the wish to stand; None for robots that cannot."""
         self._known = "" if self.field is None else self.field.value
 
     def checks(self) -> dict[str, Check]:
@@ -115,6 +138,12 @@ class Steering:
         if self.field is not None:
             found[self.field._impl.uuid] = self._checked_text
         return found
+
+    def show_standing(self, stand: bool) -> None:
+        """Label the button with the wish that it leads to."""
+        if self.stand is not None:
+            self.stand.label = _WALK if stand else _STAND
+            self.stand.icon = viser.Icon.WALK if stand else viser.Icon.HAND_STOP
 
     def command(self) -> Command:
         """Present command; a new text moves the sliders, moved sliders change the text."""
@@ -158,4 +187,5 @@ def _image() -> str:
     """Invisible image that cannot be loaded, so that its error handler runs the script."""
     labels = "[" + ", ".join(f"'{label}'" for label in _LABELS) + "]"
     script = _SCRIPT.replace("LABELS", labels).replace("FIELD", f"'{_FIELD}'")
+    script = script.replace("STANDS", f"['{_STAND}', '{_WALK}']")
     return f"<img src='data:,' style='display:none' onerror=\"{html.escape(script)}\">"

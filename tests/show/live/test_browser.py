@@ -18,6 +18,7 @@ from aslip.show.live import LivePage
 from aslip.walking import Walker
 from tests.helpers import limp
 from tests.library.bent import symmetric_library
+from tests.library.standing import standing_library
 from tests.show.live.helpers import PATIENCE, served, wait_for
 
 playwright_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -113,6 +114,26 @@ def desk(opened: Desk) -> Desk:
     wait_for(lambda: not opened.live.paused and opened.live.walker.steps < 20)
     opened.view.get_by_role("button", name="Pause").wait_for()
     return opened
+
+
+@pytest.mark.slow
+def test_a_key_a_button_and_a_gamepad_let_the_robot_stand(browser):
+    library = standing_library()
+    env = aslip.make_env(stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS)
+    walker = Walker(limp(), env, library=library)
+    script = "window.pad = null; navigator.getGamepads = () => [window.pad];"
+    with _desk(browser, walker, {"limp": limp()}, script) as desk:
+        wait_for(lambda: desk.view.evaluate("window.aslipSteering"))
+        desk.click("Stand")
+        wait_for(lambda: walker.stand)
+        desk.view.get_by_role("button", name="Walk").wait_for()
+        desk.view.keyboard.press("KeyC")
+        wait_for(lambda: not walker.stand)
+        desk.view.get_by_role("button", name="Stand").wait_for()
+        desk.view.evaluate(
+            "window.pad = {connected: true, axes: [0, 0, 0, 0], buttons: [{pressed: true}]}"
+        )
+        wait_for(lambda: walker.stand)
 
 
 # first, because the page of the other tests slows the browser down

@@ -11,10 +11,12 @@ import pytest
 
 import aslip
 from aslip.envs import EPISODE_ENDS, directions_stack
+from aslip.show.ghost import Ghost
 from aslip.show.live import LivePage
 from aslip.walking import Walker
 from tests.helpers import limp
 from tests.library.bent import symmetric_library
+from tests.library.standing import standing_library
 from tests.show.live.helpers import wait_for
 from tests.show.live.visitor import visit
 
@@ -86,3 +88,52 @@ def test_the_ghost_is_beside_the_robot_at_every_yaw(page: LivePage) -> None:
         np.testing.assert_allclose(np.array(root.position)[:2], place, atol=1e-6)
         yaws.append(yaw)
     assert max(map(abs, yaws)) > 0.02
+
+
+# ------------------------------------------------------------------------ standing
+
+
+@pytest.fixture(scope="module")
+def standing_walker() -> Walker:
+    library = standing_library()
+    env = aslip.make_env(stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS)
+    return Walker(limp(), env, library=library, speed=0.0)
+
+
+def test_a_button_lets_robots_stand_that_can(page: LivePage, standing_walker: Walker) -> None:
+    assert page.controls.steering.stand is None
+    standing = LivePage(standing_walker, port=0)
+    button = standing.controls.steering.stand
+    assert button is not None
+    try:
+        with visit(standing) as visitor:
+            for stand, label in ((True, "Walk"), (False, "Stand")):
+                visitor.update(button, value=True)
+                wait_for(lambda: not standing.controls._clicks.empty())
+                standing.turn()
+                assert standing.walker.stand == stand
+                assert standing.walker.td["stand"].item() == stand
+                assert button.label == label
+    finally:
+        standing.stop()
+
+
+def test_the_ghost_stands_on_both_feet_after_a_reset(standing_walker: Walker) -> None:
+    """At the height and width of the library's rest, without planned footholds."""
+    standing_walker.reset(0.0, stand=True)
+    page = LivePage(standing_walker, port=0)
+    try:
+        assert page.controls.steering.stand is not None
+        assert page.controls.steering.stand.label == "Walk"
+        page.controls.reset.value = True
+        page.turn()
+        assert page.walker.stand
+        table, rom = standing_walker.library.transitions, page._scene._rom
+        assert table is not None
+        ghost = Ghost.of(page.walker.td)
+        assert ghost.left_stance
+        assert ghost.right_stance
+        assert ghost.body[2] == pytest.approx(table.body_position[0, 0, -1, 2], abs=1e-5)
+        assert not any(disc.visible for disc in rom._discs.values())
+    finally:
+        page.stop()
