@@ -66,7 +66,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.library import GaitLibrary
+from aslip.library import Command, GaitLibrary
 from aslip.log import read, read_walk
 from aslip.robot import CASSIE, SIDES
 from aslip.show.ghost import Footholds
@@ -130,10 +130,22 @@ def logged_walk(path: Path) -> tuple[float, Walks]:
     return float(speeds[0]), walk
 
 
-def walk_placement(walk: Walks, index: int, speed: float, footholds: Footholds) -> Placement:
-    """Placement of the footsteps of one settled walk; a single NaN after a fall."""
-    one, swing = walk.one(index), shortest_swing(footholds, speed)
-    step = np.stack([footholds.step(side, speed) for side in SIDES])
+def recorded_steps() -> int:
+    """Policy steps of a walk whose footsteps are measured."""
+    return round((_SETTLE + _WALK) / CASSIE.policy_period)
+
+
+def walk_placement(walk: Walks, index: int, command: Command, footholds: Footholds) -> Placement:
+    """Placement of the footsteps of one settled walk; a single NaN after a fall.
+
+    Args:
+        walk: walks of `recorded_steps`.
+        index: index of the walk.
+        command: its command.
+        footholds: steps of the model.
+    """
+    one, swing = walk.one(index), shortest_swing(footholds, command)
+    step = np.stack([footholds.step(side, command) for side in SIDES])
     if not one.survived[0]:
         nothing = np.full((1, 2), np.nan)
         return Placement(np.zeros(1, dtype=int), nothing, nothing[:, 0])
@@ -147,7 +159,7 @@ def walk_placement(walk: Walks, index: int, speed: float, footholds: Footholds) 
         ),
         step,
     )
-    first = round(2 * _SETTLE / float(footholds.stride(speed)))
+    first = round(2 * _SETTLE / float(footholds.stride(command)))
     rows = slice(first, first + _FOOTSTEPS)
     return Placement(found.side[rows], found.offset[rows], found.width[rows])
 

@@ -1,0 +1,316 @@
+"""Targets of walks in all directions: one table of the other benchmarks' numbers, with verdicts.
+
+    python -m benchmarks.direction_targets --policy runs/ppo_directions
+    python -m benchmarks.direction_targets --policy runs/seed1 runs/seed2 runs/seed3
+
+Several policies count as seeds of one method: values are means with 95 % intervals over seeds, and
+a target is met if the whole interval meets it. Each policy takes about half an hour on two cores.
+Tables and pictures of the benchmarks are written to a folder for each policy.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.errors import ConfigurationError, one_line_errors
+from aslip.training.command_line import command_line
+from benchmarks.flags import Directions
+
+
+@dataclass(frozen=True)
+class Config(Directions):
+    """Settings of the benchmark."""
+
+    out: Path = Path("runs/direction_targets")
+    """Folder for the table and results."""
+    commands: int = 1000
+    """Number of random commands whose mean velocity is measured."""
+    changes: int = 10_000
+    """Number of sudden changes of the command."""
+    placements: int = 40
+    """Number of random commands at which the foot placement is measured."""
+    stops: int = 12
+    """Number of walks that stop, stand and start."""
+    walks: int = 16
+    """Walks at each value of a parameter of robot or floor."""
+    stand: float = 60.0
+    """Time of standing [s]."""
+    path: float = 300.0
+    """Time on the figure of eight [s]."""
+
+    def __post_init__(self) -> None:
+        """Check the number of footstep commands."""
+        super().__post_init__()
+        if self.placements < 1:
+            raise ConfigurationError(f"placements must be 1 or more, got {self.placements}")
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from aslip.policy import read_card
+from aslip.show.ghost import Footholds
+from aslip.walking import markdown
+from benchmarks import (
+    direction_tracking,
+    foot_placement,
+    perturbation,
+    standing,
+    transitions,
+    walking_quality,
+)
+from benchmarks import path as eight
+from benchmarks.claim_list import Claim
+from benchmarks.claims import judge, value_text
+from benchmarks.common import (
+    MakeEnv,
+    Policy,
+    load_with_library,
+    policy_name,
+    record_subject,
+    write_report,
+)
+from benchmarks.directions import random_commands
+
+TARGETS: Final = (
+    Claim("samples", "policy steps of the training [million]", at_most=5.0),
+    Claim("time", "time of the training [min]", at_most=90.0, digits=0),
+    Claim(
+        "velocity", "error of the mean velocity, mean over commands [m/s]", at_most=0.03, digits=3
+    ),
+    Claim("velocity, 95 %", "error that 95 % of commands stay below [m/s]", at_most=0.06, digits=3),
+    Claim(
+        "yaw rate", "error of the mean yaw rate, mean over commands [rad/s]", at_most=0.03, digits=3
+    ),
+    Claim(
+        "yaw rate, 95 %", "error that 95 % of commands stay below [rad/s]", at_most=0.06, digits=3
+    ),
+    Claim(
+        "changes",
+        "falls in 10 000 sudden changes of the command",
+        at_most=0.0,
+        every_seed=True,
+        digits=0,
+    ),
+    Claim("drift", "largest drift of the pelvis in standing [cm]", at_most=1.0),
+    Claim("turn", "largest turn of the pelvis in standing [deg]", at_most=0.5),
+    Claim(
+        "lifted feet",
+        "feet that lost the ground in standing, of all walks",
+        at_most=0.0,
+        every_seed=True,
+        digits=0,
+    ),
+    Claim("stop", "time from the wish at 1 m/s to planted feet [s]", at_most=1.0),
+    Claim("power, standing", "positive joint power in standing [W]", at_most=40.0, digits=0),
+    Claim(
+        "feet, straight",
+        "foot placement error, largest mean of 0, 1 and 2 m/s [cm]",
+        at_most=3.0,
+        digits=1,
+    ),
+    Claim(
+        "feet, turns", "foot placement error, mean over random commands [cm]", at_most=3.5, digits=1
+    ),
+    Claim(
+        "no contact",
+        "time without ground contact, largest of 0, 1 and 2 m/s [%]",
+        at_most=1.0,
+        digits=1,
+    ),
+    Claim("force", "largest foot force over weight, at 1 and 2 m/s", at_most=1.5),
+    Claim("friction", "time at the limit of friction, largest of 0, 1 and 2 m/s [%]", at_most=0.5),
+    Claim("power, 1 m/s", "positive joint power over weight and speed", at_most=0.50),
+    Claim("power, 2 m/s", "positive joint power over weight and speed", at_most=0.55),
+    Claim(
+        "pushes, least",
+        "largest impulse survived at 1 m/s, worst direction and phase [N s]",
+        at_least=30.0,
+        digits=1,
+    ),
+    Claim("pushes, mean", "largest impulse survived at 1 m/s, mean [N s]", at_least=45.0, digits=1),
+    Claim(
+        "other robots",
+        "walks survived in the worst sweep of robot or floor [%]",
+        at_least=98.0,
+        digits=1,
+    ),
+    Claim(
+        "path",
+        "mean distance from the figure of eight [cm]; none after a fall",
+        at_most=10.0,
+        digits=1,
+    ),
+)
+"""Targets for the nominal robot, unless the measure says otherwise."""
+
+_RANGES: Final[Mapping[str, tuple[float, float]]] = {
+    "floor_friction": (0.4, 1.2),
+    "payload": (0.0, 16.0),
+    "slope": (-9.0, 9.0),
+    "torque_delay": (0.0, 9.0),
+    "motor_strength": (0.7, 1.4),
+}
+"""Displayed values of a sweep that count, by parameter."""
+
+_SPEEDS: Final = (0.0, 1.0, 2.0)
+
+
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> list[dict[str, Any]]:
+    """Measure and print; return a row for each target.
+
+    Args:
+        config: the settings.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
+    """
+    policies = list(config.policy) if policy is None else [policy]
+    found = [measure(config, one, make_env) for one in policies]
+    rows = [
+        {**vars(claim), "found": judge(claim, [values[claim.name] for values in found])}
+        for claim in TARGETS
+    ]
+    write_report(config, policy, "direction_targets", {"rows": rows}, table(rows))
+    return rows
+
+
+def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> dict[str, float]:
+    """Value of each target for one policy; NaN where a fall prevents it."""
+    name = policy_name(policy)
+    common: dict[str, Any] = {"out": config.out / Path(name).name, "library": config.library}
+    common |= {"policy": (name,), "truth": config.truth, "seed": config.seed}
+    of = (policy, make_env)
+    (errors,) = direction_tracking.main(
+        direction_tracking.Config(**common, commands=config.commands), *of
+    )
+    (changed,) = transitions.main(
+        transitions.Config(**common, changes=config.changes, robots=min(50, config.changes)), *of
+    )
+    (stood,) = standing.main(
+        standing.Config(**common, walks=config.stops, duration=config.stand), *of
+    )
+    (walked,) = eight.main(eight.Config(**common, duration=config.path), *of)
+    quality = walking_quality.main(walking_quality.Config(**common, speeds=_SPEEDS), *of)
+    survived = perturbation.main(perturbation.Config(**common, walks=config.walks), *of)
+    fallen = errors["falls"] > 0
+    return {
+        **training_values(policy),
+        "velocity": math.nan if fallen else errors["speed"],
+        "velocity, 95 %": math.nan if fallen else errors["speed_p95"],
+        "yaw rate": math.nan if fallen else errors["turn"],
+        "yaw rate, 95 %": math.nan if fallen else errors["turn_p95"],
+        "changes": 1e4 * len(changed["falls"]) / changed["changes"],
+        **standing_values(stood),
+        **foot_values(config, common, *of),
+        **quality_values(quality),
+        **perturbation_values(survived),
+        "path": math.nan if walked["fell"] else 100 * walked["truth"],
+    }
+
+
+def training_values(policy: Policy) -> dict[str, float]:
+    """Cost of the training, from the policy's file; NaN for a module."""
+    made = read_card(policy).get("made_by", {}) if isinstance(policy, str | Path) else {}
+    return {
+        "samples": made.get("steps", math.nan) / 1e6,
+        "time": made.get("seconds", math.nan) / 60,
+    }
+
+
+def standing_values(row: Mapping[str, Any]) -> dict[str, float]:
+    """Values of standing; NaN if a robot fell in any stage."""
+    fell = sum(row["falls"].values()) > 0
+    at_one = [walk["planted"] for walk in row["walks"] if walk["command"] == [1.0, 0.0, 0.0]]
+    values = {
+        "drift": 100 * row["drift_most"],
+        "turn": math.degrees(row["turn_most"]),
+        "lifted feet": row["lifted"] * row["count"],
+        "power, standing": row["power"],
+        "stop": float(np.mean(at_one)) if at_one else math.nan,
+    }
+    return dict.fromkeys(values, math.nan) if fell else values
+
+
+def foot_values(
+    config: Config, common: Mapping[str, Any], policy: Policy, make_env: MakeEnv | None
+) -> dict[str, float]:
+    """Foot placement errors of straight walks, and of walks at random commands [cm]."""
+    placed = foot_placement.main(foot_placement.Config(**common, speeds=_SPEEDS), policy, make_env)
+    straight = [_mean(one.error) for ones in placed.values() for one in ones]
+    settings = foot_placement.Config(**common)
+    subjects, library = load_with_library(settings, policy, make_env)
+    command = random_commands(library, config.placements, config.seed)
+    steps = foot_placement.recorded_steps()
+    walks = record_subject(settings, subjects[0], np.tile(command, (steps, 1, 1)))
+    footholds = Footholds(library)
+    turns = [
+        _mean(foot_placement.walk_placement(walks, i, tuple(one), footholds).error)
+        for i, one in enumerate(command.tolist())
+    ]
+    return {
+        "feet, straight": 100 * float(np.max(straight)),
+        "feet, turns": 100 * float(np.mean(turns)),
+    }
+
+
+def _mean(error: np.ndarray) -> float:
+    """Mean of a walk's errors; NaN after a fall, or without footsteps."""
+    return float(error.mean()) if len(error) else math.nan
+
+
+def quality_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Values of `benchmarks.walking_quality` at the three speeds."""
+    of = {name: [row[name]["mean"] for row in rows] for name in walking_quality.QUANTITIES}
+    return {
+        "no contact": 100 * float(np.max(of["airborne"])),
+        "force": float(np.max(of["largest"][1:])),
+        "friction": 100 * float(np.max(of["friction"])),
+        "power, 1 m/s": of["cost"][1],
+        "power, 2 m/s": of["cost"][2],
+    }
+
+
+def perturbation_values(numbers: Mapping[str, Any]) -> dict[str, float]:
+    """Values of `benchmarks.perturbation`."""
+    impulses = [cell["mean"] for row in numbers["pushes"] for cell in row["phases"]]
+    shares = []
+    for name, (low, high) in _RANGES.items():
+        counted = [
+            row["mean"]
+            for row in numbers["sweeps"]
+            if row["parameter"] == name and low <= row["value"] <= high
+        ]
+        shares.append(float(np.mean(counted)))
+    return {
+        "pushes, least": float(np.min(impulses)),
+        "pushes, mean": float(np.mean(impulses)),
+        "other robots": 100 * min(shares),
+    }
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Table of targets: limit, value and verdict."""
+    lines = []
+    for row in rows:
+        claim = Claim(**{key: value for key, value in row.items() if key != "found"})
+        found = row["found"]
+        lines.append(
+            [row["name"], row["measure"], claim.limit, value_text(row, found), found["verdict"]]
+        )
+    header = ["target", "measured", "limit", "value", "verdict"]
+    return markdown(header, lines, ["---", "---", "---:", "---:", "---"])
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)

@@ -1,0 +1,168 @@
+"""Targets of walks in all directions: values, verdicts, and a short run."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import (
+    direction_targets,
+    direction_tracking,
+    foot_placement,
+    perturbation,
+    standing,
+    transitions,
+    walking_quality,
+)
+from benchmarks.direction_targets import (
+    TARGETS,
+    Config,
+    judge,
+    perturbation_values,
+    quality_values,
+    standing_values,
+    table,
+    training_values,
+)
+from benchmarks.flags import SWEEPS
+from tests.helpers import limp
+from tests.library.standing import standing_library
+
+
+def test_values_of_standing_are_the_worst_of_all_walks() -> None:
+    walk = {"command": [0.0, 0.0, 0.0], "planted": 0.4}
+    row: dict[str, Any] = {
+        "falls": {"walk": 0, "stop": 0},
+        "walks": [walk, {"command": [1.0, 0.0, 0.0], "planted": 0.9}],
+        "count": 2,
+        "drift_most": 0.02,
+        "turn_most": math.radians(0.3),
+        "lifted": 0.5,
+        "power": 30.0,
+    }
+    expected = {"drift": 2.0, "turn": 0.3, "lifted feet": 1.0, "power, standing": 30.0, "stop": 0.9}
+    assert standing_values(row) == pytest.approx(expected)
+    fell = standing_values({**row, "falls": {"walk": 0, "stop": 1}})
+    assert all(math.isnan(value) for value in fell.values())
+
+
+def test_sweeps_count_within_the_ranges_of_the_targets() -> None:
+    """The worst sweep counts, and impulses at the worst direction and phase."""
+    values = {name: 1.0 for name in SWEEPS}
+    sweeps = [{"parameter": name, "value": 1.0, "mean": mean} for name, mean in values.items()]
+    sweeps += [
+        {"parameter": "payload", "value": 16.0, "mean": 0.5},
+        {"parameter": "payload", "value": 20.0, "mean": 0.0},
+        {"parameter": "floor_friction", "value": 0.2, "mean": 0.0},
+    ]
+    pushes = [{"phases": [{"mean": 20.0}, {"mean": 40.0}]}, {"phases": [{"mean": 30.0}] * 2}]
+    found = perturbation_values({"pushes": pushes, "sweeps": sweeps})
+    assert found == {"pushes, least": 20.0, "pushes, mean": 30.0, "other robots": 75.0}
+
+
+def test_force_and_power_are_those_of_walks_ahead() -> None:
+    rows = [
+        {name: {"mean": value} for name in walking_quality.QUANTITIES} for value in (3.0, 1.0, 2.0)
+    ]
+    found = quality_values(rows)
+    assert (found["no contact"], found["force"]) == (300.0, 2.0)
+    assert (found["power, 1 m/s"], found["power, 2 m/s"]) == (1.0, 2.0)
+
+
+def test_cost_of_a_training_is_read_from_the_file() -> None:
+    found = training_values("aslip")
+    assert 1.0 < found["samples"] < 2.0
+    assert 5 < found["time"] < 200
+    assert all(math.isnan(value) for value in training_values(limp()).values())
+
+
+def test_table_has_a_limit_and_a_verdict_for_each_target() -> None:
+    claim = next(claim for claim in TARGETS if claim.name == "path")
+    rows = [{**vars(claim), "found": judge(claim, each)} for each in ([4.0, 5.0], [4.0, math.nan])]
+    good, fallen = table(rows).splitlines()[2:]
+    assert good.endswith("| ≤ 10 | 4.5 [-1.9, 10.9] | undecided |")
+    assert fallen.endswith("| ≤ 10 | no value for 1 of 2 seeds | FAIL |")
+
+
+def test_every_target_has_a_value_from_its_benchmark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each benchmark runs once for each policy, in a folder of its own."""
+    folders = []
+
+    def fake(rows: Any) -> Any:
+        def main(config: Any, *of: Any) -> Any:
+            folders.append(config.out)
+            return rows
+
+        return main
+
+    errors = {"falls": 0, "speed": 0.02, "speed_p95": 0.05, "turn": 0.01, "turn_p95": 0.02}
+    stood = {"falls": {"stop": 0}, "walks": [{"command": [1.0, 0.0, 0.0], "planted": 0.8}]}
+    stood |= {"count": 1, "drift_most": 0.0, "turn_most": 0.0, "lifted": 0.0, "power": 30.0}
+    means = {**dict.fromkeys(walking_quality.QUANTITIES, 0.001), "largest": 1.2, "cost": 0.4}
+    quality = [{name: {"mean": value} for name, value in means.items()}] * 3
+    sweeps = [{"parameter": name, "value": 1.0, "mean": 1.0} for name in SWEEPS]
+    rows = {
+        direction_tracking: [errors],
+        transitions: [{"falls": [[[0.0], [1.0]]], "changes": 5000}],
+        standing: [stood],
+        direction_targets.eight: [{"fell": False, "truth": 0.05}],
+        walking_quality: quality,
+        perturbation: {"pushes": [{"phases": [{"mean": 50.0}]}], "sweeps": sweeps},
+    }
+    for module, found in rows.items():
+        monkeypatch.setattr(module, "main", fake(found))
+    feet = {"feet, straight": 2.0, "feet, turns": 3.0}
+    monkeypatch.setattr(direction_targets, "foot_values", lambda *_: feet)
+    config = Config(policy=("aslip", "robust"), out=tmp_path)
+    found = {row["name"]: row["found"] for row in direction_targets.main(config)}
+    assert list(found) == [claim.name for claim in TARGETS]
+    assert found["velocity"]["each"] == [0.02, 0.02]
+    assert found["changes"]["each"] == [2.0, 2.0]
+    assert found["path"]["each"] == [5.0, 5.0]
+    missed = [name for name, one in found.items() if one["verdict"] != "PASS"]
+    assert set(missed) - {"time"} == {"changes"}
+    assert {folder.name for folder in folders} == {"aslip", "robust"}
+    assert len(folders) == 2 * len(rows)
+    errors["falls"] = 1
+    found = {row["name"]: row["found"] for row in direction_targets.main(config)}
+    assert found["velocity"]["verdict"] == "FAIL"
+
+
+@pytest.mark.slow
+def test_all_targets_are_measured(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On robots without a policy, which fall, so that few targets have a value."""
+    for module in (direction_tracking, walking_quality, foot_placement):
+        monkeypatch.setattr(module, "_SETTLE", 0.03)
+        monkeypatch.setattr(module, "_WALK", 0.06)
+    for name in ("_WALK", "_REST", "_GO_ON"):
+        monkeypatch.setattr(standing, name, 0.06)
+    monkeypatch.setattr(transitions, "_HOLD", (0.06, 0.06))
+    monkeypatch.setattr(direction_targets, "_SPEEDS", (0.0, 0.2, 0.4))
+    full = perturbation.Config
+    short = {"directions": 1, "phases": 1, "repeats": 1, "bisections": 1, "settle": 0.03}
+    short |= {"after": 0.03, "episode": 0.03, "duration": 0.03, "speed": 0.4}
+    monkeypatch.setattr(perturbation, "Config", lambda **given: full(**{**given, **short}))
+    standing_library().save(tmp_path / "gaits.npz")
+    config = Config(
+        library=str(tmp_path / "gaits.npz"), out=tmp_path / "out", commands=2, changes=2,
+        placements=1, stops=1, walks=1, stand=0.5, path=0.06,
+    )  # fmt: skip
+    rows = direction_targets.main(config, limp())
+    assert [row["name"] for row in rows] == [claim.name for claim in TARGETS]
+    found = {row["name"]: row["found"] for row in rows}
+    assert found["samples"]["verdict"] == "FAIL"  # a module has no training
+    assert found["other robots"]["each"] == [100.0]
+    assert np.isfinite(found["path"]["each"]).all()
+    assert "| path | mean distance" in capsys.readouterr().out
+    written = json.loads((tmp_path / "out" / "direction_targets.json").read_text())
+    assert len(written["rows"]) == len(TARGETS)
+    assert (tmp_path / "out" / "TensorDictModule" / "perturbation.md").exists()
