@@ -13,9 +13,13 @@ from tensordict import TensorDictBase
 from aslip.control import Controller, ControllerState
 from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.estimation import Estimate, StateEstimator
 from aslip.library import GaitLibrary
 from aslip.robot.rotation import orientation_to_heading, vector_to_heading
+from aslip.transforms import DIRECTION_TABLE
 from aslip.transforms.estimate import ESTIMATE_SIZES
+from tests.helpers import limp
+from tests.library.bent import symmetric_library
 
 Estimates = dict[str, np.ndarray]
 
@@ -146,3 +150,30 @@ def test_wrong_estimates_are_named(controller: Controller, walk: list[Controller
         controller.start({**good, "velocity": np.zeros((2, 3))})
     with pytest.raises(ConfigurationError, match="must be finite"):
         controller.start({**good, "velocity": np.full((3, 3), np.nan)})
+
+
+def test_positions_give_the_distance_from_the_path_that_packets_give() -> None:
+    """On a turn that begins with a heading of 0.7 rad, estimated in a frame without heading."""
+    controller = Controller(limp(), symmetric_library(), observation=DIRECTION_TABLE)
+    estimator, env = StateEstimator(), BatchEnv(2, num_threads=1)
+
+    def own(estimate: Estimate) -> Estimates:
+        return {name: getattr(estimate, name) for name in (*ESTIMATE_SIZES, "position")}
+
+    now, command = env.reset(), [0.4, 0.1, 0.8]
+    packets = {name: value.numpy() for name, value in now["sensors"].items()}
+    theirs = controller.start(packets, command, heading=0.7)
+    tracking, estimate = estimator.start(packets, heading=0.0)
+    ours = controller.start(own(estimate), command, heading=0.7)
+    for step in range(14):
+        now = env.step(now.set("motor_target", theirs.motor_target))["next"]
+        packets = {name: value.numpy() for name, value in now["sensors"].items()}
+        theirs, _ = controller.step(theirs, packets, heading=0.9 if step == 4 else None)
+        seen = own(estimator.update(tracking, packets))
+        held = ours.tensordict["odometry", "path_error"]
+        lost = None if step == 9 else seen
+        ours, _ = controller.step(ours, lost, heading=0.9 if step == 4 else None)
+        found = ours.tensordict["odometry", "path_error"]
+        expected = held if lost is None else theirs.tensordict["odometry", "path_error"]
+        torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
+    assert (found.abs() > 0.01).all()
