@@ -326,6 +326,8 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     evaluation = {name: common[name] for name in ("start", *names)}
     trained = {"difficulty", "dynamics", "pushes", "privileged"}
     seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}
+    # the noise of a nominal robot
+    seen = {name: ObservationNoise if make is RandomNoise else make for name, make in seen.items()}
     judging: dict[str, Any] = {"out_keys": ("judge", "goal")}
     if library is not None:
         judging["in_keys"] = ["filtered_command", "phase"]

@@ -113,6 +113,7 @@ def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> 
     stack = directions_stack(library)
     trained = insert_before(randomise_stack(stack), "command", pushes=RandomPushes)
     trained["path_diff"] = partial(RewardTerm, "path_diff", torch.zeros_like, ["phase"])
+    assert evaluation_stack(trained, library)["noise"] is stack["noise"]
     drop = (*EPISODE_ENDS, "noise", "fall")
     envs = [
         aslip.make_env(stack=one, num_envs=2, num_threads=1, drop=drop)
