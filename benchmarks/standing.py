@@ -61,7 +61,7 @@ from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Substeps, markdown, record_substeps
 from aslip.walking.metrics import drift, lifted_feet, mechanical_power, planting_time, turned
-from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
+from benchmarks.common import MakeEnv, Policy, Subject, load_subjects, write_report
 from benchmarks.directions import random_commands
 
 # durations of walking, of coming to rest, and of walking on [s]
@@ -84,7 +84,7 @@ def main(
     """
     library = GaitLibrary.load(config.library or "gaits")
     in_stack = partial(aslip.make_env, stack=config.stack, library=library)
-    subjects, _ = load_with_library(config, policy, make_env or in_stack)
+    subjects = load_subjects(config, policy, make_env or in_stack)
     chosen = commands(config, library)
     rows, traces = [], []
     for subject in subjects:

@@ -123,3 +123,9 @@ def _joined(*columns: np.ndarray) -> np.ndarray:
     for i, column in enumerate(columns):
         out[..., i] = column
     return out
+
+
+def rotate_level(vector: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """Vectors (*b, 2) along the ground, turned by angles (*b) [rad]."""
+    x, y, cosine, sine = vector[..., 0], vector[..., 1], np.cos(yaw), np.sin(yaw)
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)

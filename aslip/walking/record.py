@@ -26,6 +26,7 @@ from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.policy import add_memory
 from aslip.robot import SIDES
+from aslip.robot.rotation import rotate_level
 from aslip.transforms import RandomCommand, StandCommand
 from aslip.walking.wishes import can_stand, checked_wishes, refuse_wish
 
@@ -362,12 +363,6 @@ def frame_poses(origin: np.ndarray, heading: np.ndarray) -> np.ndarray:
     yaw = heading - heading[:1]
     way = rotate_level((origin - origin[:1])[..., :2], -heading[:1, :, 0])
     return np.concatenate([way, yaw], axis=-1)
-
-
-def rotate_level(vector: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """Vectors (*b, 2) along the ground, turned by angles (*b) [rad]."""
-    x, y, cosine, sine = vector[..., 0], vector[..., 1], np.cos(yaw), np.sin(yaw)
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
 
 
 def _as_walks(rows: TensorDict, place: str, command: np.ndarray) -> Walks:

@@ -8,6 +8,7 @@ import numpy as np
 
 from aslip.errors import ShapeError
 from aslip.robot import SIDES
+from aslip.robot.rotation import rotate_level
 from aslip.walking.metrics.contact import SHORTEST_SWING, stances
 
 # duration at mid-stance over which the foot position is averaged [s]
@@ -107,8 +108,5 @@ def placement(steps: Footsteps, ideal_step: np.ndarray) -> Placement:
     follows = np.flatnonzero(np.diff(steps.side) != 0) + 1
     side = steps.side[follows]
     step = steps.position[follows] - steps.position[follows - 1]
-    cosine, sine = np.cos(steps.heading[follows]), np.sin(steps.heading[follows])
-    step = np.stack(
-        [cosine * step[:, 0] + sine * step[:, 1], cosine * step[:, 1] - sine * step[:, 0]], axis=1
-    )
+    step = rotate_level(step, -steps.heading[follows])
     return Placement(side, step - np.asarray(ideal_step)[side], np.abs(step[:, 1]))
