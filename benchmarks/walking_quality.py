@@ -130,7 +130,8 @@ def main(
     """
     library = GaitLibrary.load(config.library or "gaits")
     footholds = Footholds(library)
-    methods = load_methods(config, policy, make_env)
+    chosen = None if config.library is None else library
+    methods = load_methods(config, policy, make_env, chosen)
     runs = [(name, one, v) for name, ones in methods.items() for v in config.speeds for one in ones]
     found: dict[tuple[str, float], list[dict[str, float] | None]] = {}
     for name, subject, speed in tqdm(runs, unit="walk", leave=False):
@@ -147,10 +148,12 @@ def main(
 
 
 def load_methods(
-    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+    config: Config,
+    policy: Policy | None = None,
+    make_env: MakeEnv | None = None,
+    library: GaitLibrary | None = None,
 ) -> dict[str, list[Subject]]:
     """Seeds of each method, from `method=policy` or from policies that are methods of their own."""
-    library = None if config.library is None else GaitLibrary.load(config.library)
     if policy is not None:
         return {policy_name(policy): [Subject.load(policy, make_env, library)]}
     methods: dict[str, list[Subject]] = {}
@@ -268,7 +271,7 @@ def picture(rows: Sequence[Mapping[str, Any]], model: Sequence[Mapping[str, Any]
 
     Args:
         rows: rows of the methods.
-        model: rows of the model, dashed.
+        model: rows of the model, dashed; may be empty.
     """
     panels = {name: quantity for name, quantity in QUANTITIES.items() if quantity.panel}
     figure = Figure(figsize=(11, 6), layout="constrained")
@@ -277,7 +280,7 @@ def picture(rows: Sequence[Mapping[str, Any]], model: Sequence[Mapping[str, Any]
     for axis, (name, quantity) in zip(grid.flat, panels.items(), strict=True):
         for method, marker in zip(methods, itertools.cycle("os^Dv<>P")):
             _draw(axis, [row for row in rows if row["method"] == method], name, marker)
-        if name in _MODEL_LINES:
+        if model and name in _MODEL_LINES:
             shown, color, label = _MODEL_LINES[name]
             value = [quantity.scale * row[shown]["mean"] for row in model]
             axis.plot([row["speed"] for row in model], value, "--", color=color, label=label)

@@ -109,6 +109,8 @@ def test_picture_has_a_line_for_each_method_and_labels_single_seeds() -> None:
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels[:2] == ["one (one seed)", "more (2 seeds)"]
     assert all("model" in label for label in labels[2:])
+    alone = picture(rows, []).legends[0].get_texts()
+    assert [text.get_text() for text in alone] == labels[:2]
     airborne = figure.axes[0]
     drawn: list[Any] = [line.get_ydata() for line in airborne.lines]
     np.testing.assert_allclose(drawn[0], [50.0, 100.0])
