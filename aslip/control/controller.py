@@ -230,12 +230,13 @@ class Controller:
         ahead = None if heading is None else _column("heading", heading, num)
         # a recurrent policy reads its memory under "next", as in TorchRL's `step_mdp`
         present = past.exclude("next", *_FRESH).update(past.get("next", {}))
+        steered = self.steering.advance(past, now, cast("Tensor | None", wish))
         present.update(
             {
                 "last_action": past["action"],
                 "is_init": torch.zeros(num, 1, dtype=torch.bool),
-                **self._followed(past, rows, ahead),
-                **self.steering.advance(past, now, cast("Tensor | None", wish)),
+                **self._followed(past, rows, ahead, steered.get("mode")),
+                **steered,
             }
         )
         if restart is not None and restart.any():
@@ -277,7 +278,7 @@ class Controller:
         return present
 
     def _followed(
-        self, past: TensorDictBase, rows: np.ndarray, heading: Tensor | None
+        self, past: TensorDictBase, rows: np.ndarray, heading: Tensor | None, mode: Tensor | None
     ) -> dict[str, Any]:
         """Entries of robots after packets (n, w, p), or after their own estimates (n, e)."""
         if (rows.ndim == 2) == ("estimator" in past):
@@ -286,7 +287,7 @@ class Controller:
             raise ConfigurationError(f"got {got}, but the robots started with {started}")
         command = cast("Tensor | None", past.get("filtered_command", None))
         if rows.ndim == 2:
-            return next_entries(past, rows, heading, self.estimator.robot, command)
+            return next_entries(past, rows, heading, self.estimator.robot, command, mode)
         memory = cast("Tensor", past["estimator", "memory"])
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
         origin = None
@@ -295,7 +296,7 @@ class Controller:
             origin = follow_path(tracking, origin, command, heading, self._period)
         elif heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
-        return estimate_entries(tracking, self.estimator.update(tracking, rows), origin)
+        return estimate_entries(tracking, self.estimator.update(tracking, rows), origin, mode)
 
     @torch.no_grad()
     def act(self, present: TensorDictBase) -> ControllerState:

@@ -53,6 +53,7 @@ def next_entries(
     heading: Tensor | None,
     robot: Robot,
     command: Tensor | None = None,
+    mode: Tensor | None = None,
 ) -> Entries:
     """Entries `estimate` and `heading` after new estimates (n, e); see `hold_estimate`.
 
@@ -62,6 +63,7 @@ def next_entries(
         heading: new yaw (n, 1) that counts as straight ahead [rad], or None.
         robot: robot that gives the sizes of the entries.
         command: command (n, c) during the step, along whose path the heading turns, or None.
+        mode: new mode (n, 1) of robots that stand on a wish, or None.
     """
     before = cast("Tensor", past["heading"] if heading is None else heading)
     ahead = before
@@ -77,7 +79,7 @@ def next_entries(
         origin, error = (cast("Tensor", past["odometry", name]) for name in PATH_SIZES)
         place = rotate_about_vertical(position, -ahead)
         moved = advance_frame(origin, before.float(), command, robot.policy_period)
-        entries["odometry"] = place_on_path(place, *moved, error)
+        entries["odometry"] = place_on_path(place, *moved, error, mode)
     return entries
 
 
@@ -87,7 +89,11 @@ def start_origin(position: Tensor) -> Tensor:
 
 
 def place_on_path(
-    place: Tensor, origin: Tensor, heading: Tensor, last_error: Tensor | None = None
+    place: Tensor,
+    origin: Tensor,
+    heading: Tensor,
+    last_error: Tensor | None = None,
+    mode: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Odometry of robots along the path of a command, see `aslip.transforms.path`.
 
@@ -96,12 +102,13 @@ def place_on_path(
         origin: (n, 3) origin of the moving frame [m, frame of the estimates].
         heading: (n, 1) yaw of the frame [rad].
         last_error: (n, 2) distance from the path a policy step ago, which lost robots keep [m].
+        mode: (n, 1) mode of robots that stand on a wish.
 
     Returns:
         `origin` (n, 3), and `path_error` (n, 2) as in `aslip.transforms.PATH_SIZES`.
     """
     way = rotate_about_vertical(origin, -heading)
-    placed = place_in_path({"pelvis_position": place.float() - way}, origin, heading)
+    placed = place_in_path({"pelvis_position": place.float() - way}, origin, heading, mode=mode)
     found = {name: placed[name] for name in PATH_SIZES}
     if last_error is None:
         return found

@@ -132,6 +132,8 @@ class EstimatedState(_Estimator):
             writes it; without this entry, the yaw of the first packet's orientation is used.
         command_key: key of the command (n, c) whose path the odometry follows; None for odometry
             from the start.
+        mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it;
+            stops move the origin of the odometry to the pelvis.
     """
 
     num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
@@ -145,9 +147,11 @@ class EstimatedState(_Estimator):
         out_keys: Sequence[NestedKey] = ("estimate", "odometry", "estimator"),
         heading_key: NestedKey = "heading",
         command_key: NestedKey | None = None,
+        mode_key: NestedKey | None = None,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self._heading_key, self._command_key = heading_key, command_key
+        self._mode_key = mode_key
         self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
         self._robot = self.estimator.robot
@@ -168,7 +172,9 @@ class EstimatedState(_Estimator):
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
-        return next_tensordict.update(self._grouped(estimate_entries(tracking, estimate, origin)))
+        mode = None if self._mode_key is None else cast("Tensor", next_tensordict[self._mode_key])
+        entries = estimate_entries(tracking, estimate, origin, mode)
+        return next_tensordict.update(self._grouped(entries))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -245,7 +251,10 @@ def follow_path(
 
 
 def estimate_entries(
-    tracking: Tracking, estimate: Estimate, origin: Tensor | None = None
+    tracking: Tracking,
+    estimate: Estimate,
+    origin: Tensor | None = None,
+    mode: Tensor | None = None,
 ) -> dict[str, dict[str, torch.Tensor]]:
     """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes.
 
@@ -254,6 +263,7 @@ def estimate_entries(
         estimate: its estimate.
         origin: (n, 3) origin of the odometry if it moves along a path [m, frame of the IMU's
             attitude]; None for odometry from the start.
+        mode: (n, 1) values of `WalkMode`, if the robots stand on a wish.
     """
     odometry = {
         "pelvis_position": estimate.position,
@@ -272,7 +282,7 @@ def estimate_entries(
         for group, values in single.items()
     }
     if origin is not None:
-        entries["odometry"] = _along_path(entries["odometry"], tracking, origin)
+        entries["odometry"] = _along_path(entries["odometry"], tracking, origin, mode)
     entries["estimator"] = {
         "memory": torch.from_numpy(tracking.to_rows()),
         "faults": torch.from_numpy(estimate.faults),
@@ -282,7 +292,7 @@ def estimate_entries(
 
 
 def _along_path(
-    odometry: Mapping[str, Tensor], tracking: Tracking, origin: Tensor
+    odometry: Mapping[str, Tensor], tracking: Tracking, origin: Tensor, mode: Tensor | None
 ) -> dict[str, Tensor]:
     """Odometry from the start, moved to an origin (n, 3) that the pelvis drags along."""
     heading = torch.from_numpy(tracking.heading)[:, None].float()
@@ -291,4 +301,4 @@ def _along_path(
         name: value - way if name.endswith("_position") else value
         for name, value in odometry.items()
     }
-    return place_in_path(moved, origin, heading)
+    return place_in_path(moved, origin, heading, mode=mode)

@@ -50,12 +50,13 @@ class HeadingFrame(SeededTransform):
     With a `command_key` the frame moves along the commanded path: at each step, heading and origin
     follow the twist of that command, and a pelvis further than `aslip.transforms.path.LEASH` from
     the origin drags it along. `("true_odometry", "path_error")` (n, 2) is then the distance of the
-    pelvis from the origin, forward and sideways [m].
+    pelvis from the origin, forward and sideways [m]. With a `mode_key`, stops drag it along, too.
 
     Args:
         truth_key: key of the truth; the entries of `ODOMETRY_SIZES` and `slope` are read.
         command_key: key of the command (n, c) whose path the frame follows; None for a frame at
             rest.
+        mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it.
         out_keys: keys of heading and perfect odometry.
         period: duration of a policy step [s].
     """
@@ -68,13 +69,15 @@ class HeadingFrame(SeededTransform):
         *,
         truth_key: str = "truth",
         command_key: NestedKey | None = None,
+        mode_key: NestedKey | None = None,
         out_keys: Sequence[NestedKey] = ("heading", "true_odometry"),
         period: float = CASSIE.policy_period,
     ) -> None:
         keys: list[NestedKey] = [(truth_key, name) for name in (*ODOMETRY_SIZES, "slope")]
-        commands = [] if command_key is None else [command_key]
-        super().__init__(in_keys=[*keys, *commands], out_keys=out_keys)
-        self._truth_key, self._command_key, self._period = truth_key, command_key, period
+        keys += [key for key in (command_key, mode_key) if key is not None]
+        super().__init__(in_keys=keys, out_keys=out_keys)
+        self._truth_key, self._command_key, self._mode_key = truth_key, command_key, mode_key
+        self._period = period
         self._origin_key = unravel_key((self.out_keys[1], "origin"))
 
     def _reset(
@@ -102,7 +105,8 @@ class HeadingFrame(SeededTransform):
         into.set(self.out_keys[0], heading)
         entries = {"origin": origin, **in_heading_frame(truth, heading, origin)}
         if self._command_key is not None:
-            entries = place_in_path(entries, origin, heading, truth["slope"])
+            mode = None if self._mode_key is None else cast("Tensor", into[self._mode_key])
+            entries = place_in_path(entries, origin, heading, truth["slope"], mode)
         return into.set(self.out_keys[1], TensorDict(entries, into.batch_size))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

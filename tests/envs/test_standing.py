@@ -7,6 +7,7 @@ from tensordict import TensorDict
 
 import aslip
 from aslip.envs import EPISODE_ENDS, evaluation_stack, standing_stack
+from aslip.library import WalkMode
 from tests.library.standing import standing_library
 
 
@@ -28,3 +29,21 @@ def test_an_evaluation_judges_standing_robots_by_standing() -> None:
             tds[i] = env.step(tds[i])["next"]
         assert torch.equal(tds[0]["reward"], tds[1]["reward"])
     assert tds[0]["mode"][0].item() != tds[0]["mode"][1].item()
+
+
+def test_robots_stand_where_a_stop_ends() -> None:
+    """Pushed or late robots need not go back to the path of their commands."""
+    library = standing_library()
+    stack = standing_stack(library)
+    env = aslip.make_env(stack=stack, num_envs=1, num_threads=1, drop=(*EPISODE_ENDS, "fall"))
+    entries = {"phase": torch.full((1, 1), 0.33), "stand": torch.zeros(1, 1)}
+    td = env.reset(TensorDict({**entries, "command": torch.zeros(1, 3)}, batch_size=1))
+    td["stand"], modes = torch.ones(1, 1), []
+    for _ in range(25):
+        td["action"] = torch.zeros(1, 10)
+        td = env.step(td)["next"]
+        modes.append(WalkMode(int(td["mode"])))
+        for group in ("odometry", "true_odometry"):
+            error = torch.linalg.vector_norm(td[group, "path_error"])
+            assert (error < 1e-6) == (modes[-1] == WalkMode.STOP)
+    assert {WalkMode.STOP, WalkMode.STAND} <= {*modes}

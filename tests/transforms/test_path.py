@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from aslip.library import WalkMode
 from aslip.rom.arc import twist_pose
 from aslip.transforms.path import (
     LEASH,
@@ -64,3 +65,15 @@ def test_a_pelvis_far_from_the_origin_drags_it_along() -> None:
     expected = torch.stack([torch.zeros(3), moved]) + torch.tensor([1.0, 1.0, 0.0])
     torch.testing.assert_close(found["origin"], expected)
     assert torch.equal(beyond_leash(place[:1]), torch.zeros(1, 3))
+
+
+def test_stops_bring_the_origin_below_the_pelvis() -> None:
+    place = torch.tensor([[0.1, -0.2, 0.9], [0.0, 0.0, 0.9], [0.1, -0.2, 0.9], [3.0, 4.0, 0.9]])
+    modes = [WalkMode.STOP, WalkMode.STOP, WalkMode.STAND, WalkMode.START]
+    mode = torch.tensor(modes, dtype=torch.float32)[:, None]
+    found = place_in_path({"pelvis_position": place}, place * 0, torch.zeros(4, 1), mode=mode)
+    assert torch.equal(found["path_error"][:2], torch.zeros(2, 2))
+    assert torch.equal(found["origin"][:2, :2], place[:2, :2])
+    walking = place_in_path({"pelvis_position": place}, place * 0, torch.zeros(4, 1))
+    for name, value in found.items():
+        assert torch.equal(value[2:], walking[name][2:]), name

@@ -139,8 +139,9 @@ class PolicyStep(nn.Module):
         first = given["first"]
         sizes = self._robot.estimate_sizes
         last = given["last_estimate"].split(list(sizes.values()), dim=-1)
+        steered = self._steered(given)
         present: dict[str, Any] = {
-            **self._steered(given),
+            **steered,
             "estimate": hold_estimate(
                 {name: given[name] for name in sizes},
                 given["heading"],
@@ -151,7 +152,7 @@ class PolicyStep(nn.Module):
             "is_init": torch.tensor([[False]] * len(first)),
         }
         if self._placed:
-            present["odometry"] = self._odometry(given)
+            present["odometry"] = self._odometry(given, steered.get("mode"))
         for name in self._memory:
             state = given[f"last_{name}"]
             present[name] = torch.where(first.reshape(-1, *[1] * (state.ndim - 1)), 0.0, state)
@@ -169,14 +170,14 @@ class PolicyStep(nn.Module):
         now = {name: torch.where(first, begun[name], following[name]) for name in past}
         return {**following, **now}
 
-    def _odometry(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    def _odometry(self, given: Mapping[str, Tensor], mode: Tensor | None) -> dict[str, Tensor]:
         """Origin of the path of the command, and distance of the pelvis from it."""
         first, before = given["first"], given["path_heading"].float()
         place = rotate_about_vertical(given[POSITION], -given["heading"])
         steer, begun = given["last_filtered_command"], given["last_origin"]
         origin, ahead = advance_frame(begun, before, steer, self._robot.policy_period)
         origin, ahead = torch.where(first, begun, origin), torch.where(first, before, ahead)
-        return place_on_path(place, origin, ahead, given["last_path_error"])
+        return place_on_path(place, origin, ahead, given["last_path_error"], mode)
 
     def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
         """Values of the outputs by name."""
