@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Final
 
 from tensordict.utils import NestedKey
+from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from aslip.envs import RewardSource
@@ -54,7 +55,7 @@ def directions_stack(library: GaitLibrary, reward_on: RewardSource = "truth") ->
     Args:
         library: gait library over three commands.
         reward_on: source of pelvis and feet in the rewards; the distance from the path is always
-            the estimated one, which the policy observes.
+            the estimated one, which the policy observes, power and load are the true ones.
 
     Raises:
         ConfigurationError: commands of the library have not three numbers.
@@ -73,15 +74,25 @@ def directions_stack(library: GaitLibrary, reward_on: RewardSource = "truth") ->
         "observation": lambda: AssembleObservation(DIRECTION_TABLE),
         "reward": lambda: WeightedReward(DIRECTION_WEIGHTS),
     }
-    # the policy observes this error; the true one drifts away with the odometry
-    place: list[NestedKey] = [("odometry", "path_error")]
-    body: list[NestedKey] = [("goal", "body_position")]
-    terms: Stack = {"path_diff": partial(RewardTerm, "path_diff", rewards.path_diff, place, body)}
     for name in _HEADINGS:
         stack[name] = partial(_with_headings, stack[name])
     stack = insert_before(stack, "clock", command_filter=CommandFilter)
-    stack = insert_before(stack, "straight_diff", **terms)
+    stack = insert_before(stack, "straight_diff", **_terms())
     return {name: make for name, make in stack.items() if name != "straight_diff"}
+
+
+def _terms() -> Stack:
+    """Reward terms that the paper does not have."""
+    reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
+        # the policy observes this error; the true one drifts away with the odometry
+        rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
+        rewards.power: ([("truth", "motor_torque"), ("truth", "motor_velocity")], [_STEER]),
+        rewards.load: ([("truth", "ground_force")], []),
+    }
+    return {
+        function.__name__: partial(RewardTerm, function.__name__, function, *keys)
+        for function, keys in reads.items()
+    }
 
 
 def standing_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> Stack:
@@ -102,6 +113,8 @@ def standing_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> S
         "command_filter": StandFilter,
         "clock": lambda: StandClock(library, in_keys=[_STEER, "stand"]),
         "reference": lambda: ReferenceInjection(library, in_keys=steered),
+        "heading": lambda: HeadingFrame(command_key=_STEER, mode_key="mode"),
+        "estimator": lambda: EstimatedState(command_key=_STEER, mode_key="mode"),
     }
     return insert_before(stack, "reference", stand=StandCommand)
 

@@ -43,7 +43,7 @@ from aslip.transforms import (
     rewards,
     single_reference,
 )
-from aslip.transforms.rewards import PAPER_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS
 from aslip.transforms.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 
 # groups with the same entries in the same frame, the robot's heading frame
@@ -322,7 +322,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     common, names = default_stack(), [*_EVALUATION]
     if library is not None:
         common = STACKS["standing" if "stand" in stack else "directions"](library)
-        names = [name for name in common if name in {*names, "path_diff"}]
+        names = [name for name in common if name in {*names, *DIRECTION_WEIGHTS}]
     evaluation = {name: common[name] for name in ("start", *names)}
     trained = {"difficulty", "dynamics", "pushes", "privileged"}
     seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}

@@ -1,8 +1,9 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B); also for any direction.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and three of our own.
 
-Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the
-paper; the public code sums absolute values per axis for velocity and feet. Shapes:
-(*b, k) in, (*b, 1) out.
+Ours are for walks in all directions: the distance from the path, mechanical power and the load of
+the feet. Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as
+in the paper; the public code sums absolute values per axis for velocity and feet. Shapes: (*b, k)
+in, (*b, 1) out.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
+from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.transforms.rotation import (
     conjugate,
     multiply,
@@ -36,18 +38,34 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.25,
+        "com_vel": 0.2,
         "foot_pos": 0.25,
         "path_diff": 0.2,
-        "foot_orient": 0.2,
-        "action_diff": 0.1,
+        "foot_orient": 0.1,
+        "action_diff": 0.05,
+        "power": 0.1,
+        "load": 0.1,
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
-`path_diff` takes the place of `straight_diff` with twice its weight."""
+`path_diff` takes the place of `straight_diff`, and `power` and `load` are new."""
 
 PATH_SCALE: Final = 0.1
 """Distance at which `path_diff` is 1/e [m]."""
+
+POWER_SCALE: Final = 0.4
+"""Power over body weight and speed at which `power` is 1/e."""
+
+SPEED_IN_PLACE: Final = 0.4
+"""Speed that `power` adds to the commanded one, as stepping in place takes power, too [m/s]."""
+
+LEAST_LOAD: Final = 0.9
+"""Force on a foot over body weight up to which `load` is 1."""
+
+LOAD_SCALE: Final = 0.3
+"""Force on a foot over body weight, beyond `LEAST_LOAD`, at which `load` is 1/e."""
+
+_WEIGHT: Final = CASSIE.total_mass * STANDARD_GRAVITY  # [N]
 
 
 def com_vel(
@@ -163,6 +181,33 @@ def action_diff(action: Tensor, last_action: Tensor) -> Tensor:
         last_action: (*b, 10) [rad].
     """
     return torch.exp(-_norm(action - last_action))
+
+
+def power(motor_torque: Tensor, motor_velocity: Tensor, command: Tensor) -> Tensor:
+    r""":math:`\exp(-P / (0.4\,W (|v| + v_0)))`, P the positive mechanical power of the motors.
+
+    W is the nominal robot's weight, v the commanded speed over the ground and :math:`v_0` is
+    `SPEED_IN_PLACE`. Braking motors count as zero. Ours.
+
+    Args:
+        motor_torque: (*b, 10) at the joints [N m].
+        motor_velocity: (*b, 10) of the joints [rad/s].
+        command: (*b, c) forward and sideways speed [m/s]; further numbers are ignored.
+    """
+    used = (motor_torque * motor_velocity).clamp(min=0).sum(-1, keepdim=True)
+    return torch.exp(-used / (POWER_SCALE * _WEIGHT * (_norm(command[..., :2]) + SPEED_IN_PLACE)))
+
+
+def load(ground_force: Tensor) -> Tensor:
+    r""":math:`\exp(-(F/W - 0.9)^+ / 0.3)`, F the vertical force on the foot that bears more.
+
+    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. Ours.
+
+    Args:
+        ground_force: (*b, 2, 3) on left and right foot, mean of a policy step [N, z up].
+    """
+    largest = ground_force[..., 2].amax(-1, keepdim=True) / _WEIGHT
+    return torch.exp(-(largest - LEAST_LOAD).clamp(min=0) / LOAD_SCALE)
 
 
 def _norm(vector: Tensor) -> Tensor:
