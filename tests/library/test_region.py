@@ -79,6 +79,11 @@ def test_library_of_a_convex_region_is_built_saved_and_looked_up(tmp_path: Path)
     loaded = GaitLibrary.load(tmp_path / "cut.npz")
     assert library.table.missing.sum() == 2
     np.testing.assert_array_equal(loaded.table.missing, library.table.missing)
+    # only present motions are stored, the others are extrapolated again
+    assert loaded.table.sha256 == library.table.sha256
+    with np.load(tmp_path / "cut.npz") as archive:
+        assert archive["table/qpos"].shape == (7, 8, 35)
+        assert "table/motor_position" not in archive
     assert len(loaded.motions) == 7
     phase, border = torch.tensor([[0.3]]), torch.tensor([[0.5, 0.05]])
     assert loaded.check_command((0.5, 0.05)) == (0.5, 0.05)
