@@ -43,7 +43,7 @@ from aslip.show.plots import save_figure
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import write_text
 from aslip.transforms import PhaseClock, StandClock
-from aslip.walking import Interval, Walks, next_start, record_walks, walk
+from aslip.walking import Interval, Walks, command_library, next_start, record_walks, walk
 from benchmarks.flags import Common, WithLibrary
 
 __all__ = [
@@ -171,10 +171,14 @@ def load_subjects(
 def load_with_library(
     config: WithLibrary, policy: Policy | None = None, make_env: MakeEnv | None = None
 ) -> tuple[list[Subject], GaitLibrary]:
-    """Subjects of a benchmark, and the library of their gaits: the flag's, or the shipped one."""
+    """Subjects of a benchmark, and the library of their gaits.
+
+    The library is the flag's, or the shipped one of the first policy.
+    """
     chosen = None if config.library is None else GaitLibrary.load(config.library)
     subjects = load_subjects(config, policy, make_env, chosen)
-    return subjects, GaitLibrary.load() if chosen is None else chosen
+    first = config.policy[0] if policy is None else policy
+    return subjects, command_library(first) if chosen is None else chosen
 
 
 def policy_name(policy: Policy) -> str:

@@ -59,8 +59,9 @@ class Directions(WithLibrary):
 
     policy: tuple[str, ...] = ("runs/ppo_directions",)
     """Policies to measure: files or run folders; several count as seeds of one method."""
-    library: str | None = "runs/directions/gaits.npz"
-    """Library over three commands that the policies were trained with."""
+    library: str | None = "directions"
+    """Library over three commands that the policies were trained with; a file, or the shipped
+    one."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Compare look-ups of a library over three commands with gaits solved at random commands.
 
-    python recipes/direction_library.py
     python -m benchmarks.interpolation
+    python -m benchmarks.interpolation --library runs/directions/gaits.npz
 
 Each gait is solved from the straight gait of its forward speed. Differences are the largest ones
 over a stride, in the moving frame; the limits are 3 mm, 0.02 m/s and 0.02 rad.
@@ -10,7 +10,6 @@ over a stride, in the moving frame; the limits are 3 mm, 0.02 m/s and 0.02 rad.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
@@ -20,8 +19,9 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of the benchmark."""
 
-    library: Path = Path("runs/directions/gaits.npz")
-    """File of the library, with gaits of the default model of `recipes/direction_library.py`."""
+    library: str = "directions"
+    """Library, shipped or a file, with gaits of the default model of
+    `recipes/direction_library.py`."""
     count: int = 50
     """Number of gaits."""
     seed: int = 0

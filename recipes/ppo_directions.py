@@ -1,6 +1,5 @@
 """Teach Cassie to walk in all directions and to stand: forward, sideways speed and yaw rate.
 
-    python recipes/direction_library.py                # gaits, in runs/directions
     python recipes/ppo_directions.py                   # train, evaluate, draw: runs/ppo_directions/
     python recipes/ppo_directions.py --resume          # continue after Ctrl-C, kill or a crash
     python recipes/ppo_directions.py --library runs/small/gaits.npz --no-randomise --push-impulse 0
@@ -30,8 +29,8 @@ class DirectionConfig(Config):
     """Folder of the run."""
     total_steps: int = 5_000_000
     """Policy steps to train for, rounded up to whole updates."""
-    library: str = "runs/directions/gaits.npz"
-    """Library over three commands, from `direction_library.py`."""
+    library: str = "directions"
+    """Library over three commands: the shipped one, or a file from `direction_library.py`."""
     command_interval: float = 4.0
     """Mean time between changes of the command, and of the wish to stand, in an episode [s]."""
     stand: float = 0.15

@@ -5,7 +5,7 @@ r"""Walk with a policy through a schedule of commands; log, film, watch or steer
     python recipes/walk.py --policy runs/ppo_aslip --push "3:0,60,0" --video walk.mp4
     python recipes/walk.py --viewer                             # MuJoCo's window, in real time
     python recipes/walk.py --live                               # a page in your browser to steer it
-    python recipes/walk.py --policy runs/ppo_directions --library runs/directions/gaits.npz \
+    python recipes/walk.py --policy runs/ppo_directions \
         --command "0:0.5 0 0,4:0.5 0 0.5,8:0 -0.2 0"            # forward, sideways, yaw rate
     python recipes/walk.py ... --command "0:0.5 0 0,4:stand,9:0 0 0.3"    # policies that stand
 
@@ -31,8 +31,8 @@ class Config:
 
     policy: str = "aslip"
     """Name of a shipped policy, its file, or the folder of a run."""
-    library: Path | None = None
-    """Library of gaits; the stack's own by default. A policy for all directions needs one."""
+    library: str | None = None
+    """Library of gaits: a file or the name of a shipped one; by default that of the stack."""
     command: str = "0:0.0,4:1.0,8:0.5"
     """Speeds over time, "seconds:m/s,..."; each holds until the next begins. In all directions
     three numbers: "seconds:m/s m/s rad/s,..." forward, sideways, yaw rate; "seconds:stand" to
@@ -115,7 +115,7 @@ from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film, seconds_per_frame
 from aslip.training.run import sigterm_exits
-from aslip.walking import Push, Walker, markdown, policy_steps
+from aslip.walking import Push, Walker, command_library, markdown, policy_steps
 
 # columns of the pelvis velocity in a row [world]
 _AXES = ("velocity_x", "velocity_y")
@@ -201,7 +201,7 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
     """Robot in its environment, with a recorder if there is a log to write."""
     chosen = None if config.library is None else aslip.GaitLibrary.load(config.library)
     stack = STACKS[policy_stack(config.policy)](chosen)
-    library = aslip.GaitLibrary.load() if chosen is None else chosen
+    library = command_library(config.policy) if chosen is None else chosen
     schedule = schedule.of_size(library.command_size)
     if any(schedule.stands) and "stand" not in stack:
         raise ConfigurationError(

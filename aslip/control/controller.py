@@ -23,7 +23,7 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
 from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
-from aslip.policy import entry_names, load_policy, read_card
+from aslip.policy import entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
@@ -73,7 +73,7 @@ class Controller:
     stacks: from the packets of a rollout, the controller computes the motor targets of that rollout
     bit for bit. The control loop of a robot:
 
-        controller = Controller("aslip", GaitLibrary.load())
+        controller = Controller("aslip")
         state = controller.start(packets, command=0.5)
         while True:
             drive(state.motor_target)
@@ -98,7 +98,7 @@ class Controller:
     Args:
         policy: name of a shipped policy, a policy file, or a module that maps `observation`, or any
             key of `ControllerState.tensordict`, to `action`.
-        library: the gaits.
+        library: the gaits; by default the shipped ones of the policy's stack.
         observation: keys of the observation's entries in order; by default those in the policy's
             file, or `OBSERVATION_TABLE`.
         baseline: key of the angles to which the action is added; by default the one in the
@@ -121,7 +121,7 @@ class Controller:
     def __init__(
         self,
         policy: str | Path | TensorDictModuleBase,
-        library: GaitLibrary,
+        library: GaitLibrary | None = None,
         *,
         observation: Sequence[NestedKey] | None = None,
         baseline: NestedKey | None = None,
@@ -141,9 +141,10 @@ class Controller:
             baseline = baseline or _key(card["baseline"])
             command_rates = command_rates or card["command_rates"]
             stands = card["stands"] if stands is None else stands
+            library = library or GaitLibrary.load(policy_library(policy))
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
-        self.library = library
+        self.library = library = library or GaitLibrary.load()
         self.observation = tuple(observation or OBSERVATION_TABLE)
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         self.estimator = StateEstimator() if estimator is None else estimator

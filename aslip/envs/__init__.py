@@ -57,6 +57,7 @@ if TYPE_CHECKING:
         randomise_stack,
         reward_terms,
         robot_stack,
+        shipped_library,
         single_reference_stack,
     )
 
@@ -101,6 +102,7 @@ __all__ = [
     "randomise_stack",
     "reward_terms",
     "robot_stack",
+    "shipped_library",
     "single_reference_stack",
     "stack_name",
     "standing_stack",
@@ -143,6 +145,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
             "randomise_stack",
             "reward_terms",
             "robot_stack",
+            "shipped_library",
             "single_reference_stack",
         ],
     },

@@ -12,7 +12,7 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from aslip.envs import RewardSource
-from aslip.envs.stacks import Stack, default_stack, insert_before
+from aslip.envs.stacks import Stack, default_stack, insert_before, shipped_library
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
@@ -46,20 +46,23 @@ _HEADINGS: Final = MappingProxyType(
 _STEER: Final = "filtered_command"
 
 
-def directions_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> Stack:
+def directions_stack(
+    library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
+) -> Stack:
     """Stack for walks in all directions: commands of forward speed, sideways speed and yaw rate.
 
     It is the default stack, with a filter of the command (`CommandFilter`), which clock, reference
     and path follow, and with rewards and odometry in a frame that moves along that path.
 
     Args:
-        library: gait library over three commands.
+        library: gait library over three commands, the shipped one by default.
         reward_on: source of pelvis and feet in the rewards; the distance from the path is always
             the estimated one, which the policy observes, power and load are the true ones.
 
     Raises:
         ConfigurationError: commands of the library have not three numbers.
     """
+    library = shipped_library("directions") if library is None else library
     if library.command_size != 3:
         raise ConfigurationError(
             "a stack for all directions needs a library over forward speed, sideways speed and yaw"
@@ -95,17 +98,18 @@ def _terms() -> Stack:
     }
 
 
-def standing_stack(library: GaitLibrary, reward_on: RewardSource = "truth") -> Stack:
+def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
     """Stack of `directions_stack` in which robots also stand, stop and start (`StandClock`).
 
     Args:
-        library: gait library over three commands, with stop and start.
+        library: gait library over three commands, with stop and start; the shipped one by default.
         reward_on: source of pelvis and feet in the rewards.
 
     Raises:
         ConfigurationError: commands of the library have not three numbers, or it has no stop and
             start.
     """
+    library = shipped_library("directions") if library is None else library
     transitions_of(library)
     steered: list[NestedKey] = [_STEER, "phase", "mode", "stand"]
     stack = directions_stack(library, reward_on) | {

@@ -111,7 +111,7 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
         library: gait library, the shipped one by default.
         reward_on: source of pelvis and feet in the rewards.
     """
-    library = _shipped() if library is None else library
+    library = shipped_library() if library is None else library
     return {
         "start": lambda: ReferenceStart(library),
         "command": lambda: SpeedCommand(library),
@@ -156,7 +156,7 @@ def single_reference_stack(
             one of a pendulum by default.
         reward_on: source of pelvis and feet in the rewards; joints and springs are always true.
     """
-    library = _pendulum() if library is None else library
+    library = shipped_library("single_reference") if library is None else library
     source = REWARD_SOURCES[reward_on]
     feet = ("left_foot_velocity", "right_foot_velocity")
     terms: Stack = {
@@ -200,31 +200,22 @@ def single_reference_stack(
 
 
 @functools.cache
-def _shipped() -> GaitLibrary:
-    return GaitLibrary.load()
-
-
-@functools.cache
-def _pendulum() -> GaitLibrary:
-    return GaitLibrary.load("single_reference")
+def shipped_library(name: str = "gaits") -> GaitLibrary:
+    """Shipped library by name, read once; see `GaitLibrary.load`."""
+    return GaitLibrary.load(name)
 
 
 def _turning(
     name: str, library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
 ) -> Stack:
-    """Stack of `aslip.envs.directions` by name; no library for it ships.
+    """Stack of `aslip.envs.directions` by name.
 
     Raises:
-        ConfigurationError: there is no library, its commands have not three numbers, or it has no
-            stop and start to stand.
+        ConfigurationError: commands of the library have not three numbers, or it has no stop and
+            start to stand.
     """
     from aslip.envs import directions  # imports this module
 
-    if library is None:
-        raise ConfigurationError(
-            f"the stack {name!r} needs a library over three commands, which does not ship: build"
-            " one with recipes/direction_library.py and give library=GaitLibrary.load(PATH)"
-        )
     make = {"directions": directions.directions_stack, "standing": directions.standing_stack}
     return make[name](library, reward_on)
 
@@ -332,7 +323,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     if library is not None:
         judging["in_keys"] = ["filtered_command", "phase"]
         judging["in_keys"] += ["mode", "stand"] if "stand" in stack else []
-    goal = partial(ReferenceInjection, library or GaitLibrary.load(), **judging)
+    goal = partial(ReferenceInjection, library or shipped_library(), **judging)
     return {"start": evaluation.pop("start"), **seen, "judge": goal, **evaluation}
 
 

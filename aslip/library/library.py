@@ -32,7 +32,7 @@ from aslip.rom.motion import PHASE_SAMPLES, Motion
 if TYPE_CHECKING:
     from aslip.library.tabulate import BuildOptions
 
-SHIPPED = ("gaits", "single_reference")
+SHIPPED = ("gaits", "directions", "single_reference")
 """Names of shipped libraries."""
 
 _BORDER = 1e-6  # rounding of a command at the border of a region
@@ -133,8 +133,9 @@ class GaitLibrary(nn.Module):
         """Read a library.
 
         Args:
-            path: file, or name of a shipped library: "gaits", the 21 optimal gaits of the paper, or
-                "single_reference", the motion of the single-reference baseline.
+            path: file, or name of a shipped library: "gaits", the 21 optimal gaits of the paper;
+                "directions", gaits in all directions with stop and start; or "single_reference",
+                the motion of the single-reference baseline.
             robot: robot of the library.
 
         Raises:

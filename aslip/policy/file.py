@@ -244,6 +244,21 @@ def policy_stack(name_or_path: str | Path) -> str:
     return card["stack"]
 
 
+def policy_library(name_or_path: str | Path) -> str:
+    """Name of the shipped library with the gaits of a policy's stack, see `GaitLibrary.load`.
+
+    For a stack without a name, the observation tells whether the policy walks in all directions.
+
+    Raises:
+        AssetError: there is no such policy.
+        FileDamagedError: the file is truncated, altered, or not a policy.
+    """
+    card = read_card(name_or_path)
+    if card["stack"] == "single_reference":
+        return "single_reference"
+    return "directions" if "filtered_command" in card["observation"] else "gaits"
+
+
 def _stack_difference(card: Mapping[str, Any]) -> str:
     """Difference between a policy's stack and the named ones, in words."""
     if card["observation"] not in _known_observations():

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     )
     from aslip.walking.substeps import Substeps, record_substeps
     from aslip.walking.tables import markdown
-    from aslip.walking.walker import Walker
+    from aslip.walking.walker import Walker, command_library
 
 __all__ = [
     "CONFIDENCE",
@@ -42,6 +42,7 @@ __all__ = [
     "WalkResult",
     "Walker",
     "Walks",
+    "command_library",
     "evaluate",
     "evaluation_means",
     "is_on_feet",
@@ -81,6 +82,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "push": ["Push", "policy_steps"],
         "substeps": ["Substeps", "record_substeps"],
         "tables": ["markdown"],
-        "walker": ["Walker"],
+        "walker": ["Walker", "command_library"],
     },
 )

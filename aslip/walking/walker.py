@@ -12,14 +12,27 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env
+from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env, shipped_library
 from aslip.errors import ConfigurationError
 from aslip.library import Command, GaitLibrary, numbers
-from aslip.policy import add_memory, load_policy, policy_stack
+from aslip.policy import add_memory, load_policy, policy_library, policy_stack
 from aslip.robot import CASSIE
 from aslip.walking.push import policy_steps
 from aslip.walking.record import next_start, reset_walks, take_step
 from aslip.walking.wishes import can_stand
+
+
+def command_library(policy: TensorDictModuleBase | str | Path) -> GaitLibrary:
+    """Shipped library over the commands of a policy: straight walks or all directions.
+
+    A module counts as one that walks straight. The single-reference baseline, which scales one
+    motion, has the speeds of the paper's gaits.
+
+    Raises:
+        AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
+    """
+    name = policy_library(policy) if isinstance(policy, str | Path) else "gaits"
+    return shipped_library("gaits" if name == "single_reference" else name)
 
 
 class Walker:
@@ -30,7 +43,8 @@ class Walker:
             `load_policy`.
         env: environment of one robot. By default the policy's stack, with falls as the
             only end of an episode.
-        library: gaits of the default environment, and the range of commands.
+        library: gaits of the default environment, and the range of commands; by default the
+            shipped ones of the policy's stack.
         seed: seed of the default environment.
         speed: first command: forward speed [m/s], or a number for each axis of the library.
         stand: first wish to stand.
@@ -51,7 +65,7 @@ class Walker:
         speed: Command = 0.0,
         stand: bool = False,
     ) -> None:
-        self.library = GaitLibrary.load() if library is None else library
+        self.library = command_library(policy) if library is None else library
         if env is None:
             env = self._default_env(policy, seed)
         if env.num_envs != 1:

@@ -108,9 +108,8 @@ def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) ->
     assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()
     with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
         Controller(path, symmetric_library())
-    for library, why in ((None, "'standing' needs a library"), (symmetric_library(), "stop and")):
-        with pytest.raises(ConfigurationError, match=why):
-            aslip.make_env(stack="standing", library=library)
+    with pytest.raises(ConfigurationError, match="stop and start"):
+        aslip.make_env(stack="standing", library=symmetric_library())
 
 
 def test_wishes_that_cannot_be_met_are_refused(env: StackEnv) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import aslip
-from aslip.envs import directions_stack, policy_interface
-from aslip.errors import ConfigurationError, SpeedOutOfRangeError
+from aslip.envs import directions_stack, policy_interface, shipped_library
+from aslip.errors import SpeedOutOfRangeError
 from aslip.log import Recording, read, replay
 from aslip.log.walk import read_walk
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
@@ -74,9 +74,9 @@ def test_the_table_has_three_speeds(
     assert "| 0 | 0.40, 0.00, 0.00 |" in capsys.readouterr().out
 
 
-def test_policies_for_all_directions_need_their_library(files: tuple[Path, Path]) -> None:
-    with pytest.raises(ConfigurationError, match="'directions' needs a library"):
-        walk.main(Config(policy=str(files[1])))
+def test_policies_for_all_directions_have_a_shipped_library(files: tuple[Path, Path]) -> None:
+    assert Walker(files[1]).library is shipped_library("directions")
+    # the fixture's library is smaller
     with pytest.raises(SpeedOutOfRangeError, match="outside the gait library"):
         walk.main(_settings(files, command="0:0.4 0 0,3:0.4 0.5 0"))
 

@@ -22,8 +22,8 @@ class Config:
     """Name of a shipped policy, policy file, or folder of a training run."""
     out: Path = Path("policy.onnx")
     """ONNX file to write."""
-    library: str = "gaits"
-    """Gait library: name of a shipped one, or file."""
+    library: str | None = None
+    """Gait library: name of a shipped one, or file; by default that of the policy's stack."""
     samples: int = 100_000
     """Number of random states at which the file is compared with PyTorch."""
     network: bool = False
@@ -46,7 +46,8 @@ def main(config: Config) -> None:
     from aslip.control.export import compare, export_network, export_policy, write_pipeline
     from aslip.library import GaitLibrary
 
-    controller = Controller(config.policy, GaitLibrary.load(config.library))
+    chosen = None if config.library is None else GaitLibrary.load(config.library)
+    controller = Controller(config.policy, chosen)
     if config.network:
         export_network(config.policy, config.out, controller.library)
         print(f"{config.out.stat().st_size / 1e6:.1f} MB")

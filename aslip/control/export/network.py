@@ -37,7 +37,7 @@ def export_network(
     """
     name = policy if isinstance(policy, str | Path) else type(policy.policy).__name__
     if isinstance(policy, str | Path):
-        policy = Controller(policy, library or GaitLibrary.load())
+        policy = Controller(policy, library)
     network = _Network(policy)
     model = trace_graph(network, network.inputs, network.outputs)
     write_model(model, mjlab_metadata(policy, str(name)), Path(path))

@@ -48,7 +48,7 @@ def export_policy(
     Args:
         policy: name of a shipped policy, a policy file, or a controller with a policy of your own.
         path: file to write; an existing one is replaced atomically.
-        library: gaits; the shipped ones by default. A controller has its own.
+        library: gaits; by default the shipped ones of the policy's stack. A controller has its own.
 
     Returns:
         Controller from the file.
@@ -60,10 +60,7 @@ def export_policy(
         OSError: the file cannot be written; an existing one stays intact.
     """
     name = policy if isinstance(policy, str | Path) else type(policy.policy).__name__
-    if isinstance(policy, str | Path):
-        controller = Controller(policy, library or GaitLibrary.load())
-    else:
-        controller = policy
+    controller = Controller(policy, library) if isinstance(policy, str | Path) else policy
     step = PolicyStep(controller)
     model = trace_graph(step, step.inputs, step.outputs)
     metadata = {

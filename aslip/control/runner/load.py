@@ -14,8 +14,6 @@ from aslip.robot import CASSIE, Robot
 from aslip.wire import STATE_OUT, state_out_to_estimate
 
 _WARM_UP = 5
-# stack -> its library if that is not "gaits"; None if it is not shipped
-_LIBRARIES = {"single_reference": "single_reference", "directions": None, "standing": None}
 
 
 class Loaded(NamedTuple):
@@ -114,18 +112,17 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
     from aslip.files.assets import asset_path
     from aslip.library import GaitLibrary
     from aslip.library.library import SHIPPED
-    from aslip.policy import find_policy, read_card
+    from aslip.policy import find_policy, policy_library
 
     # one robot: more threads only cost time
     torch.set_num_threads(1)
     path = find_policy(policy)
-    needed = _LIBRARIES.get(read_card(path)["stack"], "gaits")
+    needed = policy_library(path)
     library = library or needed
-    if library is None or (library in SHIPPED and library != needed):
-        which = (
-            "a library of gaits in every direction" if needed is None else f"the library {needed!r}"
+    if library in SHIPPED and library != needed:
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} needs the library {needed!r}, got {library!r}"
         )
-        raise ConfigurationError(f"the policy {str(policy)!r} needs {which}, got {library!r}")
     file = asset_path(f"{library}.npz") if library in SHIPPED else Path(library)
     gaits = GaitLibrary.load(library)
     controller = Controller(path, gaits)
