@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
 from aslip.errors import AslipError, ConfigurationError
-from aslip.library import Command, numbers
+from aslip.library import Command, WalkMode, numbers
 from aslip.policy import load_policy
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
@@ -283,4 +283,5 @@ class LivePage:
             yaw_rate=float(cast("torch.Tensor", td["truth", "pelvis_angular_velocity"])[0, 2]),
             command=numbers(self.walker.command),
             off_path=float(torch.linalg.vector_norm(off)),
+            mode=WalkMode(int(td["mode"])).name.lower() if "mode" in td else "",
         )

@@ -61,6 +61,8 @@ class Turning:
     """Commanded forward, sideways speed [m/s] and yaw rate [rad/s]."""
     off_path: float
     """Distance of the pelvis from the place that it should have [m]."""
+    mode: str = ""
+    """Mode of a robot that can stand, "walk", "stop", "stand" or "start"; empty for others."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +185,7 @@ def _lines(status: Status, mean_speed: float) -> str:
             ("forward speed", f"{status.speed:z.2f} m/s", forward),
             ("sideways speed", f"{turning.sideways:z.2f} m/s", sideways),
             ("yaw rate", f"{turning.yaw_rate:z.2f} rad/s", yaw_rate),
-            ("off the path", f"{turning.off_path:.2f} m", ""),
+            ("off the path", f"{turning.off_path:.2f} m", turning.mode),
         )
     entries = (
         ("time", f"{status.time:.2f} s", factor),

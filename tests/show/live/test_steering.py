@@ -125,6 +125,7 @@ def test_the_ghost_stands_on_both_feet_after_a_reset(standing_walker: Walker) ->
     try:
         assert page.controls.steering.stand is not None
         assert page.controls.steering.stand.label == "Walk"
+        assert ">stand</td>" in page._readouts._lines.content
         page.controls.reset.value = True
         page.turn()
         assert page.walker.stand
