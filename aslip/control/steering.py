@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from aslip.errors import ConfigurationError
@@ -111,6 +112,14 @@ class Steering:
             period=self.period,
             standing=standing,
         )
+
+    def pose(self) -> Tensor:
+        """Motor angles (m,) of the reference when robots begin, standing if they can [rad]."""
+        phase = torch.zeros(1, 1)
+        still = torch.zeros(1, self.library.command_size)
+        present = self.begin(still, phase, torch.ones(1, 1) if self.stands else None)
+        mode = present.get("mode", None)
+        return self.library.lookup(present["phase"], still, mode).motor_position[0]
 
     @staticmethod
     def _entries(

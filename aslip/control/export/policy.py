@@ -98,16 +98,16 @@ def mjlab_metadata(controller: Controller, run_path: str) -> dict[str, str]:
     """Metadata with the keys of mjlab, in full precision.
 
     mjlab's actions are added to constant angles. Here the angles move: `default_joint_pos` has
-    those of the reference at phase 0 and zero command, and the entry `aslip` names the baseline.
+    those of the reference at phase 0 and zero command, or of standing if the policy can stand, and
+    the entry `aslip` names the baseline.
     """
-    robot, library = controller.estimator.robot, controller.library
-    start = library.lookup(torch.zeros(1, 1), torch.zeros(1, library.command_size))
+    robot = controller.estimator.robot
     return {
         "run_path": run_path,
         "joint_names": csv(robot.motor_names),
         "joint_stiffness": csv(robot.stiffness),
         "joint_damping": csv(robot.damping),
-        "default_joint_pos": csv(start.motor_position[0].tolist()),
+        "default_joint_pos": csv(controller.steering.pose().tolist()),
         "command_names": csv(["command", *(["stand"] if controller.steering.stands else [])]),
         "observation_names": csv(entry_names(controller.observation)),
         "action_scale": csv([1.0] * len(robot.motor_names)),

@@ -78,7 +78,7 @@ KEYS: Final[Mapping[str, str]] = {
     "q, e": "change the sideways speed by 0.1 m/s to the left, right, if the policy has one",
     "space": "step in place",
     "c": "stand, or walk again; policies that cannot stand step in place",
-    ".": "stop: step in place, then damp the motors",
+    ".": "stop: stand, or step in place, then damp the motors",
     "x": "damp the motors at once",
 }
 """Keys of `Keyboard`."""

@@ -126,7 +126,6 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
     file = asset_path(f"{library}.npz") if library in SHIPPED else Path(library)
     gaits = GaitLibrary.load(library)
     controller = Controller(path, gaits)
-    zero = torch.zeros(1, gaits.command_size)
-    pose = gaits.lookup(torch.zeros(1, 1), zero).motor_position[0].double().numpy()
+    pose = controller.steering.pose().double().numpy()
     files = {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()}
     return Loaded(controller, pose, gaits.command_size, controller.steering.stands, files)

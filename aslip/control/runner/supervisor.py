@@ -67,7 +67,7 @@ class Stage(Enum):
     WALK = "walk"
     """The policy follows the operator's command."""
     STOP = "stop"
-    """The policy steps in place before the motors are damped."""
+    """The policy stands, or steps in place if it cannot, before the motors are damped."""
     RELEASED = "released"
     """No torque, because the operator threw the switch."""
     DAMPING = "damping"
@@ -97,7 +97,7 @@ class Request(NamedTuple):
     walk: bool = True
     """Start the walk as soon as the robot is ready."""
     stop: bool = False
-    """Step in place, then damp."""
+    """Stand, or step in place if the policy cannot, then damp."""
     damp: str = ""
     """Reason to damp at once; empty for none."""
     stand: bool = False
@@ -121,7 +121,8 @@ class Limits:
     tilt: float = 0.8
     """Largest angle between the pelvis and the vertical [rad]."""
     settle: float = 1.5
-    """Time of stepping in place before a stop [s]."""
+    """Time of slowing down, and of standing or stepping in place, before the damping of a stop [s].
+    """
     damping: float = 1.0
     """Time of damping before the end of a run [s]."""
 
@@ -143,7 +144,7 @@ class Supervisor:
         limits: durations and limits.
         command_size: 1 for policies with a forward speed only, whose heading the supervisor turns;
             3 for forward speed, sideways speed and yaw rate.
-        stands: True for policies that stand on a wish.
+        stands: True for policies that stand on a wish; the first step of their walk is to stand.
         robot: robot that gives gains and the policy period.
     """
 
@@ -264,9 +265,9 @@ class Supervisor:
     def _walked(self, reading: Reading | None, request: Request) -> np.ndarray:
         """Motor targets (10,) of the policy's next step."""
         in_place = self.stage is Stage.STOP or request.stand
+        wish = {"stand": in_place or self._state is None} if self._stands else {}
         command = (0.0,) * 3 if in_place else (request.forward, request.sideways, request.yaw_rate)
         wanted = command if self._size > 1 else command[0]
-        wish = {"stand": request.stand} if self._stands else {}
         if self._state is None:
             assert self.reading is not None
             self._heading = float(yaw(self.reading.estimate["orientation"]))

@@ -138,11 +138,14 @@ def test_only_policies_that_stand_get_the_wish_and_others_step_in_place() -> Non
     for stands in (True, False):
         controller = Recorder()
         supervisor = Supervisor(controller, POSE, command_size=3, stands=stands)
-        for k in range(2):
-            supervisor.tick(k * PERIOD, standing(k * PERIOD), Request(0.5, stand=k == 1))
-        assert [call[2][0] for call in controller.calls] == [0.5, 0.0]
-        expected = [{"stand": False}, {"stand": True}] if stands else [{}, {}]
-        assert controller.wishes == expected
+        for k in range(4):
+            request = Request(0.5, stand=k == 2, stop=k == 3)
+            supervisor.tick(k * PERIOD, standing(k * PERIOD), request)
+        assert supervisor.stage is Stage.STOP
+        assert [call[2][0] for call in controller.calls] == [0.5, 0.5, 0.0, 0.0]
+        # a walk begins with standing, as the robot stands then
+        expected = [{"stand": wish} for wish in (True, False, True, True)]
+        assert controller.wishes == (expected if stands else [{}] * 4)
 
 
 TILTED = np.array([math.cos(0.5), math.sin(0.5), 0, 0])
