@@ -32,10 +32,12 @@ class DirectionConfig(Config):
     library: str = "directions"
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""
     command_interval: float = 4.0
-    """Mean time between changes of the command, and of the wish to stand, in an episode [s]."""
-    stand: float = 0.15
+    """Mean time between changes of the command in an episode [s]."""
+    stand: float = 0.2
     """Share of the time with a wish to stand; 0 for robots that only walk. Others need a library
     with stop and start."""
+    stand_interval: float = 6.0
+    """Mean time between draws of the wish to stand in an episode [s]."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
     push_impulse: float = 30.0
@@ -133,7 +135,7 @@ def main(config: DirectionConfig, go_on: str = "resume=True") -> list[WalkResult
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     """Stack for training: wishes to stand, other robots, pushes, and entries for the critic."""
     if config.stand:
-        stack = {**stack, "stand": partial(StandCommand, config.stand, config.command_interval)}
+        stack = {**stack, "stand": partial(StandCommand, config.stand, config.stand_interval)}
     steps = config.schedule_steps or config.total_steps
     ramp = round(config.ramp * steps / config.num_envs)
     scaled: dict[str, Any] = {"in_keys": ["difficulty"]} if ramp else {}

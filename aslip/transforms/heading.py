@@ -49,8 +49,9 @@ class HeadingFrame(SeededTransform):
 
     With a `command_key` the frame moves along the commanded path: at each step, heading and origin
     follow the twist of that command, and a pelvis further than `aslip.transforms.path.LEASH` from
-    the origin drags it along. `("true_odometry", "path_error")` (n, 2) is then the distance of the
-    pelvis from the origin, forward and sideways [m]. With a `mode_key`, stops drag it along, too.
+    the origin drags it along slowly. `("true_odometry", "path_error")` (n, 2) is then the distance
+    of the pelvis from the origin, forward and sideways [m]. With a `mode_key`, stops move the
+    origin below the pelvis.
 
     Args:
         truth_key: key of the truth; the entries of `ODOMETRY_SIZES` and `slope` are read.

@@ -17,10 +17,14 @@ from aslip.library import WalkMode
 from aslip.robot import CASSIE
 from aslip.transforms.rotation import conjugate, heading_to_world, rotate_inverse
 
-LEASH: Final = 0.3
-"""Largest distance of the pelvis from the origin of the moving frame along the ground [m]; beyond
-it the robot drags the origin along, so that it need not walk back after a push. During a stop the
-origin is below the pelvis, so that the robot stands where it comes to rest."""
+LEASH: Final = 0.1
+"""Length of a slack leash from the pelvis to the origin of the moving frame along the ground [m].
+A pelvis further away drags the origin along, so that it need not walk back after a push. During a
+stop the origin is below the pelvis, so that the robot stands where it comes to rest."""
+
+LEASH_TIME: Final = 1.0
+"""Time constant with which a taut leash shortens [s]. At an error v of the mean velocity, the
+distance settles at `LEASH` + v x `LEASH_TIME`, and so still tells how large the error is."""
 
 
 def advance_heading(
@@ -86,17 +90,20 @@ def move_origin(
     return moved - up * (moved[..., 2:] / up[..., 2:])
 
 
-def beyond_leash(pelvis_position: Tensor, mode: Tensor | None = None) -> Tensor:
-    """Level displacement (*b, 3) of the origin to within `LEASH` of the pelvis [m, heading frame].
+def dragged(
+    pelvis_position: Tensor, mode: Tensor | None = None, period: float = CASSIE.policy_period
+) -> Tensor:
+    """Level displacement (*b, 3) of the origin by the leash in a policy step [m, heading frame].
 
     Args:
         pelvis_position: (*b, 3) position relative to the origin [m, heading frame].
         mode: (*b, 1) values of `WalkMode`, in a stop of which the origin goes to the pelvis; None
             for robots that walk.
+        period: duration of a policy step [s].
     """
     level = torch.nn.functional.pad(pelvis_position[..., :2], (0, 1))
     distance = torch.linalg.vector_norm(level, dim=-1, keepdim=True)
-    way = level * (1 - LEASH / distance.clamp(min=LEASH))
+    way = level * (1 - LEASH / distance.clamp(min=LEASH)) * min(period / LEASH_TIME, 1.0)
     return way if mode is None else torch.where(mode == WalkMode.STOP, level, way)
 
 
@@ -114,13 +121,13 @@ def place_in_path(
         origin: (*b, 3) origin of the moving frame [m, world].
         heading: (*b, 1) yaw of the frame [rad].
         slope: (*b, 1) slope of the floor [rad]; level by default.
-        mode: (*b, 1) values of `WalkMode`, see `beyond_leash`; None for robots that walk.
+        mode: (*b, 1) values of `WalkMode`, see `dragged`; None for robots that walk.
 
     Returns:
         The entries; `origin` (*b, 3) [m, world]; and `path_error` (*b, 2), forward and sideways
         distance of the pelvis from the origin [m, heading frame].
     """
-    way = beyond_leash(entries["pelvis_position"], mode)
+    way = dragged(entries["pelvis_position"], mode)
     placed = {
         name: value - way if name.endswith("_position") else value
         for name, value in entries.items()

@@ -34,7 +34,7 @@ from aslip.transforms import (
     rewards,
 )
 from aslip.transforms.command import approach_command
-from aslip.transforms.path import LEASH, advance_heading, arc
+from aslip.transforms.path import advance_heading, arc
 from tests.library.bent import symmetric_library
 
 PERIOD = CASSIE.policy_period
@@ -95,7 +95,6 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
         for group in ("true_odometry", "odometry"):
             place = cast("Tensor", td[group, "pelvis_position"])
             assert torch.equal(td[group, "path_error"], place[:, :2])
-            assert (torch.linalg.vector_norm(place[:, :2], dim=-1) <= LEASH + 1e-5).all()
     travelled = torch.linalg.vector_norm(td["true_odometry", "origin"] - begun, dim=-1)
     assert (travelled > 0.1).all()
     torch.testing.assert_close(

@@ -12,9 +12,10 @@ from aslip.library import WalkMode
 from aslip.rom.arc import twist_pose
 from aslip.transforms.path import (
     LEASH,
+    LEASH_TIME,
     advance_heading,
     arc,
-    beyond_leash,
+    dragged,
     move_origin,
     place_in_path,
 )
@@ -50,21 +51,32 @@ def test_on_a_slope_the_origin_stays_on_the_floor_below_the_way() -> None:
 
 
 def test_a_pelvis_far_from_the_origin_drags_it_along() -> None:
-    place = torch.tensor([[0.1, -0.2, 0.9], [3.0, 4.0, 0.9]])
+    place = torch.tensor([[0.06, -0.05, 0.9], [3.0, 4.0, 0.9]])
     heading = torch.full((2, 1), math.pi / 2)
     entries = {"pelvis_position": place, "pelvis_velocity": torch.ones(2, 3)}
     found = place_in_path(entries, torch.ones(2, 3) * torch.tensor([1, 1, 0]), heading)
     assert torch.equal(found["pelvis_position"][0], place[0])
-    torch.testing.assert_close(
-        found["path_error"], torch.tensor([[0.1, -0.2], [0.6 * LEASH, 0.8 * LEASH]])
-    )
+    way = (5 - LEASH) * PERIOD / LEASH_TIME
+    expected = torch.tensor([[0.06, -0.05], [0.6 * (5 - way), 0.8 * (5 - way)]])
+    torch.testing.assert_close(found["path_error"], expected)
     assert torch.equal(found["pelvis_position"][:, 2], place[:, 2])
     assert torch.equal(found["pelvis_velocity"], entries["pelvis_velocity"])
     # the frame's x is the world's y
-    moved = (5 - LEASH) * torch.tensor([-0.8, 0.6, 0.0])
+    moved = way * torch.tensor([-0.8, 0.6, 0.0])
     expected = torch.stack([torch.zeros(3), moved]) + torch.tensor([1.0, 1.0, 0.0])
     torch.testing.assert_close(found["origin"], expected)
-    assert torch.equal(beyond_leash(place[:1]), torch.zeros(1, 3))
+    assert torch.equal(dragged(place[:1]), torch.zeros(1, 3))
+
+
+def test_the_distance_from_the_path_tells_the_error_of_the_velocity() -> None:
+    """It settles at the leash's length and what the error adds in its time constant."""
+    lag = torch.tensor([[0.05], [0.3]])
+    error = torch.zeros(2, 3)
+    for _ in range(round(8 * LEASH_TIME / PERIOD)):
+        error[:, :1] -= lag * PERIOD
+        error -= dragged(error)
+    expected = LEASH + lag[:, 0] * (LEASH_TIME - PERIOD)
+    torch.testing.assert_close(-error[:, 0], expected, atol=2e-3, rtol=0)
 
 
 def test_stops_bring_the_origin_below_the_pelvis() -> None:
