@@ -4,7 +4,7 @@
     python -m benchmarks.runner --part real-time             # ten minutes, two processes
     python -m benchmarks.runner --part kill                  # fifty runners killed while they walk
     python -m benchmarks.runner --part start                 # time and memory of a cold start
-    python -m benchmarks.runner --part real-time --policy aslip.onnx
+    python -m benchmarks.runner --part real-time --policy aslip.onnx --priority 20
 
 Loss and jitter are simulated without sockets and clocks: supervisor, sequence numbers and twin are
 those of real runs, each datagram of either direction is lost or delayed at random, and the robot
@@ -44,6 +44,8 @@ class Config:
     """Duration of the walk in real time [min]."""
     speed: float = 1.0
     """Commanded speed of the walk in real time, and of killed runners [m/s]."""
+    priority: int = 0
+    """Real-time priority of the runners, see `python -m aslip.control --help`."""
     kills: int = 50
     """Number of runners to kill."""
     seed: int = 0
@@ -231,7 +233,8 @@ def real_time_twin() -> Iterator[tuple[Program, str]]:
 def runner(config: Config, port: str, *options: str) -> Program:
     """Start a runner that walks the twin at a port."""
     words = ("--policy", config.policy, "--port", port, "--local-port", "0")
-    return Program("aslip.control", *words, "--command", str(config.speed), *options)
+    words += ("--command", str(config.speed), "--priority", str(config.priority))
+    return Program("aslip.control", *words, *options)
 
 
 def real_time(config: Config) -> str:

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 from aslip.control.runner.commands import KEYS, Datagrams, Keyboard, Scheduled, Source
 from aslip.control.runner.load import Loaded, load
-from aslip.control.runner.loop import Run, run_lockstep, run_real_time
+from aslip.control.runner.loop import Run, run_lockstep, run_real_time, take_priority
 from aslip.control.runner.readings import Readings, SensorReadings, StateReadings
 from aslip.control.runner.supervisor import Limits, Supervisor
 from aslip.errors import ConfigurationError, NetworkError, one_line_errors
@@ -69,6 +69,8 @@ class Config:
     """Duration of the rise of the gains, and then of the motion of the joints to the first pose
     [s]; by default 0 for a twin, which stands on its feet, and 2 for a robot, which hangs from a
     gantry."""
+    priority: int = 0
+    """Real-time priority of this process, 1 to 99, where Linux permits it; 0 for none."""
     tilt: float = Limits.tilt
     """Angle between pelvis and vertical beyond which the motors are damped [rad]."""
     patience: float = 10.0
@@ -104,6 +106,7 @@ def main(config: Config) -> None:
         log = _open_log(config, loaded, readings, limits)
         run = Run(supervisor, readings, source, log=log, say=_say)
         with contextlib.closing(run), damping_signals(run):
+            take_priority(config.priority)
             drive = run_lockstep if config.lockstep else run_real_time
             drive(run, endpoint, patience=config.patience)
         counts = {name: number for name, number in asdict(link.counters).items() if number}

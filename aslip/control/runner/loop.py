@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import gc
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -13,7 +15,7 @@ import numpy as np
 from aslip.control.runner.commands import Source
 from aslip.control.runner.readings import Readings
 from aslip.control.runner.supervisor import Reading, Request, Stage, Supervisor
-from aslip.errors import NetworkError
+from aslip.errors import ConfigurationError, NetworkError
 from aslip.wire import Arrival, Endpoint, MotorCommand
 
 if TYPE_CHECKING:
@@ -193,6 +195,30 @@ class Run:
         if self.supervisor.stage is Stage.WALK:
             line += f", commanded {self._request.forward:.2f} m/s"
         return f"{line}, moves at {speed:.2f} m/s, pelvis at {height:.2f} m"
+
+
+def take_priority(priority: int) -> None:
+    """Give this process a real-time priority, and spare it collections of what is loaded now.
+
+    Other processes then interrupt it only with a higher priority.
+
+    Args:
+        priority: priority of SCHED_FIFO, 1 to 99; 0 leaves the process as it is.
+
+    Raises:
+        ConfigurationError: the system does not permit it, or the number is out of range.
+    """
+    gc.collect()
+    gc.freeze()
+    if priority == 0:
+        return
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except (AttributeError, OSError) as error:  # no such call, out of range, or not permitted
+        raise ConfigurationError(
+            f"the system does not give this process the real-time priority {priority}: {error};"
+            " Linux takes 1 to 99 from users whose `ulimit -r` allows it, 0 needs no permission"
+        ) from error
 
 
 def run_real_time(run: Run, endpoint: Endpoint, *, patience: float = 10.0) -> None:

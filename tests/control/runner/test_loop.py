@@ -17,7 +17,14 @@ import pytest
 from aslip.control import Controller
 from aslip.control.runner.commands import Scheduled
 from aslip.control.runner.load import Loaded, load, standing_estimate, warm_up
-from aslip.control.runner.loop import LATE, Run, Tally, run_lockstep, run_real_time
+from aslip.control.runner.loop import (
+    LATE,
+    Run,
+    Tally,
+    run_lockstep,
+    run_real_time,
+    take_priority,
+)
 from aslip.control.runner.readings import SensorReadings, StateReadings
 from aslip.control.runner.record import RunLog, replay, run_metadata
 from aslip.control.runner.supervisor import Limits, Stage, Supervisor
@@ -235,6 +242,19 @@ def test_the_tally_counts_late_and_skipped_steps() -> None:
     assert tally.late() == 2
     assert "3 policy steps, 1 skipped, 2 late by more than 2 ms (50.00 %)" in tally.lines()[0]
     assert Tally().lines() == ["no policy steps"]
+
+
+def test_a_priority_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = Mock()
+    monkeypatch.setattr("os.sched_setscheduler", asked, raising=False)
+    take_priority(0)
+    assert not asked.called
+    take_priority(20)
+    (process, _, parameter), _ = asked.call_args
+    assert (process, parameter.sched_priority) == (0, 20)
+    asked.side_effect = PermissionError("Operation not permitted")
+    with pytest.raises(ConfigurationError, match="real-time priority 20: Operation not permitted"):
+        take_priority(20)
 
 
 def test_policies_and_libraries_that_do_not_fit_are_named() -> None:
