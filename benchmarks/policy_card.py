@@ -58,9 +58,10 @@ from aslip.robot import CASSIE
 from aslip.training.environments import make_evaluation_env
 from aslip.training.provenance import provenance
 from aslip.training.run import write_text
-from aslip.transforms import DYNAMICS_RANGES, ActionDelta
+from aslip.transforms import DYNAMICS_RANGES, WIDE_RANGES, ActionDelta
 from aslip.walking import evaluate, markdown, walk_table
 from benchmarks import (
+    direction_targets,
     foot_placement,
     perturbation,
     step_frequency,
@@ -92,6 +93,11 @@ _ENTRIES = {
     "clock/sin": "sine of the stride phase",
     "clock/cos": "cosine of the stride phase",
     "command": "commanded forward speed [m/s]",
+    "reference/body_heading": "heading of the model's body, from the moving frame [rad]",
+    "reference/left_foot_heading": "direction of the left toes, from the moving frame [rad]",
+    "reference/right_foot_heading": "direction of the right toes, from the moving frame [rad]",
+    "filtered_command": "forward, sideways speed [m/s] and yaw rate [rad/s], limited in rate",
+    "odometry/path_error": "estimated distance from the moving frame's origin [m]",
 }
 """Meaning of each entry of the observation."""
 
@@ -185,19 +191,21 @@ def interface_section(about: dict[str, Any]) -> str:
 
 
 def walks_section(policy: Path, about: dict[str, Any]) -> str:
-    """Section on evaluation episodes at all speeds, with the sensor noise of the training."""
+    """Section on evaluation episodes at constant commands, with the noise of the training."""
     seed = about.get("made_by", {}).get("settings", {}).get("seed", 0)
-    env, speeds = make_evaluation_env(partial(make_env, stack=policy_stack(policy)), seed)
+    env, commands = make_evaluation_env(partial(make_env, stack=policy_stack(policy)), seed)
     with closing(env):
         env.set_seed(seed)
-        rows, _, total = walk_table(evaluate(load_policy(policy), env, speeds)).rpartition("\n\n")
-    return f"## Walks at constant speed\n\nTwelve seconds each, as trained: {total}.\n\n{rows}"
+        rows, _, total = walk_table(evaluate(load_policy(policy), env, commands)).rpartition("\n\n")
+    return f"## Walks at constant command\n\nTwelve seconds each, as trained: {total}.\n\n{rows}"
 
 
 def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
     """Run the other benchmarks; returns sections with their tables and the limits."""
     common: dict[str, Any] = {"policy": (policy,), "out": config.out / config.name}
     parts = []
+    if _in_all_directions(about):
+        return direction_sections(config, policy, about)
     if "reference/body_position" in about["observation"]:
         foot_placement.main(foot_placement.Config(**common))
         step_frequency.main(step_frequency.Config(**common))
@@ -216,6 +224,33 @@ def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> li
         f"## Limits\n\n{limits(numbers)}\n{training_conditions(about)}",
         (config.out / config.name / "perturbation.md").read_text().strip(),
     ]
+
+
+def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
+    """Targets of walks in all directions, tables of their benchmarks, and the limits."""
+    out = config.out / config.name
+    direction_targets.main(direction_targets.Config(policy=(policy,), out=out))
+    folder = out / Path(policy).name
+    titles = {
+        "Velocity": "direction_tracking",
+        "Sudden changes of the command": "transitions",
+        "Stop, standing and start": "standing",
+        "Figure of eight": "path",
+        "Foot placement": "foot_placement",
+        "Ground contact, impacts and power": "walking_quality",
+    }
+    numbers = json.loads((folder / "perturbation.json").read_text())
+    return [
+        _section(config, "Targets", "direction_targets"),
+        *(_section(config, title, name, folder) for title, name in titles.items()),
+        f"## Limits\n\n{limits(numbers)}\n{training_conditions(about)}",
+        (folder / "perturbation.md").read_text().strip(),
+    ]
+
+
+def _in_all_directions(about: dict[str, Any]) -> bool:
+    """True for a policy that walks in all directions."""
+    return "filtered_command" in about.get("observation", ())
 
 
 def limits(numbers: dict[str, Any]) -> str:
@@ -242,17 +277,20 @@ def training_conditions(about: dict[str, Any]) -> str:
     """Line on the robots and floors of the training."""
     made = about.get("made_by", {})
     trained_on = made.get("transforms", {})
+    turns = _in_all_directions(about)
+    how = "to walk in all directions" if turns else "to walk straight ahead"
     if "training/dynamics" not in trained_on and not made.get("settings", {}).get("randomise"):
-        return "- It was trained on level ground with friction 1, to walk straight ahead."
-    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in DYNAMICS_RANGES.items()]
+        return f"- It was trained on level ground with friction 1, {how}."
+    drawn = WIDE_RANGES if turns else DYNAMICS_RANGES
+    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in drawn.items()]
     return (
-        "- It was trained to walk straight ahead on robots and floors drawn for each episode:"
+        f"- It was trained {how} on robots and floors drawn for each episode:"
         f" {', '.join(ranges)}; see `aslip.sim.DYNAMICS`."
     )
 
 
-def _section(config: Config, title: str, benchmark: str) -> str:
-    table = (config.out / config.name / f"{benchmark}.md").read_text().strip()
+def _section(config: Config, title: str, benchmark: str, folder: Path | None = None) -> str:
+    table = ((folder or config.out / config.name) / f"{benchmark}.md").read_text().strip()
     return f"## {title}\n\n`python -m benchmarks.{benchmark} --policy {config.name}`\n\n{table}"
 
 

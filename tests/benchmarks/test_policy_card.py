@@ -24,7 +24,7 @@ from aslip.policy import (
     save_policy,
 )
 from aslip.training.provenance import provenance
-from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from benchmarks import policy_card
 from benchmarks.faults.trainings import TINY, train
 from benchmarks.policy_card import Config
@@ -36,11 +36,14 @@ def _card(run_folder: Path | None, assets: Path, **settings: bool) -> str:
     return policy_card.main(config).read_text()
 
 
+SIZES = {"single_reference": 49, "standing": 72}
+
+
 def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) -> Path:
-    size = {"single_reference": 49}.get(stack, 64)
+    size = SIZES.get(stack, 64)
     actor = make_actor(RunningNormalizer(size), PolicyShape(size), table)
     folder.mkdir()
-    key = "motor_target" if stack == "aslip" else "motor_position"
+    key = "motor_target" if stack in ("aslip", "standing") else "motor_position"
     names = {"stack": stack, "observation": list(table), "baseline": ("reference", key)}
     save_policy(folder / "policy.zip", actor, PolicyShape(size), made_by, **names)
     return folder
@@ -52,6 +55,7 @@ def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) 
         ("aslip", OBSERVATION_TABLE, "reference/motor_target"),
         ("paper", OBSERVATION_TABLE, "reference/motor_position"),
         ("single_reference", SINGLE_REFERENCE_TABLE, "reference/motor_position"),
+        ("standing", DIRECTION_TABLE, "reference/motor_target"),
     ],
 )
 def test_card_lists_interface_of_stack(
@@ -60,7 +64,7 @@ def test_card_lists_interface_of_stack(
     text = _card(_saved(tmp_path / "run", stack, table), tmp_path / "assets")
     rows = re.findall(r"^\| (\d+)(?:-(\d+))? \| (\S+) \|", text, re.MULTILINE)
     ends = [int(last or first) for first, last, _ in rows]
-    size = 64 if table is OBSERVATION_TABLE else 49
+    size = SIZES.get(stack, 64)
     assert [int(first) for first, *_ in rows] == [0, *(end + 1 for end in ends[:-1])]
     assert ends[-1] == size - 1
     assert [name for *_, name in rows] == [
@@ -155,6 +159,32 @@ def test_card_lists_training_conditions() -> None:
     assert "level ground" in policy_card.training_conditions({"made_by": made})
     made["transforms"] = {"training/dynamics": "RandomDynamics()"}
     assert "floor_friction 0.4 to 1.1" in policy_card.training_conditions({"made_by": made})
+
+
+def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    names = ("direction_tracking", "transitions", "standing", "path", "foot_placement")
+    limits = {"speed": 1.0, "push_duration": 0.2, "sweeps": [], "pushes": []}
+    limits["pushes"] = [{"direction_deg": 0.0, "phases": [{"phase": 0.0, "mean": 30.0}]}]
+
+    def measured(config: policy_card.direction_targets.Config) -> None:
+        folder = config.out / "mine.zip"
+        folder.mkdir(parents=True)
+        for name in (*names, "walking_quality", "perturbation"):
+            (folder / f"{name}.md").write_text(f"table of {name}")
+        (folder / "perturbation.json").write_text(json.dumps(limits))
+        (config.out / "direction_targets.md").write_text("table of targets")
+
+    monkeypatch.setattr(policy_card.direction_targets, "main", measured)
+    made = {"transforms": {"training/dynamics": "RandomDynamics()"}}
+    about = {"observation": ["filtered_command"], "made_by": made}
+    config = Config("mine", None, tmp_path, tmp_path / "out")
+    text = "\n".join(policy_card.benchmark_sections(config, str(tmp_path / "mine.zip"), about))
+    for name in (*names, "walking_quality", "perturbation", "targets"):
+        assert f"table of {name}" in text
+    assert "pushes of 0.2 s of more than 30.0 N s" in text
+    assert "It was trained to walk in all directions on robots" in text
 
 
 def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
