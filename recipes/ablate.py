@@ -16,7 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError, one_line_errors
+from ablate_settings import AblationConfig
+
+from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line, this_command
 
 NAMES = (
@@ -28,21 +30,11 @@ NAMES = (
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(AblationConfig):
     """Settings of the ablations."""
 
     variants: tuple[str, ...] = NAMES
     """Names of the variants to train."""
-    seeds: tuple[int, ...] = (0, 1, 2)
-    """Seeds of each variant."""
-    total_steps: int = 500_000
-    """Policy steps of each training."""
-    num_envs: int = 256
-    """Robots simulated side by side."""
-    out: Path = Path("runs/ablation")
-    """Folder of all trainings, the table `ablation.md` and the picture `ablation.png`."""
-    list: bool = False
-    """List the variants and train nothing."""
 
     def __post_init__(self) -> None:
         """Check the names.
@@ -51,29 +43,23 @@ class Config:
             UnknownNameError: a variant is unknown.
             ConfigurationError: there is no variant or no seed.
         """
-        for name in self.variants:
-            if name not in NAMES:
-                raise UnknownNameError.among("variant", name, NAMES)
-        if not self.variants or not self.seeds:
-            raise ConfigurationError("name at least one variant and one seed")
+        self.check_names(NAMES)
 
 
 if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = command_line(Config)
 
-import json
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import asdict, field, replace
-from datetime import timedelta
+from dataclasses import field, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 import ppo_aslip
 import torch
+from ablation import NEVER, Experiment, Found, is_begun, run
 from ppo_settings import PRESETS
 from tensordict import TensorDictBase
 from torchrl.data import Composite
@@ -93,10 +79,6 @@ from aslip.envs import (
 from aslip.library import pendulum_library
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
-from aslip.show.plots import compare_learning, save_figure
-from aslip.training.progress import read_progress
-from aslip.training.run import write_text
-from aslip.training.settings import SETTINGS_FILE, read_settings
 from aslip.transforms import (
     SINGLE_REFERENCE_TABLE,
     ActionDelta,
@@ -108,7 +90,7 @@ from aslip.transforms import (
 )
 from aslip.transforms.base import extend_spec
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from aslip.walking import TRACKING_TOLERANCE, Interval, WalkResult, evaluate, markdown
+from aslip.walking import WalkResult, evaluate
 
 _RESULTS = "judged.json"
 _NEVER = 10**12  # policy steps; evaluations would take a tenth of such a short training
@@ -201,55 +183,20 @@ VARIANTS: Mapping[str, Variant] = {
 """Name -> difference from the default."""
 
 
-def main(config: Config, go_on: str = "the same call") -> dict[str, dict[int, list[WalkResult]]]:
+def main(config: Config, go_on: str = "the same call") -> Found:
     """Train missing variants, then write table and picture; returns the walks.
 
     Args:
         config: the settings.
         go_on: command that continues after an interruption, for messages.
     """
-    if config.list:
-        print("\n".join(f"{name:24s}{variant.question}" for name, variant in VARIANTS.items()))
-        return {}
-    jobs = [(seed, name) for seed in config.seeds for name in config.variants]
-    found: dict[str, dict[int, list[WalkResult]]] = {}
-    durations: list[float] = []
-    print(announcement(config, len(jobs)), flush=True)
-    for i, (seed, name) in enumerate(jobs):
-        folder = config.out / f"{name}-{seed}"
-        results = read_results(folder, config)
-        if results is None:
-            left = ""
-            if durations:
-                seconds = round(float(np.mean(durations)) * (len(jobs) - i))
-                left = f", about {timedelta(seconds=seconds)} left"
-            print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
-            start = time.perf_counter()
-            results = train(config, folder, VARIANTS[name], seed, go_on)
-            durations.append(time.perf_counter() - start)
-        found.setdefault(name, {})[seed] = results
-        write_text(config.out / "ablation.md", table(found, config.total_steps) + "\n")
-        if durations or i + 1 == len(jobs):
-            runs = {
-                key: [read_progress(config.out / f"{key}-{s}") for s in found[key]] for key in found
-            }
-            save_figure(compare_learning(runs), config.out / "ablation.png")
-    print(table(found, config.total_steps))
-    return found
-
-
-def announcement(config: Config, count: int) -> str:
-    """Message at the start: number of trainings, and their duration."""
-    names = [f"{name}-{seed}" for seed in config.seeds for name in config.variants]
-    done = sum((config.out / name / _RESULTS).exists() for name in names)
-    if done == count:
-        return f"all of {count} trainings are done"
-    seconds = (count - done) * estimated_seconds(config)
-    about = timedelta(seconds=60 * max(1, round(seconds / 60)))
-    return (
-        f"{count - done} of {count} trainings to go, {config.total_steps} policy steps each: about"
-        f" {about} (hours:minutes:seconds) on this machine; Ctrl-C saves all finished work"
+    experiment = Experiment(
+        questions={name: variant.question for name, variant in VARIANTS.items()},
+        weights=PAPER_WEIGHTS,
+        train=partial(train, config, go_on=go_on),
+        seconds=partial(estimated_seconds, config),
     )
+    return run(config, experiment)
 
 
 def estimated_seconds(config: Config) -> float:
@@ -281,117 +228,16 @@ def judge(folder: Path, variant: Variant, seed: int) -> list[WalkResult]:
         return evaluate(aslip.load_policy(folder), env, speeds, PRESETS["default"].eval_steps)
 
 
-def train(
-    config: Config, folder: Path, variant: Variant, seed: int, go_on: str
-) -> list[WalkResult]:
-    """Train or resume one run, and return its walks.
-
-    Raises:
-        ConfigurationError: the run was started with another budget.
-    """
-    resume = (folder / SETTINGS_FILE).exists()
-    if resume:
-        check_budget(folder, read_settings(folder)[0], config)
+def train(config: Config, name: str, folder: Path, seed: int, go_on: str) -> list[WalkResult]:
+    """Train or resume one run, and return its walks."""
+    variant, resume = VARIANTS[name], is_begun(folder, config)
     settings = replace(
         PRESETS["default"], out=folder, seed=seed, total_steps=config.total_steps,
-        num_envs=config.num_envs, eval_interval=_NEVER, resume=resume, **variant.settings,
+        num_envs=config.num_envs, eval_interval=NEVER, resume=resume, **variant.settings,
     )  # fmt: skip
     make_env = partial(aslip.make_env, **variant.edits())
     ppo_aslip.main(settings, make_env, go_on=go_on)
-    results = judge(folder, variant, seed)
-    kept = {**budget(config), "walks": [asdict(result) for result in results]}
-    write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
-    return results
-
-
-def budget(config: Config) -> dict[str, int]:
-    """Settings that all trainings of a table share."""
-    return {"total_steps": config.total_steps, "num_envs": config.num_envs}
-
-
-def read_results(folder: Path, config: Config) -> list[WalkResult] | None:
-    """Walks of a finished training; None if there is none.
-
-    Raises:
-        ConfigurationError: the training had another budget, to which its schedule belongs.
-        FileDamagedError: the results cannot be read.
-    """
-    path = folder / _RESULTS
-    if not path.exists():
-        return None
-    try:
-        kept = json.loads(path.read_text())
-        walks = [WalkResult(**walk) for walk in kept["walks"]]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FileDamagedError(
-            f"{str(path)!r} is damaged ({error}); without it the training is evaluated again"
-        ) from error
-    check_budget(folder, kept, config)
-    return walks
-
-
-def check_budget(folder: Path, kept: Mapping[str, Any], config: Config) -> None:
-    """Check the budget of a training.
-
-    Raises:
-        ConfigurationError: the training has another budget.
-    """
-    other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
-    if other:
-        raise ConfigurationError(
-            f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"
-            " --out"
-        )
-
-
-def measures(results: Sequence[WalkResult]) -> dict[str, float]:
-    """Columns of the table; a walk that ends in a fall counts up to the fall."""
-    returns = [
-        r.steps * sum(weight * r.terms[name] for name, weight in PAPER_WEIGHTS.items())
-        for r in results
-    ]
-    return {
-        "survived": float(sum(r.survived for r in results)),
-        "on the feet": float(sum(r.on_feet for r in results)),
-        "tracked": float(sum(r.tracked for r in results)),
-        "paper's return": float(np.mean(returns)),
-        "speed error m/s": float(np.mean([abs(r.mean_speed - r.speed) for r in results])),
-        **{name: float(np.mean([r.terms[name] for r in results])) for name in PAPER_WEIGHTS},
-    }
-
-
-def table(found: Mapping[str, Mapping[int, Sequence[WalkResult]]], total_steps: int) -> str:
-    """Table with a row for each variant: means and 95 % intervals over seeds."""
-    rows = []
-    for name, by_seed in found.items():
-        means = [measures(results) for results in by_seed.values()]
-        cells = [cell([m[key] for m in means]) for key in means[0]]
-        rows.append([name, str(len(means)), *cells])
-    first = next(iter(next(iter(found.values())).values()))
-    names = [*measures(first)]
-    text = markdown(["variant", "seeds", *names], rows, ["---", "---:", *["---:"] * len(names)])
-    near = f"tracked within {TRACKING_TOLERANCE:g} m/s"
-    counted = f"Counts are of {len(first)} speeds: survived, on the feet, and {near}."
-    return f"{text}\n\n{total_steps} policy steps each; {_cells(found)}. {counted}"
-
-
-def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
-    """Sentence about the cells of a table."""
-    seeds = [len(by_seed) for by_seed in found.values()]
-    told = "mean and 95 % interval over seeds"
-    if max(seeds) == 1:
-        told = "values of one seed; small differences mean nothing, as seeds differ"
-    elif min(seeds) == 1:
-        told += ", if a variant has several"
-    return f"{told}; the largest return is {MAX_EPISODE_STEPS}"
-
-
-def cell(values: Sequence[float]) -> str:
-    """Mean over seeds, and half the width of its interval if there are several values."""
-    found = Interval.of([np.array([value]) for value in values])
-    digits = 0 if found.mean >= 100 else 1 if found.mean >= 10 else 3
-    half = f" ± {found.high - found.mean:.{digits}f}" if len(values) > 1 else ""
-    return f"{found.mean:.{digits}f}{half}"
+    return judge(folder, variant, seed)
 
 
 if __name__ == "__main__":

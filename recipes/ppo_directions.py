@@ -83,6 +83,7 @@ if __name__ == "__main__":
     # before the imports below, which take seconds
     CONFIG = settings()
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -107,15 +108,25 @@ PRIVILEGED = "privileged"
 """Key of the entries that only the critic sees."""
 
 
-def main(config: DirectionConfig, go_on: str = "resume=True") -> list[WalkResult]:
+def main(
+    config: DirectionConfig,
+    go_on: str = "resume=True",
+    *,
+    make_stack: Callable[[aslip.GaitLibrary], Stack] | None = None,
+    **networks: Any,
+) -> list[WalkResult]:
     """Train a policy and evaluate it over the region of the library; see `ppo_aslip.main`.
 
     Args:
         config: the settings.
         go_on: command that resumes the training, for messages.
+        make_stack: function that makes the policy's stack; by default `standing_stack`, or
+            `directions_stack` for robots that never stand.
+        networks: arguments of `ppo_aslip.main` for other networks, such as `make_actor`.
     """
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
-    make_stack = standing_stack if config.stand else directions_stack
+    if make_stack is None:
+        make_stack = standing_stack if config.stand else directions_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
     robots = partial(
         aslip.make_env, stack=training_stack(config, stack), timestep=config.physics_timestep
@@ -129,6 +140,7 @@ def main(config: DirectionConfig, go_on: str = "resume=True") -> list[WalkResult
         make_critic=critic,
         make_train_env=partial(make_training_env, robots, config.command_interval),
         go_on=go_on,
+        **networks,
     )
 
 

@@ -6,8 +6,10 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import ablate
+import ablation
 import pytest
 import torch
 from ablate import VARIANTS
@@ -195,19 +197,15 @@ def test_results_of_another_budget_are_refused(finished: Path) -> None:
             ablate.main(ablate.replace(tiny(finished, "default"), **change))
 
 
-def test_the_first_message_estimates_the_remaining_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_message_estimates_the_remaining_time(tmp_path: Path) -> None:
     config = tiny(tmp_path, "default", "no_delta", seeds=(0, 1))
-    monkeypatch.setattr(ablate, "estimated_seconds", lambda _: 3000.0)
-    assert "4 of 4 trainings to go, 16 policy steps each: about 3:20:00 " in ablate.announcement(
-        config, 4
-    )
+    experiment = Mock(seconds=lambda: 3000.0)
+    said = ablation.announcement(config, experiment)
+    assert "4 of 4 trainings to go, 16 policy steps each: about 3:20:00 " in said
     (tmp_path / "no_delta-1").mkdir()
     (tmp_path / "no_delta-1" / "judged.json").write_text("{}")
-    assert "3 of 4 trainings to go, 16 policy steps each: about 2:30:00 " in ablate.announcement(
-        config, 4
-    )
+    said = ablation.announcement(config, experiment)
+    assert "3 of 4 trainings to go, 16 policy steps each: about 2:30:00 " in said
 
 
 def test_the_estimate_grows_with_the_length_of_the_training(tmp_path: Path) -> None:
@@ -227,15 +225,15 @@ def test_the_return_is_that_of_the_papers_reward_until_the_fall() -> None:
     terms = [dict.fromkeys(PAPER_WEIGHTS, value) for value in (0.5, 1.0)]
     fell = WalkResult(1.0, 100, False, -7.0, 0.7, 0.0, 1.0, terms[0])
     walked = WalkResult(0.5, 400, True, -7.0, 0.6, 0.0, 1.0, terms[1])
-    found = ablate.measures([fell, walked])
-    assert found["paper's return"] == pytest.approx((100 * 0.5 + 400 * 1.0) / 2)
+    found = ablation.measures([fell, walked], PAPER_WEIGHTS)
+    assert found["return"] == pytest.approx((100 * 0.5 + 400 * 1.0) / 2)
     assert found["speed error m/s"] == pytest.approx((0.3 + 0.1) / 2)
     assert [found[name] for name in ("survived", "on the feet", "tracked")] == [1, 2, 1]
     assert [found[name] for name in PAPER_WEIGHTS] == [pytest.approx(0.75)] * len(PAPER_WEIGHTS)
 
 
 def test_a_table_of_one_and_several_seeds_explains_its_intervals() -> None:
-    assert "several" in ablate._cells({"default": {0: [], 1: []}, "truth": {0: []}})
+    assert "several" in ablation._cells({"default": {0: [], 1: []}, "truth": {0: []}})
 
 
 def test_unknown_variants_are_refused() -> None:

@@ -1,0 +1,217 @@
+"""Ablations: trainings of several variants with one budget, kept results, one table and picture."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from ablate_settings import AblationConfig
+
+from aslip.envs import MAX_EPISODE_STEPS
+from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.show.plots import compare_learning, save_figure
+from aslip.training.progress import read_progress
+from aslip.training.run import write_text
+from aslip.training.settings import SETTINGS_FILE, read_settings
+from aslip.walking import TRACKING_TOLERANCE, Interval, WalkResult, markdown
+
+NEVER: Final = 10**12
+"""Interval of evaluations for short trainings, which shall have none [policy steps]."""
+
+_RESULTS = "judged.json"
+
+Found = dict[str, dict[int, list[WalkResult]]]
+"""Name of a variant -> seed -> walks."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Variants of a training."""
+
+    questions: Mapping[str, str]
+    """Name of a variant -> what it changes."""
+    weights: Mapping[str, float]
+    """Weights of the reward by which the walks are compared."""
+    train: Callable[[str, Path, int], list[WalkResult]]
+    """Function that trains, or resumes, a variant by name in a folder with a seed, and walks."""
+    seconds: Callable[[], float]
+    """Function that estimates the duration of a training [s]."""
+
+
+def run(config: AblationConfig, experiment: Experiment) -> Found:
+    """Train missing variants, then write table and picture; returns the walks.
+
+    Args:
+        config: the settings.
+        experiment: the variants.
+
+    Raises:
+        ConfigurationError: a training in the folder had another budget.
+        FileDamagedError: results in the folder cannot be read.
+    """
+    if config.list:
+        print("\n".join(f"{name:24s}{text}" for name, text in experiment.questions.items()))
+        return {}
+    jobs = [(seed, name) for seed in config.seeds for name in config.variants]
+    found: Found = {}
+    durations: list[float] = []
+    print(announcement(config, experiment), flush=True)
+    for i, (seed, name) in enumerate(jobs):
+        folder = config.out / f"{name}-{seed}"
+        results = read_results(folder, config)
+        if results is None:
+            left = ""
+            if durations:
+                seconds = round(float(np.mean(durations)) * (len(jobs) - i))
+                left = f", about {timedelta(seconds=seconds)} left"
+            print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
+            start = time.perf_counter()
+            results = experiment.train(name, folder, seed)
+            kept = {**budget(config), "walks": [asdict(result) for result in results]}
+            write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
+            durations.append(time.perf_counter() - start)
+        found.setdefault(name, {})[seed] = results
+        shown = table(found, config.total_steps, experiment.weights)
+        write_text(config.out / "ablation.md", shown + "\n")
+        if durations or i + 1 == len(jobs):
+            runs = {
+                key: [read_progress(config.out / f"{key}-{s}") for s in found[key]] for key in found
+            }
+            save_figure(compare_learning(runs), config.out / "ablation.png")
+    print(table(found, config.total_steps, experiment.weights))
+    return found
+
+
+def announcement(config: AblationConfig, experiment: Experiment) -> str:
+    """Message at the start: number of trainings, and their duration."""
+    names = [f"{name}-{seed}" for seed in config.seeds for name in config.variants]
+    count = len(names)
+    done = sum((config.out / name / _RESULTS).exists() for name in names)
+    if done == count:
+        return f"all of {count} trainings are done"
+    seconds = (count - done) * experiment.seconds()
+    about = timedelta(seconds=60 * max(1, round(seconds / 60)))
+    return (
+        f"{count - done} of {count} trainings to go, {config.total_steps} policy steps each: about"
+        f" {about} (hours:minutes:seconds) on this machine; Ctrl-C saves all finished work"
+    )
+
+
+def is_begun(folder: Path, config: AblationConfig) -> bool:
+    """True if a training was begun in a folder, which must have had the same budget.
+
+    Raises:
+        ConfigurationError: it had another one.
+    """
+    begun = (folder / SETTINGS_FILE).exists()
+    if begun:
+        check_budget(folder, read_settings(folder)[0], config)
+    return begun
+
+
+def budget(config: AblationConfig) -> dict[str, int]:
+    """Settings that all trainings of a table share."""
+    return {"total_steps": config.total_steps, "num_envs": config.num_envs}
+
+
+def read_results(folder: Path, config: AblationConfig) -> list[WalkResult] | None:
+    """Walks of a finished training; None if there is none.
+
+    Raises:
+        ConfigurationError: the training had another budget, to which its schedule belongs.
+        FileDamagedError: the results cannot be read.
+    """
+    path = folder / _RESULTS
+    if not path.exists():
+        return None
+    try:
+        kept = json.loads(path.read_text())
+        walks = [WalkResult(**walk) for walk in kept["walks"]]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileDamagedError(
+            f"{str(path)!r} is damaged ({error}); without it the training is evaluated again"
+        ) from error
+    check_budget(folder, kept, config)
+    return walks
+
+
+def check_budget(folder: Path, kept: Mapping[str, Any], config: AblationConfig) -> None:
+    """Check the budget of a training.
+
+    Raises:
+        ConfigurationError: the training has another budget.
+    """
+    other = {k: kept.get(k) for k, value in budget(config).items() if kept.get(k) != value}
+    if other:
+        raise ConfigurationError(
+            f"the training in {str(folder)!r} had {other}, not {budget(config)}; choose another"
+            " --out"
+        )
+
+
+def measures(results: Sequence[WalkResult], weights: Mapping[str, float]) -> dict[str, float]:
+    """Columns of the table; a walk that ends in a fall counts up to the fall.
+
+    The return is that of the common reward, whatever the training's was.
+    """
+    returns = [
+        r.steps * sum(weight * r.terms[name] for name, weight in weights.items()) for r in results
+    ]
+    return {
+        "survived": float(sum(r.survived for r in results)),
+        "on the feet": float(sum(r.on_feet for r in results)),
+        "tracked": float(sum(r.tracked for r in results)),
+        "return": float(np.mean(returns)),
+        "speed error m/s": float(np.mean([_speed_error(r) for r in results])),
+        **{name: float(np.mean([r.terms[name] for r in results])) for name in weights},
+    }
+
+
+def _speed_error(walk: WalkResult) -> float:
+    """Distance between mean and commanded velocity over the ground [m/s]."""
+    sideways = walk.mean_sideways_speed - walk.sideways_speed
+    return float(np.hypot(walk.mean_speed - walk.speed, sideways))
+
+
+def table(
+    found: Mapping[str, Mapping[int, Sequence[WalkResult]]],
+    total_steps: int,
+    weights: Mapping[str, float],
+) -> str:
+    """Table with a row for each variant: means and 95 % intervals over seeds."""
+    rows = []
+    for name, by_seed in found.items():
+        means = [measures(results, weights) for results in by_seed.values()]
+        cells = [cell([m[key] for m in means]) for key in means[0]]
+        rows.append([name, str(len(means)), *cells])
+    first = next(iter(next(iter(found.values())).values()))
+    names = [*measures(first, weights)]
+    text = markdown(["variant", "seeds", *names], rows, ["---", "---:", *["---:"] * len(names)])
+    near = f"tracked within {TRACKING_TOLERANCE:g} m/s"
+    counted = f"Counts are of {len(first)} commands: survived, on the feet, and {near}."
+    return f"{text}\n\n{total_steps} policy steps each; {_cells(found)}. {counted}"
+
+
+def _cells(found: Mapping[str, Mapping[int, Any]]) -> str:
+    """Sentence about the cells of a table."""
+    seeds = [len(by_seed) for by_seed in found.values()]
+    told = "mean and 95 % interval over seeds"
+    if max(seeds) == 1:
+        told = "values of one seed; small differences mean nothing, as seeds differ"
+    elif min(seeds) == 1:
+        told += ", if a variant has several"
+    return f"{told}; the largest return is {MAX_EPISODE_STEPS}"
+
+
+def cell(values: Sequence[float]) -> str:
+    """Mean over seeds, and half the width of its interval if there are several values."""
+    found = Interval.of([np.array([value]) for value in values])
+    digits = 0 if found.mean >= 100 else 1 if found.mean >= 10 else 3
+    half = f" ± {found.high - found.mean:.{digits}f}" if len(values) > 1 else ""
+    return f"{found.mean:.{digits}f}{half}"
