@@ -1,6 +1,7 @@
 """Figure of eight, with feedback of the estimated pose.
 
     python -m benchmarks.path --policy runs/ppo_directions
+    python -m benchmarks.path --policy runs/ppo_directions --duration 48 --video eight.mp4
 
 As on a robot, a control law (`aslip.control.PathFollower`) computes commands from the pose of the
 state estimator's odometry. Errors are distances of the estimated and of the true pose from the
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
@@ -27,6 +29,8 @@ class Config(Directions):
     """Speed along the path [m/s]."""
     duration: float = 300.0
     """Duration of the walk [s]."""
+    video: Path | None = None
+    """Film of the first policy's walk, such as eight.mp4; drawing takes minutes."""
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -53,10 +57,13 @@ from aslip.control import Eight, PathFollower
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
+from aslip.show.film import Frame, Look, make_film
 from aslip.walking import markdown, next_start, policy_steps, reset_walks, take_step
 from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
 
 _POINTS = 500  # number of points of the drawn path
+_STEPS_PER_FRAME = 2  # policy steps between frames of the film
+_LOOK = Look("follow", 480, 360)
 
 
 def main(
@@ -72,7 +79,10 @@ def main(
     subjects, library = load_with_library(config, policy, make_env)
     follower = PathFollower(Eight(config.radius), config.speed)
     found = [walk_path(config, subject, library, follower) for subject in subjects]
-    rows = [row for row, _ in found]
+    rows = [row for row, _, _ in found]
+    if config.video is not None:
+        rate = 1 / (_STEPS_PER_FRAME * CASSIE.policy_period)
+        make_film(config.video, found[0][2], rate, _LOOK)
     lines = [
         [
             row["policy"],
@@ -92,15 +102,15 @@ def main(
 
 def walk_path(
     config: Config, subject: Subject, library: GaitLibrary, follower: PathFollower
-) -> tuple[dict[str, Any], np.ndarray]:
+) -> tuple[dict[str, Any], np.ndarray, list[Frame]]:
     """Walk one robot along the path.
 
     Returns:
-        Numbers of the walk; and positions (m, 2, 2), estimated and true, after each policy step
-        [m].
+        Numbers of the walk; positions (m, 2, 2), estimated and true, after each policy step [m];
+        and frames of the film, none without one.
     """
     start, way = (config.speed, 0.0, 0.0), 0.0
-    places, distances, fell = [], [], False
+    places, distances, frames, fell = [], [], [], False
     with contextlib.closing(subject.walking_env(config, 1)) as env:
         td: TensorDictBase = reset_walks(env, library.nearest(torch.tensor([start])).numpy())
         for _ in tqdm(range(policy_steps(config.duration)), unit="step", leave=False):
@@ -108,6 +118,8 @@ def walk_path(
             estimated, true = (world_pose(td, group) for group in ("odometry", "true_odometry"))
             command, way = follower.command(estimated, heading, way)
             td["command"] = library.nearest(torch.tensor([command]))
+            if config.video is not None and len(places) % _STEPS_PER_FRAME == 0:
+                frames.append(Frame.of(td))
             td = take_step(subject.policy, env, td)
             places.append([estimated[:2], true[:2]])
             distances.append(
@@ -125,7 +137,7 @@ def walk_path(
         "estimate_most": float(errors[:, 0].max()),
         "truth": float(errors[:, 1].mean()),
     }
-    return row, np.array(places)
+    return row, np.array(places), frames
 
 
 def world_pose(td: TensorDictBase, group: str) -> tuple[float, float, float]:

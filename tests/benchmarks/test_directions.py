@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -66,9 +67,16 @@ def test_each_fall_counts_for_the_change_before_it(
         transitions.Config(changes=2, robots=3)
 
 
-def test_a_path_is_walked_over_the_estimate(library: str, tmp_path: Path) -> None:
-    config = path.Config(library=library, speed=0.5, duration=0.45, out=tmp_path)
+def test_a_path_is_walked_over_the_estimate(
+    library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    film = Mock()
+    monkeypatch.setattr(path, "make_film", film)
+    video = tmp_path / "eight.mp4"
+    config = path.Config(library=library, speed=0.5, duration=0.45, out=tmp_path, video=video)
     (row,) = path.main(config, limp())
+    # every other one of 15 policy steps
+    assert len(film.call_args.args[1]) == 8
     assert row["time"] == pytest.approx(0.45)
     assert not row["fell"]
     assert 0 < row["estimate"] <= row["estimate_most"] < 0.3
