@@ -206,7 +206,7 @@ VARIANTS: Mapping[str, Variant] = {
     "no_curriculum": Variant("full ranges and pushes from the start", {"ramp": 0.0}),
     "no_effort": Variant(
         "no reward for low power and low loads",
-        make_stack=partial(without_terms, names=("power", "load")),
+        make_stack=partial(without_terms, names=("power", "foot_load")),
     ),
     "no_path": Variant(
         "no reward for staying on the path", make_stack=partial(without_terms, names=("path_diff",))

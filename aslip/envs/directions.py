@@ -90,7 +90,7 @@ def _terms() -> Stack:
         # the policy observes this error; the true one drifts away with the odometry
         rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
         rewards.power: ([("truth", "motor_torque"), ("truth", "motor_velocity")], [_STEER]),
-        rewards.load: ([("truth", "ground_force")], []),
+        rewards.foot_load: ([("truth", "ground_force")], []),
     }
     return {
         function.__name__: partial(RewardTerm, function.__name__, function, *keys)

@@ -44,11 +44,11 @@ DIRECTION_WEIGHTS: Final = MappingProxyType(
         "foot_orient": 0.1,
         "action_diff": 0.05,
         "power": 0.1,
-        "load": 0.1,
+        "foot_load": 0.1,
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
-`path_diff` takes the place of `straight_diff`, and `power` and `load` are new."""
+`path_diff` takes the place of `straight_diff`, and `power` and `foot_load` are new."""
 
 PATH_SCALE: Final = 0.1
 """Distance at which `path_diff` is 1/e [m]."""
@@ -60,10 +60,10 @@ SPEED_IN_PLACE: Final = 0.4
 """Speed that `power` adds to the commanded one, as stepping in place takes power, too [m/s]."""
 
 LEAST_LOAD: Final = 0.9
-"""Force on a foot over body weight up to which `load` is 1."""
+"""Force on a foot over body weight up to which `foot_load` is 1."""
 
 LOAD_SCALE: Final = 0.3
-"""Force on a foot over body weight, beyond `LEAST_LOAD`, at which `load` is 1/e."""
+"""Force on a foot over body weight, beyond `LEAST_LOAD`, at which `foot_load` is 1/e."""
 
 _WEIGHT: Final = CASSIE.total_mass * STANDARD_GRAVITY  # [N]
 
@@ -198,7 +198,7 @@ def power(motor_torque: Tensor, motor_velocity: Tensor, command: Tensor) -> Tens
     return torch.exp(-used / (POWER_SCALE * _WEIGHT * (_norm(command[..., :2]) + SPEED_IN_PLACE)))
 
 
-def load(ground_force: Tensor) -> Tensor:
+def foot_load(ground_force: Tensor) -> Tensor:
     r""":math:`\exp(-(F/W - 0.9)^+ / 0.3)`, F the vertical force on the foot that bears more.
 
     W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. Ours.
