@@ -111,7 +111,7 @@ def default_stack(library: GaitLibrary | None = None, reward_on: RewardSource = 
         library: gait library, the shipped one by default.
         reward_on: source of pelvis and feet in the rewards.
     """
-    library = shipped_library() if library is None else library
+    library = shipped_library("gaits") if library is None else library
     return {
         "start": lambda: ReferenceStart(library),
         "command": lambda: SpeedCommand(library),
@@ -200,7 +200,7 @@ def single_reference_stack(
 
 
 @functools.cache
-def shipped_library(name: str = "gaits") -> GaitLibrary:
+def shipped_library(name: str) -> GaitLibrary:
     """Shipped library by name, read once; see `GaitLibrary.load`."""
     return GaitLibrary.load(name)
 
@@ -323,7 +323,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     if library is not None:
         judging["in_keys"] = ["filtered_command", "phase"]
         judging["in_keys"] += ["mode", "stand"] if "stand" in stack else []
-    goal = partial(ReferenceInjection, library or shipped_library(), **judging)
+    goal = partial(ReferenceInjection, library or shipped_library("gaits"), **judging)
     return {"start": evaluation.pop("start"), **seen, "judge": goal, **evaluation}
 
 
