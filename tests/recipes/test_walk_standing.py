@@ -24,7 +24,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def _walk(files: tuple[Path, Path], command: str, duration: float, log: Path | None = None) -> None:
     library, policy = files
     walk.main(
-        Config(policy=str(policy), library=library, command=command, duration=duration, log=log)
+        Config(
+            policy=str(policy), library=str(library), command=command, duration=duration, log=log
+        )
     )
 
 
