@@ -50,7 +50,7 @@ def path(kind: Kind, intact: dict[str, bytes], tmp_path: Path) -> Path:
 
 def _step(kind: Kind) -> int:
     """Stride between damaged places: reading, checking and recovering a log takes a second."""
-    return 1 if kind.archive else 10
+    return 1 if kind.archive else 20
 
 
 # ------------------------------------------------------------------------- reading

@@ -21,7 +21,7 @@ from aslip.sim import DYNAMICS
 from tests.log.helpers import MakeRecorded, run
 
 
-@pytest.mark.parametrize("backend", ["batch", "dm_control"])
+@pytest.mark.parametrize("backend", ["batch", pytest.param("dm_control", marks=pytest.mark.slow)])
 def test_randomised_robots_are_recorded(
     make_recorded: MakeRecorded, tmp_path: Path, backend: str
 ) -> None:

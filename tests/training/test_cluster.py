@@ -103,9 +103,8 @@ def ray() -> Iterator[tuple[list[TensorDict], list[float]]]:
     assert not importlib.import_module("ray").is_initialized()
 
 
-@pytest.mark.parametrize(
-    "kind", ["distributed", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["distributed", pytest.param("ray", marks=needs_ray)])
 class TestOtherProcesses:
     @pytest.fixture
     def collected(
