@@ -55,6 +55,7 @@ __all__ = [
     "Policy",
     "Subject",
     "checkpoint_times",
+    "chosen_library",
     "constant_walks",
     "library_of",
     "load_subjects",
@@ -92,6 +93,8 @@ class Subject:
     """Function that makes its environments."""
     stored: bool
     """True for a policy file, whose card environments are checked against."""
+    find_library: Callable[[], GaitLibrary]
+    """Function that loads the library of its gaits."""
 
     @classmethod
     def load(
@@ -119,7 +122,8 @@ class Subject:
             stack = policy_stack(policy) if stored else "directions" if several else "aslip"
             make_env = partial(aslip.make_env, stack=stack, library=library)
         module = aslip.load_policy(policy) if stored else policy
-        return cls(policy_name(policy), module, make_env, stored)
+        find_library = partial(command_library, policy) if library is None else lambda: library
+        return cls(policy_name(policy), module, make_env, stored, find_library)
 
     def env(self, num_envs: int, **settings: Any) -> StackEnv:
         """Environment of the policy whose episodes end as in training.
@@ -175,10 +179,13 @@ def load_with_library(
 
     The library is the flag's, or the shipped one of the first policy.
     """
-    chosen = None if config.library is None else GaitLibrary.load(config.library)
-    subjects = load_subjects(config, policy, make_env, chosen)
-    first = config.policy[0] if policy is None else policy
-    return subjects, command_library(first) if chosen is None else chosen
+    subjects = load_subjects(config, policy, make_env, chosen_library(config))
+    return subjects, subjects[0].find_library()
+
+
+def chosen_library(config: WithLibrary) -> GaitLibrary | None:
+    """Library of the flag, if it is given."""
+    return None if config.library is None else GaitLibrary.load(config.library)
 
 
 def policy_name(policy: Policy) -> str:

@@ -61,7 +61,14 @@ from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Substeps, markdown, record_substeps
 from aslip.walking.metrics import drift, lifted_feet, mechanical_power, planting_time, turned
-from benchmarks.common import MakeEnv, Policy, Subject, load_subjects, write_report
+from benchmarks.common import (
+    MakeEnv,
+    Policy,
+    Subject,
+    chosen_library,
+    load_with_library,
+    write_report,
+)
 from benchmarks.directions import random_commands
 
 # durations of walking, of coming to rest, and of walking on [s]
@@ -82,9 +89,8 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    library = GaitLibrary.load(config.library or "gaits")
-    in_stack = partial(aslip.make_env, stack=config.stack, library=library)
-    subjects = load_subjects(config, policy, make_env or in_stack)
+    in_stack = partial(aslip.make_env, stack=config.stack, library=chosen_library(config))
+    subjects, library = load_with_library(config, policy, make_env or in_stack)
     chosen = commands(config, library)
     rows, traces = [], []
     for subject in subjects:

@@ -69,6 +69,7 @@ from benchmarks.common import (
     MakeEnv,
     Policy,
     Subject,
+    chosen_library,
     nearest_gait,
     policy_name,
     shortest_swing,
@@ -128,10 +129,9 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    library = GaitLibrary.load(config.library or "gaits")
+    methods = load_methods(config, policy, make_env, chosen_library(config))
+    library = next(iter(methods.values()))[0].find_library()
     footholds = Footholds(library)
-    chosen = None if config.library is None else library
-    methods = load_methods(config, policy, make_env, chosen)
     runs = [(name, one, v) for name, ones in methods.items() for v in config.speeds for one in ones]
     found: dict[tuple[str, float], list[dict[str, float] | None]] = {}
     for name, subject, speed in tqdm(runs, unit="walk", leave=False):

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from ablate_settings import AblationConfig
 
@@ -33,17 +34,9 @@ NAMES = (
 class Config(AblationConfig):
     """Settings of the ablations."""
 
+    names: ClassVar[tuple[str, ...]] = NAMES
     variants: tuple[str, ...] = NAMES
     """Names of the variants to train."""
-
-    def __post_init__(self) -> None:
-        """Check the names.
-
-        Raises:
-            UnknownNameError: a variant is unknown.
-            ConfigurationError: there is no variant or no seed.
-        """
-        self.check_names(NAMES)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from ablate_settings import AblationConfig
 
@@ -32,6 +33,7 @@ NAMES = (
 class Config(AblationConfig):
     """Settings of the ablations."""
 
+    names: ClassVar[tuple[str, ...]] = NAMES
     variants: tuple[str, ...] = NAMES
     """Names of the variants to train."""
     seeds: tuple[int, ...] = (0,)
@@ -45,15 +47,6 @@ class Config(AblationConfig):
     unloaded: Path = Path("runs/unloaded/gaits.npz")
     """Library of the variant `no_minimum_force`, from `python recipes/direction_library.py --out
     runs/unloaded --model.min-stance-force 0`."""
-
-    def __post_init__(self) -> None:
-        """Check the names.
-
-        Raises:
-            UnknownNameError: a variant is unknown.
-            ConfigurationError: there is no variant or no seed.
-        """
-        self.check_names(NAMES)
 
 
 if __name__ == "__main__":

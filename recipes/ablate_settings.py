@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from aslip.errors import ConfigurationError, UnknownNameError
 
 
 @dataclass(frozen=True)
 class AblationConfig:
-    """Settings of ablations."""
+    """Settings of ablations.
 
+    Raises:
+        UnknownNameError: a variant is unknown.
+        ConfigurationError: there is no variant or no seed.
+    """
+
+    names: ClassVar[tuple[str, ...]] = ()
+    """Names of the variants that exist."""
     variants: tuple[str, ...] = ()
     """Names of the variants to train."""
     seeds: tuple[int, ...] = (0, 1, 2)
@@ -26,15 +33,10 @@ class AblationConfig:
     list: bool = False
     """List the variants and train nothing."""
 
-    def check_names(self, names: Sequence[str]) -> None:
-        """Check the variants against those that exist.
-
-        Raises:
-            UnknownNameError: a variant is unknown.
-            ConfigurationError: there is no variant or no seed.
-        """
+    def __post_init__(self) -> None:
+        """Check variants and seeds."""
         for name in self.variants:
-            if name not in names:
-                raise UnknownNameError.among("variant", name, names)
+            if name not in self.names:
+                raise UnknownNameError.among("variant", name, self.names)
         if not self.variants or not self.seeds:
             raise ConfigurationError("name at least one variant and one seed")
