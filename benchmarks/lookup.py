@@ -95,9 +95,7 @@ def large_library(library: GaitLibrary, config: Config) -> GaitLibrary:
         rows = getattr(table, name)[: grid[0]]
         if name != "strides":
             rows = rows[:, : config.samples].astype(np.float32)
-        shape = rows.shape[1:]
-        rows = rows.reshape(grid[0], 1, 1, *shape)
-        columns[name] = np.ascontiguousarray(np.broadcast_to(rows, (*grid, *shape)))
+        columns[name] = np.repeat(rows, grid[1] * grid[2], axis=0)
     axes = tuple(np.linspace(low, high, count) for low, high, count in ranges)
     return GaitLibrary(None, GaitTable(axes=axes, **columns))
 

@@ -134,7 +134,7 @@ class NearestGait(SeededTransform):
     def __init__(self, library: GaitLibrary) -> None:
         super().__init__(in_keys=["filtered_command"], out_keys=["gait_command"])
         table = library.table
-        self._commands = torch.from_numpy(table.commands[~table.missing]).float()
+        self._commands = torch.from_numpy(table.commands).float()
         self._range = torch.tensor([float(axis[-1] - axis[0]) or 1.0 for axis in table.axes])
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:

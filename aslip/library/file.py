@@ -10,7 +10,6 @@ import numpy as np
 
 from aslip.errors import AssetError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.library.region import extrapolate
 from aslip.library.table import ARRAYS, GaitTable
 from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
 from aslip.robot import CASSIE, Robot
@@ -18,14 +17,13 @@ from aslip.rom.gait import Gait
 from aslip.rom.motion import Motion, SampledMotion
 
 FORMAT = ArchiveFormat(
-    "gait library", 5, advice="rebuild it with recipes/gait_library.py", compressed=True
+    "gait library", 6, advice="rebuild it with recipes/gait_library.py", compressed=True
 )
 """Entries: `table/FIELD.npy`, `motionNN/FIELD.npy`, `transitions/FIELD.npy`, `made_by.json`.
 
 Headings that are 0 everywhere and the mask of a full grid are left out, and so are transitions that
-a library does not have. With a mask, arrays have rows for present motions only, in their order; the
-others are extrapolated again. Angles and velocities of motors are left out where they are those of
-the configuration.
+a library does not have. Angles and velocities of motors are left out where they are those of the
+configuration.
 """
 _MADE_BY = "made_by.json"
 _HEADINGS = {"body_heading": (), "foot_heading": (2,)}
@@ -62,8 +60,6 @@ def write_library(
         if np.array_equal(getattr(table, name), _motors(name, vars(table), table.robot)):
             del arrays[f"table/{name}"]
     if table.present is not None:
-        rows = [f"table/{name}" for name in ARRAYS if f"table/{name}" in arrays]
-        arrays |= {name: arrays[name][table.present] for name in rows}
         arrays["table/present"] = table.present
     arrays |= {f"table/axis{i}": axis for i, axis in enumerate(table.axes)}
     if transitions is not None:
@@ -118,8 +114,6 @@ def _table(arrays: Mapping[str, np.ndarray], robot: Robot) -> GaitTable:
     level = {n: np.zeros((*qpos.shape[:-1], *s), qpos.dtype) for n, s in _HEADINGS.items()}
     columns = {**level, **{name: arrays[name] for name in ARRAYS if name in arrays}}
     columns |= {name: _motors(name, columns, robot) for name in _MOTORS.keys() - columns.keys()}
-    if present is not None:
-        columns = _filled(columns, present.astype(bool), axes)
     return GaitTable(
         axes=axes,
         torque_jumps=bool(arrays["torque_jumps"]),
@@ -134,24 +128,6 @@ def _motors(name: str, arrays: Mapping[str, np.ndarray], robot: Robot) -> np.nda
     at = robot.indices
     columns = at.motor_qpos if name == "motor_position" else at.motor_qvel
     return arrays[_MOTORS[name]][..., columns]
-
-
-def _filled(
-    rows: Mapping[str, np.ndarray], present: np.ndarray, axes: tuple[np.ndarray, ...]
-) -> dict[str, np.ndarray]:
-    """Arrays over the grid from the rows of its present motions, as `tabulate` fills them."""
-    filled: dict[str, np.ndarray] = {}
-    # arrays of one precision at once, because most of the time goes to the neighbours
-    for dtype in {array.dtype for array in rows.values()}:
-        parts = {name: array for name, array in rows.items() if array.dtype == dtype}
-        flat = [array.reshape(len(array), -1) for array in parts.values()]
-        grid = np.zeros((*present.shape, sum(part.shape[1] for part in flat)), dtype)
-        grid[present] = np.concatenate(flat, axis=1)
-        widths = np.cumsum([part.shape[1] for part in flat])[:-1]
-        found = np.split(extrapolate(grid, present, axes), widths, axis=-1)
-        for (name, array), values in zip(parts.items(), found, strict=True):
-            filled[name] = values.reshape(*present.shape, *array.shape[1:])
-    return filled
 
 
 def _motion(arrays: Mapping[str, np.ndarray]) -> Motion:

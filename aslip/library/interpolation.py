@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from aslip.library.region import hull_gauge
+from aslip.library.region import extrapolate, hull_gauge, reached_corners
 
 _BLOCK = 256  # motions whose splines are computed at once
 
@@ -18,12 +18,15 @@ class CommandGrid(nn.Module):
 
     Args:
         axes: values along each axis.
-        missing: (n,) True at points without a motion; the region is then the convex hull of the
-            others instead of the box.
+        missing: (p,) True at points of the flattened grid without a motion; the region is then the
+            convex hull of the others instead of the box.
 
     Raises:
         ConfigurationError: a motion is missing amid others.
     """
+
+    rows: Tensor
+    """(p,) row of each point of a cut grid in what `fill` returns; 0 beyond all cells."""
 
     def __init__(self, axes: Sequence[np.ndarray], missing: np.ndarray | None = None) -> None:
         super().__init__()
@@ -34,10 +37,32 @@ class CommandGrid(nn.Module):
         self._wide = [i for i, axis in enumerate(axes) if len(axis) > 1]
         if missing is not None and missing.any():
             self._cut = True
-            mesh = np.meshgrid(*(axes[i] for i in self._wide), indexing="ij")
-            gauge = hull_gauge(np.stack([m.ravel() for m in mesh], axis=1), missing)
-            for name, array in zip(("_normals", "_centre"), gauge, strict=True):
-                self.register_buffer(name, torch.tensor(array), persistent=False)
+            self._axes, self._present = tuple(axes), ~missing.reshape([len(axis) for axis in axes])
+            self._cut_at_hull([axes[i] for i in self._wide], missing)
+
+    def _cut_at_hull(self, axes: Sequence[np.ndarray], missing: np.ndarray) -> None:
+        """Prepare the gauge of the hull, and the rows of motions and of corners around them."""
+        mesh = np.meshgrid(*axes, indexing="ij")
+        gauge = hull_gauge(np.stack([m.ravel() for m in mesh], axis=1), missing)
+        self._beyond = np.flatnonzero(reached_corners(axes, *gauge).ravel() & missing)
+        rows = np.zeros(len(missing), dtype=int)
+        rows[np.concatenate([np.flatnonzero(~missing), self._beyond])] = np.arange(
+            np.count_nonzero(~missing) + len(self._beyond)
+        )
+        for name, array in zip(("_normals", "_centre", "rows"), (*gauge, rows), strict=True):
+            self.register_buffer(name, torch.tensor(array), persistent=False)
+
+    def fill(self, values: np.ndarray) -> np.ndarray:
+        """Values (n, ...) of all motions, with those extrapolated to corners around the region.
+
+        Rows are the motions, then the corners; see `extrapolate`.
+        """
+        if not self._cut:
+            return values
+        grid = np.zeros((*self._present.shape, *values.shape[1:]), values.dtype)
+        grid[self._present] = values
+        grid = extrapolate(grid, self._present, self._axes)
+        return np.concatenate([values, grid.reshape(-1, *values.shape[1:])[self._beyond]])
 
     def gauge(self, command: Tensor) -> Tensor:
         """Distance (*b, 1) of commands from the centre of a cut region, 1 at its border."""
@@ -69,7 +94,7 @@ class CommandGrid(nn.Module):
         """Corners of the grid cells around commands (*b, c), which are clamped to the region.
 
         Returns:
-            Indices (*b, 2^c) of the corners in the flattened grid, and for each axis the weight
+            Rows (*b, 2^c) of the corners in what `fill` returns, and for each axis the weight
             (*b, 1) of the upper corners. An axis of one value is left out.
         """
         index = torch.zeros_like(command[..., :1], dtype=torch.long)
@@ -87,7 +112,7 @@ class CommandGrid(nn.Module):
             weights.append((value - low) / (high - low))
             neighbours = torch.cat([row, row + 1], dim=-1)
             index = (index.unsqueeze(-1) * size + neighbours.unsqueeze(-2)).flatten(-2)
-        return index, weights
+        return self.rows[index] if self._cut else index, weights
 
 
 def multilinear(values: Tensor, weights: Sequence[Tensor]) -> Tensor:
@@ -100,6 +125,8 @@ def multilinear(values: Tensor, weights: Sequence[Tensor]) -> Tensor:
 
 class PeriodicTable(nn.Module):
     """Interpolation of n motions over phase, from m samples of k values at phases j / m.
+
+    Cubic splines, or monotone cubics.
 
     Args:
         values: (n, m, k) samples, in the precision of the table.
@@ -136,6 +163,48 @@ class PeriodicTable(nn.Module):
         return _hermite(before, after, (position - left).unsqueeze(-1))
 
 
+class LocalTable(nn.Module):
+    """Interpolation over phase like that of `PeriodicTable`, in half the memory.
+
+    Cubics whose slopes are differences of sixth order of the samples, computed at each look-up.
+
+    Args:
+        values: (n, m, k) samples, in the precision of the table.
+    """
+
+    samples: Tensor
+    """(n, m, k) samples."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        super().__init__()
+        self.register_buffer("samples", torch.tensor(values), persistent=False)
+        slopes = (
+            torch.tensor([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0], dtype=self.samples.dtype) / 60
+        )
+        self.register_buffer("_slopes", slopes, persistent=False)
+
+    def values(self) -> np.ndarray:
+        """(n, m, k) samples: a read-only view."""
+        view = self.samples.numpy()
+        view.setflags(write=False)
+        return view
+
+    def forward(self, phase: Tensor, motion: Tensor) -> Tensor:
+        """Values (*b, r, k) of motions (*b, r), by index, at phases (*b, 1)."""
+        count = self.samples.shape[1]
+        position = (phase.to(self.samples.dtype) % 1.0) * count
+        left = position.floor()
+        columns = (left.long() + torch.arange(-3, 5, device=left.device)) % count
+        index = motion.unsqueeze(-1) * count + columns.unsqueeze(-2)
+        around = _nodes_at(self.samples, index)
+        slopes = self.get_buffer("_slopes")
+        before, after = (
+            torch.stack([around[..., i, :], slopes @ around[..., i - 3 : i + 4, :]], dim=-2)
+            for i in (3, 4)
+        )
+        return _hermite(before, after, (position - left).unsqueeze(-1))
+
+
 class OpenTable(nn.Module):
     """Interpolation of n motions with two ends, from m samples of k values, both ends included.
 
@@ -164,7 +233,10 @@ class OpenTable(nn.Module):
 
 
 def _nodes_at(nodes: Tensor, index: Tensor) -> Tensor:
-    """Nodes (*b, 2, k) by index; selecting rows is several times faster than indexing twice."""
+    """Nodes (*b, ...) of a table (n, m, ...) by the index of a sample among all n m samples.
+
+    Selecting rows is several times faster than indexing twice.
+    """
     chosen = nodes.flatten(0, 1).index_select(0, index.flatten())
     return chosen.reshape(*index.shape, *chosen.shape[1:])
 

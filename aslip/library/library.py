@@ -7,7 +7,6 @@ the command of a motion and the phase of a sample it equals that sample.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from torch import Tensor, nn
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.files.assets import asset_path
 from aslip.library.file import read_library, write_library
-from aslip.library.interpolation import CommandGrid, PeriodicTable, multilinear
+from aslip.library.interpolation import CommandGrid, LocalTable, PeriodicTable, multilinear
 from aslip.library.reference import COLUMNS, Reference
 from aslip.library.region import describe, listed
 from aslip.library.table import GaitTable
@@ -70,24 +69,25 @@ class GaitLibrary(nn.Module):
         self.made_by = dict(made_by or {})
         self.motions = tuple(motions or ())
         commands = [np.asarray(motion.command).tolist() for motion in self.motions]
-        expected = table.commands[~table.missing].tolist()
+        expected = table.commands.tolist()
         if motions is not None and commands != expected:
             raise ConfigurationError(
                 f"commands of motions must be those of the table, {listed(expected)}, got"
                 f" {listed(commands)}"
             )
-        columns = [_flat(table, getattr(table, name)) for name in COLUMNS]
+        columns = [_flat(getattr(table, name)) for name in COLUMNS]
         self._widths = [column.shape[-1] for column in columns]
         jumps = np.repeat(
             [table.torque_jumps and name == "motor_torque" for name in COLUMNS], self._widths
         )
         self._grid = CommandGrid(table.axes, table.missing)
-        self._reference = PeriodicTable(np.concatenate(columns, axis=-1), jumps)
-        self._qpos = PeriodicTable(_flat(table, table.qpos))
-        self._qvel = PeriodicTable(_flat(table, table.qvel))
+        self._reference = PeriodicTable(self._grid.fill(np.concatenate(columns, axis=-1)), jumps)
+        self._qpos, self._qvel = (
+            LocalTable(self._grid.fill(values)) for values in (table.qpos, table.qvel)
+        )
         self.table = self._shared(table)
         self._strides: Tensor
-        strides = torch.tensor(table.strides.reshape(-1, 1))
+        strides = torch.tensor(self._grid.fill(table.strides[:, None]))
         self.register_buffer("_strides", strides, persistent=False)
         self._transitions = None
         if transitions is not None:
@@ -348,7 +348,9 @@ class GaitLibrary(nn.Module):
             qpos[..., quaternion] = nn.functional.normalize(qpos[..., quaternion], dim=-1)
         return qpos, qvel
 
-    def _interpolate(self, table: PeriodicTable, phase: Tensor, command: Tensor) -> Tensor:
+    def _interpolate(
+        self, table: PeriodicTable | LocalTable, phase: Tensor, command: Tensor
+    ) -> Tensor:
         _check_width("phase", phase, 1)
         _check_width("command", command, len(self.table.axes))
         motion, weights = self._grid.corners(command)
@@ -357,8 +359,9 @@ class GaitLibrary(nn.Module):
     def _shared(self, table: GaitTable) -> GaitTable:
         """Table whose arrays are views of the nodes, so that no number is stored twice."""
         parts = np.split(self._reference.values(), np.cumsum(self._widths)[:-1], axis=-1)
-        views = dict(zip(COLUMNS, parts, strict=True))
-        views |= {"qpos": self._qpos.values(), "qvel": self._qvel.values()}
+        filled = dict(zip(COLUMNS, parts, strict=True))
+        filled |= {"qpos": self._qpos.values(), "qvel": self._qvel.values()}
+        views = {name: values[: len(table.strides)] for name, values in filled.items()}
         shaped = {n: view.reshape(getattr(table, n).shape, copy=False) for n, view in views.items()}
         return replace(table, **shaped)
 
@@ -369,10 +372,9 @@ def _check_width(name: str, value: Tensor, width: int) -> None:
         raise ShapeError(f"{name} must be a tensor of shape (..., {width}), got {got!r}")
 
 
-def _flat(table: GaitTable, values: np.ndarray) -> np.ndarray:
-    """(*g, m, ...) values as (n, m, k) for n points of the grid."""
-    samples = values.shape[len(table.axes)]
-    return values.reshape(math.prod(table.grid), samples, -1)
+def _flat(values: np.ndarray) -> np.ndarray:
+    """(n, m, ...) values as (n, m, k)."""
+    return values.reshape(*values.shape[:2], -1)
 
 
 def _named(command: Sequence[float]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from aslip.errors import ConfigurationError
 
 _ROUNDING = 1e-9  # of a command, relative to the size of the region
+_REACH = 1e-6  # of a look-up beyond the border, relative to the size of the region
 _LISTED = 24  # commands in an error message
 _LINEAR_ROUNDS = 3  # rings of missing points around a region that its cells can reach
 
@@ -60,6 +61,31 @@ def inside_hull(commands: np.ndarray, kept: np.ndarray) -> np.ndarray:
     """
     planes = _hull_planes(commands[kept])
     return (commands @ planes[:, :-1].T + planes[:, -1] <= _ROUNDING).all(axis=1) & ~kept
+
+
+def reached_corners(
+    axes: Sequence[np.ndarray], normals: np.ndarray, centre: np.ndarray
+) -> np.ndarray:
+    """Mask (*g,) of the corners of all cells of a grid that a convex region may reach into.
+
+    Cells that the region does not reach, but that no facet separates from it, count as well.
+
+    Args:
+        axes: two or more coordinates along each axis.
+        normals: (h, c) normals of the region, see `hull_gauge`.
+        centre: (c,) centre.
+    """
+    nearest = np.zeros((len(normals), *(1 for _ in axes)))
+    for i, axis in enumerate(axes):
+        ends = np.multiply.outer(normals[:, i], axis - centre[i])
+        shape = [len(normals), *(1 for _ in axes)]
+        shape[i + 1] = len(axis) - 1
+        nearest = nearest + np.minimum(ends[:, :-1], ends[:, 1:]).reshape(shape)
+    cells = (nearest <= 1 + _REACH).all(axis=0)
+    corners = np.zeros([len(axis) for axis in axes], dtype=bool)
+    for steps in product((0, 1), repeat=len(axes)):
+        corners[tuple(slice(s, s + n) for s, n in zip(steps, cells.shape, strict=True))] |= cells
+    return corners
 
 
 def _hull_planes(commands: np.ndarray) -> np.ndarray:

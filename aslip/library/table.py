@@ -22,9 +22,10 @@ FEWEST_SAMPLES = 4
 class GaitTable:
     """Motions over a grid of commands, sampled at equal steps of phase.
 
-    In shapes, g is the shape of the grid, with one axis per axis of the command, and m the number
-    of phases, the first at left lift-off. Moving frame, body and feet are those of
-    `aslip.library.Reference`. Arrays are read-only, in double or single precision.
+    In shapes, n is the number of motions, in ascending order of commands, m the number of phases,
+    the first at left lift-off, and g the shape of the grid, with one axis per axis of the command.
+    Moving frame, body and feet are those of `aslip.library.Reference`. Arrays are read-only, in
+    double or single precision.
 
     Raises:
         ConfigurationError: an axis does not ascend, a stride is not positive, an entry is not
@@ -37,37 +38,36 @@ class GaitTable:
     """Values of the command along each axis, ascending: forward speed, sideways speed [m/s], yaw
     rate [rad/s]."""
     strides: np.ndarray
-    """(*g,) duration of a stride [s]."""
+    """(n,) duration of a stride [s]."""
     body_position: np.ndarray
-    """(*g, m, 3) position: deviation from the mean path, and height [m]."""
+    """(n, m, 3) position: deviation from the mean path, and height [m]."""
     body_velocity: np.ndarray
-    """(*g, m, 3) velocity over ground [m/s]."""
+    """(n, m, 3) velocity over ground [m/s]."""
     body_heading: np.ndarray
-    """(*g, m) deviation of the body's heading from the mean heading [rad]."""
+    """(n, m) deviation of the body's heading from the mean heading [rad]."""
     foot_position: np.ndarray
-    """(*g, m, 2, 3) left and right sole centre relative to the body [m]."""
+    """(n, m, 2, 3) left and right sole centre relative to the body [m]."""
     foot_velocity: np.ndarray
-    """(*g, m, 2, 3) velocity of the left and right foot over ground [m/s]."""
+    """(n, m, 2, 3) velocity of the left and right foot over ground [m/s]."""
     foot_heading: np.ndarray
-    """(*g, m, 2) direction of the left and right toes, from the x axis of the frame [rad]."""
+    """(n, m, 2) direction of the left and right toes, from the x axis of the frame [rad]."""
     motor_position: np.ndarray
-    """(*g, m, 10) motor angles [rad]."""
+    """(n, m, 10) motor angles [rad]."""
     motor_velocity: np.ndarray
-    """(*g, m, 10) motor velocities [rad/s]."""
+    """(n, m, 10) motor velocities [rad/s]."""
     motor_torque: np.ndarray
-    """(*g, m, 10) joint torques that balance the model's leg forces [N m]."""
+    """(n, m, 10) joint torques that balance the model's leg forces [N m]."""
     qpos: np.ndarray
-    """(*g, m, 35) configuration, with the moving frame as the world."""
+    """(n, m, 35) configuration, with the moving frame as the world."""
     qvel: np.ndarray
-    """(*g, m, 32) velocity, that of the pelvis over ground."""
+    """(n, m, 32) velocity, that of the pelvis over ground."""
     torque_jumps: bool = False
     """Motor torques may jump between samples, as at a pendulum's change of stance; they are then
     interpolated monotonically, without overshoot."""
     robot: Robot = CASSIE
     """Robot of configurations and motors."""
     present: np.ndarray | None = None
-    """(*g,) True at commands with a motion, everywhere by default; entries elsewhere are
-    extrapolated."""
+    """(*g,) True at points of the grid with a motion, everywhere by default."""
 
     def __post_init__(self) -> None:
         """Make the arrays read-only, and check that they fit together."""
@@ -88,13 +88,13 @@ class GaitTable:
 
     @property
     def commands(self) -> np.ndarray:
-        """(n, c) commands at all points of the grid; the last axis varies fastest."""
+        """(n, c) commands of the motions; the last axis of the grid varies fastest."""
         mesh = np.meshgrid(*self.axes, indexing="ij")
-        return np.stack([axis.ravel() for axis in mesh], axis=1)
+        return np.stack([axis.ravel() for axis in mesh], axis=1)[~self.missing]
 
     @property
     def missing(self) -> np.ndarray:
-        """(n,) True at points of the grid, in the order of `commands`, without a motion."""
+        """(p,) True at points of the flattened grid without a motion."""
         if self.present is None:
             return np.zeros(math.prod(self.grid), dtype=bool)
         return ~self.present.ravel()
@@ -145,12 +145,13 @@ class GaitTable:
         return shapes.get(name, (2, 3) if kind == "foot" else (3,))
 
     def _check(self, name: str) -> None:
-        array, samples = getattr(self, name), self.qpos.shape[len(self.axes) : -1]
+        array, samples = getattr(self, name), self.qpos.shape[1:-1]
         inner = () if name == "strides" else (*samples, *self._shape(name))
+        motions = np.count_nonzero(~self.missing)
         enough = len(samples) == 1 and samples[0] >= FEWEST_SAMPLES
-        if array.shape != (*self.grid, *inner) or not enough:
+        if array.shape != (motions, *inner) or not enough:
             raise ShapeError(
-                f"{name} must have shape {(*self.grid, *inner)} with {FEWEST_SAMPLES} or more"
+                f"{name} must have shape {(motions, *inner)} with {FEWEST_SAMPLES} or more"
                 f" samples of a stride, got {array.shape}"
             )
         if not np.isfinite(array).all():
@@ -160,7 +161,7 @@ class GaitTable:
 _SETTINGS = ("axes", "torque_jumps", "robot", "present")
 
 ARRAYS = tuple(f.name for f in fields(GaitTable) if f.name not in _SETTINGS)
-"""Names of a table's arrays over the grid."""
+"""Names of a table's arrays over motions."""
 
 
 def _read_only(values: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from aslip.errors import ConfigurationError
 from aslip.ik import Kinematics
 from aslip.library.build import Progress, build_rows
-from aslip.library.region import extrapolate, listed
+from aslip.library.region import listed
 from aslip.library.rows import FramedMotion
 from aslip.library.table import ARRAYS, FEWEST_SAMPLES, GaitTable
 from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
@@ -78,9 +78,7 @@ def tabulate(
     for name in ARRAYS:
         values = np.stack([row[name] for row in rows])
         single = single_precision and name != "strides"
-        column = np.zeros((*present.shape, *values.shape[1:]), np.float32 if single else float)
-        column[present] = values
-        columns[name] = extrapolate(column, present, axes)
+        columns[name] = values.astype(np.float32 if single else float)
     return GaitTable(axes=axes, torque_jumps=torque_jumps, robot=robot, present=present, **columns)
 
 
