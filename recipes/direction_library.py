@@ -56,6 +56,9 @@ class Config:
     """Samples of a stride."""
     model: SlipParameters = field(default_factory=lambda: SlipParameters(min_stance_force=0.15))
     """Model and bounds of the gaits."""
+    leg_dynamics: bool = True
+    """Feed the torques forward that carry and accelerate the legs, not only those that balance the
+    model's leg forces."""
     objective: Objective = "mean"
     """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral."""
     workers: int | None = None
@@ -163,6 +166,7 @@ def _tabulate(config: Config, gaits: Sequence[Gait]) -> GaitLibrary:
             single_precision=True,
             missing=True,
             keep_motions=False,
+            leg_dynamics=config.leg_dynamics,
             workers=config.workers,
             folder=config.out / "rows",
             progress=progress,
@@ -177,7 +181,9 @@ def _transitions(config: Config, gaits: Sequence[Gait]) -> TransitionTable | Non
     if in_place is None:
         return None
     motions = optimize_transitions(in_place)
-    return tabulate_transitions(in_place, motions, samples=config.samples)
+    return tabulate_transitions(
+        in_place, motions, samples=config.samples, leg_dynamics=config.leg_dynamics
+    )
 
 
 def _standing(library: GaitLibrary) -> str:

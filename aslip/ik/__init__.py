@@ -5,6 +5,7 @@ closures. All arguments and results follow MuJoCo's conventions (wxyz quaternion
 as in `mujoco.MjData`).
 """
 
+from aslip.ik.dynamics import leg_torque, pelvis_axes
 from aslip.ik.kinematics import Kinematics
 from aslip.ik.solve import IkResidual, IkSolution, solve
 from aslip.ik.statics import standing_pose, static_torque
@@ -15,6 +16,8 @@ __all__ = [
     "IkResidual",
     "IkSolution",
     "Kinematics",
+    "leg_torque",
+    "pelvis_axes",
     "solve",
     "standing_pose",
     "static_torque",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aslip.errors import ShapeError, UnreachablePoseError
-from aslip.ik.equations import least_squares
+from aslip.ik.dynamics import motor_motion
 from aslip.ik.kinematics import Kinematics
 from aslip.ik.solve import IkSolution, solve
 from aslip.ik.target import BodyTarget
@@ -66,12 +66,5 @@ def static_torque(kinematics: Kinematics, qpos: np.ndarray, force: np.ndarray) -
     legs = kinematics.legs(kinematics.at_origin(kinematics.to_pinocchio(qpos)))
     orientation = qpos[:, None, kinematics.robot.indices.pelvis_orientation]
     local = rotate_back(quaternion_to_matrix(orientation), force)
-    count = kinematics.leg_motors.shape[1]
-    motors = np.eye(kinematics.leg_v.shape[1])[kinematics.leg_motors]
-    rows = np.broadcast_to(motors, (len(qpos), *motors.shape))
-    constraint = np.concatenate((legs.closure_jacobian, rows), axis=-2)
-    # each motor in turn moves at unit rate while loops stay closed
-    rate = np.eye(constraint.shape[-2])[:, -count:]
-    velocity = least_squares(constraint, np.broadcast_to(rate, (*constraint.shape[:-1], count)))
-    sole = legs.jacobian[..., :3, :] @ velocity
+    sole = legs.jacobian[..., :3, :] @ motor_motion(kinematics, legs)
     return -rotate_back(sole, local).reshape(len(qpos), -1)

@@ -36,6 +36,7 @@ def build_rows(
     robot: Robot,
     phase: np.ndarray,
     *,
+    leg_dynamics: bool = False,
     workers: int | None = None,
     progress: Progress | None = None,
     folder: Path | None = None,
@@ -46,6 +47,7 @@ def build_rows(
         motions: motions; several processes need motions that can be pickled.
         robot: robot that they are mapped to.
         phase: (m,) phases of the samples.
+        leg_dynamics: see `aslip.library.tabulate`.
         workers: number of processes; by default all cores for more than `ONE_PROCESS` motions.
             Processes are spawned: a script must start under `if __name__ == "__main__":`.
         progress: called whenever motions are finished.
@@ -58,7 +60,7 @@ def build_rows(
         OSError: a file cannot be written.
     """
     chunks = [
-        _Chunk(motions[i : i + _CHUNK], robot, phase, folder)
+        _Chunk(motions[i : i + _CHUNK], robot, phase, leg_dynamics, folder)
         for i in range(0, len(motions), _CHUNK)
     ]
     if workers is None:
@@ -78,16 +80,17 @@ class _Chunk:
     motions: Sequence[Motion]
     robot: Robot
     phase: np.ndarray
+    leg_dynamics: bool
     folder: Path | None
 
     def rows(self) -> list[Rows]:
         """Rows of the motions, from their file if there is one."""
         framed = [FramedMotion.of(motion, self.phase) for motion in self.motions]
-        file = self.folder and self.folder / f"{_digest(framed, self.robot)}.npz"
+        file = self.folder and self.folder / f"{_digest(framed, self.robot, self.leg_dynamics)}.npz"
         rows = _read(file) if file else None
         if rows is None:
             kinematics = Kinematics(self.robot)
-            rows = [motion.rows(kinematics) for motion in framed]
+            rows = [motion.rows(kinematics, leg_dynamics=self.leg_dynamics) for motion in framed]
             if file:
                 _write(file, rows)
         return rows
@@ -115,9 +118,10 @@ def _worked(chunks: Sequence[_Chunk], workers: int) -> Iterator[tuple[int, list[
             pool.shutdown(cancel_futures=True)
 
 
-def _digest(motions: Sequence[FramedMotion], robot: Robot) -> str:
-    """Name of the file of a chunk: a hash of motions and robot."""
+def _digest(motions: Sequence[FramedMotion], robot: Robot, leg_dynamics: bool) -> str:
+    """Name of the file of a chunk: a hash of motions, robot and kind of torques."""
     digest = hashlib.sha256(robot.mjcf.read_bytes())
+    digest.update(bytes([leg_dynamics]))
     for motion in motions:
         s = motion.sample
         for array in (

@@ -104,6 +104,7 @@ class GaitLibrary(nn.Module):
         torque_jumps: bool = False,
         single_precision: bool = False,
         missing: bool = False,
+        leg_dynamics: bool = False,
         keep_motions: bool = True,
         made_by: Mapping[str, str] | None = None,
         transitions: TransitionTable | None = None,
@@ -123,6 +124,7 @@ class GaitLibrary(nn.Module):
             torque_jumps=torque_jumps,
             single_precision=single_precision,
             missing=missing,
+            leg_dynamics=leg_dynamics,
             **build,
         )
         kept = motions if keep_motions else None

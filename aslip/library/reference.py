@@ -37,7 +37,7 @@ class Reference:
     motor_velocity: Tensor
     """(*b, 10) motor velocities [rad/s]."""
     motor_torque: Tensor
-    """(*b, 10) joint torques that balance the model's leg forces [N m]."""
+    """(*b, 10) feedforward joint torques, see `aslip.library.tabulate` [N m]."""
     body_position: Tensor
     """(*b, 3) position in the moving frame: forward and sideways deviation from the mean path,
     height above ground [m]. Public code lets x grow over a stride and jump back to 0; we subtract

@@ -8,7 +8,16 @@ from typing import Final
 import numpy as np
 
 from aslip.errors import ConfigurationError, UnreachablePoseError
-from aslip.ik import BodyTarget, IkSolution, Kinematics, solve, static_torque
+from aslip.ik import (
+    BodyTarget,
+    IkSolution,
+    Kinematics,
+    leg_torque,
+    pelvis_axes,
+    solve,
+    static_torque,
+)
+from aslip.library.interpolation import open_slopes, periodic_slopes
 from aslip.rom.arc import Pose, displacement
 from aslip.rom.motion import Angle, Motion, MotionSample, Track
 
@@ -37,6 +46,10 @@ class FramedMotion:
     """(m, 3) origin of the moving frame [m]."""
     toe_rate: np.ndarray
     """(m, 2) yaw rate of the toes [rad/s]."""
+    period: float
+    """Time between samples [s]."""
+    repeats: bool
+    """True if the first sample follows the last one."""
 
     @classmethod
     def of(cls, motion: Motion, phase: np.ndarray) -> FramedMotion:
@@ -57,6 +70,8 @@ class FramedMotion:
             sample=_take(sample, slice(None)).moved(axes),
             origin=axes.rotate(path.position),
             toe_rate=(after - before) / (2 * _INSTANT * motion.stride),
+            period=float(motion.stride) / len(phase),
+            repeats=True,
         )
 
     @classmethod
@@ -71,10 +86,16 @@ class FramedMotion:
             sample=motion.sample(phase),
             origin=np.zeros((len(phase), 3)),
             toe_rate=np.zeros((len(phase), 2)),
+            period=float(motion.stride) / (len(phase) - 1),
+            repeats=False,
         )
 
-    def rows(self, kinematics: Kinematics) -> Rows:
+    def rows(self, kinematics: Kinematics, *, leg_dynamics: bool = False) -> Rows:
         """Solve for the robot's configurations and torques.
+
+        Args:
+            kinematics: the robot.
+            leg_dynamics: see `aslip.library.tabulate`.
 
         Raises:
             UnreachablePoseError: the robot cannot take a pose of the motion.
@@ -85,6 +106,9 @@ class FramedMotion:
             raise UnreachablePoseError(f"motion of command {self.command}: {error}") from error
         sample, qpos = self.sample, pose.qpos.copy()
         qpos[:, :3] -= self.origin
+        torque = static_torque(kinematics, pose.qpos, sample.ground_force)
+        if leg_dynamics:
+            torque = torque + self._leg_torque(kinematics, pose)
         return {
             "strides": np.array(self.stride),
             "body_position": sample.body.position - self.origin,
@@ -95,10 +119,17 @@ class FramedMotion:
             "foot_heading": sample.foot_heading,
             "motor_position": pose.motor_position,
             "motor_velocity": pose.motor_velocity,
-            "motor_torque": static_torque(kinematics, pose.qpos, sample.ground_force),
+            "motor_torque": torque,
             "qpos": qpos,
             "qvel": pose.qvel,
         }
+
+    def _leg_torque(self, kinematics: Kinematics, pose: IkSolution) -> np.ndarray:
+        """Torques that carry and accelerate the legs, with accelerations of splines."""
+        velocity = pelvis_axes(kinematics, pose.qpos, pose.qvel)
+        slopes = periodic_slopes if self.repeats else open_slopes
+        acceleration = slopes(velocity[None])[0] / self.period
+        return leg_torque(kinematics, pose.qpos, velocity, acceleration)
 
     def _pose(self, kinematics: Kinematics) -> IkSolution:
         """Inverse kinematics at the samples."""

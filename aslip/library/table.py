@@ -56,7 +56,7 @@ class GaitTable:
     motor_velocity: np.ndarray
     """(n, m, 10) motor velocities [rad/s]."""
     motor_torque: np.ndarray
-    """(n, m, 10) joint torques that balance the model's leg forces [N m]."""
+    """(n, m, 10) feedforward joint torques, see `aslip.library.tabulate` [N m]."""
     qpos: np.ndarray
     """(n, m, 35) configuration, with the moving frame as the world."""
     qvel: np.ndarray

@@ -41,6 +41,7 @@ def tabulate(
     torque_jumps: bool = False,
     single_precision: bool = False,
     missing: bool = False,
+    leg_dynamics: bool = False,
     **build: Unpack[BuildOptions],
 ) -> GaitTable:
     """Tabulate motions whose commands form a grid, with the robot's configurations and torques.
@@ -50,7 +51,8 @@ def tabulate(
     the toes; a leg without a motor for the roll of its foot lets the sole lean with it (0.04 rad
     for Cassie). Public code keeps the legs in vertical planes and the foot motors still, so that
     its feet tilt and sink into the floor. Statics turns the model's ground forces into motor
-    torques.
+    torques; inverse dynamics adds, if asked for, those that the legs need for themselves, which
+    have no mass in the model.
 
     All rows are in the motion's moving frame, see `aslip.library.Reference`.
 
@@ -62,6 +64,8 @@ def tabulate(
         torque_jumps: forces may jump between samples, see `GaitTable`.
         single_precision: store numbers in single precision, half as large.
         missing: motions may be missing at points of the grid outside a convex region.
+        leg_dynamics: add the torques that carry and accelerate the legs to those that balance the
+            model's forces.
         build: processes, progress and resuming, see `BuildOptions`.
 
     Raises:
@@ -73,7 +77,7 @@ def tabulate(
         raise ConfigurationError(f"samples must be {FEWEST_SAMPLES} or more, got {samples!r}")
     axes, present = grid_of(motions, missing=missing)
     phase = np.arange(samples) / samples
-    rows = build_rows(motions, robot, phase, **build)
+    rows = build_rows(motions, robot, phase, leg_dynamics=leg_dynamics, **build)
     columns = {}
     for name in ARRAYS:
         values = np.stack([row[name] for row in rows])
@@ -88,6 +92,7 @@ def tabulate_transitions(
     robot: Robot = CASSIE,
     *,
     samples: int = 48,
+    leg_dynamics: bool = False,
 ) -> TransitionTable:
     """Tabulate stop and start with the robot's configurations and torques, after either foot.
 
@@ -97,6 +102,7 @@ def tabulate_transitions(
             `aslip.rom.optimize_transitions`.
         robot: robot that they are mapped to.
         samples: samples of each motion, both ends included.
+        leg_dynamics: as in `tabulate`.
 
     Raises:
         ShapeError: there are fewer than four samples.
@@ -104,7 +110,8 @@ def tabulate_transitions(
     """
     kinematics, phase = Kinematics(robot), np.linspace(0.0, 1.0, samples)
     motions = [side for one in transitions for side in (one, one.mirrored())]
-    rows = [FramedMotion.still(motion, phase).rows(kinematics) for motion in motions]
+    framed = [FramedMotion.still(motion, phase) for motion in motions]
+    rows = [motion.rows(kinematics, leg_dynamics=leg_dynamics) for motion in framed]
     columns = {n: np.stack([row[n] for row in rows]) for n in TRANSITION_ARRAYS}
     return TransitionTable(
         touchdown=gait.single_stance / gait.stride,

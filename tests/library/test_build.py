@@ -55,7 +55,7 @@ def test_interrupted_build_resumes(
     solved: list[Rows] = []
     plain = FramedMotion.rows
     monkeypatch.setattr(
-        FramedMotion, "rows", lambda *args: solved.append(plain(*args)) or solved[-1]
+        FramedMotion, "rows", lambda *a, **k: solved.append(plain(*a, **k)) or solved[-1]
     )
     _assert_equal(tabulate(motions, samples=4, folder=tmp_path), table)
     assert len(solved) == 8
@@ -64,6 +64,8 @@ def test_interrupted_build_resumes(
     assert len(solved) == 8 + 16
     tabulate(motions[:16], samples=5, folder=tmp_path)
     assert len(solved) == 8 + 16 + 16
+    tabulate(motions[:16], samples=5, folder=tmp_path, leg_dynamics=True)
+    assert len(solved) == 8 + 16 + 16 + 16
 
 
 def test_library_in_single_precision_is_half_as_large_and_close(

@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
-from aslip.ik import Kinematics
+from aslip.ik import Kinematics, leg_torque, pelvis_axes
 from aslip.library import GaitLibrary, tabulate
+from aslip.library.interpolation import periodic_slopes
 from aslip.library.rows import FramedMotion, Rows
 from aslip.library.table import ARRAYS
 from aslip.robot import SIDES
@@ -175,6 +176,23 @@ def test_torques_carry_the_ground_forces_of_a_turning_motion(
 
 def _command(*values: float) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)
+
+
+def test_legs_are_accelerated_along_the_path_over_ground(
+    kinematics: Kinematics, turning: Bent
+) -> None:
+    """Torques of the moving frame are those of the world, although the frame turns."""
+    count = 128
+    phase = np.arange(count) / count
+    framed = FramedMotion.of(turning, phase)
+    plain, moving = framed.rows(kinematics), framed.rows(kinematics, leg_dynamics=True)
+    world, qvel = _in_world(plain, _path(turning, phase))
+    velocity = pelvis_axes(kinematics, world, qvel)
+    acceleration = periodic_slopes(velocity[None])[0] * count / turning.stride
+    expected = leg_torque(kinematics, world, velocity, acceleration)
+    found = moving["motor_torque"] - plain["motor_torque"]
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert np.abs(found).max() > 20
 
 
 def test_lookup_at_a_motion_gives_its_samples(bent: GaitLibrary) -> None:
