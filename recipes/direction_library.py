@@ -41,13 +41,13 @@ class Config:
     out: Path = Path("runs/directions")
     """Folder of the library."""
     forward: tuple[float, ...] = (
-        *(-0.8, -0.6, -0.4, 0.0, 0.4, 0.55, 0.7, 0.85, 1.0, 1.125, 1.25, 1.375),
-        *(1.5, 1.6, 1.7, 1.775, 1.85, 1.925, 2.0, 2.05, 2.1, 2.2),
+        *(-0.8, -0.6, -0.4, 0.0, 0.4, 0.7, 1.0, 1.25, 1.5),
+        *(1.6, 1.7, 1.775, 1.85, 1.925, 2.0, 2.05, 2.1, 2.2),
     )
     """Ascending forward speeds [m/s]."""
-    sideways: tuple[float, ...] = (0.0, 0.08, 0.2, 0.32, 0.38, 0.44, 0.5)
+    sideways: tuple[float, ...] = (0.0, 0.08, 0.2, 0.32, 0.41, 0.5)
     """Sideways speeds to the left, from 0 [m/s]; those to the right are their mirror images."""
-    yaw_rates: tuple[float, ...] = (0.0, 0.1, 0.2, 0.33, 0.55, 0.78, 1.0)
+    yaw_rates: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
     """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
     limits: tuple[tuple[float, float, float, float], ...] = LIMITS
     """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; by default the
