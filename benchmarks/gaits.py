@@ -9,11 +9,11 @@ first gait includes the derivatives of the problem.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import one_line_errors
-from aslip.rom import Objective, SlipParameters
+from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 from aslip.training.command_line import command_line
 
 DIRECTIONS = (
@@ -32,7 +32,7 @@ class Config:
 
     commands: tuple[tuple[float, float, float], ...] = DIRECTIONS
     """Forward speed, sideways speed [m/s] and yaw rate [rad/s] of each gait."""
-    model: SlipParameters = field(default_factory=lambda: SlipParameters(min_stance_force=0.15))
+    model: SlipParameters = DIRECTION_MODEL
     """Model and bounds of the gaits."""
     objective: Objective = "mean"
     """Minimised quantity: the mean of u_l^2 + u_r^2 over the stride, or its integral."""

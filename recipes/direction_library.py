@@ -18,11 +18,11 @@ picture `region.png`, and in `solved` and `rows` the gaits and their inverse kin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.rom import Objective, SlipParameters
+from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 from aslip.training.command_line import command_line
 
 LIMITS = (
@@ -41,20 +41,20 @@ class Config:
     out: Path = Path("runs/directions")
     """Folder of the library."""
     forward: tuple[float, ...] = (
-        *(-0.8, -0.6, -0.4, 0.0, 0.4, 0.7, 1.0, 1.25, 1.5),
-        *(1.6, 1.7, 1.775, 1.85, 1.925, 2.0, 2.05, 2.1, 2.2),
+        *(-0.8, -0.6, -0.4, 0.0, 0.4, 0.55, 0.7, 0.85, 1.0, 1.125, 1.25, 1.375),
+        *(1.5, 1.6, 1.7, 1.775, 1.85, 1.925, 2.0, 2.05, 2.1, 2.2),
     )
     """Ascending forward speeds [m/s]."""
-    sideways: tuple[float, ...] = (0.0, 0.08, 0.2, 0.32, 0.41, 0.5)
+    sideways: tuple[float, ...] = (0.0, 0.08, 0.2, 0.32, 0.38, 0.44, 0.5)
     """Sideways speeds to the left, from 0 [m/s]; those to the right are their mirror images."""
-    yaw_rates: tuple[float, ...] = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
+    yaw_rates: tuple[float, ...] = (0.0, 0.1, 0.2, 0.33, 0.55, 0.78, 1.0)
     """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
     limits: tuple[tuple[float, float, float, float], ...] = LIMITS
     """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; by default the
     reach of Cassie's hips and feet."""
     samples: int = 48
     """Samples of a stride."""
-    model: SlipParameters = field(default_factory=lambda: SlipParameters(min_stance_force=0.15))
+    model: SlipParameters = DIRECTION_MODEL
     """Model and bounds of the gaits."""
     leg_dynamics: bool = True
     """Feed the torques forward that carry and accelerate the legs, not only those that balance the

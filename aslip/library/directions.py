@@ -34,7 +34,14 @@ from aslip.library.build import usable_cores
 from aslip.library.region import inside_hull
 from aslip.library.tabulate import tabulate
 from aslip.robot import CASSIE, Robot
-from aslip.rom import Gait, Objective, SlipParameters, mirror, optimize_gait
+from aslip.rom import (
+    DIRECTION_MODEL,
+    Gait,
+    Objective,
+    SlipParameters,
+    mirror,
+    optimize_gait,
+)
 
 Point = tuple[int, int, int]
 """Place on a grid along forward speed, sideways speed and yaw rate."""
@@ -43,9 +50,6 @@ Outcome = Gait | str
 Progress = Callable[[int, int, bool], None]
 """Function called with the numbers of finished and of all gaits, and whether the last one was read
 from the folder."""
-
-LOADED = SlipParameters(min_stance_force=0.15)
-"""Model and bounds of gaits that keep 15 % of body weight on the standing foot."""
 
 _FORMAT = ArchiveFormat("gait", 2, compressed=True)
 _REASON = "reason.json"
@@ -138,7 +142,7 @@ class GaitFolder:
 
     folder: Path
     """Folder; made when the first gait is stored."""
-    model: SlipParameters = LOADED
+    model: SlipParameters = DIRECTION_MODEL
     """Model and bounds of the gaits."""
     objective: Objective = "mean"
     """Objective of the optimisation."""

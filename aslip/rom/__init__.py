@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     )
     from aslip.rom.optimize import optimize_gait, optimize_gaits, optimize_transitions
     from aslip.rom.pendulum import PendulumWalk, pendulum_walks
-    from aslip.rom.slip import Mode, Objective, SlipParameters
+    from aslip.rom.slip import DIRECTION_MODEL, Mode, Objective, SlipParameters
     from aslip.rom.standing import Standing, Transition
 
 _FILES = {
@@ -38,11 +38,12 @@ _FILES = {
     "motion": ["PHASE_SAMPLES", "Angle", "Motion", "MotionSample", "SampledMotion", "Track"],
     "optimize": ["optimize_gait", "optimize_gaits", "optimize_transitions"],
     "pendulum": ["PendulumWalk", "pendulum_walks"],
-    "slip": ["Mode", "Objective", "SlipParameters"],
+    "slip": ["DIRECTION_MODEL", "Mode", "Objective", "SlipParameters"],
     "standing": ["Standing", "Transition"],
 }
 
 __all__ = [
+    "DIRECTION_MODEL",
     "PHASE_SAMPLES",
     "Angle",
     "Certificate",

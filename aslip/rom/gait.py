@@ -246,9 +246,16 @@ def swinging_feet(
         p: model parameters, with duration and clearance of the swing.
         turn: angle by which a stride turns, and so the arc of each foot [rad].
     """
-    swing = {"duration": p.single_stance, "clearance": p.swing_clearance, "turn": turn}
     feet = [
-        swing_foot(time - lift_off, start, end, **swing)
+        swing_foot(
+            time - lift_off,
+            start,
+            end,
+            duration=p.single_stance,
+            clearance=p.swing_clearance,
+            ramp=p.swing_ramp,
+            turn=turn,
+        )
         for lift_off, (start, end) in zip((0.0, stride / 2), footholds, strict=True)
     ]
     return Track(
@@ -268,7 +275,7 @@ def _foot_heading(time: np.ndarray, stride: float, turn: float, p: SlipParameter
     """
     lift_off = np.array([0.0, stride / 2])
     mid_stance = lift_off + (p.single_stance - stride) / 2
-    share = travel((time[:, None] - lift_off) / p.single_stance)
+    share = travel((time[:, None] - lift_off) / p.single_stance, ramp=p.swing_ramp)
     return turn * (mid_stance / stride + share)
 
 

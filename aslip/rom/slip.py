@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from aslip.errors import ConfigurationError
 
@@ -34,7 +34,8 @@ class SlipParameters:
 
     Raises:
         ConfigurationError: a value is not positive and finite, the least stance force is not in
-            [0, 1), or a lower bound is not below its upper bound.
+            [0, 1), the ramp of the swing is above 0.5, or a lower bound is not below its upper
+            bound.
     """
 
     mass: float = 30.0
@@ -63,6 +64,9 @@ class SlipParameters:
     """
     swing_clearance: float = 0.200
     """Height of the swing foot at half swing [m] (Sec. III-A)."""
+    swing_ramp: float | None = None
+    """Share of the swing, at most half, in which the foot speeds up, and of that in which it slows
+    down; None for the profile of least jerk (Sec. III-A)."""
 
     max_set_point: float = 1.000
     """Largest set point of the landing leg, in double stance only [m] (published gaits).
@@ -100,7 +104,12 @@ class SlipParameters:
         """Check that values are positive and finite and bounds in order."""
         for field in fields(self):
             value = getattr(self, field.name)
-            if field.name == "min_stance_force":
+            if field.name == "swing_ramp":
+                if value is not None and not 0.0 < value <= 0.5:
+                    raise ConfigurationError(
+                        f"swing_ramp must be above 0 and at most 0.5, or None, got {value}"
+                    )
+            elif field.name == "min_stance_force":
                 if not 0.0 <= value < 1.0:
                     raise ConfigurationError(
                         f"min_stance_force must be at least 0 and below 1 body weight, got {value}"
@@ -116,6 +125,14 @@ class SlipParameters:
     def weight(self) -> float:
         """Body weight m g [N]."""
         return self.mass * self.gravity
+
+
+DIRECTION_MODEL: Final = SlipParameters(
+    min_stance_force=0.15, swing_clearance=0.12, swing_ramp=0.35
+)
+"""Model and bounds of gaits for Cassie in all directions: the standing foot keeps 15 % of body
+weight, and the swing foot is low and steady, because Cassie's motors cannot follow the published
+swing at 2 m/s."""
 
 
 def leg_force(

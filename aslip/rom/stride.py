@@ -132,7 +132,7 @@ class StrideProblem(GaitProgram[WholeStride]):
         self._require("double stance", self.double_stance, double_stance)
         separation = self.foothold[1, 0] - self.foothold[1, 1]
         fraction = np.linspace(0.0, 1.0, POINTS + 1)
-        share, approach = ca.DM(travel(fraction)).T, []
+        share, approach = ca.DM(travel(fraction, ramp=p.swing_ramp)).T, []
         for k, swing in ((0, 0), (2, 1)):
             time = begins[k] + p.single_stance * ca.DM(fraction).T
             stance_time = mid_stance[1 - swing] - time

@@ -16,6 +16,7 @@ def test_default_parameters_are_those_of_table_1():
 def test_default_swing_clearance_is_the_papers():
     """Sec. III-A: "the 0.2 m specified vertical clearance height"."""
     assert SlipParameters().swing_clearance == 0.2
+    assert SlipParameters().swing_ramp is None
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
@@ -33,3 +34,9 @@ def test_lower_bounds_must_be_below_upper_bounds():
 def test_least_stance_force_must_be_a_share_of_body_weight(value):
     with pytest.raises(ConfigurationError, match=r"min_stance_force .* below 1 body weight"):
         SlipParameters(min_stance_force=value)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.1, 0.51, float("nan")])
+def test_ramp_of_the_swing_is_checked(value: float) -> None:
+    with pytest.raises(ConfigurationError, match="swing_ramp"):
+        SlipParameters(swing_ramp=value)

@@ -17,6 +17,20 @@ def test_foot_rests_at_both_ends(profile, order):
     np.testing.assert_allclose(profile(ENDS, order), 0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("ramp", [0.2, 0.35, 0.5])
+def test_steady_swing_is_slower_in_the_middle_and_near_the_ground(ramp):
+    fraction = np.linspace(0.0, 1.0, 2001)
+    share, rate, change = (travel(fraction, order, ramp=ramp) for order in (0, 1, 2))
+    np.testing.assert_allclose(share[[0, 1000, 2000]], [0.0, 0.5, 1.0], atol=1e-12)
+    np.testing.assert_allclose(np.gradient(share, fraction)[1:-1], rate[1:-1], atol=1e-4)
+    np.testing.assert_allclose(np.gradient(rate, fraction)[1:-1], change[1:-1], atol=2e-2)
+    np.testing.assert_allclose(rate[[0, -1]], 0.0, atol=1e-12)
+    np.testing.assert_allclose(change[[0, -1]], 0.0, atol=1e-12)
+    steady = (fraction >= ramp) & (fraction <= 1 - ramp)
+    np.testing.assert_allclose(rate[steady], rate.max(), rtol=1e-12)
+    assert rate.max() == pytest.approx(1 / (1 - ramp))
+
+
 def test_lift_goes_from_ground_to_clearance_to_ground():
     np.testing.assert_allclose(lift(np.array([0.0, 0.5, 1.0])), [0.0, 1.0, 0.0], atol=1e-15)
 
