@@ -37,8 +37,7 @@ from tqdm import tqdm
 
 from aslip.errors import GaitOptimizationError
 from aslip.library import GaitLibrary
-from aslip.library.directions import LOADED
-from aslip.rom import optimize_gait
+from aslip.rom import DIRECTION_MODEL, optimize_gait
 from aslip.walking import markdown
 from recipes.direction_library import accuracy_table, differences, random_commands
 
@@ -49,8 +48,8 @@ def main(config: Config) -> np.ndarray:
     rows = []
     for command in tqdm(random_commands(library, config.count, config.seed), unit="gait"):
         try:
-            straight = optimize_gait([command[0], 0.0, 0.0], parameters=LOADED)
-            gait = optimize_gait(command, parameters=LOADED, guess=straight)
+            straight = optimize_gait([command[0], 0.0, 0.0], parameters=DIRECTION_MODEL)
+            gait = optimize_gait(command, parameters=DIRECTION_MODEL, guess=straight)
         except GaitOptimizationError as error:
             print(f"left out: {error}")
             continue
