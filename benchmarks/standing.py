@@ -66,7 +66,7 @@ from benchmarks.common import (
     Policy,
     Subject,
     chosen_library,
-    load_with_library,
+    load_subjects,
     write_report,
 )
 from benchmarks.directions import random_commands
@@ -89,8 +89,10 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    in_stack = partial(aslip.make_env, stack=config.stack, library=chosen_library(config))
-    subjects, library = load_with_library(config, policy, make_env or in_stack)
+    chosen = chosen_library(config)
+    in_stack = partial(aslip.make_env, stack=config.stack, library=chosen)
+    subjects = load_subjects(config, policy, make_env or in_stack, chosen)
+    library = subjects[0].find_library()
     chosen = commands(config, library)
     rows, traces = [], []
     for subject in subjects:

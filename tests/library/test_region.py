@@ -111,3 +111,23 @@ def test_mask_of_wrong_shape_is_refused() -> None:
     for present, error in ((np.ones(2), ShapeError), (np.zeros((2, 1)), ConfigurationError)):
         with pytest.raises(error, match=r"present|motion at one command"):
             type(table)(**{**vars(table), "present": present})
+
+
+def test_look_ups_read_rows_of_motions_and_of_filled_corners_only() -> None:
+    """A point that no row was kept for would be read as the first motion."""
+    axes = (np.linspace(-1.0, 2.0, 7), np.linspace(-1.0, 1.0, 5), np.linspace(-1.0, 1.0, 9))
+    points = np.stack([m.ravel() for m in np.meshgrid(*axes, indexing="ij")], axis=1)
+    missing = np.abs(points).sum(axis=1) > 1.7
+    grid = CommandGrid(axes, missing)
+    kept = grid.fill(np.arange(np.count_nonzero(~missing), dtype=float)[:, None])
+    assert len(kept) < len(points)
+    draws = 2.5 * torch.rand(20_000, 3, generator=torch.Generator().manual_seed(0)).double() - 1.2
+    command = torch.cat([draws, 3.0 * draws])
+    found, weights = grid.corners(command)
+    grid.rows = torch.arange(len(points))
+    place, _ = grid.corners(command)
+    assert found.max() < len(kept)
+    # one row for each point of the grid, and one point for each row
+    pairs = torch.stack([found.flatten(), place.flatten()]).unique(dim=1)
+    assert len(pairs[0].unique()) == len(pairs[1].unique()) == pairs.shape[1]
+    assert all(((w >= 0) & (w <= 1)).all() for w in weights)
