@@ -89,7 +89,7 @@ def _terms() -> Stack:
     reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
         # the policy observes this error; the true one drifts away with the odometry
         rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
-        rewards.power: ([("truth", "motor_torque"), ("truth", "motor_velocity")], [_STEER]),
+        rewards.power: ([("truth", "motor_power")], [_STEER]),
         rewards.foot_load: ([("truth", "ground_force")], []),
     }
     return {

@@ -22,7 +22,7 @@ from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse
 from aslip.sim import PD, Drive, MakeDrive, Sensors, Snapshot
 from aslip.sim.checks import check_states
 from aslip.sim.simulations import watched_size
-from aslip.sim.truth import true_state
+from aslip.sim.truth import positive_power, true_state
 
 _INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
 
@@ -61,6 +61,7 @@ class BipedPhysics(mujoco.Physics):
         # dm_control copies MuJoCo's data only
         other._motor_target = self._motor_target.copy()
         other._ground_force = self._ground_force.copy()
+        other._motor_power = self._motor_power.copy()
         other.sensors, other._substep = deepcopy(self.sensors), self._substep
         other.drive = deepcopy(self.drive)
         return other
@@ -96,6 +97,7 @@ class BipedPhysics(mujoco.Physics):
             PhysicsError: the simulation diverged.
         """
         self._ground_force = np.zeros_like(self._ground_force)
+        self._motor_power = np.zeros_like(self._motor_power)
         sensors = self.sensors
         for _ in range(nstep):
             # the PD loop uses the readings of the previous step
@@ -116,7 +118,11 @@ class BipedPhysics(mujoco.Physics):
             if self._substep == 0:
                 sensors.finish()
             self._ground_force += self.data.sensordata[self.indices.ground_force]
+            self._motor_power += positive_power(
+                self.data.qfrc_actuator, self.data.qvel, self.indices
+            )
         self._ground_force /= nstep
+        self._motor_power /= nstep
 
     def stand(self) -> None:
         """Set the standing keyframe; call inside `reset_context`."""
@@ -127,6 +133,7 @@ class BipedPhysics(mujoco.Physics):
         super().after_reset()
         self._motor_target = self.drive.initial_command(self.motor_position()[None])[0]
         self._ground_force = self.data.sensordata[self.indices.ground_force]
+        self._motor_power = np.zeros(len(self.indices.motor_qvel))
         state = (self.data.qpos, self.data.qvel, self.data.qacc)
         self.sensors.reset(np.zeros(1, dtype=int), *(array[None] for array in state))
         self._substep = 0
@@ -144,6 +151,7 @@ class BipedPhysics(mujoco.Physics):
             np.array(self.data.sensordata),
             self._ground_force.copy(),
             np.array(self.data.qfrc_actuator),
+            self._motor_power.copy(),
         )
 
     def full_state(self) -> np.ndarray:

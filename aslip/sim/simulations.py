@@ -29,7 +29,7 @@ from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.parameters import DRIVE
 from aslip.sim.sensors import Sensors
-from aslip.sim.truth import Snapshot
+from aslip.sim.truth import Snapshot, positive_power
 
 # recompute position and velocity stages, as mj_step1 does, so that sensors match the state
 _CURRENT = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -84,6 +84,7 @@ class Simulations:
         self.sensors = Sensors(num, self.model, robot)
         """Sensors of the robots."""
         self._ground_force = np.zeros((num, 2, 3))
+        self._motor_power = np.zeros((num, self.model.nu))
         self._watched: int | None = None
         self.watched = np.zeros((self.robot.substeps, watched_size(self.model)))
         """(60, 83) `qpos` 35, `qvel` 32, motor torques 10 [N m, at the joint] and ground forces
@@ -139,6 +140,7 @@ class Simulations:
             self.qvel[ids] = qvel
         self.batch.forward(ids)
         self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
+        self._motor_power[ids] = 0.0
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
 
     def stand(self) -> None:
@@ -204,15 +206,18 @@ class Simulations:
             self._pushed = push is not None
         self.batch.warning[:] = 0
         self._ground_force[:] = 0.0
+        self._motor_power[:] = 0.0
         failed = np.zeros(self.num, dtype=bool)
         substep = self._substep if self._stride == 1 else self._two_substeps
         for first in range(0, self.robot.substeps, self._stride):
             last = first + self._stride == self.robot.substeps
             substep(first, motor_target, failed, _CURRENT if last else _NONE)
             self._ground_force += self._sensordata[:, self.indices.ground_force]
+            self._motor_power += positive_power(self._qfrc_actuator, self.qvel, self.indices)
             if self._watched is not None:
                 self._record(first, self._watched)
         self._ground_force /= self.robot.substeps / self._stride
+        self._motor_power /= self.robot.substeps / self._stride
         self.sensors.finish()
         diverged = failed | self.batch.warning[..., _WARNING_COUNT].any(axis=1) | ~self._finite()
         self.divergences += int(diverged.sum())
@@ -230,6 +235,7 @@ class Simulations:
             self._sensordata,
             self._ground_force,
             self._qfrc_actuator,
+            self._motor_power,
         )
 
     @property

@@ -33,6 +33,8 @@ class Snapshot:
     """(*b, 2, 3) force of the floor on each foot, mean over the last policy period [N, world]."""
     qfrc_actuator: np.ndarray
     """(*b, 32) torques of the motors at the joints, in the order of `qvel`."""
+    motor_power: np.ndarray
+    """(*b, 10) positive mechanical power of the motors, mean over the last policy period [W]."""
 
     @classmethod
     def stack(cls, snapshots: list[Snapshot]) -> Snapshot:
@@ -43,6 +45,18 @@ class Snapshot:
     def concatenate(cls, snapshots: list[Snapshot]) -> Snapshot:
         """Concatenate snapshots of arrays (n_i, ...) along the first axis; copies."""
         return cls(*(np.concatenate([getattr(s, f.name) for s in snapshots]) for f in fields(cls)))
+
+
+def positive_power(torque: np.ndarray, qvel: np.ndarray, indices: Indices) -> np.ndarray:
+    """Positive mechanical power (*b, 10) of the motors [W]; braking motors count as zero.
+
+    Args:
+        torque: (*b, 32) torques of the motors at the joints, in the order of `qvel` [N m].
+        qvel: (*b, 32) generalised velocities [rad/s].
+        indices: places of the motors in the arrays.
+    """
+    motors = indices.motor_qvel
+    return np.maximum(torque[..., motors] * qvel[..., motors], 0.0)
 
 
 def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
@@ -57,10 +71,11 @@ def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
         `pelvis_velocity` 3 [m/s, world], `pelvis_angular_velocity` 3 [rad/s, pelvis],
         `pelvis_acceleration` 3 [m/s^2, pelvis, gravity removed]; `motor_position` 10,
         `motor_velocity` 10, `joint_position` 6, `joint_velocity` 6 [rad, rad/s]; `motor_torque` 10
-        [N m, at the joint, after limits and delay]; for `left_foot`
-        and `right_foot` the sole centre's `_position` 3 [m, world], `_velocity` 3 [m/s, world] and
-        `_orientation` 4 (wxyz, w >= 0; identity when level with toes along x); `ground_force` 2 x 3
-        [N, world], mean over the last policy period.
+        [N m, at the joint, after limits and delay]; `motor_power` 10 [W, positive mechanical power,
+        mean over the last policy period]; for `left_foot` and `right_foot` the sole centre's
+        `_position` 3 [m, world], `_velocity` 3 [m/s, world] and `_orientation` 4 (wxyz, w >= 0;
+        identity when level with toes along x); `ground_force` 2 x 3 [N, world], mean over the last
+        policy period.
 
         Accelerations, torques and forces belong to the start of the last substep, 0.5 ms before the
         state.
@@ -83,6 +98,7 @@ def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
         "joint_position": qpos[..., indices.joint_qpos],
         "joint_velocity": qvel[..., indices.joint_qvel],
         "motor_torque": snapshot.qfrc_actuator[..., indices.motor_qvel],
+        "motor_power": snapshot.motor_power,
         "ground_force": snapshot.ground_force,
     }
     for i, foot in enumerate(("left_foot", "right_foot")):

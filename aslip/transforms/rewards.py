@@ -183,18 +183,17 @@ def action_diff(action: Tensor, last_action: Tensor) -> Tensor:
     return torch.exp(-_norm(action - last_action))
 
 
-def power(motor_torque: Tensor, motor_velocity: Tensor, command: Tensor) -> Tensor:
+def power(motor_power: Tensor, command: Tensor) -> Tensor:
     r""":math:`\exp(-P / (0.4\,W (|v| + v_0)))`, P the positive mechanical power of the motors.
 
     W is the nominal robot's weight, v the commanded speed over the ground and :math:`v_0` is
-    `SPEED_IN_PLACE`. Braking motors count as zero. Ours.
+    `SPEED_IN_PLACE`. Ours.
 
     Args:
-        motor_torque: (*b, 10) at the joints [N m].
-        motor_velocity: (*b, 10) of the joints [rad/s].
+        motor_power: (*b, 10) positive mechanical power, mean of a policy step [W].
         command: (*b, c) forward and sideways speed [m/s]; further numbers are ignored.
     """
-    used = (motor_torque * motor_velocity).clamp(min=0).sum(-1, keepdim=True)
+    used = motor_power.sum(-1, keepdim=True)
     return torch.exp(-used / (POWER_SCALE * _WEIGHT * (_norm(command[..., :2]) + SPEED_IN_PLACE)))
 
 

@@ -159,9 +159,7 @@ def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:
         action = 0.1 * torch.randn(10, generator=generator)
         td = step(env, td, torch.stack([action, mirror_action(action)]))
         for name, term in td["reward_terms"].items():
-            # power follows motor velocities, which ring after impacts
-            atol = 2e-2 if name == "power" else 2e-3
-            torch.testing.assert_close(term[0], term[1], atol=atol, rtol=0, msg=name)
+            torch.testing.assert_close(term[0], term[1], atol=2e-3, rtol=0, msg=name)
     # the entries that turns add were compared at values other than zero, but for the body's heading
     assert (td["observation"][:, -7:].abs() > 1e-4).all()
 

@@ -335,6 +335,22 @@ def test_mean_ground_force_is_weight_plus_change_of_momentum() -> None:
     np.testing.assert_allclose(impulse, gained, atol=0.01 * WEIGHT * steps * CASSIE.policy_period)
 
 
+def test_motor_power_is_the_mean_positive_power_of_the_substeps() -> None:
+    simulations = Simulations(2, num_threads=1)
+    at = simulations.indices
+    simulations.watch(1)
+    simulations.advance(random_targets(2, 1)[0])
+    rows = simulations.watched
+    qvel = rows[:, simulations.qpos.shape[1] :][:, at.motor_qvel]
+    torque = rows[:, simulations.qpos.shape[1] + simulations.qvel.shape[1] :][:, :10]
+    expected = np.maximum(torque * qvel, 0.0).mean(axis=0)
+    found = simulations.snapshot().motor_power
+    np.testing.assert_allclose(found[1], expected, rtol=1e-12)
+    assert expected.sum() > 10.0  # the motors do work
+    simulations.stand()
+    assert (found == 0).all()
+
+
 def test_imu_measures_free_fall_with_coarse_steps() -> None:
     model = load_model(visual=False, timestep=physics_timesteps()[1])
     coarse = Simulations(1, model=model, num_threads=1)

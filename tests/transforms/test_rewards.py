@@ -206,14 +206,12 @@ def test_path_diff_falls_with_the_distance_in_any_direction() -> None:
     torch.testing.assert_close(rewards.path_diff(error + body[:, :2], body), expected)
 
 
-def test_power_counts_positive_work_over_weight_and_speed() -> None:
-    """Half of the motors brake."""
-    torque = torch.tensor([[11.76, -5.0] * 5]).expand(3, 10)
-    velocity = torch.full((3, 10), 2.0)
+def test_power_is_seen_over_weight_and_speed() -> None:
+    used = torch.tensor([[23.52, 0.0] * 5]).expand(3, 10)
     command = torch.tensor([[0.0, 0.0, 1.0], [0.6, 0.0, 0.0], [0.0, -0.6, 0.0]])
     in_place = 117.6 / (33.312 * 9.81 * 0.4 * 0.4)
     expected = torch.tensor([in_place, in_place * 0.4, in_place * 0.4]).neg().exp()[:, None]
-    torch.testing.assert_close(rewards.power(torque, velocity, command), expected)
+    torch.testing.assert_close(rewards.power(used, command), expected)
 
 
 def test_foot_load_falls_with_the_force_on_the_foot_that_bears_more() -> None:

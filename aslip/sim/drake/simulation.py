@@ -18,7 +18,7 @@ from aslip.sim.drake.coordinates import Coordinates
 from aslip.sim.drake.plant import Mechanism, placed
 from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.sensors import Sensors
-from aslip.sim.truth import Snapshot
+from aslip.sim.truth import Snapshot, positive_power
 
 
 class DrakeSimulation:
@@ -97,6 +97,7 @@ class DrakeSimulation:
         self._delayed[:] = 0.0
         self._torque = np.zeros((1, len(self._inputs)))
         self._ground_force = np.zeros((1, 2, 3))
+        self._motor_power = np.zeros((1, len(self._inputs)))
         self._read_state()
         # accelerations of a robot at rest on the floor
         self._acceleration = np.zeros_like(self._qvel)
@@ -118,6 +119,7 @@ class DrakeSimulation:
                 raise ShapeError(f"{name} must have shape {expected[name]}, got {value.shape}")
         self._push(np.zeros(3) if push is None else push[0])
         self._ground_force[:] = 0.0
+        self._motor_power[:] = 0.0
         try:
             for index in range(self.robot.substeps):
                 self._substep(index, motor_target)
@@ -125,6 +127,7 @@ class DrakeSimulation:
         except RuntimeError:  # Drake's solver found no solution
             finite = False
         self._ground_force /= self.robot.substeps
+        self._motor_power /= self.robot.substeps
         self.sensors.finish()
         if not finite:
             self.divergences += 1
@@ -145,8 +148,6 @@ class DrakeSimulation:
         sites = list(self.robot.skeleton.sites.values())
         position, matrix = np.zeros((1, len(sites), 3)), np.zeros((1, len(sites), 9))
         readings = np.zeros((1, self.model.nsensordata))
-        torque = np.zeros_like(self._qvel)
-        torque[:, self.indices.motor_qvel] = self._torque
         for site in sites:
             body = self._plant.GetBodyByName(site.body)
             pose = body.EvalPoseInWorld(self._state) @ placed(site.position, site.quaternion)
@@ -168,7 +169,8 @@ class DrakeSimulation:
             matrix,
             readings,
             self._ground_force.copy(),
-            torque,
+            self._joint_torque(),
+            self._motor_power.copy(),
         )
 
     def states(self) -> np.ndarray:
@@ -191,8 +193,15 @@ class DrakeSimulation:
         self._context.SetDiscreteState(self._after)
         before = self._qvel
         self._read_state()
+        self._motor_power += positive_power(self._joint_torque(), self._qvel, self.indices)
         self._acceleration = (self._qvel - before) / self.robot.physics_timestep
         sensors.feel(index, self._acceleration)
+
+    def _joint_torque(self) -> np.ndarray:
+        """Torques (1, 32) of the motors at the joints, in the order of velocities [N m]."""
+        torque = np.zeros_like(self._qvel)
+        torque[:, self.indices.motor_qvel] = self._torque
+        return torque
 
     def _read_state(self) -> None:
         """Read positions (1, 35) and velocities (1, 32) in MuJoCo's coordinates."""

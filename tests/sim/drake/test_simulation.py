@@ -45,7 +45,9 @@ def test_truth_after_a_reset_is_mujoco_s(drake: DrakeSimulation) -> None:
         np.testing.assert_allclose(ours[name], theirs[name], atol=1e-12, err_msg=name)
 
 
-def test_sensors_in_the_air_are_those_of_mujoco_with_stiff_loops(drake: DrakeSimulation) -> None:
+def test_readings_and_power_in_the_air_are_those_of_mujoco_with_stiff_loops(
+    drake: DrakeSimulation,
+) -> None:
     """Drake's loops are rigid; the MJCF's give way by a quarter of a millimetre here."""
     qpos, qvel = in_the_air()
     model = load_model(visual=False)
@@ -69,6 +71,8 @@ def test_sensors_in_the_air_are_those_of_mujoco_with_stiff_loops(drake: DrakeSim
     assert abs(theirs["motor_position"][:, -1] - STANDING).max() > 0.03
     for name, limit in tolerance.items():
         np.testing.assert_allclose(ours[name], theirs[name], atol=limit, err_msg=name)
+    used, expected = (simulation.snapshot().motor_power for simulation in (drake, other))
+    np.testing.assert_allclose(used, expected, rtol=2e-3)
 
 
 def test_ground_force_is_the_change_of_momentum_and_weight(drake: DrakeSimulation) -> None:
