@@ -154,13 +154,11 @@ class PeriodicTable(nn.Module):
     def forward(self, phase: Tensor, motion: Tensor) -> Tensor:
         """Values (*b, r, k) of motions (*b, r), by index, at phases (*b, 1)."""
         samples = self.nodes.shape[1]
-        position = (phase.to(self.nodes.dtype) % 1.0) * samples
-        left = position.floor()
-        column = left.long() % samples
+        column, fraction = _place(phase.to(self.nodes.dtype), samples)
         first = motion * samples
         after = _nodes_at(self.nodes, first + (column + 1) % samples)
         before = _nodes_at(self.nodes, first + column)
-        return _hermite(before, after, (position - left).unsqueeze(-1))
+        return _hermite(before, after, fraction)
 
 
 class LocalTable(nn.Module):
@@ -192,9 +190,8 @@ class LocalTable(nn.Module):
     def forward(self, phase: Tensor, motion: Tensor) -> Tensor:
         """Values (*b, r, k) of motions (*b, r), by index, at phases (*b, 1)."""
         count = self.samples.shape[1]
-        position = (phase.to(self.samples.dtype) % 1.0) * count
-        left = position.floor()
-        columns = (left.long() + torch.arange(-3, 5, device=left.device)) % count
+        column, fraction = _place(phase.to(self.samples.dtype), count)
+        columns = (column + torch.arange(-3, 5, device=column.device)) % count
         index = motion.unsqueeze(-1) * count + columns.unsqueeze(-2)
         around = _nodes_at(self.samples, index)
         slopes = self.get_buffer("_slopes")
@@ -202,7 +199,7 @@ class LocalTable(nn.Module):
             torch.stack([around[..., i, :], slopes @ around[..., i - 3 : i + 4, :]], dim=-2)
             for i in (3, 4)
         )
-        return _hermite(before, after, (position - left).unsqueeze(-1))
+        return _hermite(before, after, fraction)
 
 
 class OpenTable(nn.Module):
@@ -230,6 +227,13 @@ class OpenTable(nn.Module):
         first = motion * samples + left.long()
         before, after = (_nodes_at(self.nodes, first + step) for step in (0, 1))
         return _hermite(before, after, (position - left).unsqueeze(-1)).squeeze(-2)
+
+
+def _place(phase: Tensor, samples: int) -> tuple[Tensor, Tensor]:
+    """Last sample (*b, 1) of a period before phases (*b, 1), and the fraction (*b, 1, 1) after."""
+    position = (phase % 1.0) * samples
+    left = position.floor()
+    return left.long() % samples, (position - left).unsqueeze(-1)
 
 
 def _nodes_at(nodes: Tensor, index: Tensor) -> Tensor:

@@ -75,16 +75,18 @@ class GaitLibrary(nn.Module):
                 f"commands of motions must be those of the table, {listed(expected)}, got"
                 f" {listed(commands)}"
             )
-        columns = [_flat(getattr(table, name)) for name in COLUMNS]
-        self._widths = [column.shape[-1] for column in columns]
+        columns = [_flat(getattr(table, name)) for name in (*COLUMNS, "qpos", "qvel")]
+        self._widths = [column.shape[-1] for column in columns[: len(COLUMNS)]]
         jumps = np.repeat(
             [table.torque_jumps and name == "motor_torque" for name in COLUMNS], self._widths
         )
         self._grid = CommandGrid(table.axes, table.missing)
-        self._reference = PeriodicTable(self._grid.fill(np.concatenate(columns, axis=-1)), jumps)
-        self._qpos, self._qvel = (
-            LocalTable(self._grid.fill(values)) for values in (table.qpos, table.qvel)
+        parts = np.cumsum([len(jumps), columns[-2].shape[-1]])
+        reference, qpos, qvel = np.split(
+            self._grid.fill(np.concatenate(columns, axis=-1)), parts, axis=-1
         )
+        self._reference = PeriodicTable(reference, jumps)
+        self._qpos, self._qvel = LocalTable(qpos), LocalTable(qvel)
         self.table = self._shared(table)
         self._strides: Tensor
         strides = torch.tensor(self._grid.fill(table.strides[:, None]))
