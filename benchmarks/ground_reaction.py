@@ -36,6 +36,7 @@ if __name__ == "__main__":
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict
+from itertools import chain
 from types import MappingProxyType
 from typing import Any, Final
 
@@ -247,7 +248,10 @@ def picture(
         axis.set_xlim(-0.02, 1)  # impacts are at touchdown
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("vertical force of one foot [N]")
-    axes[0].legend(fontsize=8)
+    # a method may have fallen at the first speed
+    lines, names = zip(*(axis.get_legend_handles_labels() for axis in axes), strict=True)
+    named = dict(zip(chain(*names), chain(*lines), strict=True))
+    axes[0].legend(named.values(), named, fontsize=8)
     return figure
 
 

@@ -106,6 +106,17 @@ def test_ground_reaction(tmp_path: Path) -> None:
     written(tmp_path, "ground_reaction")
 
 
+def test_ground_reaction_names_methods_that_fell_at_the_first_speed(library: GaitLibrary) -> None:
+    config = ground_reaction.Config(speeds=(0.0, 1.0))
+    curve = ground_reaction.curve(np.tile(np.repeat([0.0, 300.0], 800), 4))
+    curves = {("single reference", 1.0): [curve], ("ASLIP", 0.0): [curve], ("ASLIP", 1.0): [curve]}
+    figure = ground_reaction.picture(config, curves, library)
+    legend = figure.axes[0].get_legend()
+    assert legend is not None
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["model", "ASLIP", "single reference"]
+
+
 def test_only_the_default_stack_feeds_forces_forward(tmp_path: Path) -> None:
     config = open_loop_force.Config(speeds=(1.0,), out=tmp_path)
     found = {row["stack"]: row["correlation"] for row in open_loop_force.main(config)}
