@@ -309,7 +309,7 @@ def test_report_has_two_tables_with_verdicts(
     assert "paper's settings: 1 PASS, 1 FAIL, 1 undecided, 11 not measured" in printed
     assert "Targets, default: 1 PASS, 1 one seed, 3 not measured." in printed
     # seed, commit and budget of shipped policies are on their cards
-    assert "- default: `aslip` (seed 0, commit " in printed
+    assert "- default: `aslip` (seed 10, commit " in printed
     assert "- paper's settings: none" in printed
     rows = json.loads((tmp_path / "claims.json").read_text())
     assert len(rows["sentences"]) == len(SENTENCES)
@@ -330,7 +330,7 @@ def test_record_names_policies_and_verdicts_and_finds_lost_rows(
     assert claims.main(config) == 0
     kept = json.loads((tmp_path / "record.json").read_text())
     (policy,) = kept["policies"]["policy"]
-    assert (policy["name"], policy["seed"]) == ("aslip", 0)
+    assert (policy["name"], policy["seed"]) == ("aslip", 10)
     assert len(policy["commit"]) >= 7
     assert kept["policies"]["paper"] == []
     assert kept["sentences"]["double hump"] == {"paper": "FAIL", "policy": "PASS"}
