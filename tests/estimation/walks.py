@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -22,6 +23,9 @@ STEPS, ROBOTS = 50, 3
 SPOILED = 20
 """Policy step with bad packets."""
 
+WALKER = Path(__file__).parents[1] / "data" / "walker.zip"
+"""Policy of the walk, a fixed one: errors of the estimate depend on how the robot walks."""
+
 Spoil = Callable[[int, np.ndarray], np.ndarray]
 """Function of policy step and windows of packets that returns changed windows."""
 
@@ -37,7 +41,7 @@ class Walk:
             drop=["noise", "low_reward", "fall", "step_limit"],
             replace={"estimator": TrueState},
         )
-        policy = aslip.load_policy("aslip")
+        policy = aslip.load_policy(WALKER)
         td = cast("TensorDictBase", env.reset())
         packets, velocity, height = [], [], []
         with torch.no_grad():

@@ -24,7 +24,7 @@ def test_touchdowns_have_actual_and_planned_positions(
     make_recorded: MakeRecorded, tmp_path: Path, library: GaitLibrary
 ) -> None:
     env = make_recorded(tmp_path / "walk.mcap")
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("robust")
     start = TensorDict(command=torch.full((1, 1), 1.0), phase=torch.zeros(1, 1), batch_size=1)
     env.rollout(70, policy, auto_reset=False, tensordict=env.reset(start))
     env.close()
