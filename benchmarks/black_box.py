@@ -29,7 +29,7 @@ class Config:
     """Number of truncated copies of a log."""
     replays: int = 20
     """Number of walks replayed, with random commands and pushes."""
-    policy: str = "aslip"
+    policy: str = "straight"
     """Policy that walks, as `aslip.load_policy` takes it."""
     seed: int = 0
     """Seed of all random numbers."""

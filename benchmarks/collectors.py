@@ -37,7 +37,7 @@ class Config:
     """Number of processes or actors."""
     rounds: int = 9
     """Number of rounds; tables show the median, after a batch to warm up."""
-    policy: str = "aslip"
+    policy: str = "straight"
     """Policy that acts, with exploration noise, as `aslip.load_policy` takes it."""
 
 

@@ -119,7 +119,7 @@ class Subject:
         stored = isinstance(policy, str | Path)
         if make_env is None:
             several = library is not None and library.command_size > 1
-            stack = policy_stack(policy) if stored else "directions" if several else "aslip"
+            stack = policy_stack(policy) if stored else "directions" if several else "default"
             make_env = partial(aslip.make_env, stack=stack, library=library)
         module = aslip.load_policy(policy) if stored else policy
         find_library = partial(command_library, policy) if library is None else lambda: library

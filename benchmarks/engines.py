@@ -1,7 +1,7 @@
 """Walks of one controller in two physics engines, through the network protocol.
 
     python -m benchmarks.engines                              # two policies: an hour on a busy core
-    python -m benchmarks.engines --policy aslip --speeds 0.5 --duration 3
+    python -m benchmarks.engines --policy straight --speeds 0.5 --duration 3
     python -m benchmarks.engines --engine drake --contact.approximation sap
 
 The controller sees only the twin's `state_out_t`, over UDP on loopback. The robot stands, and
@@ -25,7 +25,7 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of the benchmark."""
 
-    policy: tuple[str, ...] = ("aslip", "robust")
+    policy: tuple[str, ...] = ("straight", "robust")
     """Policies: shipped names, files or run folders."""
     engine: tuple[Literal["mujoco", "stiff", "drake"], ...] = ("mujoco", "drake")
     """Engines of the twin; `stiff` is MuJoCo with almost rigid leg loops."""

@@ -23,7 +23,7 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of the benchmark."""
 
-    policy: str = "aslip"
+    policy: str = "straight"
     """Policy that walks, as `aslip.load_policy` takes it."""
     steps: int = 400
     """Policy steps of each walk."""

@@ -20,7 +20,7 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of the benchmark."""
 
-    policy: str = "aslip"
+    policy: str = "straight"
     """Name of a shipped policy, or policy file."""
     starts: int = 5
     """Number of processes for each controller."""

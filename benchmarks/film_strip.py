@@ -24,7 +24,7 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of the picture."""
 
-    policy: str = "aslip"
+    policy: str = "straight"
     """Name of a shipped policy, its file, or the folder of a run."""
     reference: bool = False
     """Draw the robot on the reference motion, without physics and policy."""

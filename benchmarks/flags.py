@@ -15,7 +15,7 @@ from aslip.errors import ConfigurationError
 class Common:
     """Flags of every benchmark of a policy."""
 
-    policy: tuple[str, ...] = ("aslip",)
+    policy: tuple[str, ...] = ("straight",)
     """Policies to measure: names, files or run folders; several count as seeds of one method."""
     truth: bool = False
     """Give the policy the true state instead of the state estimate."""

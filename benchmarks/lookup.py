@@ -66,7 +66,7 @@ def main(config: Config) -> None:
 def _cost(config: Config, straight: GaitLibrary) -> str:
     """Table of the two libraries' costs and sizes."""
     env = aslip.make_env(num_envs=config.num_envs, num_threads=1, seed=0)
-    policy, states = aslip.load_policy("aslip"), [env.reset()]
+    policy, states = aslip.load_policy("straight"), [env.reset()]
 
     def step() -> None:
         states[0] = env.step_and_maybe_reset(policy(states[0]))[1]

@@ -155,7 +155,7 @@ def string_counts(packet: Packet, config: Config, rng: np.random.Generator) -> t
 
 def walk(steps: int, speed: float) -> tuple[int, int, float]:
     """Numbers of policy steps with different targets and states, and the distance walked [m]."""
-    controller = Controller("aslip", GaitLibrary.load())
+    controller = Controller("straight", GaitLibrary.load())
     # gains reach the twin in single precision
     gains = {name: getattr(CASSIE, name).astype(np.float32) for name in ("stiffness", "damping")}
     robot = replace(CASSIE, **{name: gain.astype(np.float64) for name, gain in gains.items()})

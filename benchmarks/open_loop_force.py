@@ -22,7 +22,7 @@ class Config:
 
     speeds: tuple[float, ...] = (0.0, 1.0)
     """Commanded speeds [m/s]."""
-    stacks: tuple[str, ...] = ("aslip", "paper")
+    stacks: tuple[str, ...] = ("default", "paper")
     """Stacks, by name."""
     phases: int = 4
     """Number of phases to start at, evenly spaced."""

@@ -30,7 +30,7 @@ class Config:
 
     part: Literal["loss", "real-time", "kill", "start"] = "loss"
     """Measurement to make."""
-    policy: str = "aslip"
+    policy: str = "straight"
     """Name of a shipped policy, or policy file."""
     speeds: tuple[float, ...] = tuple(round(0.1 * k, 1) for k in range(21))
     """Commanded speeds of the walks with losses [m/s]."""

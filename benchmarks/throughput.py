@@ -40,7 +40,7 @@ class Config:
     """Largest N for dm_control in a loop and `ParallelEnv`."""
     updates: bool = True
     """Also measure learning and memory."""
-    policy: str = "aslip"
+    policy: str = "straight"
     """Policy that walks, as `aslip.load_policy` takes it; its inference is not timed."""
     action_std: float = 0.135
     """Standard deviation of the exploration noise on actions [rad]."""
@@ -299,7 +299,7 @@ def memory_table(config: Config) -> str:
 def memory_of(num_envs: int) -> float:
     """Peak memory of this process after eight policy steps of N robots [GiB]."""
     with closing(aslip.make_env(num_envs=num_envs)) as env:
-        env.rollout(8, aslip.load_policy("aslip"), break_when_any_done=False)
+        env.rollout(8, aslip.load_policy("straight"), break_when_any_done=False)
         return peak_memory()
 
 

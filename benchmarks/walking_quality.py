@@ -27,7 +27,7 @@ from benchmarks.flags import WithLibrary
 class Config(WithLibrary):
     """Settings of the benchmark."""
 
-    policy: tuple[str, ...] = ("aslip", "robust", "single_reference")
+    policy: tuple[str, ...] = ("straight", "robust", "single_reference")
     """Policies to measure: names, files or run folders. `method=policy` names its method; policies
     of one method count as its seeds."""
     speeds: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0)

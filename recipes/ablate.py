@@ -206,7 +206,7 @@ def estimated_seconds(config: Config) -> float:
 
 def trained_on(variant: Variant) -> Stack:
     """Stack on which the policies of a variant are trained."""
-    edits = {"stack": "aslip", **variant.edits()}
+    edits = {"stack": "default", **variant.edits()}
     stack = edits["stack"]
     if isinstance(stack, str):
         stack = STACKS[stack](edits.get("library"), edits.get("reward_on", "truth"))

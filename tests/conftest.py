@@ -71,7 +71,7 @@ def make(library: GaitLibrary) -> MakeEnv:
 
     def make(backend: str = "batch", **settings: Any) -> StackEnv:
         defaults: dict[str, Any] = {"num_threads": 1}
-        if isinstance(settings.get("stack", "aslip"), str):
+        if isinstance(settings.get("stack", "default"), str):
             defaults["library"] = library
         return aslip.make_env(backend, **{**defaults, **settings})  # pyright: ignore
 

@@ -354,7 +354,7 @@ def test_a_robot_without_a_simulator_walks_and_is_measured(
     tmp_path: Path, short: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Policy and controller give the actions of the recorded walk."""
-    policy, library = aslip.load_policy("aslip"), aslip.GaitLibrary.load()
+    policy, library = aslip.load_policy("straight"), aslip.GaitLibrary.load()
     simulated = partial(aslip.make_env, base=BatchEnv, stack=robot_stack())
     walk = _rollout(simulated, policy, steps=20)
     packets = torch.cat([walk["sensors"][:1], walk["next", "sensors"]]).to_dict()
@@ -366,7 +366,7 @@ def test_a_robot_without_a_simulator_walks_and_is_measured(
     assert "truth" not in replayed
 
     robot = make_env(num_envs=1).base_env
-    controller = aslip.Controller("aslip", library)
+    controller = aslip.Controller("straight", library)
     td = robot.reset()
     state = controller.start(td["sensors"], command=0.5, phase=walk["phase"][:1])
     for i in range(20):
@@ -376,11 +376,11 @@ def test_a_robot_without_a_simulator_walks_and_is_measured(
         state, _ = controller.step(state, td["sensors"])
 
     config = velocity_tracking.Config(out=tmp_path, speeds=(0.5,))
-    (measured,) = velocity_tracking.main(config, "aslip", make_env)["map"]
+    (measured,) = velocity_tracking.main(config, "straight", make_env)["map"]
     assert measured["survived"] == [True]
     assert 0 < measured["mean"] < 1
     few = collectors.Config(kinds=("single",), num_envs=2, samples=8, rounds=1)
-    collectors.main(few, "aslip", make_env)
+    collectors.main(few, "straight", make_env)
     assert "policy steps/s" in capsys.readouterr().out
 
 

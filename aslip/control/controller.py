@@ -73,7 +73,7 @@ class Controller:
     stacks: from the packets of a rollout, the controller computes the motor targets of that rollout
     bit for bit. The control loop of a robot:
 
-        controller = Controller("aslip")
+        controller = Controller("straight")
         state = controller.start(packets, command=0.5)
         while True:
             drive(state.motor_target)

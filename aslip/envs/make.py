@@ -30,7 +30,7 @@ def make_env(
     seed: int = 0,
     drop: Iterable[str] = (),
     replace: Mapping[str, MakeTransform] | None = None,
-    stack: Stack | str = "aslip",
+    stack: Stack | str = "default",
     reward_on: RewardSource = "truth",
     library: GaitLibrary | None = None,
     keep: Iterable[NestedKey] | None = None,

@@ -221,7 +221,7 @@ def _turning(
 
 
 STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
-    "aslip": default_stack,
+    "default": default_stack,
     "paper": paper_stack,
     "single_reference": single_reference_stack,
     **{name: partial(_turning, name) for name in ("directions", "standing")},

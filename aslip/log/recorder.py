@@ -43,7 +43,7 @@ class Recorder(Transform):
 
         stack = {**default_stack(library), "recorder": lambda: Recorder("walk.mcap")}
         env = make_env(stack=stack)
-        env.rollout(400, load_policy("aslip"))
+        env.rollout(400, load_policy("straight"))
         env.close()
 
     The file is complete after `close`, which is called when the environment is closed and when the

@@ -44,6 +44,9 @@ _WEIGHTS = "weights/"
 _TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE)
 _KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
+# stacks under the names of earlier versions
+_RENAMED = {"aslip": "default"}
+
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
 
 
@@ -54,7 +57,7 @@ def save_policy(
     made_by: Mapping[str, Any] | None = None,
     *,
     network: MakeActor = make_actor,
-    stack: str | None = "aslip",
+    stack: str | None = "default",
     observation: Sequence[NestedKey] = OBSERVATION_TABLE,
     baseline: NestedKey | None = ("reference", "motor_target"),
     command_rates: Sequence[float] | None = None,
@@ -297,7 +300,7 @@ def find_policy(name_or_path: str | Path) -> Path:
     try:
         return asset_path(f"policies/{name_or_path}.zip")
     except AssetError:
-        folder = asset_path("policies/aslip.zip").parent
+        folder = asset_path("policies/straight.zip").parent
         shipped = sorted(policy.stem for policy in folder.glob("*.zip"))
         hint = UnknownNameError.among("shipped policy", str(name_or_path), shipped)
         raise AssetError(
@@ -338,6 +341,7 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
             raise ValueError("its card has items of wrong types")
         return {
             **card,
+            "stack": _RENAMED.get(card["stack"], card["stack"]),
             "shape": PolicyShape(**{**shape, "hidden": tuple(shape["hidden"])}),
             "observation": [str(name) for name in card["observation"]],
             "command_rates": None if rates is None else checked_rates(rates),

@@ -57,7 +57,7 @@ class Walker:
 
     def __init__(
         self,
-        policy: TensorDictModuleBase | str | Path = "aslip",
+        policy: TensorDictModuleBase | str | Path = "straight",
         env: StackEnv | None = None,
         *,
         library: GaitLibrary | None = None,
@@ -76,7 +76,7 @@ class Walker:
 
     def _default_env(self, policy: TensorDictModuleBase | str | Path, seed: int) -> StackEnv:
         named = isinstance(policy, str | Path)
-        stack = policy_stack(policy) if named else "aslip"
+        stack = policy_stack(policy) if named else "default"
         gaits = None if stack == "single_reference" else self.library
         env = make_env(seed=seed, stack=stack, drop=EPISODE_ENDS, library=gaits, num_threads=1)
         return env

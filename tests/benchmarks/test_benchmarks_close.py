@@ -55,7 +55,7 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("made", "falling")
 def test_ground_reaction_closes_after_fall(library: GaitLibrary) -> None:
     config = ground_reaction.Config()
-    assert ground_reaction.vertical_forces(config, library, Subject.load("aslip"), 1.0) is None
+    assert ground_reaction.vertical_forces(config, library, Subject.load("straight"), 1.0) is None
 
 
 @pytest.mark.usefixtures("made", "falling")
@@ -68,12 +68,12 @@ def test_film_strip_closes_after_fall(tmp_path: Path) -> None:
 @pytest.mark.parametrize("part", [estimator.throughput, estimator.packet_time, estimator.recovery])
 def test_estimator_benchmark_closes_environments(part: Any) -> None:
     config = estimator.Config(repeats=1, steps=2, falls=2, num_envs=2, rounds=1)
-    part(config, Subject.load("aslip"))
+    part(config, Subject.load("straight"))
 
 
 @pytest.mark.usefixtures("made")
 def test_record_estimates_closes_environment() -> None:
-    estimate_errors.record_estimates(Subject.load("aslip"), steps=2, repeats=1, seed=0)
+    estimate_errors.record_estimates(Subject.load("straight"), steps=2, repeats=1, seed=0)
 
 
 @pytest.mark.usefixtures("made")

@@ -172,8 +172,8 @@ def test_training_costs_are_read_from_run_folders(tmp_path: Path) -> None:
         "evaluation return": [340.0, 150.0],
     }
     # a policy without a folder would leave out a seed
-    assert claim_values.training_costs([*folders, "aslip"]) == {}
-    assert claim_values.training_costs(["aslip"]) == {}
+    assert claim_values.training_costs([*folders, "straight"]) == {}
+    assert claim_values.training_costs(["straight"]) == {}
 
 
 @pytest.mark.parametrize("fallen", [False, True])
@@ -309,7 +309,7 @@ def test_report_has_two_tables_with_verdicts(
     assert "paper's settings: 1 PASS, 1 FAIL, 1 undecided, 11 not measured" in printed
     assert "Targets, default: 1 PASS, 1 one seed, 3 not measured." in printed
     # seed, commit and budget of shipped policies are on their cards
-    assert "- default: `aslip` (seed 10, commit " in printed
+    assert "- default: `straight` (seed 10, commit " in printed
     assert "- paper's settings: none" in printed
     rows = json.loads((tmp_path / "claims.json").read_text())
     assert len(rows["sentences"]) == len(SENTENCES)
@@ -330,7 +330,7 @@ def test_record_names_policies_and_verdicts_and_finds_lost_rows(
     assert claims.main(config) == 0
     kept = json.loads((tmp_path / "record.json").read_text())
     (policy,) = kept["policies"]["policy"]
-    assert (policy["name"], policy["seed"]) == ("aslip", 10)
+    assert (policy["name"], policy["seed"]) == ("straight", 10)
     assert len(policy["commit"]) >= 7
     assert kept["policies"]["paper"] == []
     assert kept["sentences"]["double hump"] == {"paper": "FAIL", "policy": "PASS"}

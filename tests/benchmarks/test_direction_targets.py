@@ -75,7 +75,7 @@ def test_force_and_power_are_those_of_walks_ahead() -> None:
 
 
 def test_cost_of_a_training_is_read_from_the_file() -> None:
-    found = training_values("aslip")
+    found = training_values("straight")
     assert 1.0 < found["samples"] < 2.0
     assert 5 < found["time"] < 200
     assert all(math.isnan(value) for value in training_values(limp()).values())
@@ -120,7 +120,7 @@ def test_every_target_has_a_value_from_its_benchmark(
         monkeypatch.setattr(module, "main", fake(found))
     feet = {"feet, straight": 2.0, "feet, turns": 3.0}
     monkeypatch.setattr(direction_targets, "foot_values", lambda *_: feet)
-    config = Config(policy=("aslip", "robust"), out=tmp_path)
+    config = Config(policy=("straight", "robust"), out=tmp_path)
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
     assert list(found) == [claim.name for claim in TARGETS]
     assert found["velocity"]["each"] == [0.02, 0.02]
@@ -128,7 +128,7 @@ def test_every_target_has_a_value_from_its_benchmark(
     assert found["path"]["each"] == [5.0, 5.0]
     missed = [name for name, one in found.items() if one["verdict"] != "PASS"]
     assert set(missed) - {"time"} == {"changes"}
-    assert {folder.name for folder in folders} == {"aslip", "robust"}
+    assert {folder.name for folder in folders} == {"straight", "robust"}
     assert len(folders) == 2 * len(rows)
     errors["falls"] = 1
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}

@@ -30,7 +30,7 @@ from benchmarks.sweeps import SweepResult, measure_sweeps, sweep_rows, sweep_tab
 
 NO_SWEEPS: dict[str, Any] = {s.flag: () for s in SWEEPS.values()}
 BAR = tqdm(disable=True)
-SHIPPED = Subject.load("aslip")
+SHIPPED = Subject.load("straight")
 
 
 def _config(**settings: Any) -> Config:

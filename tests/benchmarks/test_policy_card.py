@@ -43,7 +43,7 @@ def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) 
     size = SIZES.get(stack, 64)
     actor = make_actor(RunningNormalizer(size), PolicyShape(size), table)
     folder.mkdir()
-    key = "motor_target" if stack in ("aslip", "standing") else "motor_position"
+    key = "motor_target" if stack in ("default", "standing") else "motor_position"
     names = {"stack": stack, "observation": list(table), "baseline": ("reference", key)}
     save_policy(folder / "policy.zip", actor, PolicyShape(size), made_by, **names)
     return folder
@@ -52,7 +52,7 @@ def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) 
 @pytest.mark.parametrize(
     ("stack", "table", "baseline"),
     [
-        ("aslip", OBSERVATION_TABLE, "reference/motor_target"),
+        ("default", OBSERVATION_TABLE, "reference/motor_target"),
         ("paper", OBSERVATION_TABLE, "reference/motor_position"),
         ("single_reference", SINGLE_REFERENCE_TABLE, "reference/motor_position"),
         ("standing", DIRECTION_TABLE, "reference/motor_target"),
@@ -98,7 +98,7 @@ def test_card_of_shipped_policy_is_written_again(
     monkeypatch.setattr(policy_card, "walk_table", lambda _: "| walks |\n\nof 2 speeds 1 survived")
     monkeypatch.setattr(policy_card, "benchmark_sections", lambda *_: ["## Benchmarks"])
     made_by = {"settings": {"seed": 3}}
-    folder = _saved(tmp_path / "run", "aslip", OBSERVATION_TABLE, made_by)
+    folder = _saved(tmp_path / "run", "default", OBSERVATION_TABLE, made_by)
     first = _card(folder, tmp_path / "assets", measure=True)
     shutil.rmtree(folder)
     weights = (tmp_path / "assets" / "mine.zip").read_bytes()
@@ -142,7 +142,7 @@ def test_limits_on_the_card_are_the_worst_measurements() -> None:
 
 def test_run_folder_is_removed_from_shipped_policy(tmp_path: Path) -> None:
     command = "python recipes/ppo_aslip.py --out ../runs/mine --seed 3 --resume"
-    folder = _saved(tmp_path / "run", "aslip", OBSERVATION_TABLE, {"command": command})
+    folder = _saved(tmp_path / "run", "default", OBSERVATION_TABLE, {"command": command})
     text = _card(folder, tmp_path / "assets")
     assert "`python recipes/ppo_aslip.py --seed 3`" in text
     files = folder / "policy.zip", tmp_path / "assets" / "mine.zip"
@@ -217,7 +217,7 @@ def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.parametrize(
     ("name", "preset"),
-    [("aslip", "default"), ("robust", "robust"), ("single_reference", "single-reference")],
+    [("straight", "default"), ("robust", "robust"), ("single_reference", "single-reference")],
 )
 def test_shipped_policies_have_the_settings_of_their_presets(name: str, preset: str) -> None:
     made = read_card(name)["made_by"]["settings"]

@@ -12,7 +12,7 @@ from benchmarks.runner import Config, LossyWay, lossy_walk
 
 @pytest.fixture(scope="module")
 def loaded() -> Loaded:
-    return load("aslip")
+    return load("straight")
 
 
 def way(loss: float, jitter: float) -> tuple[LossyWay, Link]:

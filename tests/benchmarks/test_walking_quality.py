@@ -66,7 +66,7 @@ def test_report_of_a_policy(
 ) -> None:
     monkeypatch.setattr(walking_quality, "_SETTLE", 0.5)
     monkeypatch.setattr(walking_quality, "_WALK", 1.6)
-    rows = main(Config(policy=("mine=aslip",), speeds=(0.5,), out=tmp_path))
+    rows = main(Config(policy=("mine=straight",), speeds=(0.5,), out=tmp_path))
     robot, model = rows
     assert (robot["method"], robot["walked"], robot["seeds"]) == ("mine", 1, 1)
     assert 0 < robot["airborne"]["mean"] <= robot["unloaded"]["mean"] < 0.5
@@ -80,10 +80,14 @@ def test_report_of_a_policy(
 
 
 def test_policies_of_one_name_are_seeds_of_a_method() -> None:
-    config = Config(policy=("default=aslip", "paper=robust", "default=robust", "aslip"))
+    config = Config(policy=("default=straight", "paper=robust", "default=robust", "straight"))
     methods = load_methods(config)
     names = {method: [subject.name for subject in ones] for method, ones in methods.items()}
-    assert names == {"default": ["aslip", "robust"], "paper": ["robust"], "aslip": ["aslip"]}
+    assert names == {
+        "default": ["straight", "robust"],
+        "paper": ["robust"],
+        "straight": ["straight"],
+    }
 
 
 def _seed(value: float) -> dict[str, float]:

@@ -43,13 +43,13 @@ def library() -> GaitLibrary:
 
 @pytest.fixture(scope="module")
 def controller(library: GaitLibrary) -> Controller:
-    return Controller("aslip", library)
+    return Controller("straight", library)
 
 
 @pytest.fixture(scope="module")
 def file(controller: Controller, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("exported") / "aslip.onnx"
-    export_policy("aslip", path, controller.library)
+    export_policy("straight", path, controller.library)
     return path
 
 
@@ -86,7 +86,7 @@ def test_the_pose_is_that_of_the_reference_in_place(
 
 
 def test_a_runner_walks_with_the_file_as_with_the_policy(file: Path) -> None:
-    ours, theirs = load(file), load("aslip")
+    ours, theirs = load(file), load("straight")
     np.testing.assert_allclose(ours.pose, theirs.pose, atol=1e-6)
     targets = []
     for loaded in (ours, theirs):
@@ -281,7 +281,9 @@ def test_files_that_point_elsewhere_or_need_foreign_code_are_refused(
 
 
 def test_policies_that_see_more_than_an_estimate_are_not_exported(library: GaitLibrary) -> None:
-    seeing = Controller(Controller("aslip", library).policy, library, observation=DIRECTION_TABLE)
+    seeing = Controller(
+        Controller("straight", library).policy, library, observation=DIRECTION_TABLE
+    )
     with pytest.raises(ConfigurationError, match=r"observes \['odometry/path_error'\]"):
         export_policy(seeing, "never.onnx")
     assert not Path("never.onnx").exists()
@@ -310,7 +312,7 @@ def test_the_network_alone_has_the_keys_of_mjlab(controller: Controller, tmp_pat
     import onnxruntime
 
     path = tmp_path / "network.onnx"
-    export_network("aslip", path, controller.library)
+    export_network("straight", path, controller.library)
     session = onnxruntime.InferenceSession(path)
     keys = session.get_modelmeta().custom_metadata_map
     assert keys["joint_stiffness"] == csv(CASSIE.stiffness)

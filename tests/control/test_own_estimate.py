@@ -26,7 +26,7 @@ Estimates = dict[str, np.ndarray]
 
 @pytest.fixture(scope="module")
 def controller() -> Controller:
-    return Controller("aslip", GaitLibrary.load())
+    return Controller("straight", GaitLibrary.load())
 
 
 @pytest.fixture(scope="module")

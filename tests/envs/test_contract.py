@@ -302,7 +302,7 @@ def test_policy_walks_with_half_as_many_physics_steps(make: MakeEnv) -> None:
     assert env.base_env.dynamics["torque_delay"] == pytest.approx([0.004, 0.004])
     assert env.base_env.model.opt.timestep == physics_timesteps()[1]
     env = make(timestep=physics_timesteps()[1])
-    (result,) = evaluate(aslip.load_policy("aslip"), env, [1.0], num_steps=150)
+    (result,) = evaluate(aslip.load_policy("straight"), env, [1.0], num_steps=150)
     assert result.survived
     assert result.mean_speed == pytest.approx(1.0, abs=0.05)
     with pytest.raises(ConfigurationError, match=r"0\.0005, 0\.001.*0\.002"):

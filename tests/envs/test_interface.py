@@ -106,11 +106,11 @@ def test_other_transforms_keep_the_interface_to_policies(
 ) -> None:
     env = _with(library, make, *more)
     env.rollout(2)
-    assert stack_name(env) == "aslip"
+    assert stack_name(env) == "default"
     path = _saved(tmp_path / "policy.zip", env)
     assert read_card(path)["baseline"] == "reference/motor_target"
     check_policy_fits(path, env)
-    check_policy_fits("aslip", env)
+    check_policy_fits("straight", env)
     check_policy_fits(path, make())
     assert Walker(path).env.num_envs == 1
 
@@ -176,9 +176,9 @@ def test_benchmarks_name_the_difference_to_a_policys_stack(
 
 def test_baselines_of_the_action_must_be_equal(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match=r"to 'reference/motor_target'.*it to 'ref"):
-        check_policy_fits("aslip", make(stack="paper"))
+        check_policy_fits("straight", make(stack="paper"))
     with pytest.raises(ConfigurationError, match="does not fit"):
-        Walker("aslip", make(stack="paper"))
+        Walker("straight", make(stack="paper"))
 
 
 def test_benchmarks_refuse_policies_whose_stack_has_changed(make: MakeEnv, tmp_path: Path) -> None:

@@ -51,7 +51,7 @@ def _rollout(env: StackEnv) -> TensorDictBase:
     with torch.no_grad():
         return env.rollout(
             STEPS,
-            aslip.load_policy("aslip"),
+            aslip.load_policy("straight"),
             tensordict=env.reset(start),
             auto_reset=False,
             break_when_any_done=False,
@@ -163,7 +163,7 @@ def test_collector_on_replayed_robots_saves_and_loads(log: Mapping[str, np.ndarr
         del settings
         return aslip.make_env(base=ReplayedRobot(log), stack=robot_stack())
 
-    policy = cast("torch.nn.Module", aslip.load_policy("aslip"))
+    policy = cast("torch.nn.Module", aslip.load_policy("straight"))
     first, second = (LocalCollector(make, policy, num_envs=2, samples=8) for _ in range(2))
     next(iter(first))
     second.load_state_dict(first.state_dict())

@@ -126,7 +126,7 @@ def test_reset_restarts_the_estimate_of_its_robot_only(make: MakeEnv) -> None:
 def test_estimates_of_a_noisy_walk_are_close_to_the_truth(make: MakeEnv) -> None:
     """After half a second of the shipped policy with noisy sensors."""
     env = make(num_envs=4, seed=0, drop=JUDGES)
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
     speeds = torch.tensor([[0.0], [0.5], [1.0], [2.0]])
     start = {"command": speeds, "phase": torch.zeros(4, 1)}
     td = cast("TensorDictBase", env.reset(TensorDict(start, batch_size=[4])))
@@ -177,7 +177,7 @@ def test_rewards_on_the_estimate_need_no_true_state(make: MakeEnv, library: Gait
     envs = [make(num_envs=3, seed=4, drop=JUDGES, reward_on=on) for on in ("truth", "estimate")]
     check_env_specs(envs[1])
     envs[1] = make(num_envs=3, seed=4, drop=JUDGES, reward_on="estimate")
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
     with torch.no_grad():
         walks = [env.rollout(40, policy, break_when_any_done=False) for env in envs]
     seen, estimated = (walk["next", "reward"][:, 15:] for walk in walks)
@@ -197,7 +197,7 @@ def test_rewards_on_other_sources_are_refused(make: MakeEnv) -> None:
 
 def test_estimated_feet_and_contacts_agree_with_the_truth(make: MakeEnv) -> None:
     env = make(num_envs=4, seed=0, drop=["noise", "low_reward", "fall", "step_limit"])
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
     td = env.reset()
     same, apart = [], []
     with torch.no_grad():

@@ -264,8 +264,8 @@ def test_randomise_stack_adds_no_noise(library: GaitLibrary) -> None:
     assert randomise_stack(stack)["noise"] is RandomNoise
     del stack["noise"]
     assert "noise" not in randomise_stack(stack)
-    with pytest.raises(ConfigurationError, match="not the name 'aslip'"):
-        randomise_stack("aslip")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ConfigurationError, match="not the name 'straight'"):
+        randomise_stack("straight")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("settings", [{"reward_on": "estimate"}, {"library": None}])
@@ -284,9 +284,9 @@ def test_stack_name_finds_the_stack_with_the_same_interface(
         assert stack_name(make_env(stack=name, num_threads=1)) == name
     stack = insert_before(default_stack(library), "reward", upright=_constant_term)
     stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 0.1})
-    assert stack_name(make(stack=stack, drop=["low_reward", "fall"])) == "aslip"
-    assert stack_name(make(**ON_TRUTH)) == "aslip"
-    assert stack_name(make(stack=randomise_stack(default_stack(library)))) == "aslip"
+    assert stack_name(make(stack=stack, drop=["low_reward", "fall"])) == "default"
+    assert stack_name(make(**ON_TRUTH)) == "default"
+    assert stack_name(make(stack=randomise_stack(default_stack(library)))) == "default"
     assert stack_name(make(drop=["feedforward"], replace={"action": ActionDelta})) == "paper"
     blind = AssembleObservation([("estimate", "height")])
     assert stack_name(make(replace={"observation": blind})) is None

@@ -76,7 +76,7 @@ def test_reward_to_go_can_be_computed(make: MakeEnv) -> None:
 
 @pytest.mark.parametrize(
     ("policy", "stack"),
-    [("aslip", "aslip"), ("robust", "aslip"), ("single_reference", "single_reference")],
+    [("straight", "default"), ("robust", "default"), ("single_reference", "single_reference")],
 )
 def test_shipped_policies_act_within_the_action_spec(
     make: MakeEnv, policy: str, stack: str
@@ -188,7 +188,7 @@ def test_td3_takes_the_action_range_of_one_robot(make: MakeEnv) -> None:
 def test_shipped_policies_collect_without_warnings(
     make: MakeEnv, recwarn: pytest.WarningsRecorder
 ) -> None:
-    collector = Collector(make(num_envs=2), load_policy("aslip"), frames_per_batch=8)
+    collector = Collector(make(num_envs=2), load_policy("straight"), frames_per_batch=8)
     data = next(iter(collector))
     collector.shutdown()
     assert [str(w.message) for w in recwarn if "transforms required" in str(w.message)] == []
@@ -209,7 +209,7 @@ def test_first_steps_are_marked_as_in_torchrl(make: MakeEnv) -> None:
 
 def test_collectors_may_limit_episodes_in_place_of_the_stack(make: MakeEnv) -> None:
     env = make(num_envs=2, drop=["step_limit", "low_reward"])
-    policy = load_policy("aslip")
+    policy = load_policy("straight")
     collector = Collector(env, policy, frames_per_batch=12, max_frames_per_traj=3)
     data = next(iter(collector))
     collector.shutdown()

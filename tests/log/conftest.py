@@ -58,7 +58,7 @@ def walk(
 ) -> tuple[Path, list[TensorDict]]:
     """Log of 80 policy steps in several episodes, and the tensordicts of the steps."""
     path = tmp_path_factory.mktemp("logs") / "walk.mcap"
-    env = make_recorded(path, policy="aslip", config={"why": "a test"})
+    env = make_recorded(path, policy="straight", config={"why": "a test"})
     seen = run(env, 80)
     assert sum(bool(td["next", "done"]) for td in seen) >= 2
     env.close()

@@ -137,7 +137,7 @@ def test_transforms_are_poses_of_robot_and_reduced_order_model(
 def test_files_and_settings_are_attached(recording: Recording) -> None:
     files = recording.attachments
     assert files["model.xml"] == asset_path("cassie.xml").read_bytes()
-    assert files["policy.zip"] == asset_path("policies/aslip.zip").read_bytes()
+    assert files["policy.zip"] == asset_path("policies/straight.zip").read_bytes()
     config = json.loads(files["config.json"])
     assert config["settings"] == {"why": "a test"}
     assert config["seed"] == 4
@@ -257,7 +257,7 @@ def test_same_seed_gives_the_same_messages(
     make_recorded: MakeRecorded, tmp_path: Path, walk: Walk
 ) -> None:
     again = tmp_path / "again.mcap"
-    env = make_recorded(again, policy="aslip", config={"why": "a test"})
+    env = make_recorded(again, policy="straight", config={"why": "a test"})
     run(env, 80)
     env.close()
     one, two = walk[0].read_bytes(), again.read_bytes()

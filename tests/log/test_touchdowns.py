@@ -72,7 +72,7 @@ def test_planned_footholds_turn_with_the_robot(
 ) -> None:
     env = make_recorded(tmp_path / "a.mcap")
     start = TensorDict(command=torch.full((1, 1), 1.0), phase=torch.zeros(1, 1), batch_size=1)
-    env.rollout(40, aslip.load_policy("aslip"), auto_reset=False, tensordict=env.reset(start))
+    env.rollout(40, aslip.load_policy("straight"), auto_reset=False, tensordict=env.reset(start))
     env.close()
     log, footholds = read(tmp_path / "a.mcap"), Footholds(library)
     events, truth = log["/touchdown"], log["/truth"]

@@ -61,7 +61,7 @@ def test_constant_input_is_not_scaled() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "constant"), [("aslip", [56, 62]), ("robust", [56, 62]), ("single_reference", [])]
+    ("name", "constant"), [("straight", [56, 62]), ("robust", [56, 62]), ("single_reference", [])]
 )
 def test_action_is_insensitive_to_entry_constant_in_training(
     name: str, constant: list[int]

@@ -275,7 +275,7 @@ def test_refuses_invalid_shape(wrong: dict[str, Any]) -> None:
 
 def test_rollouts_carry_no_graph(make: MakeEnv) -> None:
     """Memory would grow with every step."""
-    policy, env = aslip.load_policy("aslip"), make(num_envs=2)
+    policy, env = aslip.load_policy("straight"), make(num_envs=2)
     data = env.rollout(3, policy)
     assert not any(leaf.requires_grad for leaf in data.values(True, True))
     # no graph during training either
@@ -296,7 +296,7 @@ def test_policy_of_unnamed_stack_has_no_stack_name(tmp_path: Path) -> None:
 
 def test_error_names_observation_sizes(make: MakeEnv) -> None:
     with pytest.raises(ShapeError, match="reads 64 numbers, the observation has 49"):
-        make(stack="single_reference").rollout(2, aslip.load_policy("aslip"))
+        make(stack="single_reference").rollout(2, aslip.load_policy("straight"))
     with pytest.raises(ShapeError, match="reads 49 numbers, the observation has 64"):
         make().rollout(2, aslip.load_policy("single_reference"))
 
@@ -311,8 +311,8 @@ def test_symmetric_policy_refuses_stacked_frames() -> None:
 
 
 def test_error_suggests_nearest_policy_name() -> None:
-    with pytest.raises(AssetError, match=r"did you mean 'aslip'.*'robust'"):
-        aslip.load_policy("asslip")
+    with pytest.raises(AssetError, match=r"did you mean 'straight'"):
+        aslip.load_policy("strait")
 
 
 # ----------------------------------------------------------------- own networks

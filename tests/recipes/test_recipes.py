@@ -89,7 +89,7 @@ def test_messages_name_folder_length_and_how_to_resume(run: Run) -> None:
 def test_the_policy_of_a_run_can_be_loaded(run: Run) -> None:
     policy = aslip.load_policy(run[0])
     assert policy(aslip.make_env(num_threads=1).reset())["action"].shape == (1, 10)
-    assert policy_stack(run[0]) == "aslip"
+    assert policy_stack(run[0]) == "default"
 
 
 def test_another_run_in_the_same_folder_is_refused(run: Run) -> None:

@@ -84,7 +84,7 @@ def test_springs_in_flight_are_at_rest(qpos: torch.Tensor) -> None:
 
 def test_the_assumed_spring_compliance_is_that_of_the_robot() -> None:
     """Deflection and force of the shipped policy's robot fit the line that the reward assumes."""
-    walker = Walker("aslip", speed=0.5)
+    walker = Walker("straight", speed=0.5)
     shins = CASSIE.indices.joint_qpos[[0, 3]]
     deflections, forces = [], []
     for _ in range(100):
@@ -174,7 +174,7 @@ def test_the_command_covers_all_speeds(make: MakeEnv) -> None:
 
 
 def test_stacks_have_names() -> None:
-    assert set(STACKS) == {"aslip", "paper", "single_reference", "directions", "standing"}
+    assert set(STACKS) == {"default", "paper", "single_reference", "directions", "standing"}
     assert list(single_reference_stack())[-1] == "episode_sum"
     with pytest.raises(UnknownNameError, match="single_reference"):
         aslip.make_env(stack="other")

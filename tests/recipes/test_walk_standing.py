@@ -62,5 +62,5 @@ def test_the_table_names_standing(
 
 
 def test_policies_that_only_walk_do_not_stand() -> None:
-    with pytest.raises(ConfigurationError, match="'aslip' was not trained to stand"):
+    with pytest.raises(ConfigurationError, match="'straight' was not trained to stand"):
         walk.main(Config(command="0:0.5,3:stand"))

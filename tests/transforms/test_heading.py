@@ -92,7 +92,7 @@ def test_robots_that_start_turned_walk_as_straight_as_others(
 ) -> None:
     drop = EPISODE_ENDS if noise else (*EPISODE_ENDS, "noise")
     env = _turned(library, drop=drop)
-    results = evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, STEPS)
+    results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, STEPS)
     for degrees, result in zip(DEGREES, results, strict=True):
         assert result.survived, degrees
         assert result.mean_speed == pytest.approx(SPEED, abs=0.08), degrees
@@ -105,7 +105,7 @@ def test_robots_that_start_turned_walk_as_straight_as_others(
 def test_turned_robots_get_the_same_rewards_and_observations(library: aslip.GaitLibrary) -> None:
     """Differences are rounding errors, in the steps before these grow."""
     env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
-    policy, td = aslip.load_policy("aslip"), env.reset(_start())
+    policy, td = aslip.load_policy("straight"), env.reset(_start())
     entries = [("odometry", name) for name in ODOMETRY_SIZES]
     for _ in range(6):
         for entry in entries:
@@ -124,14 +124,14 @@ def test_turned_robots_walk_on_the_reference_backend(library: aslip.GaitLibrary)
         num_envs=1,
         replace={"start": TurnedStart(library, ANGLES[2:3])},
     )
-    (result,) = evaluate(aslip.load_policy("aslip"), env, [SPEED], 70)
+    (result,) = evaluate(aslip.load_policy("straight"), env, [SPEED], 70)
     assert result.survived
     assert result.lateral_drift < 0.1
 
 
 @pytest.mark.parametrize("policy", ["robust", "single_reference"])
 def test_turned_robots_walk_with_other_policies(library: aslip.GaitLibrary, policy: str) -> None:
-    stack = "aslip" if policy == "robust" else policy
+    stack = "default" if policy == "robust" else policy
     gaits = library if policy == "robust" else GaitLibrary.load("single_reference")
     env = _turned(library, stack=stack, replace={"start": TurnedStart(gaits)})
     results = evaluate(aslip.load_policy(policy), env, [SPEED] * NUM, 60)
@@ -144,7 +144,7 @@ def test_turned_robots_walk_with_other_policies(library: aslip.GaitLibrary, poli
 
 def test_rewards_of_the_estimate_are_in_the_heading_frame(library: aslip.GaitLibrary) -> None:
     env = _turned(library, reward_on="estimate", drop=(*EPISODE_ENDS, "noise"))
-    results = evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
+    results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30)
     for result in results:
         assert result.terms["foot_orient"] > 0.85
         assert result.terms["straight_diff"] > 0.94
@@ -152,7 +152,7 @@ def test_rewards_of_the_estimate_are_in_the_heading_frame(library: aslip.GaitLib
 
 def test_metrics_are_along_the_heading(library: aslip.GaitLibrary) -> None:
     env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
-    walks = record_walks(aslip.load_policy("aslip"), env, np.full((40, NUM), SPEED))
+    walks = record_walks(aslip.load_policy("straight"), env, np.full((40, NUM), SPEED))
     assert np.abs(walks.pelvis_velocity[10:, :, 0].mean(0) - SPEED).max() < 0.1
     assert np.abs(walks.pelvis_position[..., 1]).max() < 0.1
     assert (walks.foot_position[:, :, 0, 1] > walks.foot_position[:, :, 1, 1]).all()
@@ -163,7 +163,7 @@ def test_an_estimator_without_a_given_heading_takes_it_from_the_packets(
 ) -> None:
     """By default, its heading is the yaw of its first packet."""
     env = _turned(library, drop=(*EPISODE_ENDS, "noise"))
-    policy, td, estimator = aslip.load_policy("aslip"), env.reset(_start()), StateEstimator()
+    policy, td, estimator = aslip.load_policy("straight"), env.reset(_start()), StateEstimator()
 
     def packets(td: TensorDictBase) -> np.ndarray:
         entries = [cast("Tensor", td["sensors", name]) for name in CASSIE.packet_sizes]
@@ -189,7 +189,7 @@ def test_an_estimator_without_a_given_heading_takes_it_from_the_packets(
 
 def test_the_heading_is_kept_and_can_be_set(library: aslip.GaitLibrary) -> None:
     env = _turned(library)
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
     td = env.reset(_start())
     torch.testing.assert_close(td["heading"], ANGLES.float(), atol=1e-6, rtol=0)
     assert float(td["heading"][0]) == 0.0
@@ -283,7 +283,7 @@ def test_a_robot_that_starts_elsewhere_walks_straight_from_there(
     library: aslip.GaitLibrary,
 ) -> None:
     env = _turned(library, replace={"start": TurnedStart(library, place=(5.0, -3.0))})
-    results = evaluate(aslip.load_policy("aslip"), env, [SPEED] * NUM, 30)
+    results = evaluate(aslip.load_policy("straight"), env, [SPEED] * NUM, 30)
     for result in results:
         assert result.terms["straight_diff"] > 0.94
         assert result.lateral_drift < 0.1
@@ -307,7 +307,7 @@ def test_on_a_slope_truth_and_odometry_are_in_one_frame(
         replace={"start": TurnedStart(library, angle)},
     )
     env.base_env.set_dynamics({"slope": SLOPE})
-    perfect, policy, td = TrueState(), aslip.load_policy("aslip"), env.reset(_start(1))
+    perfect, policy, td = TrueState(), aslip.load_policy("straight"), env.reset(_start(1))
     for step in range(20):
         td = step_mdp(env.step(policy(td)))
         truth = perfect._call(td.clone())

@@ -67,14 +67,14 @@ def test_feedforward_needs_a_reference(make: MakeEnv) -> None:
 def test_a_robot_without_a_policy_stays_up_longer_with_feedforward(make: MakeEnv) -> None:
     """Feedforward torques from the reduced-order model's forces carry its weight."""
     steps = {}
-    for stack in ("aslip", "paper"):
+    for stack in ("default", "paper"):
         env = make(num_envs=1, stack=stack, drop=["noise"])
         start = TensorDict(command=torch.zeros(1, 1), phase=torch.zeros(1, 1), batch_size=1)
         td, steps[stack] = env.reset(start), 0
         while not td["done"].any() and steps[stack] < 100:
             td = env.step(td.set("action", torch.zeros(1, 10)))["next"]
             steps[stack] += 1
-    assert steps["aslip"] > 1.5 * steps["paper"]
+    assert steps["default"] > 1.5 * steps["paper"]
 
 
 def test_episodes_start_on_the_reference(make: MakeEnv, library: GaitLibrary) -> None:

@@ -18,7 +18,7 @@ from aslip.wire import PD_IN, command_to_pd_in, state_out_to_estimate
 def test_the_controller_walks_in_drake() -> None:
     """Nine tenths of a second end within 5 cm of the place in MuJoCo."""
     pytest.importorskip("pydrake", exc_type=ImportError)
-    controller = Controller("aslip", GaitLibrary.load())
+    controller = Controller("straight", GaitLibrary.load())
     places = []
     for make_engine in ENGINES.values():
         twin = TwinRobot(make_engine=make_engine)

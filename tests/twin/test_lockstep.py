@@ -53,7 +53,7 @@ def answered(
 
 @pytest.fixture(scope="module")
 def controller() -> Controller:
-    return Controller("aslip", GaitLibrary.load())
+    return Controller("straight", GaitLibrary.load())
 
 
 def test_two_seconds_over_loopback_equal_the_simulation_in_one_process(

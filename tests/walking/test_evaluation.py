@@ -79,7 +79,7 @@ def test_table_marks_falls(make: MakeEnv) -> None:
 
 
 def test_evaluation_suspends_command_changes(make: MakeEnv, library: GaitLibrary) -> None:
-    policy, speeds = aslip.load_policy("aslip"), [0.0, 1.0, 2.0]
+    policy, speeds = aslip.load_policy("straight"), [0.0, 1.0, 2.0]
     restless = SpeedCommand(library, interval=0.06)
     found = [
         evaluate(policy, make(num_envs=3, replace=edits), speeds, num_steps=20)
@@ -123,7 +123,7 @@ def test_weight_ratio_uses_simulated_mass_and_payload(make: MakeEnv) -> None:
     env = make(num_envs=4, drop=EPISODE_ENDS)
     for robot, change in enumerate(changes[1:], start=1):
         env.base_env.set_dynamics(change, np.array([robot]))
-    results = evaluate(aslip.load_policy("aslip"), env, [0.5] * 4, num_steps=150)
+    results = evaluate(aslip.load_policy("straight"), env, [0.5] * 4, num_steps=150)
     assert [result.weight_ratio for result in results] == pytest.approx([1.0] * 4, abs=0.03)
     assert all(result.on_feet and result.survived for result in results)
 

@@ -31,7 +31,7 @@ def logged(library: GaitLibrary, tmp_path_factory: pytest.TempPathFactory) -> tu
     env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=3)
     command = _command(0.5)
     command[20:] = 1.0
-    walk = record_walks(aslip.load_policy("aslip"), env, command)
+    walk = record_walks(aslip.load_policy("straight"), env, command)
     env.close()
     return walk, path
 
@@ -45,7 +45,7 @@ def test_log_reproduces_recorded_walk(logged: tuple[Walks, Path]) -> None:
 
 def test_log_reproduces_recorded_fall(library: GaitLibrary, tmp_path: Path) -> None:
     """Even if a step after the divergence succeeds again."""
-    policy, path, count = aslip.load_policy("aslip"), tmp_path / "fall.mcap", 0
+    policy, path, count = aslip.load_policy("straight"), tmp_path / "fall.mcap", 0
 
     def fails(td):
         nonlocal count
@@ -77,7 +77,7 @@ def test_rows_are_one_policy_step_apart(logged: tuple[Walks, Path]) -> None:
 
 def test_rows_after_fall_are_nan(make: MakeEnv) -> None:
     """One robot gets constant actions and falls, the other walks; both stay in the record."""
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
 
     def clumsy(td):
         td = policy(td)
@@ -95,7 +95,7 @@ def test_rows_after_fall_are_nan(make: MakeEnv) -> None:
 
 
 def test_walks_without_truth_use_the_estimate(make: MakeEnv) -> None:
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
     true, estimated = (
         record_walks(policy, make(reward_on="estimate", drop=[*EPISODE_ENDS, *more]), _command(0.5))
         for more in (["noise"], ["noise", "heading", "fall"])
@@ -115,7 +115,7 @@ def test_slice_of_one_walk(logged: tuple[Walks, Path]) -> None:
 
 
 def test_refuses_invalid_commands(make: MakeEnv) -> None:
-    env, policy = make(num_envs=2), aslip.load_policy("aslip")
+    env, policy = make(num_envs=2), aslip.load_policy("straight")
     with pytest.raises(ShapeError, match=r"\(m, 2\)"):
         record_walks(policy, env, _command(0.5))
     with pytest.raises(ShapeError, match=r"a policy step or more, got \(0, 2\)"):

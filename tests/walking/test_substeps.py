@@ -21,7 +21,7 @@ COMMAND = np.full(20, 0.5)
 @pytest.fixture(scope="module")
 def both() -> tuple[Substeps, Walks]:
     """One walk, recorded at both rates."""
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
     with closing(aslip.make_env(drop=EPISODE_ENDS, num_threads=1, seed=3)) as env:
         walks = record_walks(policy, env, COMMAND[:, None])
     with closing(aslip.make_env(drop=EPISODE_ENDS, num_threads=1, seed=3)) as env:
@@ -65,7 +65,7 @@ def test_record_ends_in_a_fall(make: MakeEnv) -> None:
 
 
 def test_refuses_several_robots_and_wrong_commands(make: MakeEnv) -> None:
-    policy = aslip.load_policy("aslip")
+    policy = aslip.load_policy("straight")
     with pytest.raises(ConfigurationError, match="one simulated robot, got 2"):
         record_substeps(policy, make(num_envs=2), COMMAND)
     env = make(num_envs=1)

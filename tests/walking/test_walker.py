@@ -80,7 +80,7 @@ def test_fallen_walker_needs_reset(walker: Walker) -> None:
 def test_policy_can_change_during_walk(walker: Walker) -> None:
     shipped = walker.policy
     actions = []
-    for policy in (shipped, lambda td: td.set("action", torch.zeros(1, 10)), "aslip"):
+    for policy in (shipped, lambda td: td.set("action", torch.zeros(1, 10)), "straight"):
         walker.policy = policy  # pyright: ignore[reportAttributeAccessIssue]
         actions.append(walker.step()["action"].abs().sum())  # pyright: ignore
     walker.policy = shipped
@@ -115,7 +115,7 @@ def test_walker_refuses_invalid_push(
 
 
 def test_refuses_policy_of_another_stack(tmp_path: Path) -> None:
-    walker = Walker("aslip")
+    walker = Walker("straight")
     other = save_other_policy(tmp_path / "other.zip")
     with pytest.raises(ConfigurationError, match=r"other.zip.*lacks \['reference/body"):
         walker.policy = other

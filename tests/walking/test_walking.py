@@ -11,7 +11,7 @@ SPEEDS = [0.0, 0.5, 1.0, 1.5, 2.0]
 @pytest.fixture(scope="module")
 def walks(library: GaitLibrary) -> list[WalkResult]:
     env = make_env(num_envs=len(SPEEDS), library=library)
-    return evaluate(load_policy("aslip"), env, SPEEDS)
+    return evaluate(load_policy("straight"), env, SPEEDS)
 
 
 def test_shipped_policy_survives_every_speed(walks: list[WalkResult]) -> None:

@@ -52,7 +52,7 @@ WALK = 1.02
 
 @pytest.fixture(scope="module")
 def loaded() -> Loaded:
-    return load("aslip")
+    return load("straight")
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def make_run(
 def lockstep(loaded: Loaded, tmp_path_factory: pytest.TempPathFactory) -> SimpleNamespace:
     """A logged walk of the twin in lockstep, with a stop."""
     path, twin = tmp_path_factory.mktemp("logs") / "run.mcap", TwinRobot()
-    metadata = run_metadata("aslip", StateReadings(), QUICK)
+    metadata = run_metadata("straight", StateReadings(), QUICK)
     log = RunLog(path, STATE_OUT, loaded.files, metadata)
     run, said = make_run(loaded, duration=WALK, log=log)
     with connected(serve_lockstep, twin) as endpoint:
@@ -101,7 +101,7 @@ def test_commands_of_a_run_are_those_of_the_controller(
     lockstep: SimpleNamespace, loaded: Loaded
 ) -> None:
     """A twin in this process, without supervisor, sockets and loop."""
-    twin, controller = TwinRobot(), Controller("aslip", GaitLibrary.load())
+    twin, controller = TwinRobot(), Controller("straight", GaitLibrary.load())
     record = twin.tick(PD_IN.zeros())
     state = controller.start(state_out_to_estimate(record), 0.5, heading=0.0)
     tick = read(lockstep.path)["/tick"]
@@ -131,7 +131,7 @@ def test_a_log_replays_bit_for_bit(lockstep: SimpleNamespace, tmp_path: Path) ->
 def test_a_replay_finds_another_controller(
     lockstep: SimpleNamespace, loaded: Loaded, tmp_path: Path
 ) -> None:
-    other = Controller("aslip", GaitLibrary.load(), motor_lead=0.0)
+    other = Controller("straight", GaitLibrary.load(), motor_lead=0.0)
     result = replay(
         lockstep.path, lambda _, limits: Supervisor(other, loaded.pose, limits), tmp_path
     )
@@ -140,7 +140,7 @@ def test_a_replay_finds_another_controller(
 
 def test_other_logs_are_not_replayed(tmp_path: Path) -> None:
     path = tmp_path / "empty.mcap"
-    log = RunLog(path, STATE_OUT, {}, run_metadata("aslip", StateReadings(), QUICK))
+    log = RunLog(path, STATE_OUT, {}, run_metadata("straight", StateReadings(), QUICK))
     log.finish({})
     with pytest.raises(FileDamagedError, match="no log of a run over the network"):
         replay(path, lambda *_: None, tmp_path)
@@ -153,7 +153,7 @@ def test_a_run_in_raw_mode_walks_like_one_in_pd_mode(
 ) -> None:
     """Estimator and PD law run in the runner; the twin takes torques."""
     path, readings = tmp_path / "raw.mcap", SensorReadings()
-    log = RunLog(path, CASSIE_OUT, loaded.files, run_metadata("aslip", readings, QUICK))
+    log = RunLog(path, CASSIE_OUT, loaded.files, run_metadata("straight", readings, QUICK))
     supervisor = Supervisor(loaded.controller, loaded.pose, QUICK)
     source = Scheduled(Schedule.parse("0.5"), duration=0.3)
     run = Run(supervisor, readings, source, log=log, say=lambda _: None)
@@ -258,8 +258,8 @@ def test_a_priority_is_asked_of_the_system(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_policies_and_libraries_that_do_not_fit_are_named() -> None:
-    with pytest.raises(ConfigurationError, match="'aslip' needs the library 'gaits'"):
-        load("aslip", "single_reference")
+    with pytest.raises(ConfigurationError, match="'straight' needs the library 'gaits'"):
+        load("straight", "single_reference")
     nine: Any = SimpleNamespace(
         start=lambda *_, **__: SimpleNamespace(motor_target=np.zeros((1, 9)))
     )

@@ -99,7 +99,7 @@ def _desk(
 
 @pytest.fixture(scope="module")
 def opened(browser, library) -> Iterator[Desk]:
-    with _desk(browser, Walker(library=library), {"aslip": "aslip", "limp": limp()}) as desk:
+    with _desk(browser, Walker(library=library), {"straight": "straight", "limp": limp()}) as desk:
         yield desk
 
 
@@ -107,7 +107,7 @@ def opened(browser, library) -> Iterator[Desk]:
 def desk(opened: Desk) -> Desk:
     """Page after a reset: the robot stands, and time runs."""
     controls = opened.live.controls
-    controls.command.value, controls.policy.value = 0.0, "aslip"
+    controls.command.value, controls.policy.value = 0.0, "straight"
     if opened.live.paused:
         controls.pause.value = True
     controls.reset.value = True

@@ -130,7 +130,7 @@ def test_other_messages_are_dropped(page, monkeypatch, message: dict[str, Any]):
 
 
 def test_valid_values_pass(open_page):
-    page = open_page({"aslip": "aslip", "other": "aslip"})
+    page = open_page({"straight": "straight", "other": "straight"})
     controls = page.controls
     with visit(page) as visitor:
         visitor.update(controls.command, value=1)

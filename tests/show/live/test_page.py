@@ -190,7 +190,7 @@ def test_push_turns_with_the_robot(open_page):
 
 def test_policies_are_switched_without_a_restart(open_page):
     still = limp()
-    page = open_page({"aslip": "aslip", "limp": still})
+    page = open_page({"straight": "straight", "limp": still})
     walk(page, 3)
     assert page.walker.policy is not still
     page.controls.policy.value = "limp"
@@ -279,7 +279,7 @@ def test_walkers_own_policy_is_the_default(library):
 def test_missing_policies_are_named_before_the_server_starts(open_page, monkeypatch):
     monkeypatch.setattr("aslip.show.live.page.start_server", lambda *_: pytest.fail("served"))
     with pytest.raises(AssetError, match="nobody"):
-        open_page({"aslip": "aslip", "other": "nobody"})
+        open_page({"straight": "straight", "other": "nobody"})
     with pytest.raises(ConfigurationError, match="empty"):
         open_page({})
 
