@@ -304,18 +304,18 @@ def write_results(
     print(table)
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / f"{name}.md", table + "\n")
-    text = json.dumps(_without_nan(numbers), indent=1, allow_nan=False)
+    text = json.dumps(without_nan(numbers), indent=1, allow_nan=False)
     write_text(out / f"{name}.json", text + "\n")
     if figure is not None:
         save_figure(figure, out / f"{name}.png")
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Copy of nested numbers with None for NaN and infinity, which JSON lacks."""
     if isinstance(value, Mapping):
-        return {key: _without_nan(item) for key, item in value.items()}
+        return {key: without_nan(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(item) for item in value]
+        return [without_nan(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

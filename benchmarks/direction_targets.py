@@ -1,11 +1,14 @@
 """Targets of walks in all directions: one table of the other benchmarks' numbers, with verdicts.
 
     python -m benchmarks.direction_targets --policy runs/ppo_directions
-    python -m benchmarks.direction_targets --policy runs/seed1 runs/seed2 runs/seed3
+    python -m benchmarks.direction_targets --policy runs/seed1 runs/seed2 --record seeds.json
 
 Several policies count as seeds of one method: values are means with 95 % intervals over seeds, and
 a target is met if the whole interval meets it. Each policy takes about half an hour on two cores.
 Tables and pictures of the benchmarks are written to a folder for each policy.
+
+With `--record`, the values of each policy are kept in a file. Its policies are not measured again,
+and the table is over all of them: after an interruption, the same command goes on.
 """
 
 from __future__ import annotations
@@ -38,6 +41,8 @@ class Config(Directions):
     """Time of standing [s]."""
     path: float = 300.0
     """Time on the figure of eight [s]."""
+    record: Path | None = None
+    """File with the values of each policy; its policies count, too."""
 
     def __post_init__(self) -> None:
         """Check the number of footstep commands."""
@@ -52,6 +57,7 @@ if __name__ == "__main__":
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
@@ -79,6 +85,7 @@ from benchmarks.common import (
     write_report,
 )
 from benchmarks.directions import random_commands
+from benchmarks.target_record import TargetRecord
 
 TARGETS: Final = (
     Claim("samples", "policy steps of the training [million]", at_most=5.0),
@@ -174,8 +181,12 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    policies = list(config.policy) if policy is None else [policy]
-    found = [measure(config, one, make_env) for one in policies]
+    if policy is not None:
+        found = [measure(config, policy, make_env)]
+    elif config.record is None:
+        found = [measure(config, one, make_env) for one in config.policy]
+    else:
+        found = recorded(config, config.record)
     rows = [
         {**vars(claim), "found": judge(claim, [values[claim.name] for values in found])}
         for claim in TARGETS
@@ -216,6 +227,21 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
         **perturbation_values(survived),
         "path": math.nan if walked["fell"] else 100 * walked["truth"],
     }
+
+
+def recorded(config: Config, path: Path) -> list[dict[str, float]]:
+    """Values of all policies of a record, after those of the settings were added.
+
+    Raises:
+        FileDamagedError: the file is no record.
+        ConfigurationError: its policies were measured with other settings.
+    """
+    settings = {k: v for k, v in asdict(config).items() if k not in ("policy", "out", "record")}
+    record = TargetRecord(path, settings)
+    for policy in config.policy:
+        if policy not in record:
+            record.add(policy, measure(config, policy))
+    return record.values()
 
 
 def training_values(policy: Policy) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aslip.errors import ConfigurationError, FileDamagedError
 from benchmarks import (
     direction_targets,
     direction_tracking,
@@ -130,6 +132,18 @@ def test_every_target_has_a_value_from_its_benchmark(
     assert set(missed) - {"time"} == {"changes"}
     assert {folder.name for folder in folders} == {"straight", "robust"}
     assert len(folders) == 2 * len(rows)
+    record = tmp_path / "seeds.json"
+    kept = dataclasses.replace(config, policy=("robust",), record=record)
+    direction_targets.main(kept)
+    again = dataclasses.replace(kept, policy=("straight", "robust"))
+    each = [row["found"]["each"] for row in direction_targets.main(again)]
+    assert len(folders) == 4 * len(rows)  # the second call measures one policy only
+    assert all(len(values) == 2 for values in each)
+    with pytest.raises(ConfigurationError, match="measured with commands 1000, not commands 10;"):
+        direction_targets.main(dataclasses.replace(kept, commands=10))
+    record.write_text("[]")
+    with pytest.raises(FileDamagedError, match="no record of targets"):
+        direction_targets.main(kept)
     errors["falls"] = 1
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
     assert found["velocity"]["verdict"] == "FAIL"

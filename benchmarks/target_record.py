@@ -1,0 +1,80 @@
+"""Record of measured targets: values of each policy in one JSON file, over days and machines."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.policy import find_policy
+from aslip.training.run import write_text
+from benchmarks.claims import describe
+from benchmarks.common import without_nan
+
+
+@dataclass
+class TargetRecord:
+    """Measured values of policies, by the hash of their files.
+
+    Args:
+        path: JSON file; need not exist.
+        settings: settings of the measurement, as JSON types.
+
+    Raises:
+        FileDamagedError: the file is no record.
+        ConfigurationError: its policies were measured with other settings.
+    """
+
+    path: Path
+    settings: Mapping[str, Any]
+    policies: list[dict[str, Any]] = field(init=False, default_factory=list)
+    """Name, file hash, seed, commit, policy steps and values of each policy."""
+
+    def __post_init__(self) -> None:
+        """Read the file, if there is one."""
+        if not self.path.exists():
+            return
+        try:
+            found = json.loads(self.path.read_text())
+            settings, self.policies = found["settings"], [*found["policies"]]
+            self.values()
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise FileDamagedError(
+                f"{str(self.path)!r} is no record of targets: {error}"
+            ) from error
+        if differs := [key for key, value in self.settings.items() if settings.get(key) != value]:
+            raise ConfigurationError(
+                f"the record {str(self.path)!r} was measured with "
+                + ", ".join(f"{key} {settings.get(key)!r}" for key in differs)
+                + ", not "
+                + ", ".join(f"{key} {self.settings[key]!r}" for key in differs)
+                + "; use the same settings, or another file"
+            )
+
+    def __contains__(self, policy: str | Path) -> bool:
+        """Whether the values of a policy are in the record."""
+        digest = _digest(policy)
+        return any(one["sha256"] == digest for one in self.policies)
+
+    def add(self, policy: str | Path, values: Mapping[str, float]) -> None:
+        """Add the values of a policy, and write the file."""
+        about = {**describe(policy), "sha256": _digest(policy), "values": without_nan(values)}
+        self.policies.append(about)
+        kept = {"settings": dict(self.settings), "policies": self.policies}
+        write_text(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
+
+    def values(self) -> list[dict[str, float]]:
+        """Values of each policy; NaN where a fall prevented one."""
+        return [
+            {name: math.nan if x is None else float(x) for name, x in one["values"].items()}
+            for one in self.policies
+        ]
+
+
+def _digest(policy: str | Path) -> str:
+    return hashlib.sha256(find_policy(policy).read_bytes()).hexdigest()
