@@ -236,12 +236,17 @@ def recorded(config: Config, path: Path) -> list[dict[str, float]]:
         FileDamagedError: the file is no record.
         ConfigurationError: its policies were measured with other settings.
     """
-    settings = {k: v for k, v in asdict(config).items() if k not in ("policy", "out", "record")}
-    record = TargetRecord(path, settings)
+    record = open_record(config, path)
     for policy in config.policy:
         if policy not in record:
             record.add(policy, measure(config, policy))
     return record.values()
+
+
+def open_record(config: Config, path: Path) -> TargetRecord:
+    """Record of values that were measured with given settings; see `TargetRecord`."""
+    settings = {k: v for k, v in asdict(config).items() if k not in ("policy", "out", "record")}
+    return TargetRecord(path, settings)
 
 
 def training_values(policy: Policy) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """Ship a policy: its file, and a card of training, interface and performance.
 
-    python -m benchmarks.policy_card --name aslip --run runs/ppo_aslip    # ship a run's policy
-    python -m benchmarks.policy_card --name aslip                         # write its card again
+    python -m benchmarks.policy_card --name mine --run runs/ppo_aslip     # ship a run's policy
+    python -m benchmarks.policy_card --name mine                          # write its card again
 
 Copies the policy of a training run and its learning curve to `assets/policies/`, where
 `aslip.load_policy` finds it by name, and writes the card beside them. The card combines the
@@ -29,6 +29,8 @@ class Config:
     """Folder of shipped policies."""
     out: Path = Path("runs/policy_card")
     """Folder for the benchmarks' results."""
+    record: Path | None = None
+    """File for the values of a policy for all directions, see `benchmarks.direction_targets`."""
     measure: bool = True
     """Walk, run the benchmarks, and add their tables to the card."""
 
@@ -229,7 +231,11 @@ def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> li
 def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
     """Targets of walks in all directions, tables of their benchmarks, and the limits."""
     out = config.out / config.name
-    direction_targets.main(direction_targets.Config(policy=(policy,), out=out))
+    settings = direction_targets.Config(policy=(policy,), out=out)
+    record = config.record and direction_targets.open_record(settings, config.record)
+    rows = direction_targets.main(settings)
+    if record and policy not in record:
+        record.add(policy, {row["name"]: row["found"]["each"][0] for row in rows})
     folder = out / Path(policy).name
     titles = {
         "Velocity": "direction_tracking",

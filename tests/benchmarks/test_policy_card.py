@@ -8,6 +8,7 @@ import shutil
 import subprocess
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ import torch
 import aslip
 import aslip.training.provenance
 from aslip.errors import AssetError, ConfigurationError
+from aslip.files.assets import asset_path
 from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
@@ -31,7 +33,7 @@ from benchmarks.policy_card import Config
 from recipes.ppo_settings import PRESETS
 
 
-def _card(run_folder: Path | None, assets: Path, **settings: bool) -> str:
+def _card(run_folder: Path | None, assets: Path, **settings: Any) -> str:
     config = Config("mine", run_folder, assets, assets / "out", **{"measure": False, **settings})
     return policy_card.main(config).read_text()
 
@@ -168,19 +170,24 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     limits = {"speed": 1.0, "push_duration": 0.2, "sweeps": [], "pushes": []}
     limits["pushes"] = [{"direction_deg": 0.0, "phases": [{"phase": 0.0, "mean": 30.0}]}]
 
-    def measured(config: policy_card.direction_targets.Config) -> None:
+    def measured(config: policy_card.direction_targets.Config) -> list[dict[str, Any]]:
         folder = config.out / "mine.zip"
         folder.mkdir(parents=True)
         for name in (*names, "walking_quality", "perturbation"):
             (folder / f"{name}.md").write_text(f"table of {name}")
         (folder / "perturbation.json").write_text(json.dumps(limits))
         (config.out / "direction_targets.md").write_text("table of targets")
+        return [{"name": "drift", "found": {"each": [0.5]}}]
 
     monkeypatch.setattr(policy_card.direction_targets, "main", measured)
     made = {"transforms": {"training/dynamics": "RandomDynamics()"}}
     about = {"observation": ["filtered_command"], "made_by": made}
-    config = Config("mine", None, tmp_path, tmp_path / "out")
+    shutil.copy(asset_path("policies/straight.zip"), tmp_path / "mine.zip")
+    record = tmp_path / "record.json"
+    config = Config("mine", assets=tmp_path, out=tmp_path / "out", record=record)
     text = "\n".join(policy_card.benchmark_sections(config, str(tmp_path / "mine.zip"), about))
+    (kept,) = json.loads(record.read_text())["policies"]
+    assert (kept["name"], kept["values"]) == ("mine.zip", {"drift": 0.5})
     for name in (*names, "walking_quality", "perturbation", "targets"):
         assert f"table of {name}" in text
     assert "pushes of 0.2 s of more than 30.0 N s" in text
