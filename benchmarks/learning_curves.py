@@ -23,7 +23,7 @@ from typing import Literal
 from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.training.command_line import command_line
 
-Variant = Literal["truth", "default", "robust", "paper", "baseline"]
+Variant = Literal["truth", "default", "coarse", "robust", "paper", "baseline"]
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,10 @@ class Config:
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
     total_steps: int = 1_500_000
-    """Policy steps of each run."""
+    """Policy steps of each run; the report shows longer runs up to there."""
+    schedule_steps: int = 0
+    """Policy steps after which learning rate and standard deviation have their final values; 0 for
+    `total_steps`."""
     jobs: int = 1
     """Number of simultaneous runs; several are bound to one processor each."""
     train: bool = True
@@ -86,6 +89,7 @@ VARIANTS: Final = MappingProxyType(
     {
         "truth": ("truth",),
         "default": (),
+        "coarse": ("coarse",),
         "robust": ("robust",),
         "paper": ("paper",),
         "baseline": (
@@ -123,7 +127,8 @@ def main(config: Config) -> None:
     if config.record and done:
         write_record(config.record, {**recorded, **done})
     found = {**recorded, **found}
-    runs = [found[key] for key in _wanted(config) if key in found]
+    wanted = [key for key in _wanted(config) if key in found]
+    runs = [found[key].until(config.total_steps) for key in wanted]
     if not runs:
         raise ConfigurationError(
             f"there is no run of {config.variants} with seeds {config.seeds} in {str(config.out)!r}"
@@ -209,6 +214,7 @@ def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Pop
     folder = _folder(config, variant, seed)
     command = [sys.executable, str(_RECIPE), *VARIANTS[variant], "--seed", str(seed)]
     command += ["--out", str(folder), "--total-steps", str(config.total_steps)]
+    command += ["--schedule-steps", str(config.schedule_steps)]
     # without a checkpoint, --resume starts from the beginning
     if (folder / "config.json").exists():
         command.append("--resume")

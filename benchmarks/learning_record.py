@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -54,6 +54,11 @@ class Run:
     def evaluations(self) -> np.ndarray:
         """Rows with an evaluation over all speeds."""
         return np.flatnonzero(np.isfinite(self.columns["eval_return"]))
+
+    def until(self, steps: int) -> Run:
+        """Copy that ends with the update in which a number of policy steps is reached."""
+        end = int(np.searchsorted(self.columns["step"], steps)) + 1
+        return replace(self, columns={name: of[:end] for name, of in self.columns.items()})
 
     def thinned(self) -> Run:
         """Copy with every eighth row and the rows used by the report."""

@@ -222,7 +222,10 @@ def test_record_accumulates_finished_runs(
     assert not list((tmp_path / "nothing").glob("default-*"))
 
 
-def test_longer_run_replaces_recorded_one(tmp_path: Path) -> None:
+def test_longer_run_replaces_recorded_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Reports still show both up to the same number of steps."""
     record = tmp_path / "curves.csv"
     settings = {"variants": ("default",), "seeds": (0,), "record": record}
     for steps in (600, 900, 700):
@@ -230,6 +233,8 @@ def test_longer_run_replaces_recorded_one(tmp_path: Path) -> None:
         curves_of(folder / "default-0", walks_at=300, steps=steps)
         learning_curves.main(curves_config(folder, **settings))
     assert learning_curves.read_record(record)["default", 0].steps == 900_000
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| default")]
+    assert rows == [rows[0]] * 3
 
 
 def test_record_keeps_concurrent_additions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
