@@ -36,6 +36,9 @@ class TargetRecord:
     """Name, file hash, seed, commit, policy steps and values of each policy."""
 
     def __post_init__(self) -> None:
+        self._read()
+
+    def _read(self) -> None:
         """Read the file, if there is one."""
         if not self.path.exists():
             return
@@ -63,6 +66,7 @@ class TargetRecord:
 
     def add(self, policy: str | Path, values: Mapping[str, float]) -> None:
         """Add the values of a policy, and write the file."""
+        self._read()  # another process may have added some since
         about = {**describe(policy), "sha256": _digest(policy), "values": without_nan(values)}
         self.policies.append(about)
         kept = {"settings": dict(self.settings), "policies": self.policies}
