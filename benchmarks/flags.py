@@ -57,8 +57,8 @@ class WithLibrary(Common):
 class Directions(WithLibrary):
     """Flags of benchmarks of walks in all directions."""
 
-    policy: tuple[str, ...] = ("runs/ppo_directions",)
-    """Policies to measure: files or run folders; several count as seeds of one method."""
+    policy: tuple[str, ...] = ("aslip",)
+    """Policies to measure: names, files or run folders; several count as seeds of one method."""
     library: str | None = "directions"
     """Library over three commands that the policies were trained with; a file, or the shipped
     one."""

@@ -29,7 +29,7 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of the walk."""
 
-    policy: str = "straight"
+    policy: str = "aslip"
     """Name of a shipped policy, its file, or the folder of a run."""
     library: str | None = None
     """Library of gaits: a file or the name of a shipped one; by default that of the stack."""

@@ -1,6 +1,6 @@
 """Logs of rollouts: one self-contained MCAP file that viewers show and simulations replay.
 
-    recorder = Recorder("walk.mcap", policy="straight")        # last transform of a stack
+    recorder = Recorder("walk.mcap", policy="straight")     # last transform of a stack
     recording = read("walk.mcap")                           # arrays by topic and name
     check("walk.mcap"), recover("walk.mcap.part"), replay("walk.mcap")
 

@@ -57,7 +57,7 @@ class Walker:
 
     def __init__(
         self,
-        policy: TensorDictModuleBase | str | Path = "straight",
+        policy: TensorDictModuleBase | str | Path = "aslip",
         env: StackEnv | None = None,
         *,
         library: GaitLibrary | None = None,

@@ -63,11 +63,11 @@ def test_foot_placement_of_a_policy(tmp_path: Path) -> None:
 
 def test_foot_placement_of_a_log(tmp_path: Path) -> None:
     log = tmp_path / "walk.mcap"
-    walk.main(walk.Config(command="0.5", duration=3.0, log=log))
+    walk.main(walk.Config("straight", command="0.5", duration=3.0, log=log))
     found = foot_placement.main(foot_placement.Config(out=tmp_path, log=log))
     assert list(found) == [0.5]
     varied = tmp_path / "varied.mcap"
-    walk.main(walk.Config(command="0:0.5,0.2:0.6", duration=0.5, log=varied))
+    walk.main(walk.Config("straight", command="0:0.5,0.2:0.6", duration=0.5, log=varied))
     with pytest.raises(ConfigurationError, match="2 commanded speeds"):
         foot_placement.main(foot_placement.Config(out=tmp_path, log=varied))
 

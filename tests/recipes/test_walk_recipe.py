@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -30,9 +31,10 @@ from aslip.log.__main__ import main as log_main
 from aslip.robot import CASSIE
 from aslip.show.render import render_robot
 from recipes import walk
-from recipes.walk import Config
 from tests.helpers import started
 from tests.show.test_film import decoded_film, leaves_pipes
+
+_config = partial(walk.Config, policy="straight")
 
 
 def test_walk_follows_the_schedule_and_is_logged(
@@ -40,7 +42,7 @@ def test_walk_follows_the_schedule_and_is_logged(
 ) -> None:
     path = tmp_path / "walk.mcap"
     walk.main(
-        Config(command="0:0.5,0.9:1.0", duration=1.8, push=("0.3:0,30,0:0.06",), log=path, seed=3)
+        _config(command="0:0.5,0.9:1.0", duration=1.8, push=("0.3:0,30,0:0.06",), log=path, seed=3)
     )
     table = capsys.readouterr().out
     assert "| 0 | 0.50 |" in table
@@ -66,7 +68,7 @@ def test_walk_follows_the_schedule_and_is_logged(
 def test_walks_on_both_backends_and_on_the_true_state(tmp_path: Path) -> None:
     for name, settings in {"dm": {"backend": "dm_control"}, "truth": {"truth": True}}.items():
         path = tmp_path / f"{name}.mcap"
-        walk.main(Config(command="0.5", duration=0.3, log=path, **settings))  # pyright: ignore
+        walk.main(_config(command="0.5", duration=0.3, log=path, **settings))  # pyright: ignore
         assert replay(path).equal
     estimate, truth = (read(tmp_path / "truth.mcap")[topic] for topic in ("/estimate", "/truth"))
     np.testing.assert_array_equal(estimate["height"], truth["pelvis_position_z"])
@@ -76,7 +78,7 @@ def test_fall_ends_the_walk_with_a_complete_log(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "fall.mcap"
-    walk.main(Config(command="0.5", push=("0.2:0,2500,0:0.3",), log=path))
+    walk.main(_config(command="0.5", push=("0.2:0,2500,0:0.3",), log=path))
     told = capsys.readouterr().out
     assert f"the robot fell after {0.03 * len(read(path)['/step']):.2f} s" in told
     assert f"wrote {path}" in told
@@ -120,12 +122,12 @@ def test_invalid_settings_are_refused_before_anything_is_written(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=names):
-        walk.main(Config(**{"log": Path("walk.mcap"), **settings}))
+        walk.main(_config(**{"log": Path("walk.mcap"), **settings}))
     assert not list(tmp_path.iterdir())
 
 
 def test_a_walk_without_files_says_how_to_write_them(capsys: pytest.CaptureFixture[str]) -> None:
-    walk.main(Config(command="0.5", duration=0.3, push=("0:50,0,0",)))
+    walk.main(_config(command="0.5", duration=0.3, push=("0:50,0,0",)))
     told = capsys.readouterr().out
     assert "push at 0 s of (50.0, 0.0, 0.0) N for 0.12 s" in told
     assert "nothing was written; add --log" in told
@@ -171,7 +173,7 @@ def test_walk_stopped_by_a_signal_leaves_a_complete_log(
 
     monkeypatch.setattr(walk.Walker, "step", stopped)
     with pytest.raises(SystemExit) as info, one_line_errors():
-        walk.main(Config(command="0.5", duration=1000.0, log=path))
+        walk.main(_config(command="0.5", duration=1000.0, log=path))
     assert info.value.code == status
     told = capsys.readouterr().out
     assert "stopped after 1.17 s" in told
@@ -216,7 +218,7 @@ def test_the_viewer_shows_every_step_in_real_time(
     monkeypatch.setitem(sys.modules, "mujoco.viewer", viewer)
     monkeypatch.setattr("mujoco.viewer", viewer, raising=False)
     monkeypatch.setattr("aslip.show.viewer.Pacer", Pacer)
-    walk.main(Config(command="0.5", duration=0.3, viewer=True))
+    walk.main(_config(command="0.5", duration=0.3, viewer=True))
     assert waits == list(range(1, 11))
 
 
@@ -227,18 +229,18 @@ def test_viewer_without_a_display_names_the_alternative(monkeypatch: pytest.Monk
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(RenderingError, match="use --video"):
-        walk.main(Config(duration=0.3, viewer=True))
+        walk.main(_config(duration=0.3, viewer=True))
 
 
 # ---------------------------------------------------------------------- films
 
 
 def test_a_film_is_announced_with_its_frames_and_time(capsys: pytest.CaptureFixture[str]) -> None:
-    walk.announce_film(Config(), 0.5, 12.0)
+    walk.announce_film(_config(), 0.5, 12.0)
     assert "drawing 401 frames after the walk will take about 3 min, 0.50 s each" in (
         capsys.readouterr().out
     )
-    walk.announce_film(Config(steps_per_frame=4), 0.5, 12.0)
+    walk.announce_film(_config(steps_per_frame=4), 0.5, 12.0)
     assert "drawing 101 frames after the walk will take about 50 s" in capsys.readouterr().out
 
 
@@ -260,7 +262,7 @@ def test_only_frames_of_the_film_are_rendered(
     monkeypatch.setattr("aslip.show.film.write_video", write_video)
     monkeypatch.setattr(walk, "seconds_per_frame", lambda _: 0.1)
     path = tmp_path / "walk.mp4"
-    walk.main(Config(command="1.0", duration=0.3, video=path, steps_per_frame=steps, width=160))
+    walk.main(_config(command="1.0", duration=0.3, video=path, steps_per_frame=steps, width=160))
     assert len(drawn) == written["frames"] == count
     assert written["rate"] * steps == pytest.approx(1 / CASSIE.policy_period)
     assert written["size"] == (160, 480)
@@ -273,7 +275,7 @@ def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
     except RenderingError as error:
         pytest.skip(str(error))
     path = tmp_path / "walk.mp4"
-    walk.main(Config(command="1.0", duration=0.06, video=path, width=160, height=120))
+    walk.main(_config(command="1.0", duration=0.06, video=path, width=160, height=120))
     about, decoded = decoded_film(path)
     assert about["size"] == (160, 120)
     assert len(decoded) == 3

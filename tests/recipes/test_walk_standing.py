@@ -63,4 +63,4 @@ def test_the_table_names_standing(
 
 def test_policies_that_only_walk_do_not_stand() -> None:
     with pytest.raises(ConfigurationError, match="'straight' was not trained to stand"):
-        walk.main(Config(command="0:0.5,3:stand"))
+        walk.main(Config("straight", command="0:0.5,3:stand"))

@@ -70,7 +70,7 @@ def test_walker_stands_on_a_wish(library: GaitLibrary) -> None:
 
 
 def test_robots_of_other_stacks_cannot_stand() -> None:
-    walker = Walker()
+    walker = Walker("straight")
     walker.stand = False
     assert not walker.can_stand
     with pytest.raises(ConfigurationError, match="policy of the stack 'standing'"):

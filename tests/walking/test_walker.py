@@ -20,7 +20,7 @@ from aslip.walking import Walker
 
 @pytest.fixture(scope="module")
 def walker(library: GaitLibrary) -> Walker:
-    return Walker(library=library)
+    return Walker("straight", library=library)
 
 
 @pytest.fixture(autouse=True)
@@ -91,7 +91,7 @@ def test_policy_can_change_during_walk(walker: Walker) -> None:
 
 def test_refuses_several_robots(library: GaitLibrary) -> None:
     with pytest.raises(ConfigurationError, match="one robot"):
-        Walker(env=aslip.make_env(num_envs=2, library=library))
+        Walker("straight", env=aslip.make_env(num_envs=2, library=library))
 
 
 @pytest.mark.parametrize("speed", [-0.1, 2.5, float("nan")])

@@ -1,6 +1,6 @@
 """Export a policy to ONNX, with everything that a robot needs to run it, and check the file.
 
-    python -m aslip.control.export --policy straight --out aslip.onnx
+    python -m aslip.control.export --policy aslip --out aslip.onnx
 
 The check compares motor targets with PyTorch's, on the golden trace and at random states.
 """
@@ -18,7 +18,7 @@ from aslip.training.command_line import command_line
 class Config:
     """Settings of an export."""
 
-    policy: str = "straight"
+    policy: str = "aslip"
     """Name of a shipped policy, policy file, or folder of a training run."""
     out: Path = Path("policy.onnx")
     """ONNX file to write."""

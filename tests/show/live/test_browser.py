@@ -99,7 +99,9 @@ def _desk(
 
 @pytest.fixture(scope="module")
 def opened(browser, library) -> Iterator[Desk]:
-    with _desk(browser, Walker(library=library), {"straight": "straight", "limp": limp()}) as desk:
+    with _desk(
+        browser, Walker("straight", library=library), {"straight": "straight", "limp": limp()}
+    ) as desk:
         yield desk
 
 

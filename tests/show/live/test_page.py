@@ -260,7 +260,7 @@ def test_invalid_setting_is_reported_and_the_robot_walks_on(open_page):
 
 def test_live_page_does_not_change_the_walk(open_page, library):
     page = open_page(speed=1.0)
-    alone = Walker(library=library, speed=1.0)
+    alone = Walker("straight", library=library, speed=1.0)
     walk(page, 10)
     for _ in range(10):
         alone.step()
