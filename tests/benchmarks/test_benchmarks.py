@@ -120,7 +120,7 @@ def test_ground_reaction_names_methods_that_fell_at_the_first_speed(library: Gai
 def test_only_the_default_stack_feeds_forces_forward(tmp_path: Path) -> None:
     config = open_loop_force.Config(speeds=(1.0,), out=tmp_path)
     found = {row["stack"]: row["correlation"] for row in open_loop_force.main(config)}
-    assert found["straight"] > 0.8
+    assert found["default"] > 0.8
     assert abs(found["paper"]) < 0.4
     assert "| aslip | 1 |" in (tmp_path / "open_loop_force.md").read_text()
 
