@@ -126,7 +126,9 @@ def write_video(
         size,
         fps=rate,  # pyright: ignore[reportArgumentType]
         codec="libx264",
-        quality=8,
+        # not `quality`, a fixed quantiser, which writes seven times as much
+        quality=None,  # pyright: ignore[reportArgumentType]
+        output_params=["-crf", "28"],
         macro_block_size=2,
     )
     try:
