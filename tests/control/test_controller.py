@@ -132,9 +132,9 @@ def _gru() -> tuple[TensorDictModuleBase, GRUModule]:
 @torch.no_grad()
 def test_a_recurrent_policy_remembers_and_forgets_as_in_the_stack() -> None:
     policy, gru = _gru()
-    env = make_rollout_env("straight", 3)
+    env = make_rollout_env("default", 3)
     env.append_transform(gru.make_tensordict_primer())
-    controller = Controller(policy, gaits("straight"))
+    controller = Controller(policy, gaits("default"))
     restarts = 0
     for td, ours in walk(env, policy, controller, 60):
         assert torch.equal(ours["action"], td["action"])
@@ -145,7 +145,7 @@ def test_a_recurrent_policy_remembers_and_forgets_as_in_the_stack() -> None:
 @torch.no_grad()
 @pytest.mark.parametrize("num", [1, 3])
 def test_a_robot_without_transforms_walks_under_a_controller(num: int) -> None:
-    env, library = BatchEnv(num, num_threads=1), gaits("straight")
+    env, library = BatchEnv(num, num_threads=1), gaits("default")
     controller = Controller("straight", library)
     command, phase = torch.full((num, 1), 1.0), torch.zeros(num, 1)
     qpos, qvel = library.initial_state(phase, command)
@@ -182,7 +182,7 @@ np.save(sys.argv[2], target.numpy())
 
 def _packets(num: int = 1) -> np.ndarray:
     """(num, 10, 42) packets of robots that begin to walk."""
-    td = make_rollout_env("straight", num).reset()
+    td = make_rollout_env("default", num).reset()
     return np.concatenate([entry.numpy() for entry in td["sensors"].values()], axis=-1)
 
 
@@ -190,8 +190,8 @@ def test_a_controller_needs_no_simulator_and_no_optimizer(tmp_path: Path) -> Non
     packets, target = tmp_path / "packets.npy", tmp_path / "target.npy"
     np.save(packets, _packets())
     subprocess.run([sys.executable, "-c", HIDDEN, packets, target], check=True)
-    state = Controller("robust", gaits("straight")).start(np.load(packets), 0.5)
-    controller = Controller("robust", gaits("straight"))
+    state = Controller("robust", gaits("default")).start(np.load(packets), 0.5)
+    controller = Controller("robust", gaits("default"))
     for _ in range(2):
         state, expected = controller.step(state, np.load(packets), 0.5)
     np.testing.assert_array_equal(np.load(target), expected.numpy())
@@ -199,7 +199,7 @@ def test_a_controller_needs_no_simulator_and_no_optimizer(tmp_path: Path) -> Non
 
 @pytest.fixture(scope="module")
 def controller() -> Controller:
-    return Controller("straight", gaits("straight"))
+    return Controller("straight", gaits("default"))
 
 
 def test_a_step_changes_no_state_that_it_was_given(controller: Controller) -> None:
@@ -248,7 +248,7 @@ def test_a_wrong_command_or_phase_is_named(controller: Controller, name: str) ->
 
 def test_an_unknown_entry_is_named() -> None:
     table = (*SINGLE_REFERENCE_TABLE, "height_map")
-    controller = Controller(aslip.load_policy("straight"), gaits("straight"), observation=table)
+    controller = Controller(aslip.load_policy("straight"), gaits("default"), observation=table)
     with pytest.raises(UnknownNameError, match=r"cannot observe 'height_map'.*clock/sin"):
         controller.start(_packets())
 
@@ -257,7 +257,7 @@ def test_a_policy_with_another_kind_of_action_is_refused(tmp_path: Path) -> None
     shape, path = PolicyShape(), tmp_path / "policy.zip"
     actor = make_actor(RunningNormalizer(shape.observation_size), shape)
     save_policy(path, actor, shape, baseline=None)
-    make = partial(Controller, path, gaits("straight"))
+    make = partial(Controller, path, gaits("default"))
     with pytest.raises(ConfigurationError, match="not a delta"):
         make()
     assert make(baseline=("reference", "motor_position")).baseline[-1] == "motor_position"
