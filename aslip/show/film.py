@@ -126,7 +126,7 @@ def write_video(
         size,
         fps=rate,  # pyright: ignore[reportArgumentType]
         codec="libx264",
-        # not `quality`, a fixed quantiser, which writes seven times as much
+        # not `quality`, a fixed quantiser, which writes six times as much
         quality=None,  # pyright: ignore[reportArgumentType]
         output_params=["-crf", "28"],
         macro_block_size=2,

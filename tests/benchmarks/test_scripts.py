@@ -264,8 +264,9 @@ def test_started_training_is_resumed(
     if begun:
         curves_of(tmp_path / "default-0", walks_at=300, steps=20)
         (tmp_path / "default-0" / "config.json").write_text("{}")
-    learning_curves._start(curves_config(tmp_path), "default", 0, 0)
+    learning_curves._start(curves_config(tmp_path, schedule_steps=7000), "default", 0, 0)
     assert [command[-1] == "--resume" for command in commands] == [begun]
+    assert commands[0][commands[0].index("--schedule-steps") + 1] == "7000"
 
 
 def test_repeated_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
