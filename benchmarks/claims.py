@@ -42,7 +42,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aslip.policy import read_card
+from aslip.policy import POLICY_FILE, read_card
 from aslip.training.provenance import provenance
 from aslip.training.run import write_text
 from aslip.walking import markdown
@@ -184,7 +184,7 @@ def verdict(claim: Claim, each: Sequence[float], interval: Interval | None) -> s
     if interval is None:
         return "FAIL"
     if len(each) == 1:
-        return "one seed"
+        return f"{'met' if claim.is_met(each[0]) else 'missed'} by one seed"
     ends = each if claim.every_seed else (interval.low, interval.high)
     met = [claim.is_met(value) for value in ends]
     if all(met):
@@ -279,7 +279,7 @@ def count_text(rows: Sequence[Mapping[str, Any]], kind: str) -> str:
     """Number of rows of each verdict on one kind of policies."""
     verdicts = [row["found"][kind]["verdict"] for row in rows if kind in row["found"]]
     count = Counter(verdicts)
-    order = ("PASS", "FAIL", "undecided", "one seed", "not measured")
+    order = ("PASS", "FAIL", "undecided", "met by one seed", "missed by one seed", "not measured")
     return ", ".join(f"{count[name]} {name}" for name in order if count[name])
 
 
@@ -305,7 +305,9 @@ def describe(policy: Policy) -> dict[str, Any]:
         return {"name": policy_name(policy), **about}
     made = read_card(policy).get("made_by", {})
     about |= {"commit": made.get("commit"), "steps": made.get("steps")}
-    return {"name": Path(policy).name, **about, "seed": made.get("settings", {}).get("seed")}
+    path = Path(policy).parent if Path(policy).name == POLICY_FILE else Path(policy)
+    name = path.name.removesuffix(".zip")
+    return {"name": name, **about, "seed": made.get("settings", {}).get("seed")}
 
 
 def write_record(

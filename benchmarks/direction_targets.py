@@ -87,9 +87,16 @@ from benchmarks.common import (
 from benchmarks.directions import random_commands
 from benchmarks.target_record import TargetRecord
 
+
+def _falls(name: str, measure: str) -> Claim:
+    """Target of a count or share that has to be zero for each seed."""
+    return Claim(name, measure, at_most=0.0, every_seed=True, digits=0)
+
+
 TARGETS: Final = (
     Claim("samples", "policy steps of the training [million]", at_most=5.0),
     Claim("time", "time of the training [min]", at_most=90.0, digits=0),
+    _falls("falls, walks", "falls in 1000 walks at random commands"),
     Claim(
         "velocity", "error of the mean velocity, mean over commands [m/s]", at_most=0.03, digits=3
     ),
@@ -100,22 +107,11 @@ TARGETS: Final = (
     Claim(
         "yaw rate, 95 %", "error that 95 % of commands stay below [rad/s]", at_most=0.06, digits=3
     ),
-    Claim(
-        "changes",
-        "falls in 10 000 sudden changes of the command",
-        at_most=0.0,
-        every_seed=True,
-        digits=0,
-    ),
+    _falls("falls, changes", "falls in 10 000 sudden changes of the command"),
+    _falls("falls, stops", "share of walks that fall as they stop, stand or start [%]"),
     Claim("drift", "largest drift of the pelvis in standing [cm]", at_most=1.0),
     Claim("turn", "largest turn of the pelvis in standing [deg]", at_most=0.5),
-    Claim(
-        "lifted feet",
-        "feet that lost the ground in standing, of all walks",
-        at_most=0.0,
-        every_seed=True,
-        digits=0,
-    ),
+    _falls("lifted feet", "feet that lost the ground in standing, of all walks"),
     Claim("stop", "time from the wish at 1 m/s to planted feet [s]", at_most=1.0),
     Claim("power, standing", "positive joint power in standing [W]", at_most=40.0, digits=0),
     Claim(
@@ -127,6 +123,7 @@ TARGETS: Final = (
     Claim(
         "feet, turns", "foot placement error, mean over random commands [cm]", at_most=3.5, digits=1
     ),
+    _falls("no footsteps", "share of these commands at which it falls or does not step [%]"),
     Claim(
         "no contact",
         "time without ground contact, largest of 0, 1 and 2 m/s [%]",
@@ -152,7 +149,7 @@ TARGETS: Final = (
     ),
     Claim(
         "path",
-        "mean distance from the figure of eight [cm]; none after a fall",
+        "mean distance from the figure of eight [cm]; no value after a fall",
         at_most=10.0,
         digits=1,
     ),
@@ -196,7 +193,10 @@ def main(
 
 
 def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> dict[str, float]:
-    """Value of each target for one policy; NaN where a fall prevents it."""
+    """Value of each target for one policy; NaN where falls leave nothing to measure.
+
+    Falls have targets of their own. The other values are over the walks without a fall.
+    """
     name = policy_name(policy)
     common: dict[str, Any] = {"out": config.out / Path(name).name, "library": config.library}
     common |= {"policy": (name,), "truth": config.truth, "seed": config.seed}
@@ -213,14 +213,14 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
     (walked,) = eight.main(eight.Config(**common, duration=config.path), *of)
     quality = walking_quality.main(walking_quality.Config(**common, speeds=_SPEEDS), *of)
     survived = perturbation.main(perturbation.Config(**common, walks=config.walks), *of)
-    fallen = errors["falls"] > 0
     return {
         **training_values(policy),
-        "velocity": math.nan if fallen else errors["speed"],
-        "velocity, 95 %": math.nan if fallen else errors["speed_p95"],
-        "yaw rate": math.nan if fallen else errors["turn"],
-        "yaw rate, 95 %": math.nan if fallen else errors["turn_p95"],
-        "changes": 1e4 * len(changed["falls"]) / changed["changes"],
+        "falls, walks": 1e3 * errors["falls"] / config.commands,
+        "velocity": errors["speed"],
+        "velocity, 95 %": errors["speed_p95"],
+        "yaw rate": errors["turn"],
+        "yaw rate, 95 %": errors["turn_p95"],
+        "falls, changes": 1e4 * len(changed["falls"]) / changed["changes"],
         **standing_values(stood),
         **foot_values(config, common, *of),
         **quality_values(quality),
@@ -233,8 +233,7 @@ def recorded(config: Config, path: Path) -> list[dict[str, float]]:
     """Values of all policies of a record, after those of the settings were added.
 
     Raises:
-        FileDamagedError: the file is no record.
-        ConfigurationError: its policies were measured with other settings.
+        FileDamagedError, ConfigurationError: see `open_record`.
     """
     record = open_record(config, path)
     for policy in config.policy:
@@ -244,9 +243,20 @@ def recorded(config: Config, path: Path) -> list[dict[str, float]]:
 
 
 def open_record(config: Config, path: Path) -> TargetRecord:
-    """Record of values that were measured with given settings; see `TargetRecord`."""
+    """Record of values that were measured with given settings; see `TargetRecord`.
+
+    Raises:
+        FileDamagedError: the file is no record.
+        ConfigurationError: its policies were measured with other settings, or for other targets.
+    """
     settings = {k: v for k, v in asdict(config).items() if k not in ("policy", "out", "record")}
-    return TargetRecord(path, settings)
+    record, names = TargetRecord(path, settings), {claim.name for claim in TARGETS}
+    if other := sorted(set().union(*(names ^ values.keys() for values in record.values()))):
+        raise ConfigurationError(
+            f"the record {str(path)!r} is of another version, whose targets differ: {other}; use"
+            " another file"
+        )
+    return record
 
 
 def training_values(policy: Policy) -> dict[str, float]:
@@ -259,17 +269,16 @@ def training_values(policy: Policy) -> dict[str, float]:
 
 
 def standing_values(row: Mapping[str, Any]) -> dict[str, float]:
-    """Values of standing; NaN if a robot fell in any stage."""
-    fell = sum(row["falls"].values()) > 0
+    """Values of standing; NaN if no robot stood to the end."""
     at_one = [walk["planted"] for walk in row["walks"] if walk["command"] == [1.0, 0.0, 0.0]]
-    values = {
+    return {
+        "falls, stops": 100 * sum(row["falls"].values()) / row["count"],
         "drift": 100 * row["drift_most"],
         "turn": math.degrees(row["turn_most"]),
-        "lifted feet": row["lifted"] * row["count"],
+        "lifted feet": float(np.nansum([walk["lifted"] for walk in row["walks"]])),
         "power, standing": row["power"],
         "stop": float(np.mean(at_one)) if at_one else math.nan,
     }
-    return dict.fromkeys(values, math.nan) if fell else values
 
 
 def foot_values(
@@ -284,13 +293,17 @@ def foot_values(
     steps = foot_placement.recorded_steps()
     walks = record_subject(settings, subjects[0], np.tile(command, (steps, 1, 1)))
     footholds = Footholds(library)
-    turns = [
-        _mean(foot_placement.walk_placement(walks, i, tuple(one), footholds).error)
-        for i, one in enumerate(command.tolist())
-    ]
+    turns = np.array(
+        [
+            _mean(foot_placement.walk_placement(walks, i, tuple(one), footholds).error)
+            for i, one in enumerate(command.tolist())
+        ]
+    )
+    steps_at = np.isfinite(turns)
     return {
         "feet, straight": 100 * float(np.max(straight)),
-        "feet, turns": 100 * float(np.mean(turns)),
+        "feet, turns": 100 * float(np.mean(turns[steps_at])) if steps_at.any() else math.nan,
+        "no footsteps": 100 * float(np.mean(~steps_at)),
     }
 
 

@@ -244,7 +244,8 @@ def test_each_kind_of_policies_is_measured_with_its_own(
     ("each", "expected"),
     [
         ([], "not measured"),
-        ([0.4], "one seed"),
+        ([0.4], "met by one seed"),
+        ([0.7], "missed by one seed"),
         ([math.nan], "FAIL"),
         ([0.40, 0.41, 0.39], "PASS"),
         ([0.40, 0.41, 0.58], "undecided"),  # each seed below the limit, the interval not
@@ -264,7 +265,7 @@ def test_verdict_by_each_seed() -> None:
     claim = Claim("humps", "x", at_most=0.7, every_seed=True)
     for each, expected in (([0.1, 0.69, 0.68], "PASS"), ([0.3, 0.3, 0.3, 0.3, 0.8], "FAIL")):
         assert claims.judge(claim, each)["verdict"] == expected
-    assert claims.judge(claim, [0.1])["verdict"] == "one seed"
+    assert claims.judge(claim, [0.1])["verdict"] == "met by one seed"
 
 
 def test_strict_limit_is_not_met_by_equal_seeds() -> None:
@@ -305,9 +306,9 @@ def test_report_has_two_tables_with_verdicts(
         "| baseline: 0.97 (0.95 to 1.00) | PASS |  |  |"
     )
     assert lines["samples"].endswith("|  | not measured |  | not measured |")
-    assert lines["settling"].endswith("| 1.40 | one seed |")
+    assert lines["settling"].endswith("| 1.40 | met by one seed |")
     assert "paper's settings: 1 PASS, 1 FAIL, 1 undecided, 11 not measured" in printed
-    assert "Targets, default: 1 PASS, 1 one seed, 3 not measured." in printed
+    assert "Targets, default: 1 PASS, 1 met by one seed, 3 not measured." in printed
     # seed, commit and budget of shipped policies are on their cards
     assert "- default: `straight` (seed 10, commit " in printed
     assert "- paper's settings: none" in printed

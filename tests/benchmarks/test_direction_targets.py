@@ -36,21 +36,21 @@ from tests.helpers import limp
 from tests.library.standing import standing_library
 
 
-def test_values_of_standing_are_the_worst_of_all_walks() -> None:
-    walk = {"command": [0.0, 0.0, 0.0], "planted": 0.4}
+def test_values_of_standing_are_the_worst_of_all_walks_that_stood() -> None:
+    walk = {"command": [0.0, 0.0, 0.0], "planted": 0.4, "lifted": 0}
     row: dict[str, Any] = {
         "falls": {"walk": 0, "stop": 0},
-        "walks": [walk, {"command": [1.0, 0.0, 0.0], "planted": 0.9}],
+        "walks": [walk, {"command": [1.0, 0.0, 0.0], "planted": 0.9, "lifted": 1}],
         "count": 2,
         "drift_most": 0.02,
         "turn_most": math.radians(0.3),
-        "lifted": 0.5,
         "power": 30.0,
     }
     expected = {"drift": 2.0, "turn": 0.3, "lifted feet": 1.0, "power, standing": 30.0, "stop": 0.9}
-    assert standing_values(row) == pytest.approx(expected)
-    fell = standing_values({**row, "falls": {"walk": 0, "stop": 1}})
-    assert all(math.isnan(value) for value in fell.values())
+    assert standing_values(row) == pytest.approx({**expected, "falls, stops": 0.0})
+    fallen = {**walk, "lifted": math.nan}
+    row |= {"falls": {"walk": 0, "stop": 1}, "walks": [*row["walks"], fallen], "count": 3}
+    assert standing_values(row) == pytest.approx({**expected, "falls, stops": 100 / 3})
 
 
 def test_sweeps_count_within_the_ranges_of_the_targets() -> None:
@@ -105,8 +105,9 @@ def test_every_target_has_a_value_from_its_benchmark(
         return main
 
     errors = {"falls": 0, "speed": 0.02, "speed_p95": 0.05, "turn": 0.01, "turn_p95": 0.02}
-    stood = {"falls": {"stop": 0}, "walks": [{"command": [1.0, 0.0, 0.0], "planted": 0.8}]}
-    stood |= {"count": 1, "drift_most": 0.0, "turn_most": 0.0, "lifted": 0.0, "power": 30.0}
+    walk = {"command": [1.0, 0.0, 0.0], "planted": 0.8, "lifted": 0}
+    stood = {"falls": {"stop": 0}, "walks": [walk]}
+    stood |= {"count": 1, "drift_most": 0.0, "turn_most": 0.0, "power": 30.0}
     means = {**dict.fromkeys(walking_quality.QUANTITIES, 0.001), "largest": 1.2, "cost": 0.4}
     quality = [{name: {"mean": value} for name, value in means.items()}] * 3
     sweeps = [{"parameter": name, "value": 1.0, "mean": 1.0} for name in SWEEPS]
@@ -120,16 +121,16 @@ def test_every_target_has_a_value_from_its_benchmark(
     }
     for module, found in rows.items():
         monkeypatch.setattr(module, "main", fake(found))
-    feet = {"feet, straight": 2.0, "feet, turns": 3.0}
+    feet = {"feet, straight": 2.0, "feet, turns": 3.0, "no footsteps": 0.0}
     monkeypatch.setattr(direction_targets, "foot_values", lambda *_: feet)
     config = Config(policy=("straight", "robust"), out=tmp_path)
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
     assert list(found) == [claim.name for claim in TARGETS]
     assert found["velocity"]["each"] == [0.02, 0.02]
-    assert found["changes"]["each"] == [2.0, 2.0]
+    assert found["falls, changes"]["each"] == [2.0, 2.0]
     assert found["path"]["each"] == [5.0, 5.0]
     missed = [name for name, one in found.items() if one["verdict"] != "PASS"]
-    assert set(missed) - {"time"} == {"changes"}
+    assert set(missed) - {"time"} == {"falls, changes"}
     assert {folder.name for folder in folders} == {"straight", "robust"}
     assert len(folders) == 2 * len(rows)
     record = tmp_path / "seeds.json"
@@ -141,12 +142,18 @@ def test_every_target_has_a_value_from_its_benchmark(
     assert all(len(values) == 2 for values in each)
     with pytest.raises(ConfigurationError, match="measured with commands 1000, not commands 10;"):
         direction_targets.main(dataclasses.replace(kept, commands=10))
+    values = json.loads(record.read_text())
+    values["policies"][0]["values"]["changes"] = 1.0
+    record.write_text(json.dumps(values))
+    with pytest.raises(ConfigurationError, match=r"targets differ: \['changes'\]; use another"):
+        direction_targets.main(again)
     record.write_text("[]")
     with pytest.raises(FileDamagedError, match="no record of targets"):
         direction_targets.main(kept)
     errors["falls"] = 1
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
-    assert found["velocity"]["verdict"] == "FAIL"
+    assert found["falls, walks"]["each"] == [1.0, 1.0]
+    assert found["falls, walks"]["verdict"] == "FAIL"
 
 
 @pytest.mark.slow
