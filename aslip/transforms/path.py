@@ -17,12 +17,12 @@ from aslip.library import WalkMode
 from aslip.robot import CASSIE
 from aslip.transforms.rotation import conjugate, heading_to_world, rotate_inverse
 
-LEASH: Final = 0.1
+LEASH: Final = 0.05
 """Length of a slack leash from the pelvis to the origin of the moving frame along the ground [m].
 A pelvis further away drags the origin along, so that it need not walk back after a push. During a
 stop the origin is below the pelvis, so that the robot stands where it comes to rest."""
 
-LEASH_TIME: Final = 1.0
+LEASH_TIME: Final = 0.3
 """Time constant with which a taut leash shortens [s]. At an error v of the mean velocity, the
 distance settles at `LEASH` + v x `LEASH_TIME`, and so still tells how large the error is."""
 

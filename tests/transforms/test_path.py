@@ -51,13 +51,13 @@ def test_on_a_slope_the_origin_stays_on_the_floor_below_the_way() -> None:
 
 
 def test_a_pelvis_far_from_the_origin_drags_it_along() -> None:
-    place = torch.tensor([[0.06, -0.05, 0.9], [3.0, 4.0, 0.9]])
+    place = torch.tensor([[0.03, -0.02, 0.9], [3.0, 4.0, 0.9]])
     heading = torch.full((2, 1), math.pi / 2)
     entries = {"pelvis_position": place, "pelvis_velocity": torch.ones(2, 3)}
     found = place_in_path(entries, torch.ones(2, 3) * torch.tensor([1, 1, 0]), heading)
     assert torch.equal(found["pelvis_position"][0], place[0])
     way = (5 - LEASH) * PERIOD / LEASH_TIME
-    expected = torch.tensor([[0.06, -0.05], [0.6 * (5 - way), 0.8 * (5 - way)]])
+    expected = torch.tensor([[0.03, -0.02], [0.6 * (5 - way), 0.8 * (5 - way)]])
     torch.testing.assert_close(found["path_error"], expected)
     assert torch.equal(found["pelvis_position"][:, 2], place[:, 2])
     assert torch.equal(found["pelvis_velocity"], entries["pelvis_velocity"])
