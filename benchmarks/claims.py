@@ -305,9 +305,13 @@ def describe(policy: Policy) -> dict[str, Any]:
         return {"name": policy_name(policy), **about}
     made = read_card(policy).get("made_by", {})
     about |= {"commit": made.get("commit"), "steps": made.get("steps")}
-    path = Path(policy).parent if Path(policy).name == POLICY_FILE else Path(policy)
-    name = path.name.removesuffix(".zip")
-    return {"name": name, **about, "seed": made.get("settings", {}).get("seed")}
+    path = Path(policy).resolve()
+    path = path.parent if path.name == POLICY_FILE else path
+    return {
+        "name": path.name.removesuffix(".zip"),
+        **about,
+        "seed": made.get("settings", {}).get("seed"),
+    }
 
 
 def write_record(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aslip.policy import find_policy
 from aslip.walking import Walks
 from aslip.walking.metrics import Placement
 from benchmarks import (
@@ -270,6 +271,21 @@ def test_verdict_by_each_seed() -> None:
 
 def test_strict_limit_is_not_met_by_equal_seeds() -> None:
     assert claims.judge(ALL["wider feet"], [0.0, 0.0])["verdict"] == "FAIL"
+
+
+def test_policies_are_described_by_their_own_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not by `policy.zip`, which the file of every run is called."""
+    run = tmp_path / "run"
+    run.mkdir()
+    for name in ("run/policy.zip", "mine.zip"):
+        (tmp_path / name).write_bytes(find_policy("straight").read_bytes())
+    monkeypatch.chdir(run)
+    given = ("straight", run, run / "policy.zip", "policy.zip", tmp_path / "mine.zip")
+    found = [claims.describe(one) for one in given]
+    assert [about["name"] for about in found] == ["straight", "run", "run", "run", "mine"]
+    assert {about["seed"] for about in found} == {10}
 
 
 # ------------------------------------------------------------------------ report

@@ -51,6 +51,9 @@ def test_values_of_standing_are_the_worst_of_all_walks_that_stood() -> None:
     fallen = {**walk, "lifted": math.nan}
     row |= {"falls": {"walk": 0, "stop": 1}, "walks": [*row["walks"], fallen], "count": 3}
     assert standing_values(row) == pytest.approx({**expected, "falls, stops": 100 / 3})
+    none = standing_values({**row, "walks": [fallen]})
+    assert math.isnan(none["lifted feet"])
+    assert math.isnan(none["stop"])
 
 
 def test_sweeps_count_within_the_ranges_of_the_targets() -> None:
