@@ -62,6 +62,7 @@ class BipedPhysics(mujoco.Physics):
         other._motor_target = self._motor_target.copy()
         other._ground_force = self._ground_force.copy()
         other._motor_power = self._motor_power.copy()
+        other._largest_force = self._largest_force.copy()
         other.sensors, other._substep = deepcopy(self.sensors), self._substep
         other.drive = deepcopy(self.drive)
         return other
@@ -98,6 +99,7 @@ class BipedPhysics(mujoco.Physics):
         """
         self._ground_force = np.zeros_like(self._ground_force)
         self._motor_power = np.zeros_like(self._motor_power)
+        self._largest_force = np.zeros_like(self._largest_force)
         sensors = self.sensors
         for _ in range(nstep):
             # the PD loop uses the readings of the previous step
@@ -117,7 +119,9 @@ class BipedPhysics(mujoco.Physics):
             self._substep = (self._substep + 1) % CASSIE.substeps
             if self._substep == 0:
                 sensors.finish()
-            self._ground_force += self.data.sensordata[self.indices.ground_force]
+            force = self.data.sensordata[self.indices.ground_force]
+            self._ground_force += force
+            np.maximum(self._largest_force, force[:, 2], out=self._largest_force)
             self._motor_power += positive_power(
                 self.data.qfrc_actuator, self.data.qvel, self.indices
             )
@@ -133,6 +137,7 @@ class BipedPhysics(mujoco.Physics):
         super().after_reset()
         self._motor_target = self.drive.initial_command(self.motor_position()[None])[0]
         self._ground_force = self.data.sensordata[self.indices.ground_force]
+        self._largest_force = self._ground_force[:, 2].copy()
         self._motor_power = np.zeros(len(self.indices.motor_qvel))
         state = (self.data.qpos, self.data.qvel, self.data.qacc)
         self.sensors.reset(np.zeros(1, dtype=int), *(array[None] for array in state))
@@ -152,6 +157,7 @@ class BipedPhysics(mujoco.Physics):
             self._ground_force.copy(),
             np.array(self.data.qfrc_actuator),
             self._motor_power.copy(),
+            self._largest_force.copy(),
         )
 
     def full_state(self) -> np.ndarray:

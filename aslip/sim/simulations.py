@@ -85,6 +85,7 @@ class Simulations:
         """Sensors of the robots."""
         self._ground_force = np.zeros((num, 2, 3))
         self._motor_power = np.zeros((num, self.model.nu))
+        self._largest_force = np.zeros((num, 2))
         self._watched: int | None = None
         self.watched = np.zeros((self.robot.substeps, watched_size(self.model)))
         """(60, 83) `qpos` 35, `qvel` 32, motor torques 10 [N m, at the joint] and ground forces
@@ -140,6 +141,7 @@ class Simulations:
             self.qvel[ids] = qvel
         self.batch.forward(ids)
         self._ground_force[ids] = self._sensordata[ids][:, self.indices.ground_force]
+        self._largest_force[ids] = self._ground_force[ids][..., 2]
         self._motor_power[ids] = 0.0
         self.sensors.reset(ids, self.qpos[ids], self.qvel[ids], self._qacc[ids])
 
@@ -206,13 +208,16 @@ class Simulations:
             self._pushed = push is not None
         self.batch.warning[:] = 0
         self._ground_force[:] = 0.0
+        self._largest_force[:] = 0.0
         self._motor_power[:] = 0.0
         failed = np.zeros(self.num, dtype=bool)
         substep = self._substep if self._stride == 1 else self._two_substeps
         for first in range(0, self.robot.substeps, self._stride):
             last = first + self._stride == self.robot.substeps
             substep(first, motor_target, failed, _CURRENT if last else _NONE)
-            self._ground_force += self._sensordata[:, self.indices.ground_force]
+            force = self._sensordata[:, self.indices.ground_force]
+            self._ground_force += force
+            np.maximum(self._largest_force, force[..., 2], out=self._largest_force)
             self._motor_power += positive_power(self._qfrc_actuator, self.qvel, self.indices)
             if self._watched is not None:
                 self._record(first, self._watched)
@@ -236,6 +241,7 @@ class Simulations:
             self._ground_force,
             self._qfrc_actuator,
             self._motor_power,
+            self._largest_force,
         )
 
     @property

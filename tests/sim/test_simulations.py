@@ -351,6 +351,23 @@ def test_motor_power_is_the_mean_positive_power_of_the_substeps() -> None:
     assert (found == 0).all()
 
 
+def test_largest_force_is_that_of_the_substep_in_which_a_foot_bears_most() -> None:
+    simulations = Simulations(2, num_threads=1)
+    simulations.watch(1)
+    largest = 0.0
+    for target in random_targets(2, 8):
+        simulations.advance(target)
+        found = simulations.snapshot()
+        expected = simulations.watched[:, -6:].reshape(-1, 2, 3)[..., 2].max(axis=0)
+        np.testing.assert_array_equal(found.largest_force[1], expected)
+        assert (found.largest_force >= found.ground_force[..., 2]).all()
+        largest = max(largest, expected.max())
+    assert largest > WEIGHT  # feet hit the floor
+    simulations.stand()
+    standing = simulations.snapshot()
+    np.testing.assert_array_equal(standing.largest_force, standing.ground_force[..., 2])
+
+
 def test_imu_measures_free_fall_with_coarse_steps() -> None:
     model = load_model(visual=False, timestep=physics_timesteps()[1])
     coarse = Simulations(1, model=model, num_threads=1)

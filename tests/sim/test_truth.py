@@ -107,7 +107,8 @@ def test_acceleration_at_rest_is_zero() -> None:
     qpos[:, 3:7] = quaternions
     sites = np.zeros((5, 3, 3)), np.tile(np.eye(3).ravel(), (5, 3, 1))
     rest = np.zeros((5, 32))
-    snapshot = Snapshot(qpos, rest, rest, *sites, sensors, np.zeros((5, 2, 3)), rest, rest[:, :10])
+    force = np.zeros((5, 2, 3))
+    snapshot = Snapshot(qpos, rest, rest, *sites, sensors, force, rest, rest[:, :10], force[..., 2])
     truth = true_state(snapshot, indices)
     np.testing.assert_allclose(truth["pelvis_acceleration"], 0.0, atol=1e-14)
 

@@ -98,6 +98,7 @@ class DrakeSimulation:
         self._torque = np.zeros((1, len(self._inputs)))
         self._ground_force = np.zeros((1, 2, 3))
         self._motor_power = np.zeros((1, len(self._inputs)))
+        self._largest_force = np.zeros((1, 2))
         self._read_state()
         # accelerations of a robot at rest on the floor
         self._acceleration = np.zeros_like(self._qvel)
@@ -120,6 +121,7 @@ class DrakeSimulation:
         self._push(np.zeros(3) if push is None else push[0])
         self._ground_force[:] = 0.0
         self._motor_power[:] = 0.0
+        self._largest_force[:] = 0.0
         try:
             for index in range(self.robot.substeps):
                 self._substep(index, motor_target)
@@ -171,6 +173,7 @@ class DrakeSimulation:
             self._ground_force.copy(),
             self._joint_torque(),
             self._motor_power.copy(),
+            self._largest_force.copy(),
         )
 
     def states(self) -> np.ndarray:
@@ -188,7 +191,9 @@ class DrakeSimulation:
         inputs = np.empty(len(self._inputs))
         inputs[self._inputs] = self._torque[0]
         self._actuation.GetMutableData().set_value(inputs)
-        self._ground_force += self._forces()
+        force = self._forces()
+        self._ground_force += force
+        np.maximum(self._largest_force, force[..., 2], out=self._largest_force)
         self._diagram.CalcForcedDiscreteVariableUpdate(self._context, self._after)
         self._context.SetDiscreteState(self._after)
         before = self._qvel
