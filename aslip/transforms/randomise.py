@@ -52,7 +52,8 @@ WIDE_RANGES: Final = MappingProxyType(
         "payload": (0.0, 16.0),
         # 9 degrees
         "slope": (-0.157, 0.157),
-        "torque_delay": (0.0, 0.009),
+        # from 4 ms on, the PD loops of the feet oscillate by themselves
+        "torque_delay": (0.0, 0.006),
         "motor_strength": (0.7, 1.4),
         "reflected_inertia": (0.8, 1.2),
         "pd_stiffness": (0.9, 1.1),
