@@ -1,0 +1,61 @@
+"""Targets against each other: the table, the shaded region, and records that are refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from aslip.errors import ConfigurationError
+from benchmarks import trades
+from benchmarks.direction_targets import TARGETS
+from benchmarks.trades import PAIRS, Config, claim_of
+
+
+def write(path: Path, **policies: float) -> Path:
+    """Record in which every target of a policy has one value."""
+    kept = [
+        {"name": name, "sha256": name, "values": {claim.name: value for claim in TARGETS}}
+        for name, value in policies.items()
+    ]
+    path.write_text(json.dumps({"settings": {"commands": 7}, "policies": kept}))
+    return path
+
+
+def test_policies_of_all_records_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    records = write(tmp_path / "a.json", one=1.0, two=40.0), write(tmp_path / "b.json", three=99.0)
+    found = trades.main(Config(records, tmp_path / "trades.png"))
+    assert [*found] == ["one", "two", "three"]
+    header, _, *rows = capsys.readouterr().out.splitlines()
+    assert "pushes, mean (≥ 45)" in header and "force (≤ 1.5)" in header
+    assert rows[1].startswith("| two | 40.000 | 40.00 | 40 | 40.0 |")
+    assert (tmp_path / "trades.png").stat().st_size > 10_000
+
+
+def test_the_region_that_meets_both_targets_is_shaded(tmp_path: Path) -> None:
+    """Up to a largest value, and from a least one on, with the limits in view."""
+    found = trades.main(Config((write(tmp_path / "a.json", one=1.0, two=40.0),)))
+    figure = trades.picture(found)
+    axes = dict(zip(PAIRS, figure.axes, strict=True))["falls, changes", "pushes, mean"]
+    corners = axes.collections[0].get_paths()[0].vertices
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    assert corners.min(axis=0).tolist() == pytest.approx([left, 45.0])
+    assert corners.max(axis=0).tolist() == pytest.approx([0.0, high])
+    assert left < 0 < right and low < 1.0 and high > 45
+
+
+def test_records_are_needed_and_names_are_unique(tmp_path: Path) -> None:
+    first, second = write(tmp_path / "a.json", one=1.0), write(tmp_path / "b.json", one=2.0)
+    with pytest.raises(ConfigurationError, match="the name 'one'"):
+        trades.main(Config((first, second)))
+    with pytest.raises(ConfigurationError, match=r"missing\.json"):
+        Config((tmp_path / "missing.json",))
+    with pytest.raises(ConfigurationError, match="at least one record"):
+        Config(())
+
+
+def test_every_drawn_target_exists() -> None:
+    assert all(claim_of(name) for pair in PAIRS for name in pair)
