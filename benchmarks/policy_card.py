@@ -100,6 +100,7 @@ _ENTRIES = {
     "reference/right_foot_heading": "direction of the right toes, from the moving frame [rad]",
     "filtered_command": "forward, sideways speed [m/s] and yaw rate [rad/s], limited in rate",
     "odometry/path_error": "estimated distance from the moving frame's origin [m]",
+    "last_action": "action of the last policy step [rad], same order as the motors",
 }
 """Meaning of each entry of the observation."""
 

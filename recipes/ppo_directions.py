@@ -31,7 +31,7 @@ class DirectionConfig(Config):
     """Policy steps to train for, rounded up to whole updates."""
     library: str = "directions"
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""
-    command_interval: float = 4.0
+    command_interval: float = 2.5
     """Mean time between changes of the command in an episode [s]."""
     stand: float = 0.2
     """Share of the time with a wish to stand; 0 for robots that only walk. Others need a library
@@ -40,7 +40,7 @@ class DirectionConfig(Config):
     """Mean time between draws of the wish to stand in an episode [s]."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
-    push_impulse: float = 30.0
+    push_impulse: float = 45.0
     """Largest impulse of random pushes [N s]; 0 for none."""
     push_interval: float = 4.0
     """Mean time between pushes [s]."""

@@ -56,8 +56,8 @@ def directions_stack(
 
     Args:
         library: gait library over three commands, the shipped one by default.
-        reward_on: source of pelvis and feet in the rewards; the distance from the path is always
-            the estimated one, which the policy observes, power and load are the true ones.
+        reward_on: source of pelvis and feet in the rewards; distance from the path and heading are
+            always the estimated ones, which the policy observes, power and load are the true ones.
 
     Raises:
         ConfigurationError: commands of the library have not three numbers.
@@ -74,11 +74,14 @@ def directions_stack(
         "reference": lambda: ReferenceInjection(library, in_keys=[_STEER, "phase"]),
         "heading": lambda: HeadingFrame(command_key=_STEER),
         "estimator": lambda: EstimatedState(command_key=_STEER),
-        "observation": lambda: AssembleObservation(DIRECTION_TABLE),
         "reward": lambda: WeightedReward(DIRECTION_WEIGHTS),
     }
     for name in _HEADINGS:
         stack[name] = partial(_with_headings, stack[name])
+    # the policy observes its last action
+    del stack["observation"]
+    observation = partial(AssembleObservation, DIRECTION_TABLE)
+    stack = insert_before(stack, "com_vel", observation=observation)
     stack = insert_before(stack, "clock", command_filter=CommandFilter)
     stack = insert_before(stack, "straight_diff", **_terms())
     return {name: make for name, make in stack.items() if name != "straight_diff"}
@@ -87,10 +90,11 @@ def directions_stack(
 def _terms() -> Stack:
     """Reward terms that the paper does not have."""
     reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
-        # the policy observes this error; the true one drifts away with the odometry
+        # the policy observes these errors; the true ones drift away with the odometry
         rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
+        rewards.heading_diff: ([("odometry", "pelvis_orientation")], [("goal", "body_heading")]),
         rewards.power: ([("truth", "motor_power")], [_STEER]),
-        rewards.foot_load: ([("truth", "ground_force")], []),
+        rewards.foot_load: ([("truth", "largest_force")], []),
     }
     return {
         function.__name__: partial(RewardTerm, function.__name__, function, *keys)
@@ -124,9 +128,12 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
 
 
 def _with_headings(make: Callable[[], Transform]) -> RewardTerm:
-    """Make a reward term that reads headings of the goal, too."""
+    """Make a reward term that reads headings of the goal, too; that of the feet is stricter."""
     term = make()
     assert isinstance(term, RewardTerm)
     name = str(term.out_keys[0][-1])
     goals: list[NestedKey] = [("goal", heading) for heading in _HEADINGS[name]]
-    return RewardTerm(name, term.function, term.next_keys, [*term.root_keys, *goals])
+    function = term.function
+    if name == "foot_pos":
+        function = partial(function, scale=rewards.FOOT_SCALE)
+    return RewardTerm(name, function, term.next_keys, [*term.root_keys, *goals])

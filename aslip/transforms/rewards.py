@@ -1,9 +1,9 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and three of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and four of our own.
 
-Ours are for walks in all directions: the distance from the path, mechanical power and the load of
-the feet. Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as
-in the paper; the public code sums absolute values per axis for velocity and feet. Shapes: (*b, k)
-in, (*b, 1) out.
+Ours are for walks in all directions: the distance from the path, the heading, mechanical power and
+the load of the feet. Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are
+Euclidean norms, as in the paper; the public code sums absolute values per axis for velocity and
+feet. Shapes: (*b, k) in, (*b, 1) out.
 """
 
 from __future__ import annotations
@@ -15,12 +15,14 @@ import torch
 from torch import Tensor
 
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.transforms.path import LEASH, LEASH_TIME
 from aslip.transforms.rotation import (
     conjugate,
     multiply,
     rotate_about_vertical,
     rotate_inverse,
     vertical_quaternion,
+    yaw,
     yaw_quaternion,
 )
 
@@ -38,20 +40,32 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.2,
-        "foot_pos": 0.25,
+        "com_vel": 0.12,
+        "foot_pos": 0.2,
         "path_diff": 0.2,
+        "heading_diff": 0.08,
         "foot_orient": 0.1,
         "action_diff": 0.05,
         "power": 0.1,
-        "foot_load": 0.1,
+        "foot_load": 0.15,
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
-`path_diff` takes the place of `straight_diff`, and `power` and `foot_load` are new."""
+`path_diff` takes the place of `straight_diff`, and `heading_diff`, `power` and `foot_load` are
+new."""
+
+FOOT_SCALE: Final = 0.3
+"""Sum of both feet's distances at which `foot_pos` is 1/e in walks in all directions [m]; 1 m in
+the paper."""
+
+HEADING_SCALE: Final = 0.1
+"""Angle at which `heading_diff` is 1/e [rad]."""
 
 PATH_SCALE: Final = 0.1
 """Distance at which `path_diff` is 1/e [m]."""
+
+SPEED_TIME: Final = 1.0
+"""Distance that an error of the mean velocity adds in `path_diff`, over that error [s]."""
 
 POWER_SCALE: Final = 0.4
 """Power over body weight and speed at which `power` is 1/e."""
@@ -99,8 +113,10 @@ def foot_pos(
     left_reference: Tensor,
     right_reference: Tensor,
     body_heading: Tensor | None = None,
+    *,
+    scale: float = 1.0,
 ) -> Tensor:
-    r""":math:`\exp(-\|l - \hat l\| - \|r - \hat r\|)`, feet relative to the body.
+    r""":math:`\exp(-(\|l - \hat l\| + \|r - \hat r\|) / s)`, feet relative to the body.
 
     Both feet are seen in the pelvis-centred, yaw-aligned frame. Public code compares feet in the
     tilting pelvis frame with a level reference, an error of about 15 mm a degree of pitch.
@@ -114,13 +130,14 @@ def foot_pos(
         right_reference: (*b, 3) right foot minus body [m, walking frame].
         body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its feet, too,
             are seen from its body.
+        scale: sum s of both distances at which the term is 1/e, 1 in the paper [m].
     """
     yaw = yaw_quaternion(pelvis_orientation)
     left = rotate_inverse(yaw, left_foot_position - pelvis_position)
     right = rotate_inverse(yaw, right_foot_position - pelvis_position)
     left = left - _from_body(left_reference, body_heading)
     right = right - _from_body(right_reference, body_heading)
-    return torch.exp(-_norm(left) - _norm(right))
+    return torch.exp((-_norm(left) - _norm(right)) / scale)
 
 
 def straight_diff(pelvis_position: Tensor) -> Tensor:
@@ -138,14 +155,31 @@ def path_diff(path_error: Tensor, body_position: Tensor) -> Tensor:
     r""":math:`\exp(-d / 0.1\,\mathrm{m})`, d the level distance of the pelvis from the reference.
 
     The distance accumulates errors of the mean velocity in any direction, which the oscillation
-    over a stride hides from `com_vel`. Ours; see `aslip.transforms.HeadingFrame`.
+    over a stride hides from `com_vel`. At a constant error v the leash of the path is taut, and
+    the distance settles at `LEASH` + v x `LEASH_TIME`. What exceeds `LEASH` counts more, so that d
+    is `LEASH` + v x `SPEED_TIME`. Ours; see `aslip.transforms.HeadingFrame`.
 
     Args:
         path_error: (*b, 2) pelvis relative to the origin of the moving frame, forward and sideways
             [m].
         body_position: (*b, 3) body of the reference, relative to the same origin [m].
     """
-    return torch.exp(-_norm(path_error - body_position[..., :2]) / PATH_SCALE)
+    distance = _norm(path_error - body_position[..., :2])
+    taut = (distance - LEASH).clamp(min=0)
+    return torch.exp(-(distance + (SPEED_TIME / LEASH_TIME - 1) * taut) / PATH_SCALE)
+
+
+def heading_diff(pelvis_orientation: Tensor, body_heading: Tensor) -> Tensor:
+    r""":math:`\exp(-|\psi - \hat\psi| / 0.1)`, the yaw of the pelvis from the reference's.
+
+    Ours: no other term sees slow turns of a robot that stands.
+
+    Args:
+        pelvis_orientation: (*b, 4) wxyz, pelvis to moving frame.
+        body_heading: (*b, 1) of the reference, from the same frame [rad].
+    """
+    turned = yaw(pelvis_orientation) - body_heading
+    return torch.exp(-torch.atan2(turned.sin(), turned.cos()).abs() / HEADING_SCALE)
 
 
 def foot_orient(
@@ -197,15 +231,16 @@ def power(motor_power: Tensor, command: Tensor) -> Tensor:
     return torch.exp(-used / (POWER_SCALE * _WEIGHT * (_norm(command[..., :2]) + SPEED_IN_PLACE)))
 
 
-def foot_load(ground_force: Tensor) -> Tensor:
+def foot_load(largest_force: Tensor) -> Tensor:
     r""":math:`\exp(-(F/W - 0.9)^+ / 0.3)`, F the vertical force on the foot that bears more.
 
-    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. Ours.
+    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. F is the largest force in a
+    physics step, as feet land within a few of them. Ours.
 
     Args:
-        ground_force: (*b, 2, 3) on left and right foot, mean of a policy step [N, z up].
+        largest_force: (*b, 2) on left and right foot, largest of a policy step [N].
     """
-    largest = ground_force[..., 2].amax(-1, keepdim=True) / _WEIGHT
+    largest = largest_force.amax(-1, keepdim=True) / _WEIGHT
     return torch.exp(-(largest - LEAST_LOAD).clamp(min=0) / LOAD_SCALE)
 
 

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from aslip.transforms import rewards
+from aslip.transforms.path import LEASH, LEASH_TIME
 from aslip.transforms.rotation import conjugate, multiply, rotate_inverse
 
 LEVEL = torch.tensor([1.0, 0.0, 0.0, 0.0])
@@ -200,10 +201,18 @@ def test_straight_ahead_terms_for_any_direction_are_the_papers_bit_for_bit() -> 
 
 
 def test_path_diff_falls_with_the_distance_in_any_direction() -> None:
-    error = torch.tensor([[0.0, 0.0], [0.1, 0.0], [0.06, -0.08], [-0.3, 0.0]])
+    error = torch.tensor([[0.0, 0.0], [0.05, 0.0], [0.03, -0.04], [-0.02, 0.0]])
     body = torch.tensor([0.02, -0.01, 0.9]).expand(4, 3)
-    expected = torch.tensor([0.0, -1.0, -1.0, -3.0]).exp()[:, None]
+    expected = torch.tensor([0.0, -0.5, -0.5, -0.2]).exp()[:, None]
     torch.testing.assert_close(rewards.path_diff(error + body[:, :2], body), expected)
+
+
+def test_beyond_the_leash_path_diff_falls_with_the_error_of_the_velocity() -> None:
+    """On the taut leash the distance has settled at what the error adds within its time."""
+    error = torch.tensor([[0.1], [0.2]])
+    distance = torch.cat([LEASH + error * LEASH_TIME, torch.zeros(2, 1)], dim=-1)
+    expected = torch.exp(-(LEASH + error) / 0.1)
+    torch.testing.assert_close(rewards.path_diff(distance, torch.zeros(2, 3)), expected)
 
 
 def test_power_is_seen_over_weight_and_speed() -> None:
@@ -216,9 +225,27 @@ def test_power_is_seen_over_weight_and_speed() -> None:
 
 def test_foot_load_falls_with_the_force_on_the_foot_that_bears_more() -> None:
     weights = torch.tensor([[0.5, 0.5], [0.9, 0.0], [0.0, 1.2], [1.5, 0.2]])
-    force = torch.cat([torch.rand(4, 2, 2) * 1e3, weights[..., None] * 33.312 * 9.81], dim=-1)
     expected = torch.tensor([0.0, 0.0, -1.0, -2.0]).exp()[:, None]
-    torch.testing.assert_close(rewards.foot_load(force), expected)
+    torch.testing.assert_close(rewards.foot_load(weights * 33.312 * 9.81), expected)
+
+
+def test_heading_diff_falls_with_the_angle_between_pelvis_and_reference() -> None:
+    """The shorter way around counts, and tilt does not."""
+    turned = [_about((0, 0, 1), angle) for angle in (0.3, 0.2, 0.2, -3.1)]
+    tilt = _about((1, 0, 0), 0.2)
+    orientation = torch.stack([*turned[:3], multiply(turned[3], tilt)])
+    heading = torch.tensor([0.3, 0.3, -0.1, 3.1])[:, None]
+    angles = torch.tensor([0.0, 0.1, 0.3, 2 * math.pi - 6.2])[:, None]
+    torch.testing.assert_close(
+        rewards.heading_diff(orientation, heading), torch.exp(-angles / 0.1), atol=1e-5, rtol=1e-5
+    )
+
+
+def test_foot_pos_of_another_scale_is_a_power_of_the_paper_s() -> None:
+    x = _random(9, 50)
+    feet = (x["left"], x["right"], x["left_ref"], x["right_ref"])
+    strict = rewards.foot_pos(x["orientation"], x["position"], *feet, scale=0.5)
+    torch.testing.assert_close(strict, _terms(x)["foot_pos"] ** 2)
 
 
 def test_terms_do_not_depend_on_the_direction_of_the_reference() -> None:
