@@ -19,6 +19,7 @@ from ppo_settings import Config, resume_command, run_settings, with_schedule
 
 from aslip.errors import AslipError, ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line, usage_error
+from aslip.training.settings import check_positive
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,11 @@ class DirectionConfig(Config):
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""
     command_interval: float = 2.5
     """Mean time between changes of the command in an episode [s]."""
+    leash: float = 0.1
+    """Length of a slack leash of the path in training [m], longer than that of walks later."""
+    leash_time: float = 1.0
+    """Time constant with which a taut leash shortens in training [s]; see
+    `aslip.transforms.path`."""
     stand: float = 0.2
     """Share of the time with a wish to stand; 0 for robots that only walk. Others need a library
     with stop and start."""
@@ -40,7 +46,7 @@ class DirectionConfig(Config):
     """Mean time between draws of the wish to stand in an episode [s]."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
-    push_impulse: float = 45.0
+    push_impulse: float = 30.0
     """Largest impulse of random pushes [N s]; 0 for none."""
     push_interval: float = 4.0
     """Mean time between pushes [s]."""
@@ -63,6 +69,7 @@ class DirectionConfig(Config):
             raise ConfigurationError(f"stand must be from 0 to 1, got {self.stand}")
         if not 0 <= self.ramp <= 1:
             raise ConfigurationError(f"ramp must be from 0 to 1, got {self.ramp}")
+        check_positive(self, "leash", "leash_time")
         if self.push_impulse < 0:
             raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
 
@@ -102,8 +109,10 @@ from aslip.transforms import (
     RandomPushes,
     StandCommand,
 )
+from aslip.transforms.path import Leash
 from aslip.walking import WalkResult
 
+_LEASHED = ("heading", "estimator")
 PRIVILEGED = "privileged"
 """Key of the entries that only the critic sees."""
 
@@ -145,7 +154,9 @@ def main(
 
 
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
-    """Stack for training: wishes to stand, other robots, pushes, and entries for the critic."""
+    """Stack for training: longer leash, wishes to stand, other robots, pushes, critic's entries."""
+    leash = Leash(config.leash, config.leash_time)
+    stack = {**stack, **{name: partial(_leashed, stack[name], leash) for name in _LEASHED}}
     if config.stand:
         stack = {**stack, "stand": partial(StandCommand, config.stand, config.stand_interval)}
     steps = config.schedule_steps or config.total_steps
@@ -163,6 +174,13 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
         seen = partial(AssembleObservation, privileged_table(drawn(config)), out_keys=[PRIVILEGED])
         stack = insert_before(stack, "action", privileged=seen)
     return stack
+
+
+def _leashed(make: Callable[[], Any], leash: Leash) -> Any:
+    """Make a transform that moves the origin of the path, and give it a leash."""
+    made = make()
+    made.leash = leash
+    return made
 
 
 def drawn(config: DirectionConfig) -> list[str]:

@@ -22,7 +22,7 @@ from aslip.estimation import (
 )
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
-from aslip.transforms.path import advance_frame, place_in_path
+from aslip.transforms.path import Leash, advance_frame, place_in_path
 from aslip.transforms.rotation import rotate_about_vertical
 
 ESTIMATE_SIZES: Final = MappingProxyType(CASSIE.estimate_sizes)
@@ -134,6 +134,7 @@ class EstimatedState(_Estimator):
             from the start.
         mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it;
             stops move the origin of the odometry to the pelvis.
+        leash: leash that moves the origin of odometry along a path.
     """
 
     num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
@@ -148,8 +149,10 @@ class EstimatedState(_Estimator):
         heading_key: NestedKey = "heading",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
+        leash: Leash = Leash(),  # noqa: B008 -- immutable
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
+        self.leash = leash
         self._heading_key, self._command_key = heading_key, command_key
         self._mode_key = mode_key
         self._path = command_key is not None
@@ -173,7 +176,7 @@ class EstimatedState(_Estimator):
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
         mode = None if self._mode_key is None else cast("Tensor", next_tensordict[self._mode_key])
-        entries = estimate_entries(tracking, estimate, origin, mode)
+        entries = estimate_entries(tracking, estimate, origin, mode, self.leash)
         return next_tensordict.update(self._grouped(entries))
 
     def _reset(
@@ -255,6 +258,7 @@ def estimate_entries(
     estimate: Estimate,
     origin: Tensor | None = None,
     mode: Tensor | None = None,
+    leash: Leash = Leash(),  # noqa: B008 -- immutable
 ) -> dict[str, dict[str, torch.Tensor]]:
     """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes.
 
@@ -264,6 +268,7 @@ def estimate_entries(
         origin: (n, 3) origin of the odometry if it moves along a path [m, frame of the IMU's
             attitude]; None for odometry from the start.
         mode: (n, 1) values of `WalkMode`, if the robots stand on a wish.
+        leash: leash that moves the origin.
     """
     odometry = {
         "pelvis_position": estimate.position,
@@ -282,7 +287,7 @@ def estimate_entries(
         for group, values in single.items()
     }
     if origin is not None:
-        entries["odometry"] = _along_path(entries["odometry"], tracking, origin, mode)
+        entries["odometry"] = _along_path(entries["odometry"], tracking, origin, mode, leash)
     entries["estimator"] = {
         "memory": torch.from_numpy(tracking.to_rows()),
         "faults": torch.from_numpy(estimate.faults),
@@ -292,7 +297,11 @@ def estimate_entries(
 
 
 def _along_path(
-    odometry: Mapping[str, Tensor], tracking: Tracking, origin: Tensor, mode: Tensor | None
+    odometry: Mapping[str, Tensor],
+    tracking: Tracking,
+    origin: Tensor,
+    mode: Tensor | None,
+    leash: Leash,
 ) -> dict[str, Tensor]:
     """Odometry from the start, moved to an origin (n, 3) that the pelvis drags along."""
     heading = torch.from_numpy(tracking.heading)[:, None].float()
@@ -301,4 +310,4 @@ def _along_path(
         name: value - way if name.endswith("_position") else value
         for name, value in odometry.items()
     }
-    return place_in_path(moved, origin, heading, mode=mode)
+    return place_in_path(moved, origin, heading, mode=mode, leash=leash)

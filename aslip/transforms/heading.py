@@ -14,7 +14,7 @@ from torchrl.data import Composite
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
-from aslip.transforms.path import advance_heading, arc, move_origin, place_in_path
+from aslip.transforms.path import Leash, advance_heading, arc, move_origin, place_in_path
 from aslip.transforms.rotation import (
     conjugate,
     heading_to_world,
@@ -48,7 +48,7 @@ class HeadingFrame(SeededTransform):
     its line.
 
     With a `command_key` the frame moves along the commanded path: at each step, heading and origin
-    follow the twist of that command, and a pelvis further than `aslip.transforms.path.LEASH` from
+    follow the twist of that command, and a pelvis further than the length of the `leash` from
     the origin drags it along slowly. `("true_odometry", "path_error")` (n, 2) is then the distance
     of the pelvis from the origin, forward and sideways [m]. With a `mode_key`, stops move the
     origin below the pelvis.
@@ -58,6 +58,7 @@ class HeadingFrame(SeededTransform):
         command_key: key of the command (n, c) whose path the frame follows; None for a frame at
             rest.
         mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it.
+        leash: leash that moves the origin of a frame along a path.
         out_keys: keys of heading and perfect odometry.
         period: duration of a policy step [s].
     """
@@ -71,6 +72,7 @@ class HeadingFrame(SeededTransform):
         truth_key: str = "truth",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
+        leash: Leash = Leash(),  # noqa: B008 -- immutable
         out_keys: Sequence[NestedKey] = ("heading", "true_odometry"),
         period: float = CASSIE.policy_period,
     ) -> None:
@@ -78,7 +80,7 @@ class HeadingFrame(SeededTransform):
         keys += [key for key in (command_key, mode_key) if key is not None]
         super().__init__(in_keys=keys, out_keys=out_keys)
         self._truth_key, self._command_key, self._mode_key = truth_key, command_key, mode_key
-        self._period = period
+        self.leash, self._period = leash, period
         self._origin_key = unravel_key((self.out_keys[1], "origin"))
 
     def _reset(
@@ -107,7 +109,7 @@ class HeadingFrame(SeededTransform):
         entries = {"origin": origin, **in_heading_frame(truth, heading, origin)}
         if self._command_key is not None:
             mode = None if self._mode_key is None else cast("Tensor", into[self._mode_key])
-            entries = place_in_path(entries, origin, heading, truth["slope"], mode)
+            entries = place_in_path(entries, origin, heading, truth["slope"], mode, self.leash)
         return into.set(self.out_keys[1], TensorDict(entries, into.batch_size))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

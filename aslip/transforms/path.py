@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,6 +25,15 @@ stop the origin is below the pelvis, so that the robot stands where it comes to 
 LEASH_TIME: Final = 0.3
 """Time constant with which a taut leash shortens [s]. At an error v of the mean velocity, the
 distance settles at `LEASH` + v x `LEASH_TIME`, and so still tells how large the error is."""
+
+
+class Leash(NamedTuple):
+    """Leash from the pelvis to the origin of the moving frame."""
+
+    length: float = LEASH
+    """Length of a slack leash [m]."""
+    time: float = LEASH_TIME
+    """Time constant with which a taut leash shortens [s]."""
 
 
 def advance_heading(
@@ -91,7 +100,10 @@ def move_origin(
 
 
 def dragged(
-    pelvis_position: Tensor, mode: Tensor | None = None, period: float = CASSIE.policy_period
+    pelvis_position: Tensor,
+    mode: Tensor | None = None,
+    period: float = CASSIE.policy_period,
+    leash: Leash = Leash(),  # noqa: B008 -- immutable
 ) -> Tensor:
     """Level displacement (*b, 3) of the origin by the leash in a policy step [m, heading frame].
 
@@ -100,10 +112,12 @@ def dragged(
         mode: (*b, 1) values of `WalkMode`, in a stop of which the origin goes to the pelvis; None
             for robots that walk.
         period: duration of a policy step [s].
+        leash: the leash.
     """
     level = torch.nn.functional.pad(pelvis_position[..., :2], (0, 1))
     distance = torch.linalg.vector_norm(level, dim=-1, keepdim=True)
-    way = level * (1 - LEASH / distance.clamp(min=LEASH)) * min(period / LEASH_TIME, 1.0)
+    taut = 1 - leash.length / distance.clamp(min=leash.length)
+    way = level * taut * min(period / leash.time, 1.0)
     return way if mode is None else torch.where(mode == WalkMode.STOP, level, way)
 
 
@@ -113,6 +127,7 @@ def place_in_path(
     heading: Tensor,
     slope: Tensor | None = None,
     mode: Tensor | None = None,
+    leash: Leash = Leash(),  # noqa: B008 -- immutable
 ) -> dict[str, Tensor]:
     """Drag the origin of odometry along with the pelvis; add `origin` and `path_error`.
 
@@ -122,12 +137,13 @@ def place_in_path(
         heading: (*b, 1) yaw of the frame [rad].
         slope: (*b, 1) slope of the floor [rad]; level by default.
         mode: (*b, 1) values of `WalkMode`, see `dragged`; None for robots that walk.
+        leash: the leash.
 
     Returns:
         The entries; `origin` (*b, 3) [m, world]; and `path_error` (*b, 2), forward and sideways
         distance of the pelvis from the origin [m, heading frame].
     """
-    way = dragged(entries["pelvis_position"], mode)
+    way = dragged(entries["pelvis_position"], mode, leash=leash)
     placed = {
         name: value - way if name.endswith("_position") else value
         for name, value in entries.items()

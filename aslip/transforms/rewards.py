@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from aslip.robot import CASSIE, STANDARD_GRAVITY
-from aslip.transforms.path import LEASH, LEASH_TIME
 from aslip.transforms.rotation import (
     conjugate,
     multiply,
@@ -40,14 +39,14 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.12,
+        "com_vel": 0.1,
         "foot_pos": 0.2,
-        "path_diff": 0.2,
-        "heading_diff": 0.08,
+        "path_diff": 0.25,
+        "heading_diff": 0.1,
         "foot_orient": 0.1,
         "action_diff": 0.05,
         "power": 0.1,
-        "foot_load": 0.15,
+        "foot_load": 0.1,
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
@@ -63,9 +62,6 @@ HEADING_SCALE: Final = 0.1
 
 PATH_SCALE: Final = 0.1
 """Distance at which `path_diff` is 1/e [m]."""
-
-SPEED_TIME: Final = 1.0
-"""Distance that an error of the mean velocity adds in `path_diff`, over that error [s]."""
 
 POWER_SCALE: Final = 0.4
 """Power over body weight and speed at which `power` is 1/e."""
@@ -155,18 +151,14 @@ def path_diff(path_error: Tensor, body_position: Tensor) -> Tensor:
     r""":math:`\exp(-d / 0.1\,\mathrm{m})`, d the level distance of the pelvis from the reference.
 
     The distance accumulates errors of the mean velocity in any direction, which the oscillation
-    over a stride hides from `com_vel`. At a constant error v the leash of the path is taut, and
-    the distance settles at `LEASH` + v x `LEASH_TIME`. What exceeds `LEASH` counts more, so that d
-    is `LEASH` + v x `SPEED_TIME`. Ours; see `aslip.transforms.HeadingFrame`.
+    over a stride hides from `com_vel`. Ours; see `aslip.transforms.HeadingFrame`.
 
     Args:
         path_error: (*b, 2) pelvis relative to the origin of the moving frame, forward and sideways
             [m].
         body_position: (*b, 3) body of the reference, relative to the same origin [m].
     """
-    distance = _norm(path_error - body_position[..., :2])
-    taut = (distance - LEASH).clamp(min=0)
-    return torch.exp(-(distance + (SPEED_TIME / LEASH_TIME - 1) * taut) / PATH_SCALE)
+    return torch.exp(-_norm(path_error - body_position[..., :2]) / PATH_SCALE)
 
 
 def heading_diff(pelvis_orientation: Tensor, body_heading: Tensor) -> Tensor:

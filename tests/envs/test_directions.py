@@ -125,6 +125,25 @@ def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> 
     assert torch.equal(first["observation"], second["observation"])
 
 
+def test_feet_are_compared_more_strictly_than_in_the_paper_and_the_heading_is_seen() -> None:
+    env = make(2)
+    before = start(env, [[0.8, 0.2, 0.8], [0.0, 0.0, -0.5]], [0.05, 0.2])
+    td = step(env, before)
+    true, goal = (cast("TensorDictBase", group) for group in (td["true_odometry"], before["goal"]))
+    names = ("left_foot_position", "right_foot_position")
+    inputs = [true[name] for name in ("pelvis_orientation", "pelvis_position", *names)]
+    inputs += [goal[name] for name in (*names, "body_heading")]
+    paper = rewards.foot_pos(*inputs)
+    torch.testing.assert_close(
+        td["reward_terms", "foot_pos"], paper ** (1 / rewards.FOOT_SCALE), atol=1e-6, rtol=1e-5
+    )
+    estimated = cast("Tensor", td["odometry", "pelvis_orientation"])
+    assert torch.equal(
+        td["reward_terms", "heading_diff"],
+        rewards.heading_diff(estimated, cast("Tensor", goal["body_heading"])),
+    )
+
+
 def test_on_the_reference_the_terms_of_turns_are_near_one() -> None:
     """At the first step robots are where the reference starts, whatever the direction."""
     env = make(4)
