@@ -17,6 +17,7 @@ from aslip.errors import ConfigurationError
 from aslip.policy import policy_stack, read_card
 from aslip.sim import DYNAMICS
 from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES
+from aslip.transforms.path import Leash
 from aslip.walking import WalkResult
 from recipes import ppo_directions
 from recipes.ppo_directions import DirectionConfig
@@ -92,7 +93,20 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     whole = ppo_directions.training_stack(replace(config, ramp=0.0), stack)
     assert "difficulty" not in whole
     nominal = replace(config, randomise=False, push_impulse=0.0, privileged=False)
-    assert ppo_directions.training_stack(nominal, stack) == stack
+    same = ppo_directions.training_stack(nominal, stack)
+    assert [*same] == [*stack]
+    assert {name for name in stack if same[name] != stack[name]} == {"heading", "estimator"}
+
+
+def test_only_training_has_a_long_leash(config: DirectionConfig) -> None:
+    """Both origins of the path, the true and the estimated one, are on the same leash."""
+    stack = directions_stack(symmetric_library())
+    trained = ppo_directions.training_stack(replace(config, leash=0.2, leash_time=2.0), stack)
+    for name in ("heading", "estimator"):
+        assert stack[name]().leash == Leash()  # pyright: ignore[reportAttributeAccessIssue]
+        assert trained[name]().leash == Leash(0.2, 2.0)  # pyright: ignore[reportAttributeAccessIssue]
+    with pytest.raises(ConfigurationError, match="leash_time"):
+        replace(config, leash_time=0.0)
 
 
 def test_ranges_for_all_directions_contain_the_default_ones_of_loads_and_floors() -> None:

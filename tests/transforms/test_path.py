@@ -13,6 +13,7 @@ from aslip.rom.arc import twist_pose
 from aslip.transforms.path import (
     LEASH,
     LEASH_TIME,
+    Leash,
     advance_heading,
     arc,
     dragged,
@@ -77,6 +78,13 @@ def test_the_distance_from_the_path_tells_the_error_of_the_velocity() -> None:
         error -= dragged(error)
     expected = LEASH + lag[:, 0] * (LEASH_TIME - PERIOD)
     torch.testing.assert_close(-error[:, 0], expected, atol=2e-3, rtol=0)
+
+
+def test_a_longer_leash_lets_the_origin_stay_behind_further() -> None:
+    place = torch.tensor([[0.0, 0.3, 0.9]])
+    way = dragged(place, leash=Leash(0.2, 1.0))
+    torch.testing.assert_close(way, torch.tensor([[0.0, 0.1 * PERIOD, 0.0]]))
+    assert torch.equal(dragged(place, leash=Leash(0.4, 1.0)), torch.zeros(1, 3))
 
 
 def test_stops_bring_the_origin_below_the_pelvis() -> None:
