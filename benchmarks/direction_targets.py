@@ -75,7 +75,7 @@ from benchmarks import (
 )
 from benchmarks import path as eight
 from benchmarks.claim_list import Claim
-from benchmarks.claims import judge, value_text
+from benchmarks.claims import describe, judge, value_text
 from benchmarks.common import (
     MakeEnv,
     Policy,
@@ -88,9 +88,9 @@ from benchmarks.directions import random_commands
 from benchmarks.target_record import TargetRecord
 
 
-def _falls(name: str, measure: str) -> Claim:
+def _falls(name: str, measure: str, digits: int = 0) -> Claim:
     """Target of a count or share that has to be zero for each seed."""
-    return Claim(name, measure, at_most=0.0, every_seed=True, digits=0)
+    return Claim(name, measure, at_most=0.0, every_seed=True, digits=digits)
 
 
 TARGETS: Final = (
@@ -108,7 +108,7 @@ TARGETS: Final = (
         "yaw rate, 95 %", "error that 95 % of commands stay below [rad/s]", at_most=0.06, digits=3
     ),
     _falls("falls, changes", "falls in 10 000 sudden changes of the command"),
-    _falls("falls, stops", "share of walks with a stop that fall at any time [%]"),
+    _falls("falls, stops", "share of walks with a stop that fall at any time [%]", digits=1),
     Claim("drift", "largest drift of the pelvis in standing [cm]", at_most=1.0),
     Claim("turn", "largest turn of the pelvis in standing [deg]", at_most=0.5),
     _falls("lifted feet", "feet that lost the ground in standing, of all walks"),
@@ -123,7 +123,9 @@ TARGETS: Final = (
     Claim(
         "feet, turns", "foot placement error, mean over random commands [cm]", at_most=3.5, digits=1
     ),
-    _falls("no footsteps", "share of these commands at which it falls or does not step [%]"),
+    _falls(
+        "no footsteps", "share of these commands at which it falls or does not step [%]", digits=1
+    ),
     Claim(
         "no contact",
         "time without ground contact, largest of 0, 1 and 2 m/s [%]",
@@ -198,7 +200,8 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
     Falls have targets of their own. The other values are over the walks without a fall.
     """
     name = policy_name(policy)
-    common: dict[str, Any] = {"out": config.out / Path(name).name, "library": config.library}
+    common: dict[str, Any] = {"out": config.out / describe(policy)["name"]}
+    common["library"] = config.library
     common |= {"policy": (name,), "truth": config.truth, "seed": config.seed}
     of = (policy, make_env)
     (errors,) = direction_tracking.main(

@@ -6,12 +6,14 @@ import dataclasses
 import json
 import math
 from pathlib import Path
+from shutil import copyfile
 from typing import Any
 
 import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.policy import find_policy
 from benchmarks import (
     direction_targets,
     direction_tracking,
@@ -126,7 +128,10 @@ def test_every_target_has_a_value_from_its_benchmark(
         monkeypatch.setattr(module, "main", fake(found))
     feet = {"feet, straight": 2.0, "feet, turns": 3.0, "no footsteps": 0.0}
     monkeypatch.setattr(direction_targets, "foot_values", lambda *_: feet)
-    config = Config(policy=("straight", "robust"), out=tmp_path)
+    file = tmp_path / "robust" / "policy.zip"
+    file.parent.mkdir()
+    copyfile(find_policy("robust"), file)
+    config = Config(policy=("straight", str(file)), out=tmp_path)
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
     assert list(found) == [claim.name for claim in TARGETS]
     assert found["velocity"]["each"] == [0.02, 0.02]
