@@ -24,7 +24,7 @@ from aslip.training.command_line import command_line, this_command
 
 NAMES = (
     "default", "no_randomise", "no_pushes", "no_privileged", "no_curriculum", "no_effort",
-    "no_path", "no_last_action", "memory", "world_frame", "independent_gaits", "no_minimum_force",
+    "no_path", "precise", "memory", "world_frame", "independent_gaits", "no_minimum_force",
 )  # fmt: skip
 """Names of the variants."""
 
@@ -73,6 +73,7 @@ from aslip.envs import (
     Stack,
     evaluation_stack,
     insert_before,
+    precise_stack,
     randomise_stack,
     standing_stack,
 )
@@ -171,12 +172,6 @@ def with_independent_gaits(library: GaitLibrary) -> Stack:
     }
 
 
-def without_last_action(library: GaitLibrary) -> Stack:
-    """Stack whose policy does not observe its last action."""
-    table = [key for key in DIRECTION_TABLE if key != "last_action"]
-    return {**standing_stack(library), "observation": partial(AssembleObservation, table)}
-
-
 def without_terms(library: GaitLibrary, names: Sequence[str]) -> Stack:
     """Stack without some reward terms; the others share their weights."""
     rest = 1 - sum(DIRECTION_WEIGHTS[name] for name in names)
@@ -210,8 +205,8 @@ VARIANTS: Mapping[str, Variant] = {
     "no_path": Variant(
         "no reward for staying on the path", make_stack=partial(without_terms, names=("path_diff",))
     ),
-    "no_last_action": Variant(
-        "a policy that does not observe its last action", make_stack=without_last_action
+    "precise": Variant(
+        "observe the last action; rewards of heading and landing", make_stack=precise_stack
     ),
     "memory": Variant(
         "a recurrent policy (GRU)",

@@ -32,8 +32,11 @@ class DirectionConfig(Config):
     """Policy steps to train for, rounded up to whole updates."""
     library: str = "directions"
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""
-    command_interval: float = 2.5
+    command_interval: float = 4.0
     """Mean time between changes of the command in an episode [s]."""
+    precise: bool = False
+    """Train on `aslip.envs.precise_stack`: observe the last action, and earn for heading and soft
+    landings."""
     leash: float = 0.1
     """Length of a slack leash of the path in training [m], longer than that of walks later."""
     leash_time: float = 1.0
@@ -70,6 +73,8 @@ class DirectionConfig(Config):
         if not 0 <= self.ramp <= 1:
             raise ConfigurationError(f"ramp must be from 0 to 1, got {self.ramp}")
         check_positive(self, "leash", "leash_time")
+        if self.precise and not self.stand:
+            raise ConfigurationError("precise trains robots that stand, so stand must be above 0")
         if self.push_impulse < 0:
             raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
 
@@ -97,7 +102,14 @@ from typing import Any
 import ppo_aslip
 
 import aslip
-from aslip.envs import Stack, directions_stack, insert_before, randomise_stack, standing_stack
+from aslip.envs import (
+    Stack,
+    directions_stack,
+    insert_before,
+    precise_stack,
+    randomise_stack,
+    standing_stack,
+)
 from aslip.policy import make_critic, make_privileged_critic, privileged_table
 from aslip.training.environments import make_training_env
 from aslip.training.settings import read_settings
@@ -129,13 +141,14 @@ def main(
     Args:
         config: the settings.
         go_on: command that resumes the training, for messages.
-        make_stack: function that makes the policy's stack; by default `standing_stack`, or
-            `directions_stack` for robots that never stand.
+        make_stack: function that makes the policy's stack; by default `standing_stack`,
+            `precise_stack`, or `directions_stack` for robots that never stand.
         networks: arguments of `ppo_aslip.main` for other networks, such as `make_actor`.
     """
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     if make_stack is None:
         make_stack = standing_stack if config.stand else directions_stack
+        make_stack = precise_stack if config.precise else make_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
     robots = partial(
         aslip.make_env, stack=training_stack(config, stack), timestep=config.physics_timestep

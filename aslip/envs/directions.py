@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Final
@@ -17,6 +17,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
     DIRECTION_TABLE,
+    PRECISE_TABLE,
     AssembleObservation,
     CommandFilter,
     EstimatedState,
@@ -32,7 +33,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
-from aslip.transforms.rewards import DIRECTION_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS, PRECISE_WEIGHTS
 from aslip.transforms.standing import transitions_of
 
 # headings of the goal that reward terms read on turns
@@ -56,8 +57,8 @@ def directions_stack(
 
     Args:
         library: gait library over three commands, the shipped one by default.
-        reward_on: source of pelvis and feet in the rewards; distance from the path and heading are
-            always the estimated ones, which the policy observes, power and load are the true ones.
+        reward_on: source of pelvis and feet in the rewards; the distance from the path is always
+            the estimated one, which the policy observes, power and load are the true ones.
 
     Raises:
         ConfigurationError: commands of the library have not three numbers.
@@ -74,14 +75,11 @@ def directions_stack(
         "reference": lambda: ReferenceInjection(library, in_keys=[_STEER, "phase"]),
         "heading": lambda: HeadingFrame(command_key=_STEER),
         "estimator": lambda: EstimatedState(command_key=_STEER),
+        "observation": lambda: AssembleObservation(DIRECTION_TABLE),
         "reward": lambda: WeightedReward(DIRECTION_WEIGHTS),
     }
     for name in _HEADINGS:
         stack[name] = partial(_with_headings, stack[name])
-    # the policy observes its last action
-    del stack["observation"]
-    observation = partial(AssembleObservation, DIRECTION_TABLE)
-    stack = insert_before(stack, "com_vel", observation=observation)
     stack = insert_before(stack, "clock", command_filter=CommandFilter)
     stack = insert_before(stack, "straight_diff", **_terms())
     return {name: make for name, make in stack.items() if name != "straight_diff"}
@@ -90,12 +88,18 @@ def directions_stack(
 def _terms() -> Stack:
     """Reward terms that the paper does not have."""
     reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
-        # the policy observes these errors; the true ones drift away with the odometry
+        # the policy observes this error; the true one drifts away with the odometry
         rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
-        rewards.heading_diff: ([("odometry", "pelvis_orientation")], [("goal", "body_heading")]),
         rewards.power: ([("truth", "motor_power")], [_STEER]),
-        rewards.foot_load: ([("truth", "largest_force")], []),
+        rewards.foot_load: ([("truth", "ground_force")], []),
     }
+    return _named(reads)
+
+
+def _named(
+    reads: Mapping[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]],
+) -> Stack:
+    """Reward terms by the names of their functions, each with the keys that it reads."""
     return {
         function.__name__: partial(RewardTerm, function.__name__, function, *keys)
         for function, keys in reads.items()
@@ -127,13 +131,43 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
     return insert_before(stack, "reference", stand=StandCommand)
 
 
+def precise_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
+    """Stack of `standing_stack` whose policy observes its last action, too, and lands softly.
+
+    The reward has a term for the heading, which no other one sees while the robot stands, and the
+    largest force in place of the mean one. The one policy trained so far turned less in standing,
+    placed its feet better and fell more often than the shipped one.
+
+    Args:
+        library: gait library over three commands, with stop and start; the shipped one by default.
+        reward_on: source of pelvis and feet in the rewards; the heading is the estimated one.
+
+    Raises:
+        ConfigurationError: commands of the library have not three numbers, or it has no stop and
+            start.
+    """
+    stack = standing_stack(library, reward_on)
+    del stack["observation"], stack["foot_load"]
+    terms = _named(
+        {
+            # the policy observes this angle; the true one drifts away with the odometry
+            rewards.heading_diff: (
+                [("odometry", "pelvis_orientation")],
+                [("goal", "body_heading")],
+            ),
+            rewards.landing: ([("truth", "largest_force")], []),
+        }
+    )
+    observation = partial(AssembleObservation, PRECISE_TABLE)
+    stack = insert_before(stack, "com_vel", observation=observation)
+    stack = insert_before(stack, "foot_orient", **terms)
+    return {**stack, "reward": lambda: WeightedReward(PRECISE_WEIGHTS)}
+
+
 def _with_headings(make: Callable[[], Transform]) -> RewardTerm:
-    """Make a reward term that reads headings of the goal, too; that of the feet is stricter."""
+    """Make a reward term that reads headings of the goal, too."""
     term = make()
     assert isinstance(term, RewardTerm)
     name = str(term.out_keys[0][-1])
     goals: list[NestedKey] = [("goal", heading) for heading in _HEADINGS[name]]
-    function = term.function
-    if name == "foot_pos":
-        function = partial(function, scale=rewards.FOOT_SCALE)
-    return RewardTerm(name, function, term.next_keys, [*term.root_keys, *goals])
+    return RewardTerm(name, term.function, term.next_keys, [*term.root_keys, *goals])

@@ -17,7 +17,7 @@ from torchrl.envs.transforms import Transform
 
 from aslip.envs.keep import KeepKeys
 from aslip.envs.stack_env import StackEnv
-from aslip.envs.stacks import STACKS
+from aslip.envs.stacks import STACKS, TURNING
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import entry_names, observation_difference, read_card
@@ -58,9 +58,9 @@ def stack_name(env: StackEnv) -> str | None:
         return None
     libraries = [t.library for t in env.transforms if isinstance(t, ReferenceInjection)]
     turning = any(library.command_size == 3 for library in libraries)
-    possible = STACKS.keys() - {"directions", "standing"}
+    possible = STACKS.keys() - {*TURNING}
     if turning:
-        possible = {"standing" if stands(env) else "directions"}
+        possible = {"standing", "precise"} if stands(env) else {"directions"}
     for name in (name for name in STACKS if name in possible):
         make = STACKS[name]
         # no library for all directions ships, so there is no motion to compare with

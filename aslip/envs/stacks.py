@@ -43,7 +43,7 @@ from aslip.transforms import (
     rewards,
     single_reference,
 )
-from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS, PRECISE_WEIGHTS
 from aslip.transforms.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 
 # groups with the same entries in the same frame, the robot's heading frame
@@ -205,6 +205,10 @@ def shipped_library(name: str) -> GaitLibrary:
     return GaitLibrary.load(name)
 
 
+TURNING: Final = ("directions", "standing", "precise")
+"""Names of the stacks for walks in all directions."""
+
+
 def _turning(
     name: str, library: GaitLibrary | None = None, reward_on: RewardSource = "truth"
 ) -> Stack:
@@ -216,7 +220,11 @@ def _turning(
     """
     from aslip.envs import directions  # imports this module
 
-    make = {"directions": directions.directions_stack, "standing": directions.standing_stack}
+    make = {
+        "directions": directions.directions_stack,
+        "standing": directions.standing_stack,
+        "precise": directions.precise_stack,
+    }
     return make[name](library, reward_on)
 
 
@@ -224,7 +232,7 @@ STACKS: Final[Mapping[str, Callable[..., Stack]]] = {
     "default": default_stack,
     "paper": paper_stack,
     "single_reference": single_reference_stack,
-    **{name: partial(_turning, name) for name in ("directions", "standing")},
+    **{name: partial(_turning, name) for name in TURNING},
 }
 """Name of a stack -> function of gait library and `reward_on` that makes it."""
 
@@ -315,7 +323,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         common = STACKS["standing" if "stand" in stack else "directions"](library)
         names = [name for name in common if name in {*names, *DIRECTION_WEIGHTS}]
     evaluation = {name: common[name] for name in ("start", *names)}
-    trained = {"difficulty", "dynamics", "pushes", "privileged"}
+    trained = {"difficulty", "dynamics", "pushes", "privileged", *PRECISE_WEIGHTS}
     seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}
     # the noise of a nominal robot
     seen = {name: ObservationNoise if make is RandomNoise else make for name, make in seen.items()}

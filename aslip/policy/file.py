@@ -25,7 +25,12 @@ from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.files.assets import asset_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor
-from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from aslip.transforms import (
+    DIRECTION_TABLE,
+    OBSERVATION_TABLE,
+    PRECISE_TABLE,
+    SINGLE_REFERENCE_TABLE,
+)
 from aslip.transforms.command import checked_rates
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
@@ -41,7 +46,7 @@ CARD = "card.json"
 """Entry of a policy file that describes the policy; see `save_policy`."""
 _WEIGHTS = "weights/"
 # observations and action baselines of the named stacks
-_TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE)
+_TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE, PRECISE_TABLE)
 _KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
 # stacks under the names of earlier versions

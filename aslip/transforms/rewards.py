@@ -1,9 +1,9 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and four of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and five of our own.
 
-Ours are for walks in all directions: the distance from the path, the heading, mechanical power and
-the load of the feet. Every term is :math:`\exp(-\text{distance})`, in [0, 1]. Distances are
-Euclidean norms, as in the paper; the public code sums absolute values per axis for velocity and
-feet. Shapes: (*b, k) in, (*b, 1) out.
+Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
+the load of the feet and how they land. Every term is :math:`\exp(-\text{distance})`, in [0, 1].
+Distances are Euclidean norms, as in the paper; the public code sums absolute values per axis for
+velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
 """
 
 from __future__ import annotations
@@ -39,10 +39,9 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.1,
-        "foot_pos": 0.2,
-        "path_diff": 0.25,
-        "heading_diff": 0.1,
+        "com_vel": 0.2,
+        "foot_pos": 0.25,
+        "path_diff": 0.2,
         "foot_orient": 0.1,
         "action_diff": 0.05,
         "power": 0.1,
@@ -50,12 +49,22 @@ DIRECTION_WEIGHTS: Final = MappingProxyType(
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
-`path_diff` takes the place of `straight_diff`, and `heading_diff`, `power` and `foot_load` are
-new."""
+`path_diff` takes the place of `straight_diff`, and `power` and `foot_load` are new."""
 
-FOOT_SCALE: Final = 0.3
-"""Sum of both feet's distances at which `foot_pos` is 1/e in walks in all directions [m]; 1 m in
-the paper."""
+PRECISE_WEIGHTS: Final = MappingProxyType(
+    {
+        "com_vel": 0.1,
+        "foot_pos": 0.2,
+        "path_diff": 0.25,
+        "heading_diff": 0.1,
+        "foot_orient": 0.1,
+        "action_diff": 0.05,
+        "power": 0.1,
+        "landing": 0.1,
+    }
+)
+"""Weights of the reward of `aslip.envs.precise_stack`; they sum to one. Compared with
+`DIRECTION_WEIGHTS`, `landing` takes the place of `foot_load`, and `heading_diff` is new."""
 
 HEADING_SCALE: Final = 0.1
 """Angle at which `heading_diff` is 1/e [rad]."""
@@ -109,10 +118,8 @@ def foot_pos(
     left_reference: Tensor,
     right_reference: Tensor,
     body_heading: Tensor | None = None,
-    *,
-    scale: float = 1.0,
 ) -> Tensor:
-    r""":math:`\exp(-(\|l - \hat l\| + \|r - \hat r\|) / s)`, feet relative to the body.
+    r""":math:`\exp(-\|l - \hat l\| - \|r - \hat r\|)`, feet relative to the body.
 
     Both feet are seen in the pelvis-centred, yaw-aligned frame. Public code compares feet in the
     tilting pelvis frame with a level reference, an error of about 15 mm a degree of pitch.
@@ -126,14 +133,13 @@ def foot_pos(
         right_reference: (*b, 3) right foot minus body [m, walking frame].
         body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its feet, too,
             are seen from its body.
-        scale: sum s of both distances at which the term is 1/e, 1 in the paper [m].
     """
     yaw = yaw_quaternion(pelvis_orientation)
     left = rotate_inverse(yaw, left_foot_position - pelvis_position)
     right = rotate_inverse(yaw, right_foot_position - pelvis_position)
     left = left - _from_body(left_reference, body_heading)
     right = right - _from_body(right_reference, body_heading)
-    return torch.exp((-_norm(left) - _norm(right)) / scale)
+    return torch.exp(-_norm(left) - _norm(right))
 
 
 def straight_diff(pelvis_position: Tensor) -> Tensor:
@@ -223,14 +229,22 @@ def power(motor_power: Tensor, command: Tensor) -> Tensor:
     return torch.exp(-used / (POWER_SCALE * _WEIGHT * (_norm(command[..., :2]) + SPEED_IN_PLACE)))
 
 
-def foot_load(largest_force: Tensor) -> Tensor:
+def foot_load(ground_force: Tensor) -> Tensor:
     r""":math:`\exp(-(F/W - 0.9)^+ / 0.3)`, F the vertical force on the foot that bears more.
 
-    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. F is the largest force in a
-    physics step, as feet land within a few of them. Ours.
+    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. Ours.
 
     Args:
-        largest_force: (*b, 2) on left and right foot, largest of a policy step [N].
+        ground_force: (*b, 2, 3) on left and right foot, mean of a policy step [N, z up].
+    """
+    return landing(ground_force[..., 2])
+
+
+def landing(largest_force: Tensor) -> Tensor:
+    """`foot_load` of the largest instead of the mean force, as feet land within milliseconds.
+
+    Args:
+        largest_force: (*b, 2) vertical force on left and right foot, largest of a policy step [N].
     """
     largest = largest_force.amax(-1, keepdim=True) / _WEIGHT
     return torch.exp(-(largest - LEAST_LOAD).clamp(min=0) / LOAD_SCALE)

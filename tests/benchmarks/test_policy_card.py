@@ -38,7 +38,7 @@ def _card(run_folder: Path | None, assets: Path, **settings: Any) -> str:
     return policy_card.main(config).read_text()
 
 
-SIZES = {"single_reference": 49, "standing": 82}
+SIZES = {"single_reference": 49, "standing": 72}
 
 
 def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) -> Path:

@@ -216,8 +216,11 @@ def test_power_is_seen_over_weight_and_speed() -> None:
 
 def test_foot_load_falls_with_the_force_on_the_foot_that_bears_more() -> None:
     weights = torch.tensor([[0.5, 0.5], [0.9, 0.0], [0.0, 1.2], [1.5, 0.2]])
+    vertical = weights * 33.312 * 9.81
+    force = torch.cat([torch.rand(4, 2, 2) * 1e3, vertical[..., None]], dim=-1)
     expected = torch.tensor([0.0, 0.0, -1.0, -2.0]).exp()[:, None]
-    torch.testing.assert_close(rewards.foot_load(weights * 33.312 * 9.81), expected)
+    torch.testing.assert_close(rewards.foot_load(force), expected)
+    torch.testing.assert_close(rewards.landing(vertical), expected)
 
 
 def test_heading_diff_falls_with_the_angle_between_pelvis_and_reference() -> None:
@@ -230,13 +233,6 @@ def test_heading_diff_falls_with_the_angle_between_pelvis_and_reference() -> Non
     torch.testing.assert_close(
         rewards.heading_diff(orientation, heading), torch.exp(-angles / 0.1), atol=1e-5, rtol=1e-5
     )
-
-
-def test_foot_pos_of_another_scale_is_a_power_of_the_paper_s() -> None:
-    x = _random(9, 50)
-    feet = (x["left"], x["right"], x["left_ref"], x["right_ref"])
-    strict = rewards.foot_pos(x["orientation"], x["position"], *feet, scale=0.5)
-    torch.testing.assert_close(strict, _terms(x)["foot_pos"] ** 2)
 
 
 def test_terms_do_not_depend_on_the_direction_of_the_reference() -> None:

@@ -130,8 +130,7 @@ def test_single_precision_keeps_the_half_of_the_stride(
 @pytest.fixture(scope="module")
 def env() -> StackEnv:
     stack = standing_stack(standing_library())
-    drop = (*EPISODE_ENDS, "noise", "fall", "estimator", "observation")
-    drop += ("path_diff", "heading_diff")
+    drop = (*EPISODE_ENDS, "noise", "fall", "estimator", "observation", "path_diff")
     return aslip.make_env(stack=stack, num_envs=2, num_threads=1, drop=drop)
 
 
