@@ -169,7 +169,8 @@ def main(
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     """Stack for training: longer leash, wishes to stand, other robots, pushes, critic's entries."""
     leash = Leash(config.leash, config.leash_time)
-    stack = {**stack, **{name: partial(_leashed, stack[name], leash) for name in _LEASHED}}
+    leashed = {name: partial(_leashed, stack[name], leash) for name in _LEASHED if name in stack}
+    stack = {**stack, **leashed}
     if config.stand:
         stack = {**stack, "stand": partial(StandCommand, config.stand, config.stand_interval)}
     steps = config.schedule_steps or config.total_steps

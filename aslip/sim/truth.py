@@ -36,8 +36,8 @@ class Snapshot:
     motor_power: np.ndarray
     """(*b, 10) positive mechanical power of the motors, mean over the last policy period [W]."""
     largest_force: np.ndarray
-    """(*b, 2) largest vertical force of the floor on each foot in a substep of the last policy
-    period [N]."""
+    """(*b, 2) largest vertical force of the floor on each foot in a physics step of the last
+    policy period [N]."""
 
     @classmethod
     def stack(cls, snapshots: list[Snapshot]) -> Snapshot:
@@ -78,8 +78,8 @@ def true_state(snapshot: Snapshot, indices: Indices) -> dict[str, np.ndarray]:
         mean over the last policy period]; for `left_foot` and `right_foot` the sole centre's
         `_position` 3 [m, world], `_velocity` 3 [m/s, world] and `_orientation` 4 (wxyz, w >= 0;
         identity when level with toes along x); `ground_force` 2 x 3 [N, world], mean over the last
-        policy period; `largest_force` 2 [N], largest vertical force on each foot in a substep of
-        that period.
+        policy period; `largest_force` 2 [N], largest vertical force on each foot in a physics step
+        of that period.
 
         Accelerations, torques and forces belong to the start of the last substep, 0.5 ms before the
         state.

@@ -22,7 +22,7 @@ from aslip.estimation import (
 )
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys
-from aslip.transforms.path import Leash, advance_frame, place_in_path
+from aslip.transforms.path import DEFAULT_LEASH, Leash, advance_frame, place_in_path
 from aslip.transforms.rotation import rotate_about_vertical
 
 ESTIMATE_SIZES: Final = MappingProxyType(CASSIE.estimate_sizes)
@@ -149,7 +149,7 @@ class EstimatedState(_Estimator):
         heading_key: NestedKey = "heading",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
-        leash: Leash = Leash(),  # noqa: B008 -- immutable
+        leash: Leash = DEFAULT_LEASH,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.leash = leash
@@ -258,7 +258,7 @@ def estimate_entries(
     estimate: Estimate,
     origin: Tensor | None = None,
     mode: Tensor | None = None,
-    leash: Leash = Leash(),  # noqa: B008 -- immutable
+    leash: Leash = DEFAULT_LEASH,
 ) -> dict[str, dict[str, torch.Tensor]]:
     """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes.
 

@@ -14,7 +14,14 @@ from torchrl.data import Composite
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
-from aslip.transforms.path import Leash, advance_heading, arc, move_origin, place_in_path
+from aslip.transforms.path import (
+    DEFAULT_LEASH,
+    Leash,
+    advance_heading,
+    arc,
+    move_origin,
+    place_in_path,
+)
 from aslip.transforms.rotation import (
     conjugate,
     heading_to_world,
@@ -72,7 +79,7 @@ class HeadingFrame(SeededTransform):
         truth_key: str = "truth",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
-        leash: Leash = Leash(),  # noqa: B008 -- immutable
+        leash: Leash = DEFAULT_LEASH,
         out_keys: Sequence[NestedKey] = ("heading", "true_odometry"),
         period: float = CASSIE.policy_period,
     ) -> None:

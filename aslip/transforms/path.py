@@ -36,6 +36,10 @@ class Leash(NamedTuple):
     """Time constant with which a taut leash shortens [s]."""
 
 
+DEFAULT_LEASH: Final = Leash()
+"""Leash of walks; that of a training may be longer."""
+
+
 def advance_heading(
     heading: Tensor, command: Tensor, period: float = CASSIE.policy_period
 ) -> Tensor:
@@ -103,7 +107,7 @@ def dragged(
     pelvis_position: Tensor,
     mode: Tensor | None = None,
     period: float = CASSIE.policy_period,
-    leash: Leash = Leash(),  # noqa: B008 -- immutable
+    leash: Leash = DEFAULT_LEASH,
 ) -> Tensor:
     """Level displacement (*b, 3) of the origin by the leash in a policy step [m, heading frame].
 
@@ -127,7 +131,7 @@ def place_in_path(
     heading: Tensor,
     slope: Tensor | None = None,
     mode: Tensor | None = None,
-    leash: Leash = Leash(),  # noqa: B008 -- immutable
+    leash: Leash = DEFAULT_LEASH,
 ) -> dict[str, Tensor]:
     """Drag the origin of odometry along with the pelvis; add `origin` and `path_error`.
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
+from torchrl.envs.utils import check_env_specs
 
 import aslip
 from aslip.envs import (
@@ -36,6 +37,7 @@ def env() -> StackEnv:
 
 
 def test_the_last_action_is_the_end_of_the_observation(env: StackEnv) -> None:
+    check_env_specs(env)
     td = env.reset()
     assert policy_interface(env)["stack"] == "precise"
     assert PRECISE_TABLE[:-1] == DIRECTION_TABLE

@@ -38,7 +38,7 @@ from aslip.transforms import (
     WeightedReward,
 )
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from tests.helpers import SHIPPED_STACKS, MakeEnv
+from tests.helpers import STRAIGHT_STACKS, MakeEnv
 
 
 @pytest.mark.parametrize("how", ["drop", "replace"])
@@ -203,14 +203,14 @@ def test_seeds_may_be_numbers_of_numpy(make: MakeEnv) -> None:
     assert (first["observation"] == second["observation"]).all()
 
 
-@pytest.mark.parametrize("stack", SHIPPED_STACKS)
+@pytest.mark.parametrize("stack", STRAIGHT_STACKS)
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
 def test_every_stack_keeps_its_specs(make: MakeEnv, backend: str, stack: str) -> None:
     library = {"library": None} if stack == "single_reference" else {}
     check_env_specs(make(backend, num_envs=2, stack=stack, **library))
 
 
-@pytest.mark.parametrize("stack", SHIPPED_STACKS)
+@pytest.mark.parametrize("stack", STRAIGHT_STACKS)
 def test_results_do_not_depend_on_the_default_dtype(make: MakeEnv, stack: str) -> None:
     library = {"library": None} if stack == "single_reference" else {}
     walks = []
@@ -280,7 +280,7 @@ def test_settings_of_named_stacks_are_refused_for_others(
 def test_stack_name_finds_the_stack_with_the_same_interface(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
-    for name in SHIPPED_STACKS:
+    for name in STRAIGHT_STACKS:
         assert stack_name(make_env(stack=name, num_threads=1)) == name
     stack = insert_before(default_stack(library), "reward", upright=_constant_term)
     stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 0.1})

@@ -40,13 +40,13 @@ from aslip import load_policy
 from aslip.envs import default_stack, make_env
 from aslip.errors import ConfigurationError
 from aslip.transforms import LowReward
-from tests.helpers import SHIPPED_STACKS, MakeEnv
+from tests.helpers import STRAIGHT_STACKS, MakeEnv
 
 # no target networks are updated here
 _NO_UPDATER = pytest.mark.filterwarnings("ignore:No target network updater")
 
 
-@pytest.mark.parametrize("stack", SHIPPED_STACKS)
+@pytest.mark.parametrize("stack", STRAIGHT_STACKS)
 def test_reward_is_one_entry_and_its_terms_are_observations(make: MakeEnv, stack: str) -> None:
     env = make(num_envs=2, stack=stack, library=None)
     assert env.reward_keys == ["reward"]
