@@ -151,7 +151,9 @@ def _settings(module: str) -> Any:
     """Class of the settings of a recipe or benchmark."""
     for name in (module, f"{module}.__main__", f"{module}.config"):
         with contextlib.suppress(ModuleNotFoundError, AttributeError):
-            return importlib.import_module(name).Config
+            # this recipe also has the settings that it extends
+            own = "DirectionConfig" if name == "recipes.ppo_directions" else "Config"
+            return getattr(importlib.import_module(name), own)
     raise AssertionError(f"{module} has no settings")
 
 
