@@ -134,9 +134,8 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
 def precise_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
     """Stack of `standing_stack` whose policy observes its last action, too, and lands softly.
 
-    The reward has a term for the heading, which no other one sees while the robot stands, and the
-    largest force in place of the mean one. The one policy trained so far turned less in standing,
-    placed its feet better and fell more often than the shipped one.
+    The reward has a term for the heading, which no other one sees while the robot stands, and reads
+    the largest force on a foot in place of the mean one.
 
     Args:
         library: gait library over three commands, with stop and start; the shipped one by default.

@@ -126,18 +126,22 @@ def test_settings_of_a_run_are_kept_when_it_is_resumed(
         replace(config, push_impulse=-1.0)
     with pytest.raises(ConfigurationError, match=r"stand must be from 0 to 1, got 1\.5"):
         replace(config, stand=1.5)
+    with pytest.raises(ConfigurationError, match="stand must be above 0"):
+        replace(config, precise=True)
     with pytest.raises(ConfigurationError, match=r"ramp must be from 0 to 1, got -0\.1"):
         replace(config, ramp=-0.1)
 
 
+@pytest.mark.parametrize("stack", ["standing", "precise"])
 def test_robots_learn_to_stand_if_the_library_has_stop_and_start(
-    config: DirectionConfig, tmp_path: Path
+    config: DirectionConfig, tmp_path: Path, stack: str
 ) -> None:
     file = tmp_path / "gaits.npz"
     standing_library().save(file)
     stands = replace(config, stand=1.0, library=str(file), out=tmp_path / "run", total_steps=64)
+    stands = replace(stands, precise=stack == "precise")
     ppo_directions.main(stands)
-    assert policy_stack(stands.out) == "standing"
+    assert policy_stack(stands.out) == stack
     assert Controller(stands.out, standing_library()).steering.stands
     trained = ppo_directions.training_stack(stands, standing_stack(standing_library()))
     assert aslip.make_env(stack=trained, num_envs=8, num_threads=1).reset()["stand"].all()

@@ -86,6 +86,9 @@ def test_ground_force_is_the_change_of_momentum_and_weight(drake: DrakeSimulatio
     assert force[2] > 0.3 * weight
     expected = (momentum[-1] - momentum[-2]) / PERIOD + [0, 0, weight]
     np.testing.assert_allclose(force, expected, atol=1e-3 * weight)
+    mean, largest = drake.snapshot().ground_force[..., 2], drake.snapshot().largest_force
+    assert largest.shape == (1, 2)
+    assert (largest > mean).all() and (largest < 60 * mean).all()
 
 
 def test_a_push_in_the_air_changes_the_momentum_by_force_times_time(
