@@ -24,7 +24,7 @@ from aslip.training.command_line import command_line, this_command
 
 NAMES = (
     "default", "no_randomise", "no_pushes", "no_privileged", "no_curriculum", "no_effort",
-    "no_path", "precise", "memory", "world_frame", "independent_gaits", "no_minimum_force",
+    "no_path", "no_heading", "memory", "world_frame", "independent_gaits", "no_minimum_force",
 )  # fmt: skip
 """Names of the variants."""
 
@@ -73,7 +73,6 @@ from aslip.envs import (
     Stack,
     evaluation_stack,
     insert_before,
-    precise_stack,
     randomise_stack,
     standing_stack,
 )
@@ -199,14 +198,14 @@ VARIANTS: Mapping[str, Variant] = {
     "no_privileged": Variant("a critic that sees what the policy sees", {"privileged": False}),
     "no_curriculum": Variant("full ranges and pushes from the start", {"ramp": 0.0}),
     "no_effort": Variant(
-        "no reward for low power and low loads",
-        make_stack=partial(without_terms, names=("power", "foot_load")),
+        "no reward for low power and soft landings",
+        make_stack=partial(without_terms, names=("power", "landing")),
     ),
     "no_path": Variant(
         "no reward for staying on the path", make_stack=partial(without_terms, names=("path_diff",))
     ),
-    "precise": Variant(
-        "observe the last action; rewards of heading and landing", make_stack=precise_stack
+    "no_heading": Variant(
+        "no reward for the heading", make_stack=partial(without_terms, names=("heading_diff",))
     ),
     "memory": Variant(
         "a recurrent policy (GRU)",

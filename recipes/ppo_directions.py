@@ -34,9 +34,9 @@ class DirectionConfig(Config):
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""
     command_interval: float = 4.0
     """Mean time between changes of the command in an episode [s]."""
-    precise: bool = False
-    """Train on `aslip.envs.precise_stack`: observe the last action, and earn for heading and soft
-    landings."""
+    command_rates: float = 2.0
+    """Rates at which the followed command may change in training, over those of walks later
+    (`aslip.transforms.COMMAND_RATES`)."""
     leash: float = 0.1
     """Length of a slack leash of the path in training [m], longer than that of walks later."""
     leash_time: float = 1.0
@@ -72,9 +72,7 @@ class DirectionConfig(Config):
             raise ConfigurationError(f"stand must be from 0 to 1, got {self.stand}")
         if not 0 <= self.ramp <= 1:
             raise ConfigurationError(f"ramp must be from 0 to 1, got {self.ramp}")
-        check_positive(self, "leash", "leash_time")
-        if self.precise and not self.stand:
-            raise ConfigurationError("precise trains robots that stand, so stand must be above 0")
+        check_positive(self, "command_rates", "leash", "leash_time")
         if self.push_impulse < 0:
             raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
 
@@ -106,7 +104,6 @@ from aslip.envs import (
     Stack,
     directions_stack,
     insert_before,
-    precise_stack,
     randomise_stack,
     standing_stack,
 )
@@ -141,14 +138,13 @@ def main(
     Args:
         config: the settings.
         go_on: command that resumes the training, for messages.
-        make_stack: function that makes the policy's stack; by default `standing_stack`,
-            `precise_stack`, or `directions_stack` for robots that never stand.
+        make_stack: function that makes the policy's stack; by default `standing_stack`, or
+            `directions_stack` for robots that never stand.
         networks: arguments of `ppo_aslip.main` for other networks, such as `make_actor`.
     """
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     if make_stack is None:
         make_stack = standing_stack if config.stand else directions_stack
-        make_stack = precise_stack if config.precise else make_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
     robots = partial(
         aslip.make_env, stack=training_stack(config, stack), timestep=config.physics_timestep
@@ -167,10 +163,15 @@ def main(
 
 
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
-    """Stack for training: longer leash, wishes to stand, other robots, pushes, critic's entries."""
+    """Stack for training.
+
+    It differs in leash and rates of the command, and has wishes to stand, other robots, pushes and
+    entries for the critic.
+    """
     leash = Leash(config.leash, config.leash_time)
     leashed = {name: partial(_leashed, stack[name], leash) for name in _LEASHED if name in stack}
-    stack = {**stack, **leashed}
+    hurried = partial(_hurried, stack["command_filter"], config.command_rates)
+    stack = {**stack, **leashed, "command_filter": hurried}
     if config.stand:
         stack = {**stack, "stand": partial(StandCommand, config.stand, config.stand_interval)}
     steps = config.schedule_steps or config.total_steps
@@ -194,6 +195,13 @@ def _leashed(make: Callable[[], Any], leash: Leash) -> Any:
     """Make a transform that moves the origin of the path, and give it a leash."""
     made = make()
     made.leash = leash
+    return made
+
+
+def _hurried(make: Callable[[], Any], factor: float) -> Any:
+    """Make a filter of the command, and multiply its rates."""
+    made = make()
+    made.rates = tuple(factor * rate for rate in made.rates)
     return made
 
 

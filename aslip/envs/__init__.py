@@ -25,7 +25,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from aslip.envs.batch import BatchEnv
-    from aslip.envs.directions import directions_stack, precise_stack, standing_stack
+    from aslip.envs.directions import directions_stack, standing_stack
     from aslip.envs.dm_control import DmControlEnv, Walk, walk_environment
     from aslip.envs.gymnasium import GymEnv, GymVectorEnv
     from aslip.envs.interface import (
@@ -99,7 +99,6 @@ __all__ = [
     "observation_keys",
     "paper_stack",
     "policy_interface",
-    "precise_stack",
     "randomise_stack",
     "reward_terms",
     "robot_stack",
@@ -114,7 +113,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "batch": ["BatchEnv"],
-        "directions": ["directions_stack", "precise_stack", "standing_stack"],
+        "directions": ["directions_stack", "standing_stack"],
         "dm_control": ["DmControlEnv", "Walk", "walk_environment"],
         "gymnasium": ["GymEnv", "GymVectorEnv"],
         "interface": [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from types import MappingProxyType
 from typing import Final
@@ -17,7 +17,6 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
     DIRECTION_TABLE,
-    PRECISE_TABLE,
     AssembleObservation,
     CommandFilter,
     EstimatedState,
@@ -33,7 +32,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
-from aslip.transforms.rewards import DIRECTION_WEIGHTS, PRECISE_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from aslip.transforms.standing import transitions_of
 
 # headings of the goal that reward terms read on turns
@@ -57,8 +56,8 @@ def directions_stack(
 
     Args:
         library: gait library over three commands, the shipped one by default.
-        reward_on: source of pelvis and feet in the rewards; the distance from the path is always
-            the estimated one, which the policy observes, power and load are the true ones.
+        reward_on: source of pelvis and feet in the rewards; heading and distance from the path are
+            always the estimated ones, which the policy observes, power and forces the true ones.
 
     Raises:
         ConfigurationError: commands of the library have not three numbers.
@@ -88,18 +87,15 @@ def directions_stack(
 def _terms() -> Stack:
     """Reward terms that the paper does not have."""
     reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
-        # the policy observes this error; the true one drifts away with the odometry
+        # the policy observes estimates of both; the true ones drift away with the odometry
         rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
+        rewards.heading_diff: (
+            [("odometry", "pelvis_orientation")],
+            [("goal", "body_heading")],
+        ),
         rewards.power: ([("truth", "motor_power")], [_STEER]),
-        rewards.foot_load: ([("truth", "ground_force")], []),
+        rewards.landing: ([("truth", "largest_force")], []),
     }
-    return _named(reads)
-
-
-def _named(
-    reads: Mapping[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]],
-) -> Stack:
-    """Reward terms by the names of their functions, each with the keys that it reads."""
     return {
         function.__name__: partial(RewardTerm, function.__name__, function, *keys)
         for function, keys in reads.items()
@@ -129,38 +125,6 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
         "estimator": lambda: EstimatedState(command_key=_STEER, mode_key="mode"),
     }
     return insert_before(stack, "reference", stand=StandCommand)
-
-
-def precise_stack(library: GaitLibrary | None = None, reward_on: RewardSource = "truth") -> Stack:
-    """Stack of `standing_stack` whose policy observes its last action, too, and lands softly.
-
-    The reward has a term for the heading, which no other one sees while the robot stands, and reads
-    the largest force on a foot in place of the mean one.
-
-    Args:
-        library: gait library over three commands, with stop and start; the shipped one by default.
-        reward_on: source of pelvis and feet in the rewards; the heading is the estimated one.
-
-    Raises:
-        ConfigurationError: commands of the library have not three numbers, or it has no stop and
-            start.
-    """
-    stack = standing_stack(library, reward_on)
-    del stack["observation"], stack["foot_load"]
-    terms = _named(
-        {
-            # the policy observes this angle; the true one drifts away with the odometry
-            rewards.heading_diff: (
-                [("odometry", "pelvis_orientation")],
-                [("goal", "body_heading")],
-            ),
-            rewards.landing: ([("truth", "largest_force")], []),
-        }
-    )
-    observation = partial(AssembleObservation, PRECISE_TABLE)
-    stack = insert_before(stack, "com_vel", observation=observation)
-    stack = insert_before(stack, "foot_orient", **terms)
-    return {**stack, "reward": lambda: WeightedReward(PRECISE_WEIGHTS)}
 
 
 def _with_headings(make: Callable[[], Transform]) -> RewardTerm:

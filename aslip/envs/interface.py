@@ -60,7 +60,7 @@ def stack_name(env: StackEnv) -> str | None:
     turning = any(library.command_size == 3 for library in libraries)
     possible = STACKS.keys() - {*TURNING}
     if turning:
-        possible = {"standing", "precise"} if stands(env) else {"directions"}
+        possible = {"standing" if stands(env) else "directions"}
     for name in (name for name in STACKS if name in possible):
         make = STACKS[name]
         # no library for all directions ships, so there is no motion to compare with

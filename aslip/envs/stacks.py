@@ -43,7 +43,7 @@ from aslip.transforms import (
     rewards,
     single_reference,
 )
-from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS, PRECISE_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS
 from aslip.transforms.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 
 # groups with the same entries in the same frame, the robot's heading frame
@@ -205,7 +205,7 @@ def shipped_library(name: str) -> GaitLibrary:
     return GaitLibrary.load(name)
 
 
-TURNING: Final = ("directions", "standing", "precise")
+TURNING: Final = ("directions", "standing")
 """Names of the stacks for walks in all directions."""
 
 
@@ -223,7 +223,6 @@ def _turning(
     make = {
         "directions": directions.directions_stack,
         "standing": directions.standing_stack,
-        "precise": directions.precise_stack,
     }
     return make[name](library, reward_on)
 
@@ -323,7 +322,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         common = STACKS["standing" if "stand" in stack else "directions"](library)
         names = [name for name in common if name in {*names, *DIRECTION_WEIGHTS}]
     evaluation = {name: common[name] for name in ("start", *names)}
-    trained = {"difficulty", "dynamics", "pushes", "privileged", *PRECISE_WEIGHTS}
+    trained = {"difficulty", "dynamics", "pushes", "privileged"}
     seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}
     # the noise of a nominal robot
     seen = {name: ObservationNoise if make is RandomNoise else make for name, make in seen.items()}

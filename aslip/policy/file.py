@@ -28,7 +28,6 @@ from aslip.policy.recurrent import make_recurrent_actor
 from aslip.transforms import (
     DIRECTION_TABLE,
     OBSERVATION_TABLE,
-    PRECISE_TABLE,
     SINGLE_REFERENCE_TABLE,
 )
 from aslip.transforms.command import checked_rates
@@ -46,7 +45,7 @@ CARD = "card.json"
 """Entry of a policy file that describes the policy; see `save_policy`."""
 _WEIGHTS = "weights/"
 # observations and action baselines of the named stacks
-_TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE, PRECISE_TABLE)
+_TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE)
 _KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
 # stacks under the names of earlier versions

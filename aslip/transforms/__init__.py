@@ -30,7 +30,6 @@ from aslip.transforms.noise import ObservationNoise
 from aslip.transforms.observation import (
     DIRECTION_TABLE,
     OBSERVATION_TABLE,
-    PRECISE_TABLE,
     SINGLE_REFERENCE_TABLE,
     AssembleObservation,
 )
@@ -53,7 +52,6 @@ __all__ = [
     "OBSERVATION_TABLE",
     "ODOMETRY_SIZES",
     "PATH_SIZES",
-    "PRECISE_TABLE",
     "SINGLE_REFERENCE_TABLE",
     "WIDE_RANGES",
     "ActionDelta",

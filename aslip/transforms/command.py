@@ -25,7 +25,7 @@ from aslip.transforms.base import (
     require_keys,
 )
 
-COMMAND_RATES: Final = (2.0, 1.5, 2.0)
+COMMAND_RATES: Final = (1.0, 0.75, 1.0)
 """Largest rates of change of a command: forward, sideways speed [m/s^2], yaw rate [rad/s^2]."""
 
 _REDRAWS: Final = 100  # largest number of draws for a region that is no box

@@ -48,10 +48,6 @@ DIRECTION_TABLE: Final[tuple[NestedKey, ...]] = (
 """Keys of the 72 numbers for walks in all directions: the default 64, headings of the reference
 [rad], filtered command, and the estimated distance from the moving frame's origin [m]."""
 
-PRECISE_TABLE: Final[tuple[NestedKey, ...]] = (*DIRECTION_TABLE, "last_action")
-"""Keys of the 82 numbers of `aslip.envs.precise_stack`: those of `DIRECTION_TABLE`, and the last
-action [rad]."""
-
 
 class AssembleObservation(SeededTransform):
     """Concatenate entries, by default estimate and reference into `observation`.

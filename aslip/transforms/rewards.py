@@ -1,7 +1,7 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and five of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and four of our own.
 
-Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
-the load of the feet and how they land. Every term is :math:`\exp(-\text{distance})`, in [0, 1].
+Ours are for walks in all directions: the distance from the path, the heading, mechanical power
+and the largest force on a foot. Every term is :math:`\exp(-\text{distance})`, in [0, 1].
 Distances are Euclidean norms, as in the paper; the public code sums absolute values per axis for
 velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
 """
@@ -39,23 +39,9 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.2,
+        "com_vel": 0.1,
         "foot_pos": 0.25,
         "path_diff": 0.2,
-        "foot_orient": 0.1,
-        "action_diff": 0.05,
-        "power": 0.1,
-        "foot_load": 0.1,
-    }
-)
-"""Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
-`path_diff` takes the place of `straight_diff`, and `power` and `foot_load` are new."""
-
-PRECISE_WEIGHTS: Final = MappingProxyType(
-    {
-        "com_vel": 0.1,
-        "foot_pos": 0.2,
-        "path_diff": 0.25,
         "heading_diff": 0.1,
         "foot_orient": 0.1,
         "action_diff": 0.05,
@@ -63,8 +49,8 @@ PRECISE_WEIGHTS: Final = MappingProxyType(
         "landing": 0.1,
     }
 )
-"""Weights of the reward of `aslip.envs.precise_stack`; they sum to one. Compared with
-`DIRECTION_WEIGHTS`, `landing` takes the place of `foot_load`, and `heading_diff` is new."""
+"""Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
+`path_diff` takes the place of `straight_diff`; `heading_diff`, `power` and `landing` are new."""
 
 HEADING_SCALE: Final = 0.1
 """Angle at which `heading_diff` is 1/e [rad]."""
@@ -79,10 +65,10 @@ SPEED_IN_PLACE: Final = 0.4
 """Speed that `power` adds to the commanded one, as stepping in place takes power, too [m/s]."""
 
 LEAST_LOAD: Final = 0.9
-"""Force on a foot over body weight up to which `foot_load` is 1."""
+"""Force on a foot over body weight up to which `landing` is 1."""
 
 LOAD_SCALE: Final = 0.3
-"""Force on a foot over body weight, beyond `LEAST_LOAD`, at which `foot_load` is 1/e."""
+"""Force on a foot over body weight, beyond `LEAST_LOAD`, at which `landing` is 1/e."""
 
 _WEIGHT: Final = CASSIE.total_mass * STANDARD_GRAVITY  # [N]
 
@@ -229,19 +215,11 @@ def power(motor_power: Tensor, command: Tensor) -> Tensor:
     return torch.exp(-used / (POWER_SCALE * _WEIGHT * (_norm(command[..., :2]) + SPEED_IN_PLACE)))
 
 
-def foot_load(ground_force: Tensor) -> Tensor:
+def landing(largest_force: Tensor) -> Tensor:
     r""":math:`\exp(-(F/W - 0.9)^+ / 0.3)`, F the vertical force on the foot that bears more.
 
-    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. Ours.
-
-    Args:
-        ground_force: (*b, 2, 3) on left and right foot, mean of a policy step [N, z up].
-    """
-    return landing(ground_force[..., 2])
-
-
-def landing(largest_force: Tensor) -> Tensor:
-    """`foot_load` of the largest instead of the mean force, as feet land within milliseconds.
+    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. It reads the largest force of
+    a policy step, as feet land within milliseconds, which the mean does not show. Ours.
 
     Args:
         largest_force: (*b, 2) vertical force on left and right foot, largest of a policy step [N].

@@ -16,26 +16,23 @@ from aslip.envs import StackEnv, check_policy_fits
 from aslip.errors import ConfigurationError
 from aslip.library import WalkMode
 from aslip.policy import policy_stack
-from aslip.transforms import DIRECTION_TABLE, PRECISE_TABLE, StandCommand
+from aslip.transforms import DIRECTION_TABLE, StandCommand
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_files, standing_library
 
-_TABLES = {"standing": DIRECTION_TABLE, "precise": PRECISE_TABLE}
-_SIZES = {"standing": 72, "precise": 82}
-
 
 @cache
-def _policy(stack: str = "standing") -> TensorDictModule:
+def _policy() -> TensorDictModule:
     """Untrained network with small actions."""
     torch.manual_seed(4)
-    net = torch.nn.Sequential(torch.nn.Linear(_SIZES[stack], 10), torch.nn.Tanh())
+    net = torch.nn.Sequential(torch.nn.Linear(72, 10), torch.nn.Tanh())
     return TensorDictModule(
         lambda seen: 0.02 * net(seen), in_keys=["observation"], out_keys=["action"]
     )
 
 
-def _controller(stands: bool = True, stack: str = "standing") -> Controller:
-    return Controller(_policy(stack), standing_library(), observation=_TABLES[stack], stands=stands)
+def _controller(stands: bool = True) -> Controller:
+    return Controller(_policy(), standing_library(), observation=DIRECTION_TABLE, stands=stands)
 
 
 @pytest.fixture(scope="module")
@@ -43,9 +40,9 @@ def env() -> StackEnv:
     return _make()
 
 
-def _make(stack: str = "standing") -> StackEnv:
+def _make() -> StackEnv:
     return aslip.make_env(
-        stack=stack,
+        stack="standing",
         library=standing_library(),
         num_envs=3,
         seed=5,
@@ -56,10 +53,9 @@ def _make(stack: str = "standing") -> StackEnv:
 
 
 @torch.no_grad()
-@pytest.mark.parametrize("stack", [*_TABLES])
-def test_motor_targets_are_those_of_a_stacks_rollout(stack: str) -> None:
+def test_motor_targets_are_those_of_a_stacks_rollout() -> None:
     """With noise, changes of command and wish, falls, and resets to walk and to stand."""
-    policy, controller, env = _policy(stack), _controller(stack=stack), _make(stack)
+    policy, controller, env = _policy(), _controller(), _make()
     td = env.reset(TensorDict(command=torch.tensor([[0.1, 0, 0.1]] * 3), batch_size=3))
     state = controller.start(
         td["sensors"], td["command"], stand=td["stand"], phase=td["phase"], heading=td["heading"]

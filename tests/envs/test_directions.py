@@ -35,6 +35,7 @@ from aslip.transforms import (
 )
 from aslip.transforms.command import approach_command
 from aslip.transforms.path import advance_heading, arc
+from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from tests.library.bent import symmetric_library
 
 PERIOD = CASSIE.policy_period
@@ -135,6 +136,24 @@ def test_on_the_reference_the_terms_of_turns_are_near_one() -> None:
     assert float(terms.get("foot_pos").min()) > 0.9
     assert float(terms.get("com_vel").min()) > 0.75
     assert float(terms.get("path_diff").min()) > 0.8
+
+
+def test_rewards_read_the_estimated_heading_and_the_largest_force() -> None:
+    assert sum(DIRECTION_WEIGHTS.values()) == pytest.approx(1.0)
+    env = make(2)
+    before = start(env, [[0.1, 0.0, 0.1]] * 2, [0.3, 0.3])
+    for _ in range(3):
+        goal = cast("Tensor", before["goal", "body_heading"])
+        td = step(env, before)
+        terms = td["reward_terms"]
+        assert {*terms.keys()} == {*DIRECTION_WEIGHTS}
+        orientation = cast("Tensor", td["odometry", "pelvis_orientation"])
+        assert torch.equal(terms["heading_diff"], rewards.heading_diff(orientation, goal))
+        largest = cast("Tensor", td["truth", "largest_force"])
+        assert torch.equal(terms["landing"], rewards.landing(largest).float())
+        expected = sum(DIRECTION_WEIGHTS[name] * term for name, term in terms.items())
+        torch.testing.assert_close(td["reward"], expected)
+        before = td
 
 
 def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:

@@ -95,7 +95,11 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     nominal = replace(config, randomise=False, push_impulse=0.0, privileged=False)
     same = ppo_directions.training_stack(nominal, stack)
     assert [*same] == [*stack]
-    assert {name for name in stack if same[name] != stack[name]} == {"heading", "estimator"}
+    assert {name for name in stack if same[name] != stack[name]} == {
+        "heading",
+        "estimator",
+        "command_filter",
+    }
 
 
 def test_only_training_has_a_long_leash(config: DirectionConfig) -> None:
@@ -107,6 +111,16 @@ def test_only_training_has_a_long_leash(config: DirectionConfig) -> None:
         assert trained[name]().leash == Leash(0.2, 2.0)  # pyright: ignore[reportAttributeAccessIssue]
     with pytest.raises(ConfigurationError, match="leash_time"):
         replace(config, leash_time=0.0)
+
+
+def test_only_training_has_fast_changes_of_the_command(config: DirectionConfig) -> None:
+    stack = directions_stack(symmetric_library())
+    trained = ppo_directions.training_stack(replace(config, command_rates=3.0), stack)
+    fast = tuple(3.0 * rate for rate in COMMAND_RATES)
+    assert stack["command_filter"]().rates == COMMAND_RATES  # pyright: ignore[reportAttributeAccessIssue]
+    assert trained["command_filter"]().rates == fast  # pyright: ignore[reportAttributeAccessIssue]
+    with pytest.raises(ConfigurationError, match="command_rates"):
+        replace(config, command_rates=0.0)
 
 
 def test_ranges_for_all_directions_contain_the_default_ones_of_loads_and_floors() -> None:
@@ -126,22 +140,18 @@ def test_settings_of_a_run_are_kept_when_it_is_resumed(
         replace(config, push_impulse=-1.0)
     with pytest.raises(ConfigurationError, match=r"stand must be from 0 to 1, got 1\.5"):
         replace(config, stand=1.5)
-    with pytest.raises(ConfigurationError, match="stand must be above 0"):
-        replace(config, precise=True)
     with pytest.raises(ConfigurationError, match=r"ramp must be from 0 to 1, got -0\.1"):
         replace(config, ramp=-0.1)
 
 
-@pytest.mark.parametrize("stack", ["standing", "precise"])
 def test_robots_learn_to_stand_if_the_library_has_stop_and_start(
-    config: DirectionConfig, tmp_path: Path, stack: str
+    config: DirectionConfig, tmp_path: Path
 ) -> None:
     file = tmp_path / "gaits.npz"
     standing_library().save(file)
     stands = replace(config, stand=1.0, library=str(file), out=tmp_path / "run", total_steps=64)
-    stands = replace(stands, precise=stack == "precise")
     ppo_directions.main(stands)
-    assert policy_stack(stands.out) == stack
+    assert policy_stack(stands.out) == "standing"
     assert Controller(stands.out, standing_library()).steering.stands
     trained = ppo_directions.training_stack(stands, standing_stack(standing_library()))
     assert aslip.make_env(stack=trained, num_envs=8, num_threads=1).reset()["stand"].all()

@@ -175,7 +175,7 @@ def test_the_command_covers_all_speeds(make: MakeEnv) -> None:
 
 def test_stacks_have_names() -> None:
     straight, turning = {"default", "paper", "single_reference"}, {"directions", "standing"}
-    assert set(STACKS) == straight | turning | {"precise"}
+    assert set(STACKS) == straight | turning
     assert list(single_reference_stack())[-1] == "episode_sum"
     with pytest.raises(UnknownNameError, match="single_reference"):
         aslip.make_env(stack="other")
