@@ -4,7 +4,7 @@ r"""Learning curves of the recipe: default, robust, true state, the paper's sett
     python -m benchmarks.learning_curves --jobs 2             # two runs at a time
     python -m benchmarks.learning_curves --no-train           # report existing runs
     python -m benchmarks.learning_curves --record docs/learning_curves.csv --no-train \
-        --variants default paper baseline --seeds 10 11 12 13 14
+        --variants fine paper baseline --seeds 10 11 12 13 14
 
 Each run is `recipes/ppo_aslip.py` in its own folder, such as `runs/learning_curves/paper-10`;
 interrupted runs resume from their last checkpoints. A run made elsewhere counts when it is copied
@@ -23,7 +23,7 @@ from typing import Literal
 from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.training.command_line import command_line
 
-Variant = Literal["truth", "default", "coarse", "robust", "paper", "baseline"]
+Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline"]
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ VARIANTS: Final = MappingProxyType(
     {
         "truth": ("truth",),
         "default": (),
-        "coarse": ("coarse",),
+        "fine": ("fine",),
         "robust": ("robust",),
         "paper": ("paper",),
         "baseline": (

@@ -51,6 +51,7 @@ from aslip.policy import (
     set_std,
     update_normalizers,
 )
+from aslip.robot import CASSIE
 from aslip.show.plots import learning_curve, save_figure
 from aslip.training.collectors import LocalCollector
 from aslip.training.environments import (
@@ -85,7 +86,8 @@ def main(
         make_env: makes the environment from the keywords `num_envs` and `seed`.
         make_actor: makes the policy from a normaliser, a `PolicyShape` and the observation's keys.
         make_critic: makes the value function from the same arguments and the keyword `scale`.
-        make_train_env: makes the environment for training; by default `make_training_env` does.
+        make_train_env: makes the environment for training, with the physics of the keyword
+            `timestep`; by default `make_training_env` does.
         make_collector: makes the collector from the arguments of `LocalCollector`.
         network: more settings of the `PolicyShape`, such as `hidden` and `mirror_signs`.
         logger: TorchRL logger, in addition to CSV and TensorBoard.
@@ -94,6 +96,8 @@ def main(
     torch.manual_seed(config.seed)
     config = with_schedule(config, read_settings(config.out)[0] if config.resume else None)
     make_train_env = make_train_env or partial(make_training_env, make_env)
+    if config.physics_timestep != CASSIE.physics_timestep:
+        make_train_env = partial(make_train_env, timestep=config.physics_timestep)
     env, speeds = make_evaluation_env(make_env, config.seed)
     about = describe_environments(env, make_train_env)
     run = TrainingRun(

@@ -28,7 +28,7 @@ class DirectionConfig(Config):
 
     out: Path = Path("runs/ppo_directions")
     """Folder of the run."""
-    total_steps: int = 5_000_000
+    total_steps: int = 2_500_000
     """Policy steps to train for, rounded up to whole updates."""
     library: str = "directions"
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""
@@ -58,8 +58,6 @@ class DirectionConfig(Config):
     which grow from the nominal ones; 0 for full ranges from the start."""
     privileged: bool = True
     """Show true state and dynamics to the critic."""
-    physics_timestep: float = 1e-3
-    """Physics timestep in training, 0.0005 or the faster 0.001 [s]; the low level runs at 2 kHz."""
 
     def __post_init__(self) -> None:
         """Check types and ranges.
@@ -146,9 +144,7 @@ def main(
     if make_stack is None:
         make_stack = standing_stack if config.stand else directions_stack
     stack = make_stack(aslip.GaitLibrary.load(config.library))
-    robots = partial(
-        aslip.make_env, stack=training_stack(config, stack), timestep=config.physics_timestep
-    )
+    robots = partial(aslip.make_env, stack=training_stack(config, stack))
     critic = make_critic
     if config.privileged:
         critic = partial(make_privileged_critic, dynamics=drawn(config), key=PRIVILEGED)

@@ -8,7 +8,6 @@ from typing import Any
 
 import aslip
 from aslip.envs import ON_TRUTH, default_stack, randomise_stack
-from aslip.robot.model import physics_timesteps
 from aslip.training.environments import make_training_env
 
 
@@ -23,7 +22,4 @@ def environments(preset: str) -> dict[str, Any]:
         return {"make_train_env": partial(make_training_env, robots)}
     if preset == "truth":
         return {"make_env": partial(aslip.make_env, **ON_TRUTH)}
-    if preset == "coarse":
-        steps = partial(aslip.make_env, timestep=physics_timesteps()[1])
-        return {"make_train_env": partial(make_training_env, steps)}
     return {}

@@ -67,13 +67,35 @@ def test_presets_set_their_environments() -> None:
         for e in (trained, evaluated)
     ]
     assert noise == [[RandomNoise], [ObservationNoise]]
-    steps = [env.base_env.model.opt.timestep for env in found["coarse"][0]]
-    assert steps == [0.001, 0.0005]
     for env in found["truth"][0]:
         assert "noise" not in env.transform_names
         assert any(isinstance(t, TrueState) for t in env.transforms)
     assert found["single-reference"][0][0].reset()["observation"].shape[-1] == 49
     assert "feedforward" not in found["paper"][0][1].transform_names
+
+
+def test_only_training_has_coarse_physics(tmp_path: Path) -> None:
+    made: list[float] = []
+
+    def make_env(**settings: Any) -> Any:
+        env = aslip.make_env(**settings)
+        made.append(env.base_env.model.opt.timestep)
+        return env
+
+    ppo_aslip.main(replace(TINY, out=tmp_path / "default", total_steps=64), make_env)
+    # evaluations are made first
+    assert set(made[:2]) == {0.0005}
+    assert set(made[2:]) == {0.001}
+    made.clear()
+    fine = replace(TINY, out=tmp_path / "fine", total_steps=64, physics_timestep=0.0005)
+    ppo_aslip.main(fine, make_env)
+    assert set(made) == {0.0005}
+    physics = {name: preset.physics_timestep for name, preset in PRESETS.items()}
+    assert {name for name in physics if physics[name] == 0.0005} == {
+        "paper",
+        "single-reference",
+        "fine",
+    }
 
 
 @pytest.mark.parametrize(("own", "trained"), [(20.0, 20.0), (0.3, 0.3), (math.inf, 8.0)])
