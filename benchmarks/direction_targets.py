@@ -4,8 +4,8 @@
     python -m benchmarks.direction_targets --policy runs/seed1 runs/seed2 --record seeds.json
 
 Several policies count as seeds of one method: values are means with 95 % intervals over seeds, and
-a target is met if the whole interval meets it. Each policy takes about half an hour on two cores.
-Tables and pictures of the benchmarks are written to a folder for each policy.
+a target is met if the whole interval meets it. With the default sizes, five policies walk at 1000
+commands and through 10 000 changes. Tables and pictures of the benchmarks are written to a folder for each policy.
 
 With `--record`, the values of each policy are kept in a file. Its policies are not measured again,
 and the table is over all of them: after an interruption, the same command goes on.
@@ -27,9 +27,9 @@ class Config(Directions):
 
     out: Path = Path("runs/direction_targets")
     """Folder for the table and results."""
-    commands: int = 1000
+    commands: int = 200
     """Number of random commands whose mean velocity is measured."""
-    changes: int = 10_000
+    changes: int = 2000
     """Number of sudden changes of the command."""
     placements: int = 40
     """Number of random commands at which the foot placement is measured."""

@@ -148,7 +148,7 @@ def test_every_target_has_a_value_from_its_benchmark(
     each = [row["found"]["each"] for row in direction_targets.main(again)]
     assert len(folders) == 4 * len(rows)  # the second call measures one policy only
     assert all(len(values) == 2 for values in each)
-    with pytest.raises(ConfigurationError, match="measured with commands 1000, not commands 10;"):
+    with pytest.raises(ConfigurationError, match="measured with commands 200, not commands 10;"):
         direction_targets.main(dataclasses.replace(kept, commands=10))
     values = json.loads(record.read_text())
     values["policies"][0]["values"]["changes"] = 1.0
@@ -160,7 +160,7 @@ def test_every_target_has_a_value_from_its_benchmark(
         direction_targets.main(kept)
     errors["falls"] = 1
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
-    assert found["falls, walks"]["each"] == [1.0, 1.0]
+    assert found["falls, walks"]["each"] == [5.0, 5.0]
     assert found["falls, walks"]["verdict"] == "FAIL"
 
 
