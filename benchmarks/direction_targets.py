@@ -5,7 +5,8 @@
 
 Several policies count as seeds of one method: values are means with 95 % intervals over seeds, and
 a target is met if the whole interval meets it. With the default sizes, five policies walk at 1000
-commands and through 10 000 changes. Tables and pictures of the benchmarks are written to a folder for each policy.
+commands and through 10 000 changes. Tables and pictures of the benchmarks are written to a folder
+for each policy.
 
 With `--record`, the values of each policy are kept in a file. Its policies are not measured again,
 and the table is over all of them: after an interruption, the same command goes on.
