@@ -201,7 +201,7 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
     Falls have targets of their own. The other values are over the walks without a fall.
     """
     name = policy_name(policy)
-    common: dict[str, Any] = {"out": config.out / describe(policy)["name"]}
+    common: dict[str, Any] = {"out": results_folder(config.out, policy)}
     common["library"] = config.library
     common |= {"policy": (name,), "truth": config.truth, "seed": config.seed}
     of = (policy, make_env)
@@ -231,6 +231,11 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
         **perturbation_values(survived),
         "path": math.nan if walked["fell"] else 100 * walked["truth"],
     }
+
+
+def results_folder(out: Path, policy: Policy) -> Path:
+    """Folder for tables and pictures of a policy's benchmarks."""
+    return out / describe(policy)["name"]
 
 
 def recorded(config: Config, path: Path) -> list[dict[str, float]]:

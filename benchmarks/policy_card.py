@@ -237,7 +237,7 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
     rows = direction_targets.main(settings)
     if record and policy not in record:
         record.add(policy, {row["name"]: row["found"]["each"][0] for row in rows})
-    folder = out / Path(policy).name
+    folder = direction_targets.results_folder(out, policy)
     titles = {
         "Velocity": "direction_tracking",
         "Sudden changes of the command": "transitions",

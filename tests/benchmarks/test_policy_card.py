@@ -171,7 +171,7 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     limits["pushes"] = [{"direction_deg": 0.0, "phases": [{"phase": 0.0, "mean": 30.0}]}]
 
     def measured(config: policy_card.direction_targets.Config) -> list[dict[str, Any]]:
-        folder = config.out / "mine.zip"
+        folder = config.out / "mine"
         folder.mkdir(parents=True)
         for name in (*names, "walking_quality", "perturbation"):
             (folder / f"{name}.md").write_text(f"table of {name}")
