@@ -14,13 +14,7 @@ from aslip.library import GaitLibrary
 from aslip.transforms.clock import advance_phase
 from aslip.transforms.command import approach_command
 from aslip.transforms.reference import reference_and_goal
-from aslip.transforms.standing import (
-    advance_mode,
-    approach_led_command,
-    first_mode,
-    led_command,
-    transitions_of,
-)
+from aslip.transforms.standing import advance_mode, first_mode, led_command, transitions_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +92,8 @@ class Steering:
             phase, mode = advance_mode(self.library, phase, mode, steer, stand, self.period)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
-            entries["filtered_command"] = (
-                approach_command(steer, command, self.rates, self.period)
-                if stand is None
-                else approach_led_command(
-                    steer, command, stand, past["mode"], self.rates, self.period
-                )
-            )
+            aim = self._led(command, stand, past["mode"] if self.stands else None)
+            entries["filtered_command"] = approach_command(steer, aim, self.rates, self.period)
         return entries
 
     def reference(self, present: Mapping[str, Any]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:

@@ -272,13 +272,14 @@ class CommandFilter(SeededTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         past = cast("Tensor", tensordict[self.out_keys[0]])
-        command = cast("Tensor", next_tensordict[self.in_keys[0]])
-        return next_tensordict.set(self.out_keys[0], self._follow(past, command, tensordict))
+        command = self._aim(tensordict, cast("Tensor", next_tensordict[self.in_keys[0]]))
+        following = approach_command(past, command, self.rates, self._period)
+        return next_tensordict.set(self.out_keys[0], following)
 
-    def _follow(self, past: Tensor, command: Tensor, tensordict: TensorDictBase) -> Tensor:
-        """Filtered command (n, c) a policy step later."""
+    def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
+        """Command (n, c) that is approached."""
         del tensordict
-        return approach_command(past, command, self.rates, self._period)
+        return command
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the filtered command."""
@@ -303,22 +304,17 @@ def checked_rates(rates: Sequence[float]) -> tuple[float, ...]:
 
 
 def approach_command(
-    past: Tensor,
-    command: Tensor,
-    rates: Sequence[float] | Tensor,
-    period: float = CASSIE.policy_period,
+    past: Tensor, command: Tensor, rates: Sequence[float], period: float = CASSIE.policy_period
 ) -> Tensor:
     """Filtered command (*b, c) a policy step later, on the straight line to the command.
 
     Args:
         past: (*b, c) filtered command.
         command: (*b, c) command to approach.
-        rates: largest rate of each component, or (*b, c) of each robot [m/s^2, rad/s^2].
+        rates: largest rate of each component [m/s^2, rad/s^2].
         period: duration of a policy step [s].
     """
     way = command - past
-    if not isinstance(rates, Tensor):
-        rates = torch.tensor(rates[: way.shape[-1]], dtype=way.dtype)
-    limit = period * rates
+    limit = period * torch.tensor(rates[: way.shape[-1]], dtype=way.dtype)
     steps = (way.abs() / limit).amax(-1, keepdim=True)
     return torch.where(steps <= 1, command, past + way / steps.clamp(min=1))

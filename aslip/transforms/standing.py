@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -33,11 +32,7 @@ from aslip.transforms.base import (
     extend_spec,
     require_keys,
 )
-from aslip.transforms.command import COMMAND_RATES, CommandFilter, approach_command
-
-STOP_RATES: Final = (2.0, 1.5, 2.0)
-"""Least rates at which a command is led to zero to stand: forward, sideways speed [m/s^2], yaw rate
-[rad/s^2]. Robots that walk follow commands slower, as they fall less then."""
+from aslip.transforms.command import COMMAND_RATES, CommandFilter
 
 _ROUNDING = 1e-6  # of a phase in single precision
 
@@ -130,39 +125,8 @@ def led_command(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
         stand: (*b, 1) 1 to stand, 0 to walk.
         mode: (*b, 1) values of `WalkMode`.
     """
-    return torch.where(_walks_on(stand, mode), command, torch.zeros_like(command))
-
-
-def approach_led_command(
-    past: Tensor,
-    command: Tensor,
-    stand: Tensor,
-    mode: Tensor,
-    rates: Sequence[float],
-    period: float = CASSIE.policy_period,
-) -> Tensor:
-    """Filtered command (*b, c) a policy step later, of robots that walk or shall stand.
-
-    It approaches `led_command`; to stand, not slower than at `STOP_RATES`.
-
-    Args:
-        past: (*b, c) filtered command.
-        command: (*b, c) command.
-        stand: (*b, 1) 1 to stand, 0 to walk.
-        mode: (*b, 1) values of `WalkMode`.
-        rates: largest rate of each component while the robot walks [m/s^2, rad/s^2].
-        period: duration of a policy step [s].
-    """
-    walking, stopping = (
-        torch.tensor(of[: command.shape[-1]], dtype=command.dtype) for of in (rates, STOP_RATES)
-    )
-    limits = torch.where(_walks_on(stand, mode), walking, torch.maximum(walking, stopping))
-    return approach_command(past, led_command(command, stand, mode), limits, period)
-
-
-def _walks_on(stand: Tensor, mode: Tensor) -> Tensor:
-    """Flags (*b, 1) bool of robots that walk and shall walk."""
-    return (mode == WalkMode.WALK) & (stand <= 0.5)
+    walks = (mode == WalkMode.WALK) & (stand <= 0.5)
+    return torch.where(walks, command, torch.zeros_like(command))
 
 
 def _rate(table: TransitionTable, mode: Tensor, walking: Tensor) -> Tensor:
@@ -316,9 +280,8 @@ class StandClock(SeededTransform):
 class StandFilter(CommandFilter):
     """Limit the rate of the command, and lead it to zero to stand; see `CommandFilter`.
 
-    The filtered command approaches zero while the robot shall stand, at `STOP_RATES` if these are
-    faster, and stays there until it walks again. It takes the place of `CommandFilter`, before
-    `StandClock` in the stack.
+    The filtered command approaches zero while the robot shall stand, and stays there until it walks
+    again. It takes the place of `CommandFilter`, before `StandClock` in the stack.
 
     Args:
         rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
@@ -356,6 +319,5 @@ class StandFilter(CommandFilter):
         )
         return tensordict_reset.set(self.out_keys[0], command.clone())
 
-    def _follow(self, past: Tensor, command: Tensor, tensordict: TensorDictBase) -> Tensor:
-        stand, mode = (cast("Tensor", tensordict[key]) for key in self.in_keys[1:])
-        return approach_led_command(past, command, stand, mode, self.rates, self._period)
+    def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
+        return led_command(command, *(tensordict[key] for key in self.in_keys[1:]))

@@ -13,7 +13,6 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.robot import CASSIE
 from aslip.transforms import StandClock, StandCommand, advance_mode
-from aslip.transforms.standing import STOP_RATES, approach_led_command
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
 
@@ -171,20 +170,6 @@ def test_reference_leads_from_a_walk_to_standing_and_back(env: StackEnv) -> None
         passed = [one[robot] for one in modes]
         assert list(dict.fromkeys(passed)) == [0.0, 1.0, 2.0, 3.0]
         assert passed[-1] == WalkMode.WALK
-
-
-def test_robots_stop_faster_than_they_follow_commands() -> None:
-    """All components arrive at once, and faster rates of a filter are kept."""
-    past, command = torch.tensor([[1.0, 0.3, 0.5]] * 4), torch.tensor([[2.0, 0.0, 0.0]] * 4)
-    stand = torch.tensor([[0.0], [1.0], [0.0], [1.0]])
-    mode = torch.tensor([[WalkMode.WALK], [WalkMode.WALK], [WalkMode.START], [WalkMode.STOP]])
-    after = approach_led_command(past, command, stand, mode, (1.0, 0.75, 1.0), 0.1)
-    stopping = past[1] * (1 - 0.1 * STOP_RATES[0])
-    torch.testing.assert_close(
-        after, torch.stack([torch.tensor([1.1, 0.27, 0.45]), *[stopping] * 3])
-    )
-    fast = approach_led_command(past, command, stand, mode, (4.0, 4.0, 4.0), 0.1)
-    torch.testing.assert_close(fast[1:], past[1:] * 0.6)
 
 
 def test_robot_that_shall_stand_at_a_reset_starts_standing(
