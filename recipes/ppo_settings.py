@@ -29,6 +29,9 @@ DESCRIPTIONS = {
     "fine": "physics of 2 kHz instead of 1 kHz in training, as walks have",
 }
 
+TIMESTEPS = (0.0005, 0.001)
+"""Physics timesteps of the low level at 2 kHz (`aslip.robot.model.physics_timesteps`) [s]."""
+
 
 @dataclass(frozen=True)
 class Config:
@@ -118,6 +121,10 @@ class Config:
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigurationError(f"{name} must be in [0, 1], got {getattr(self, name)}")
+        if self.physics_timestep not in TIMESTEPS:
+            raise ConfigurationError(
+                f"physics_timestep must be one of {TIMESTEPS} s, got {self.physics_timestep}"
+            )
         if not 0 <= self.fall_after < 1:
             raise ConfigurationError(f"fall_after must be in [0, 1), got {self.fall_after}")
         if not 0 <= self.seed < 2**63:

@@ -117,7 +117,8 @@ def train_with_torques(config: Config) -> MakeEnv:
     del stack["feedforward"]
     stack["action"] = lambda: ActionDelta(("reference", "motor_torque"), limit=50.0)
     make_env = partial(aslip.make_env, base=partial(BatchEnv, drive=Torque), stack=stack)
-    ppo_aslip.main(replace(config, std=5.0, last_std=2.0), make_env)  # [N m]
+    config = replace(config, std=5.0, last_std=2.0)  # [N m]
+    ppo_aslip.main(replace(config, physics_timestep=CASSIE.physics_timestep), make_env)
     return make_env
 
 

@@ -20,6 +20,7 @@ import aslip
 from aslip.errors import AslipError, ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import read_card
+from aslip.robot.model import physics_timesteps
 from aslip.training.environments import make_training_env
 from aslip.training.run import TrainingStoppedError
 from aslip.transforms import (
@@ -38,7 +39,7 @@ from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import Walker
 from recipes import ppo_aslip
 from recipes.ppo_presets import environments
-from recipes.ppo_settings import PRESETS
+from recipes.ppo_settings import PRESETS, TIMESTEPS
 from tests.helpers import TINY
 
 
@@ -90,6 +91,7 @@ def test_only_training_has_coarse_physics(tmp_path: Path) -> None:
     fine = replace(TINY, out=tmp_path / "fine", total_steps=64, physics_timestep=0.0005)
     ppo_aslip.main(fine, make_env)
     assert set(made) == {0.0005}
+    assert physics_timesteps() == TIMESTEPS
     physics = {name: preset.physics_timestep for name, preset in PRESETS.items()}
     assert {name for name in physics if physics[name] == 0.0005} == {
         "paper",

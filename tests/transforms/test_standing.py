@@ -149,7 +149,7 @@ def test_reference_leads_from_a_walk_to_standing_and_back(env: StackEnv) -> None
     """Without jumps; the goal of a step is the next reference, bit for bit."""
     td = _start(env, [[0.1, 0.0, 0.1], [0.0, 0.0, 0.0]], phase=[0.1, 0.65], stand=[0.0, 0.0])
     modes = []
-    for count in range(42):
+    for count in range(44):
         td["stand"] = torch.full((2, 1), float(1 <= count < 25))
         past = td
         td = _step(env, td)
