@@ -98,13 +98,7 @@ from typing import Any
 import ppo_aslip
 
 import aslip
-from aslip.envs import (
-    Stack,
-    directions_stack,
-    insert_before,
-    randomise_stack,
-    standing_stack,
-)
+from aslip.envs import Stack, directions_stack, insert_before, randomise_stack, standing_stack
 from aslip.policy import make_critic, make_privileged_critic, privileged_table
 from aslip.training.environments import make_training_env
 from aslip.training.settings import read_settings

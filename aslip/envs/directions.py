@@ -89,10 +89,7 @@ def _terms() -> Stack:
     reads: dict[Callable[..., Tensor], tuple[list[NestedKey], list[NestedKey]]] = {
         # the policy observes estimates of both; the true ones drift away with the odometry
         rewards.path_diff: ([("odometry", "path_error")], [("goal", "body_position")]),
-        rewards.heading_diff: (
-            [("odometry", "pelvis_orientation")],
-            [("goal", "body_heading")],
-        ),
+        rewards.heading_diff: ([("odometry", "pelvis_orientation")], [("goal", "body_heading")]),
         rewards.power: ([("truth", "motor_power")], [_STEER]),
         rewards.landing: ([("truth", "largest_force")], []),
     }

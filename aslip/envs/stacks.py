@@ -220,10 +220,7 @@ def _turning(
     """
     from aslip.envs import directions  # imports this module
 
-    make = {
-        "directions": directions.directions_stack,
-        "standing": directions.standing_stack,
-    }
+    make = {"directions": directions.directions_stack, "standing": directions.standing_stack}
     return make[name](library, reward_on)
 
 

@@ -25,11 +25,7 @@ from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.files.assets import asset_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor
-from aslip.transforms import (
-    DIRECTION_TABLE,
-    OBSERVATION_TABLE,
-    SINGLE_REFERENCE_TABLE,
-)
+from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from aslip.transforms.command import checked_rates
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
