@@ -49,6 +49,8 @@ class DirectionConfig(Config):
     """Mean time between draws of the wish to stand in an episode [s]."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
+    randomise_share: float = 0.5
+    """Probability with which a parameter of dynamics and sensors is drawn; else it is nominal."""
     push_impulse: float = 30.0
     """Largest impulse of random pushes [N s]; 0 for none."""
     push_interval: float = 4.0
@@ -68,8 +70,9 @@ class DirectionConfig(Config):
         super().__post_init__()
         if not 0 <= self.stand <= 1:
             raise ConfigurationError(f"stand must be from 0 to 1, got {self.stand}")
-        if not 0 <= self.ramp <= 1:
-            raise ConfigurationError(f"ramp must be from 0 to 1, got {self.ramp}")
+        for name in ("ramp", "randomise_share"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ConfigurationError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
         check_positive(self, "command_rates", "leash", "leash_time")
         if self.push_impulse < 0:
             raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
@@ -167,11 +170,13 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     steps = config.schedule_steps or config.total_steps
     ramp = round(config.ramp * steps / config.num_envs)
     scaled: dict[str, Any] = {"in_keys": ["difficulty"]} if ramp else {}
+    share = config.randomise_share
     if ramp and (config.randomise or config.push_impulse):
-        stack = insert_before(stack, "start", difficulty=partial(Difficulty, ramp))
+        # after the dynamics, which read it
+        stack = insert_before(stack, "command", difficulty=partial(Difficulty, ramp))
     if config.randomise:
         stack = randomise_stack(stack, WIDE_RANGES)
-        stack["dynamics"] = partial(RandomDynamics, WIDE_RANGES, **scaled)
+        stack["dynamics"] = partial(RandomDynamics, WIDE_RANGES, share=share, **scaled)
     if config.push_impulse:
         pushes = partial(RandomPushes, config.push_impulse, config.push_interval, **scaled)
         stack = insert_before(stack, "command", pushes=pushes)

@@ -18,9 +18,10 @@ from aslip.transforms.base import SeededTransform, checked_column, extend_spec
 class Difficulty(SeededTransform):
     """Write the difficulty of training, from 0 to 1, which rises with a robot's policy steps.
 
-    `RandomDynamics` and `RandomPushes` narrow their ranges by it, if they read it and come later in
-    the stack. It carries over from episode to episode. A reset of all robots without the entry
-    starts again at 0; to choose a value, pass it to the reset or write it between steps.
+    `RandomDynamics`, which must come earlier in the stack, and `RandomPushes`, which must come
+    later, narrow their ranges by it if they read it. It carries over from episode to episode, also in TorchRL's resets of robots that are
+    done, whose request has nothing but a mask. A reset without mask and entry starts again at 0; to
+    choose a value, pass it to the reset or write it between steps.
 
     Args:
         ramp: policy steps of a robot until the difficulty is 1.
@@ -38,11 +39,15 @@ class Difficulty(SeededTransform):
         if isinstance(ramp, bool) or not isinstance(ramp, int) or ramp < 1:
             raise ConfigurationError(f"ramp must be a whole number of 1 or more, got {ramp!r}")
         self.ramp = ramp
+        self._reached: Tensor | None = None
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict, key = self._request(tensordict), self.out_keys[0]
         if tensordict.get(key, None) is None:
-            tensordict.set(key, torch.zeros(*tensordict.batch_size, 1))
+            start = self._reached if "_reset" in tensordict else None
+            tensordict.set(
+                key, torch.zeros(*tensordict.batch_size, 1) if start is None else start
+            )
         return tensordict.set(key, checked_column(tensordict, key))
 
     def _reset(
@@ -52,7 +57,8 @@ class Difficulty(SeededTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         harder = checked_column(tensordict, self.out_keys[0]) + 1 / self.ramp
-        return next_tensordict.set(self.out_keys[0], harder.clamp(max=1.0))
+        self._reached = harder.clamp(max=1.0)
+        return next_tensordict.set(self.out_keys[0], self._reached.clone())
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the difficulty."""
@@ -66,6 +72,15 @@ class Difficulty(SeededTransform):
 def difficulty_of(tensordict: TensorDictBase, keys: Sequence[NestedKey]) -> Tensor | float:
     """Difficulty (*b, 1) at the only key of a list; 1 for an empty list.
 
-    A request for a reset that does not choose it begins at 0, as `Difficulty` does.
+    Raises:
+        ConfigurationError: the tensordict lacks the key.
     """
-    return cast("Tensor | float", tensordict.get(keys[0], 0.0)) if keys else 1.0
+    if not keys:
+        return 1.0
+    found = tensordict.get(keys[0], None)
+    if found is None:
+        raise ConfigurationError(
+            f"no difficulty at {keys[0]!r}: a stack needs Difficulty after RandomDynamics, as"
+            " TorchRL prepares resets from the last transform to the first"
+        )
+    return cast("Tensor", found)

@@ -15,7 +15,7 @@ from torchrl.data import Composite
 from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.sim.parameters import parameter_named
-from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, check_number, extend_spec
 from aslip.transforms.curriculum import difficulty_of
 from aslip.transforms.noise import ObservationNoise
 
@@ -79,18 +79,22 @@ class RandomDynamics(SeededTransform):
     To choose a value, pass `("dynamics", name)` to `env.reset`; the parameter needs no range. A
     partial reset (with a `_reset` mask) draws new values for the reset robots only.
 
-    With the difficulty of a `Difficulty`, ranges grow from the nominal value to their full width.
+    With the difficulty of a `Difficulty` later in the stack, ranges grow from the nominal value to
+    their full width.
 
     No stack has it by default; `aslip.envs.randomise_stack` adds it and `RandomNoise`.
 
     Args:
         ranges: parameter -> least and greatest value.
+        share: probability with which a parameter is drawn; else it is nominal. With many
+            parameters, a small share keeps robots that are extreme in all of them rare, and robots
+            that are nominal in most of them frequent.
         in_keys: key of the difficulty (n, 1), or none.
 
     Raises:
         UnknownNameError: there is no such parameter.
         ConfigurationError: `ranges` is not a mapping, or a range is not two numbers within the
-            limits of the parameter.
+            limits of the parameter; or `share` is not from 0 to 1.
     """
 
     needs_env = "it draws parameters at resets"
@@ -99,6 +103,7 @@ class RandomDynamics(SeededTransform):
         self,
         ranges: Mapping[str, tuple[float, float]] = DYNAMICS_RANGES,
         *,
+        share: float = 1.0,
         in_keys: Sequence[NestedKey] = (),
     ) -> None:
         if not isinstance(ranges, Mapping):
@@ -115,6 +120,7 @@ class RandomDynamics(SeededTransform):
                 )
         super().__init__(in_keys=in_keys, out_keys=[("dynamics", name) for name in ranges])
         self.ranges = MappingProxyType(dict(ranges))
+        self.share = check_number("share", share, 0, 1)
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
@@ -123,11 +129,13 @@ class RandomDynamics(SeededTransform):
         others = [name for name in DYNAMICS if name not in _GAINS]
         columns = _draw(tensordict.batch_size, others, self.generator)
         columns |= _draw(tensordict.batch_size, _GAINS, aside)
+        chances = _draw(tensordict.batch_size, [*DYNAMICS], aside)
         for name, (low, high) in self.ranges.items():
             draw = (low + (high - low) * columns[name]).clamp(low, high)
+            nominal = DYNAMICS[name].nominal
             if self.in_keys:
-                nominal = DYNAMICS[name].nominal
                 draw = nominal + difficulty_of(tensordict, self.in_keys) * (draw - nominal)
+            draw = torch.where(chances[name] < self.share, draw, nominal)
             tensordict = self._draw_into_reset(tensordict, ("dynamics", name), draw)
         return tensordict
 
@@ -146,7 +154,6 @@ class RandomDynamics(SeededTransform):
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the parameters that are drawn."""
-        require_keys(self, observation_spec, self.in_keys)
         return extend_spec(observation_spec, dict.fromkeys(self.out_keys, 1))
 
     def transform_state_spec(self, state_spec: Composite) -> Composite:

@@ -16,7 +16,7 @@ from aslip.envs import directions_stack, standing_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import policy_stack, read_card
 from aslip.sim import DYNAMICS
-from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES
+from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES, Difficulty
 from aslip.transforms.path import Leash
 from aslip.walking import WalkResult
 from recipes import ppo_directions
@@ -76,6 +76,7 @@ def test_the_policys_file_says_how_fast_its_command_may_change(
 
 def test_only_training_has_other_robots_pushes_and_coarse_physics(config: DirectionConfig) -> None:
     stack = directions_stack(symmetric_library())
+    config = replace(config, randomise_share=1.0)
     trained = ppo_directions.training_stack(config, stack)
     assert set(trained) - set(stack) == {"difficulty", "dynamics", "pushes", "privileged"}
     env = aslip.make_env(stack=trained, num_envs=2, num_threads=1, timestep=1e-3)
@@ -83,7 +84,7 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     # 16 numbers of the truth, and the parameters
     assert td["privileged"].shape == (2, 16 + len(WIDE_RANGES))
     # half of 128 policy steps of eight robots
-    assert env.transforms[0].ramp == 8
+    assert next(t for t in env.transforms if isinstance(t, Difficulty)).ramp == 8
     assert all(td["dynamics", name][0] == DYNAMICS[name].nominal for name in WIDE_RANGES)
     hard = env.reset(TensorDict(difficulty=torch.ones(2, 1), batch_size=2))
     for name, (low, high) in WIDE_RANGES.items():
@@ -100,6 +101,20 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
         "estimator",
         "command_filter",
     }
+
+
+def test_episodes_of_a_training_have_ever_more_different_robots(config: DirectionConfig) -> None:
+    """Until they have the full ranges, of about half of the parameters each."""
+    trained = ppo_directions.training_stack(config, directions_stack(symmetric_library()))
+    env = aslip.make_env(stack=trained, num_envs=16, num_threads=1, timestep=1e-3)
+    td, action = env.reset(), 3.0 * torch.randn(16, 10, generator=torch.manual_seed(0))
+    for _ in range(60):  # robots fall, and their next episodes begin
+        _, td = env.step_and_maybe_reset(td.set("action", action))
+    assert (td["difficulty"] == 1).all()
+    names = [name for name in WIDE_RANGES if name != "torque_delay"]
+    differs = torch.cat([td["dynamics", n] != DYNAMICS[n].nominal for n in names], dim=-1)
+    assert 0.35 < differs.float().mean() < 0.65
+    assert td["dynamics", "payload"].max() > 8.0
 
 
 def test_only_training_has_a_long_leash(config: DirectionConfig) -> None:

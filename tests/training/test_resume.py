@@ -44,8 +44,8 @@ def _harder(stack: Stack) -> Stack:
     """Stack with pushes, and with robots that become more different."""
     key: dict[str, Any] = {"in_keys": ["difficulty"]}
     stack |= {"dynamics": partial(RandomDynamics, **key)}
-    stack = insert_before(stack, "command", pushes=partial(RandomPushes, 40.0, 0.3, **key))
-    return insert_before(stack, "dynamics", difficulty=partial(Difficulty, 30))
+    difficulty, pushes = partial(Difficulty, 30), partial(RandomPushes, 40.0, 0.3, **key)
+    return insert_before(stack, "command", difficulty=difficulty, pushes=pushes)
 
 
 STACKS: dict[str, Callable[[], dict[str, Any]]] = {

@@ -63,8 +63,8 @@ def make_env(seed: int = 0) -> StackEnv:
     stack = insert_before(
         default_stack(library),
         "start",
-        difficulty=partial(transforms.Difficulty, 4),
         dynamics=partial(transforms.RandomDynamics, in_keys=["difficulty"]),
+        difficulty=partial(transforms.Difficulty, 4),
     )
     stack = insert_before(
         stack,

@@ -7,6 +7,7 @@ from functools import partial
 import pytest
 import torch
 from tensordict import TensorDict
+from torchrl.envs import StepCounter
 
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
@@ -21,8 +22,8 @@ def make(num: int = 4, ramp: int = 5) -> StackEnv:
     stack = insert_before(
         default_stack(),
         "start",
-        difficulty=partial(Difficulty, ramp),
         dynamics=partial(RandomDynamics, RANGES, in_keys=["difficulty"]),
+        difficulty=partial(Difficulty, ramp),
         pushes=partial(RandomPushes, 20.0, 0.03, 0.03, in_keys=["difficulty"]),
     )
     return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"])
@@ -38,6 +39,20 @@ def test_difficulty_rises_to_one_and_carries_over_partial_resets() -> None:
     torch.testing.assert_close(seen[0], torch.tensor([0, 0.2, 0.4, 0.6, 0.8, 1, 1]))
     td = env.reset(td.set("_reset", torch.tensor([[True], [False]])))
     assert td["difficulty"].flatten().tolist() == [1.0, 1.0]
+    assert env.reset()["difficulty"].sum() == 0
+
+
+def test_difficulty_carries_over_the_episodes_of_a_training() -> None:
+    """A collector's requests for resets have nothing but a mask."""
+    env, heaviest = make(8, 100), 0.0
+    env.append_transform(StepCounter(7))
+    td = env.reset()
+    for step in range(60):
+        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(8, 10)))
+        assert td["difficulty"].flatten().tolist() == pytest.approx([(step + 1) / 100] * 8)
+        heaviest = max(heaviest, float(td["dynamics", "payload"].max()))
+    # the last episodes begin at a difficulty of 0.56, with payloads from 2.2 to 4.5 kg
+    assert heaviest > 2.2
     assert env.reset()["difficulty"].sum() == 0
 
 

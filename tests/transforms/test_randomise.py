@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import pytest
@@ -89,6 +90,22 @@ def test_nothing_is_drawn_by_default(make: MakeEnv) -> None:
 
 
 # --------------------------------------------------------------------- draws
+
+
+def test_a_share_of_the_parameters_is_drawn_and_the_others_are_nominal(make: MakeEnv) -> None:
+    """Drawn values are those of a share of 1."""
+    found = []
+    for share in (1.0, 0.3, 0.0):
+        dynamics = partial(RandomDynamics, share=share)
+        stack = insert_before(default_stack(), "start", dynamics=dynamics)
+        found.append(_dynamics(make(num_envs=200, seed=1, stack=stack).reset()))
+    full, some, none = (torch.cat([*one.values()], dim=-1) for one in found)
+    nominal = torch.tensor([DYNAMICS[name].nominal for name in found[0]])
+    torch.testing.assert_close(none, nominal.expand_as(none))
+    drawn = some != nominal
+    torch.testing.assert_close(some[drawn], full[drawn])
+    # five standard errors
+    assert drawn.float().mean().item() == pytest.approx(0.3, abs=5 * 0.46 / drawn.numel() ** 0.5)
 
 
 def test_draws_fill_their_ranges(make: MakeEnv, library: GaitLibrary) -> None:
