@@ -290,8 +290,10 @@ def training_conditions(about: dict[str, Any]) -> str:
         return f"- It was trained on level ground with friction 1, {how}."
     drawn = WIDE_RANGES if turns else DYNAMICS_RANGES
     ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in drawn.items()]
+    share = made.get("settings", {}).get("randomise_share", 1)
+    each = f" (each nominal with a probability of {1 - share:g})" if share < 1 else ""
     return (
-        f"- It was trained {how} on robots and floors drawn for each episode:"
+        f"- It was trained {how} on robots and floors drawn for each episode{each}:"
         f" {', '.join(ranges)}; see `aslip.sim.DYNAMICS`."
     )
 

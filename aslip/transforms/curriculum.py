@@ -19,9 +19,10 @@ class Difficulty(SeededTransform):
     """Write the difficulty of training, from 0 to 1, which rises with a robot's policy steps.
 
     `RandomDynamics`, which must come earlier in the stack, and `RandomPushes`, which must come
-    later, narrow their ranges by it if they read it. It carries over from episode to episode, also in TorchRL's resets of robots that are
-    done, whose request has nothing but a mask. A reset without mask and entry starts again at 0; to
-    choose a value, pass it to the reset or write it between steps.
+    later, narrow their ranges by it if they read it. It carries over from episode to episode, also
+    in TorchRL's resets of robots that are done, whose request has nothing but a mask. A reset
+    without mask and entry starts again at 0; to choose a value, pass it to the reset or write it
+    between steps.
 
     Args:
         ramp: policy steps of a robot until the difficulty is 1.
@@ -45,9 +46,7 @@ class Difficulty(SeededTransform):
         tensordict, key = self._request(tensordict), self.out_keys[0]
         if tensordict.get(key, None) is None:
             start = self._reached if "_reset" in tensordict else None
-            tensordict.set(
-                key, torch.zeros(*tensordict.batch_size, 1) if start is None else start
-            )
+            tensordict.set(key, torch.zeros(*tensordict.batch_size, 1) if start is None else start)
         return tensordict.set(key, checked_column(tensordict, key))
 
     def _reset(

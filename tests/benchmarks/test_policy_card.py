@@ -160,7 +160,11 @@ def test_card_lists_training_conditions() -> None:
     made: dict[str, dict] = {"settings": {}}
     assert "level ground" in policy_card.training_conditions({"made_by": made})
     made["transforms"] = {"training/dynamics": "RandomDynamics()"}
+    assert "drawn for each episode: " in policy_card.training_conditions({"made_by": made})
     assert "floor_friction 0.4 to 1.1" in policy_card.training_conditions({"made_by": made})
+    made["settings"]["randomise_share"] = 0.3
+    line = policy_card.training_conditions({"made_by": made})
+    assert "each episode (each nominal with a probability of 0.7): " in line
 
 
 def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
