@@ -92,6 +92,7 @@ def _terms() -> Stack:
         rewards.heading_diff: ([("odometry", "pelvis_orientation")], [("goal", "body_heading")]),
         rewards.power: ([("truth", "motor_power")], [_STEER]),
         rewards.landing: ([("truth", "largest_force")], []),
+        rewards.squeeze: ([("truth", "ground_force")], []),
     }
     return {
         function.__name__: partial(RewardTerm, function.__name__, function, *keys)

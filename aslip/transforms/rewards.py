@@ -39,18 +39,20 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.1,
-        "foot_pos": 0.25,
-        "path_diff": 0.2,
+        "com_vel": 0.2,
+        "foot_pos": 0.2,
+        "path_diff": 0.15,
         "heading_diff": 0.1,
-        "foot_orient": 0.1,
+        "foot_orient": 0.05,
         "action_diff": 0.05,
         "power": 0.1,
         "landing": 0.1,
+        "squeeze": 0.05,
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
-`path_diff` takes the place of `straight_diff`; `heading_diff`, `power` and `landing` are new."""
+`path_diff` takes the place of `straight_diff`; the terms for heading, power, landings and squeezing
+are new."""
 
 HEADING_SCALE: Final = 0.1
 """Angle at which `heading_diff` is 1/e [rad]."""
@@ -69,6 +71,9 @@ LEAST_LOAD: Final = 0.9
 
 LOAD_SCALE: Final = 0.3
 """Force on a foot over body weight, beyond `LEAST_LOAD`, at which `landing` is 1/e."""
+
+SQUEEZE_SCALE: Final = 30.0
+"""Horizontal force that feet spend against each other at which `squeeze` is 1/e [N]."""
 
 _WEIGHT: Final = CASSIE.total_mass * STANDARD_GRAVITY  # [N]
 
@@ -226,6 +231,22 @@ def landing(largest_force: Tensor) -> Tensor:
     """
     largest = largest_force.amax(-1, keepdim=True) / _WEIGHT
     return torch.exp(-(largest - LEAST_LOAD).clamp(min=0) / LOAD_SCALE)
+
+
+def squeeze(ground_force: Tensor) -> Tensor:
+    r""":math:`\exp(-(S / 30\,\mathrm{N})^2)`, S the friction that feet spend against each other.
+
+    :math:`S = \|h_l\| + \|h_r\| - \|h_l + h_r\|`, with the horizontal forces h on both feet, is 0
+    in single stance, and whenever both feet push in the same direction. Ours: feet of a robot that
+    stands creep on soft contacts under forces of a few newtons, too slowly for other terms to see.
+
+    Args:
+        ground_force: (*b, 2, 3) force of the ground on the left and the right foot [N, world], mean
+            of a policy step.
+    """
+    horizontal = ground_force[..., :2]
+    spent = _norm(horizontal).sum(-2) - _norm(horizontal.sum(-2))
+    return torch.exp(-(spent / SQUEEZE_SCALE).square())
 
 
 def _norm(vector: Tensor) -> Tensor:

@@ -221,6 +221,18 @@ def test_landing_falls_with_the_force_on_the_foot_that_bears_more() -> None:
     torch.testing.assert_close(rewards.landing(vertical), expected)
 
 
+def test_squeeze_falls_with_the_friction_that_feet_spend_against_each_other() -> None:
+    """Not with vertical forces, nor with friction in one direction or on a single foot."""
+    inward = torch.tensor([[0.0, 15.0, 160.0], [0.0, -15.0, 160.0]])
+    alone = torch.tensor([[40.0, -30.0, 300.0], [0.0, 0.0, 0.0]])
+    along = torch.tensor([[20.0, 10.0, 200.0], [10.0, 5.0, 100.0]])
+    # 5 + 12 - 13 N
+    across = torch.tensor([[5.0, 0.0, 160.0], [0.0, 12.0, 160.0]])
+    expected = torch.tensor([-1.0, 0.0, 0.0, -((4 / 30) ** 2)]).exp()[:, None]
+    force = torch.stack([inward, alone, along, across])
+    torch.testing.assert_close(rewards.squeeze(force), expected)
+
+
 def test_heading_diff_falls_with_the_angle_between_pelvis_and_reference() -> None:
     """The shorter way around counts, and tilt does not."""
     turned = [_about((0, 0, 1), angle) for angle in (0.3, 0.2, 0.2, -3.1)]
