@@ -157,6 +157,8 @@ def test_settings_of_a_run_are_kept_when_it_is_resumed(
         replace(config, stand=1.5)
     with pytest.raises(ConfigurationError, match=r"ramp must be from 0 to 1, got -0\.1"):
         replace(config, ramp=-0.1)
+    with pytest.raises(ConfigurationError, match=r"randomise_share must be from 0 to 1, got 1\.5"):
+        replace(config, randomise_share=1.5)
 
 
 def test_robots_learn_to_stand_if_the_library_has_stop_and_start(

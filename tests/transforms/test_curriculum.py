@@ -74,6 +74,17 @@ def test_ranges_grow_from_the_nominal_value() -> None:
         assert low <= hard.min() < hard.max() <= high
 
 
+@pytest.mark.parametrize("names", [["dynamics"], ["difficulty", "dynamics"]])
+def test_ranges_need_a_difficulty_later_in_the_stack(names: list[str]) -> None:
+    makers = {
+        "difficulty": partial(Difficulty, 5),
+        "dynamics": partial(RandomDynamics, RANGES, in_keys=["difficulty"]),
+    }
+    stack = insert_before(default_stack(), "start", **{name: makers[name] for name in names})
+    with pytest.raises(ConfigurationError, match="needs Difficulty after RandomDynamics"):
+        aslip.make_env(stack=stack, num_envs=2, num_threads=1).reset()
+
+
 def test_impulses_grow_from_zero() -> None:
     env = make()
     forces = []
