@@ -8,7 +8,7 @@ as in `mujoco.MjData`).
 from aslip.ik.dynamics import leg_torque, pelvis_axes
 from aslip.ik.kinematics import Kinematics
 from aslip.ik.solve import IkResidual, IkSolution, solve
-from aslip.ik.statics import standing_pose, static_torque
+from aslip.ik.statics import share_friction, standing_pose, static_torque
 from aslip.ik.target import BodyTarget
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "Kinematics",
     "leg_torque",
     "pelvis_axes",
+    "share_friction",
     "solve",
     "standing_pose",
     "static_torque",

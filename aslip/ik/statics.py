@@ -1,4 +1,4 @@
-"""Statics: standing pose, and motor torques that balance ground forces."""
+"""Statics: standing pose, ground forces of both feet, and motor torques that balance them."""
 
 from __future__ import annotations
 
@@ -39,6 +39,25 @@ def standing_pose(kinematics: Kinematics, height: float = 0.95) -> IkSolution:
             return solution
         forward = centre
     raise UnreachablePoseError(f"no standing pose found at height {height!r}")
+
+
+def share_friction(force: np.ndarray) -> np.ndarray:
+    """Ground forces with which the feet do not push against each other.
+
+    The horizontal forces are shared between the feet in proportion to their vertical forces. Sums
+    of the forces, vertical forces, and forces on a single foot stay as they are.
+
+    Args:
+        force: (..., 2, 3) ground force on the left and the right foot [N, z up].
+
+    Returns:
+        (..., 2, 3) forces on the same feet [N].
+    """
+    load = force[..., 2:]
+    total = load.sum(axis=-2, keepdims=True)
+    share = np.divide(load, total, out=np.zeros_like(load), where=total > 0)
+    horizontal = share * force[..., :2].sum(axis=-2, keepdims=True)
+    return np.concatenate([horizontal, load], axis=-1)
 
 
 def static_torque(kinematics: Kinematics, qpos: np.ndarray, force: np.ndarray) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,7 @@ from aslip.ik import (
     Kinematics,
     leg_torque,
     pelvis_axes,
+    share_friction,
     solve,
     static_torque,
 )
@@ -89,6 +90,11 @@ class FramedMotion:
             period=float(motion.stride) / (len(phase) - 1),
             repeats=False,
         )
+
+    def sharing_friction(self) -> FramedMotion:
+        """The motion with ground forces of `aslip.ik.share_friction`."""
+        force = share_friction(self.sample.ground_force)
+        return replace(self, sample=replace(self.sample, ground_force=force))
 
     def rows(self, kinematics: Kinematics, *, leg_dynamics: bool = False) -> Rows:
         """Solve for the robot's configurations and torques.

@@ -96,6 +96,10 @@ def tabulate_transitions(
 ) -> TransitionTable:
     """Tabulate stop and start with the robot's configurations and torques, after either foot.
 
+    The model's legs meet in the point mass, so that even at rest they push the feet apart, Cassie's
+    by 16 N. The robot's legs need not, and on soft contacts its feet would creep: the torques
+    balance ground forces whose horizontal part the feet share in proportion to their loads.
+
     Args:
         gait: gait in place.
         transitions: stop and start after its left touchdown, from
@@ -110,7 +114,7 @@ def tabulate_transitions(
     """
     kinematics, phase = Kinematics(robot), np.linspace(0.0, 1.0, samples)
     motions = [side for one in transitions for side in (one, one.mirrored())]
-    framed = [FramedMotion.still(motion, phase) for motion in motions]
+    framed = [FramedMotion.still(motion, phase).sharing_friction() for motion in motions]
     rows = [motion.rows(kinematics, leg_dynamics=leg_dynamics) for motion in framed]
     columns = {n: np.stack([row[n] for row in rows]) for n in TRANSITION_ARRAYS}
     return TransitionTable(

@@ -1,4 +1,4 @@
-"""Static torques obey virtual work along motions of the library."""
+"""Static torques obey virtual work along motions of the library; feet share friction."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from aslip.errors import ShapeError
-from aslip.ik import Kinematics, standing_pose, static_torque
+from aslip.ik import Kinematics, share_friction, standing_pose, static_torque
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 
@@ -69,3 +69,16 @@ def test_torques_do_not_depend_on_the_heading_or_tilt() -> None:
         static_torque(kinematics, qpos, force),
         atol=1e-9,
     )
+
+
+def test_feet_that_share_friction_do_not_push_against_each_other() -> None:
+    force = np.random.default_rng(3).normal(size=(4, 2, 3))
+    force[..., 2] = [[160.0, 160.0], [300.0, 20.0], [0.0, 290.0], [0.0, 0.0]]
+    force[2, 0] = force[3] = 0.0
+    shared = share_friction(force)
+    np.testing.assert_allclose(shared.sum(1), force.sum(1), atol=1e-12)
+    np.testing.assert_array_equal(shared[..., 2], force[..., 2])
+    # a foot in the air leaves that on the ground all the friction
+    np.testing.assert_allclose(shared[2:], force[2:], atol=1e-12)
+    ratio = shared[:2, :, :2] / shared[:2, :, 2:]
+    np.testing.assert_allclose(ratio[:, 0], ratio[:, 1], atol=1e-12)

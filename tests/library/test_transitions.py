@@ -6,16 +6,19 @@ import copy
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
-from aslip.ik import Kinematics
+from aslip.ik import Kinematics, static_torque
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.library.transitions import TRANSITION_ARRAYS
-from aslip.robot import SIDES
+from aslip.robot import CASSIE, SIDES, STANDARD_GRAVITY
+from aslip.robot.model import load_model
+from aslip.rom import SlipParameters
 from tests.library.standing import standing_library
 
 HALVES = pytest.mark.parametrize("half", [0.0, 0.5], ids=["left landed", "right landed"])
@@ -106,6 +109,40 @@ def test_lookup_is_smooth_over_stop_standing_and_start(
             assert steps.diff(dim=0).abs().max() < 0.02, name
         slope = found.body_position.double().diff(dim=0) / seconds
         torch.testing.assert_close(slope, found.body_velocity[1:].double(), rtol=0, atol=0.015)
+
+
+def test_torques_of_standing_balance_vertical_forces(table: TransitionTable) -> None:
+    """The model's legs would push the feet apart, which soft contacts give way to."""
+    kinematics, qpos = Kinematics(), table.qpos[0, 0, -1:]
+    # the model's weight, on which leg forces and with them the height of standing depend
+    half = np.array([0.0, 0.0, SlipParameters().mass * STANDARD_GRAVITY / 2])
+    upright = static_torque(kinematics, qpos, np.tile(half, (1, 2, 1)))
+    np.testing.assert_allclose(table.motor_torque[0, 0, -1], upright[0], atol=0.05)
+
+
+def test_feet_of_a_standing_robot_do_not_creep() -> None:
+    """On torques of the model's forces they would move apart by 3 cm in 2 s."""
+    table = GaitLibrary.load("directions").transitions
+    assert table is not None
+    model, at = load_model(visual=False), CASSIE.indices
+    data = mujoco.MjData(model)
+    begin = data.qpos[:] = table.qpos[0, 0, -1]
+    target = table.motor_position[0, 0, -1] + table.motor_torque[0, 0, -1] / CASSIE.stiffness
+    turn, feet = np.zeros(3), [data.site(f"{side}_foot").xpos for side in SIDES]
+    mujoco.mj_forward(model, data)
+    before = feet[0] - feet[1]
+    for _ in range(4000):
+        qpos, qvel = data.qpos, data.qvel
+        # a hand keeps the pelvis from falling over, but not from sinking
+        mujoco.mju_subQuat(turn, begin[3:7], qpos[3:7])
+        hold = data.xfrc_applied[at.pelvis_body]
+        hold[:2] = 3000 * (begin[:2] - qpos[:2]) - 300 * qvel[:2]
+        hold[3:] = 1000 * turn - 60 * qvel[3:6]
+        torque = CASSIE.stiffness * (target - qpos[at.motor_qpos])
+        data.ctrl[:] = (torque - CASSIE.damping * qvel[at.motor_qvel]) / CASSIE.gear
+        mujoco.mj_step(model, data)
+    np.testing.assert_allclose(feet[0] - feet[1], before, atol=2e-3)
+    np.testing.assert_allclose(data.sensordata[at.ground_force][:, 1], 0, atol=1.0)
 
 
 def test_mode_chooses_between_gait_and_transition(
