@@ -251,7 +251,8 @@ class Controller:
         """Entries of robots that start with packets (n, w, p), or with estimates (n, e)."""
         if rows.ndim == 3:
             origin = torch.zeros(len(rows), 3) if self._along_path else None
-            entries = estimate_entries(*self.estimator.start(rows, heading), origin)
+            begun = self.estimator.start(rows, heading)
+            entries = estimate_entries(*begun, origin, period=self._period)
         else:
             entries = start_entries(rows, heading, self.estimator.robot, self._along_path)
         first = torch.ones(len(rows), 1, dtype=torch.bool)
@@ -297,7 +298,8 @@ class Controller:
             origin = follow_path(tracking, origin, command, heading, self._period)
         elif heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
-        return estimate_entries(tracking, self.estimator.update(tracking, rows), origin, mode)
+        estimate = self.estimator.update(tracking, rows)
+        return estimate_entries(tracking, estimate, origin, mode, period=self._period)
 
     @torch.no_grad()
     def act(self, present: TensorDictBase) -> ControllerState:

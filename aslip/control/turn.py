@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from aslip.control.own_estimate import POSITION, split_estimate, start_heading
-from aslip.robot import Robot
+from aslip.robot import CASSIE, Robot
 from aslip.transforms.estimate import PATH_SIZES
 from aslip.transforms.path import advance_frame, advance_heading, place_in_path
 from aslip.transforms.rotation import (
@@ -43,7 +43,8 @@ def start_entries(
     entries: Entries = {"estimate": turn_estimate(part, ahead), "heading": ahead}
     if along_path and position is not None:
         place = rotate_about_vertical(position, -ahead)
-        entries["odometry"] = place_on_path(place, start_origin(position), ahead.float())
+        begun = start_origin(position)
+        entries["odometry"] = place_on_path(place, begun, ahead.float(), period=robot.policy_period)
     return entries
 
 
@@ -79,7 +80,7 @@ def next_entries(
         origin, error = (cast("Tensor", past["odometry", name]) for name in PATH_SIZES)
         place = rotate_about_vertical(position, -ahead)
         moved = advance_frame(origin, before.float(), command, robot.policy_period)
-        entries["odometry"] = place_on_path(place, *moved, error, mode)
+        entries["odometry"] = place_on_path(place, *moved, error, mode, robot.policy_period)
     return entries
 
 
@@ -94,6 +95,7 @@ def place_on_path(
     heading: Tensor,
     last_error: Tensor | None = None,
     mode: Tensor | None = None,
+    period: float = CASSIE.policy_period,
 ) -> dict[str, Tensor]:
     """Odometry of robots along the path of a command, see `aslip.transforms.path`.
 
@@ -103,12 +105,14 @@ def place_on_path(
         heading: (n, 1) yaw of the frame [rad].
         last_error: (n, 2) distance from the path a policy step ago, which lost robots keep [m].
         mode: (n, 1) mode of robots that stand on a wish.
+        period: duration of a policy step [s].
 
     Returns:
         `origin` (n, 3), and `path_error` (n, 2) as in `aslip.transforms.PATH_SIZES`.
     """
     way = rotate_about_vertical(origin, -heading)
-    placed = place_in_path({"pelvis_position": place.float() - way}, origin, heading, mode=mode)
+    entries = {"pelvis_position": place.float() - way}
+    placed = place_in_path(entries, origin, heading, mode=mode, period=period)
     found = {name: placed[name] for name in PATH_SIZES}
     if last_error is None:
         return found

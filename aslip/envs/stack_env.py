@@ -144,17 +144,19 @@ class StackEnv(TransformedEnv):
         return self._latest
 
     def _completed(self, request: TensorDictBase, started: TensorDictBase) -> TensorDictBase:
-        """Entries after a partial reset; the other robots keep their latest entries.
+        """Entries of all robots after a reset; robots that go on keep their latest entries.
 
         TorchRL merges the reset into the request and writes zeros for entries that the request
-        lacks. Requests lack entries if transforms wrap a `ParallelEnv`, whose processes receive
-        only the mask and the entries of `state_spec`.
+        lacks, so those are added to it. Requests lack entries if transforms wrap a `ParallelEnv`,
+        whose processes receive only the mask and the entries of `state_spec`.
         """
         mask, latest = request.get("_reset", None), self._latest
         if mask is None or latest is None or mask.all():
             return started
         lacking = [key for key in started.keys() if key not in request]  # noqa: SIM118
-        return request.update(latest.select(*lacking, strict=False))
+        request.update(latest.select(*lacking, strict=False))
+        kept = latest.select(*started.keys(True, True), strict=False)
+        return started.select(*kept.keys(True, True)).where(mask.reshape(-1), kept)
 
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the environment, and every transform by its name.

@@ -163,6 +163,20 @@ def check_number(
     return number
 
 
+def check_interval(interval: Any, period: float) -> float:
+    """Mean time between random events, which may be infinite [s].
+
+    Raises:
+        ConfigurationError: it is no number, or shorter than a policy step of duration `period`.
+    """
+    number = isinstance(interval, Real) and not isinstance(interval, bool)
+    if not number or not interval >= period:
+        raise ConfigurationError(
+            f"interval must be at least one policy step, {period} s, got {interval!r}"
+        )
+    return float(interval)
+
+
 def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:
     """Add unbounded single-precision leaves of the given last dimensions to a spec."""
     for key, size in sizes.items():

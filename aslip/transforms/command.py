@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from numbers import Real
 from typing import Final, cast
 
 import numpy as np
@@ -19,6 +18,7 @@ from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.transforms.base import (
     SeededTransform,
+    check_interval,
     check_number,
     checked_column,
     extend_spec,
@@ -63,12 +63,7 @@ class RandomCommand(SeededTransform):
         period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=[], out_keys=out_keys)
-        number = isinstance(interval, Real) and not isinstance(interval, bool)
-        if not number or not interval >= period:
-            raise ConfigurationError(
-                f"interval must be at least one policy step, {period} s, got {interval!r}"
-            )
-        self.interval, self._period = interval, period
+        self.interval, self._period = check_interval(interval, period), period
         self.library = library
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:

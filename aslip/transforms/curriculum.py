@@ -52,7 +52,12 @@ class Difficulty(SeededTransform):
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        return tensordict_reset.set(self.out_keys[0], tensordict[self.out_keys[0]])
+        begun, mask = cast("Tensor", tensordict[self.out_keys[0]]), tensordict.get("_reset", None)
+        if mask is None or self._reached is None:
+            self._reached = begun.clone()
+        else:
+            self._reached = torch.where(mask.reshape(-1, 1), begun, self._reached)
+        return tensordict_reset.set(self.out_keys[0], begun)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         harder = checked_column(tensordict, self.out_keys[0]) + 1 / self.ramp

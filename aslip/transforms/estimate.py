@@ -169,14 +169,15 @@ class EstimatedState(_Estimator):
                 for key in (self._heading_key, unravel_key((self.out_keys[1], "origin")))
             )
             command = cast("Tensor", tensordict[self._command_key])
-            period = self._robot.policy_period
-            origin = follow_path(tracking, origin, command, before, period)
+            origin = follow_path(tracking, origin, command, before, self._robot.policy_period)
         heading = next_tensordict.get(self._heading_key, None)
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
         mode = None if self._mode_key is None else cast("Tensor", next_tensordict[self._mode_key])
-        entries = estimate_entries(tracking, estimate, origin, mode, self.leash)
+        entries = estimate_entries(
+            tracking, estimate, origin, mode, self.leash, self._robot.policy_period
+        )
         return next_tensordict.update(self._grouped(entries))
 
     def _reset(
@@ -192,7 +193,9 @@ class EstimatedState(_Estimator):
         if heading is not None:
             heading = heading[rows].double().numpy()
         origin = torch.zeros(len(packets), 3) if self._path else None
-        started = self._grouped(estimate_entries(*self.estimator.start(packets, heading), origin))
+        begun = self.estimator.start(packets, heading)
+        period = self._robot.policy_period
+        started = self._grouped(estimate_entries(*begun, origin, leash=self.leash, period=period))
         if rows.all():
             return tensordict_reset.update(started)
         for key, value in started.items(True, True):
@@ -259,6 +262,7 @@ def estimate_entries(
     origin: Tensor | None = None,
     mode: Tensor | None = None,
     leash: Leash = DEFAULT_LEASH,
+    period: float = CASSIE.policy_period,
 ) -> dict[str, dict[str, torch.Tensor]]:
     """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes.
 
@@ -269,6 +273,7 @@ def estimate_entries(
             attitude]; None for odometry from the start.
         mode: (n, 1) values of `WalkMode`, if the robots stand on a wish.
         leash: leash that moves the origin.
+        period: duration of a policy step [s].
     """
     odometry = {
         "pelvis_position": estimate.position,
@@ -287,7 +292,9 @@ def estimate_entries(
         for group, values in single.items()
     }
     if origin is not None:
-        entries["odometry"] = _along_path(entries["odometry"], tracking, origin, mode, leash)
+        entries["odometry"] = _along_path(
+            entries["odometry"], tracking, origin, mode, leash, period
+        )
     entries["estimator"] = {
         "memory": torch.from_numpy(tracking.to_rows()),
         "faults": torch.from_numpy(estimate.faults),
@@ -302,6 +309,7 @@ def _along_path(
     origin: Tensor,
     mode: Tensor | None,
     leash: Leash,
+    period: float,
 ) -> dict[str, Tensor]:
     """Odometry from the start, moved to an origin (n, 3) that the pelvis drags along."""
     heading = torch.from_numpy(tracking.heading)[:, None].float()
@@ -310,4 +318,4 @@ def _along_path(
         name: value - way if name.endswith("_position") else value
         for name, value in odometry.items()
     }
-    return place_in_path(moved, origin, heading, mode=mode, leash=leash)
+    return place_in_path(moved, origin, heading, mode=mode, leash=leash, period=period)

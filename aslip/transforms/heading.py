@@ -116,7 +116,9 @@ class HeadingFrame(SeededTransform):
         entries = {"origin": origin, **in_heading_frame(truth, heading, origin)}
         if self._command_key is not None:
             mode = None if self._mode_key is None else cast("Tensor", into[self._mode_key])
-            entries = place_in_path(entries, origin, heading, truth["slope"], mode, self.leash)
+            entries = place_in_path(
+                entries, origin, heading, truth["slope"], mode, self.leash, self._period
+            )
         return into.set(self.out_keys[1], TensorDict(entries, into.batch_size))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

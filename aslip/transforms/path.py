@@ -132,6 +132,7 @@ def place_in_path(
     slope: Tensor | None = None,
     mode: Tensor | None = None,
     leash: Leash = DEFAULT_LEASH,
+    period: float = CASSIE.policy_period,
 ) -> dict[str, Tensor]:
     """Drag the origin of odometry along with the pelvis; add `origin` and `path_error`.
 
@@ -142,12 +143,13 @@ def place_in_path(
         slope: (*b, 1) slope of the floor [rad]; level by default.
         mode: (*b, 1) values of `WalkMode`, see `dragged`; None for robots that walk.
         leash: the leash.
+        period: duration of a policy step [s].
 
     Returns:
         The entries; `origin` (*b, 3) [m, world]; and `path_error` (*b, 2), forward and sideways
         distance of the pelvis from the origin [m, heading frame].
     """
-    way = dragged(entries["pelvis_position"], mode, leash=leash)
+    way = dragged(entries["pelvis_position"], mode, period, leash)
     placed = {
         name: value - way if name.endswith("_position") else value
         for name, value in entries.items()

@@ -12,9 +12,14 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
-from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import (
+    SeededTransform,
+    check_interval,
+    check_number,
+    extend_spec,
+    require_keys,
+)
 from aslip.transforms.curriculum import difficulty_of
 
 
@@ -54,11 +59,7 @@ class RandomPushes(SeededTransform):
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
-        if not interval >= period:
-            raise ConfigurationError(
-                f"interval must be at least one policy step, {period} s, got {interval!r}"
-            )
-        self.interval = interval
+        self.interval = check_interval(interval, period)
         self.duration = check_number("duration", duration, period, what="in s")
         self._steps = round(self.duration / period)
         self._period = period

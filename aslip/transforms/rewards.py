@@ -1,9 +1,10 @@
-r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and four of our own.
+r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and five of our own.
 
-Ours are for walks in all directions: the distance from the path, the heading, mechanical power
-and the largest force on a foot. Every term is :math:`\exp(-\text{distance})`, in [0, 1].
-Distances are Euclidean norms, as in the paper; the public code sums absolute values per axis for
-velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
+Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
+the largest force on a foot, and friction that the feet spend against each other. Every term is
+:math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the paper, but that
+of `squeeze` is a square; the public code sums absolute values per axis for velocity and feet.
+Shapes: (*b, k) in, (*b, 1) out.
 """
 
 from __future__ import annotations
@@ -161,7 +162,7 @@ def path_diff(path_error: Tensor, body_position: Tensor) -> Tensor:
 def heading_diff(pelvis_orientation: Tensor, body_heading: Tensor) -> Tensor:
     r""":math:`\exp(-|\psi - \hat\psi| / 0.1)`, the yaw of the pelvis from the reference's.
 
-    Ours: no other term sees slow turns of a robot that stands.
+    Ours: `foot_orient` does not see slow turns of the pelvis over planted feet.
 
     Args:
         pelvis_orientation: (*b, 4) wxyz, pelvis to moving frame.
@@ -181,8 +182,9 @@ def foot_orient(
 
     :math:`q^*` is the identity: sole level, toes along the world's x. The paper gives no formula.
     This is the formula of its public code, with the signs of the quaternions made equal (10 degrees
-    cost 0.087 per foot). It is the only term that rewards the robot's heading. Feet have no roll
-    motor and lean with the leg, by 0.04 rad on the reference, so the term is at most 0.96 there.
+    cost 0.087 per foot). Of the paper's terms, no other rewards the robot's heading. Feet have no
+    roll motor and lean with the leg, by 0.04 rad on the reference, so the term is at most 0.96
+    there.
 
     Args:
         left_foot_orientation: (*b, 4) wxyz, sole to world.

@@ -27,6 +27,7 @@ from aslip.library.transitions import HALF
 from aslip.robot import CASSIE
 from aslip.transforms.base import (
     SeededTransform,
+    check_interval,
     check_number,
     checked_column,
     extend_spec,
@@ -172,11 +173,7 @@ class StandCommand(SeededTransform):
     ) -> None:
         super().__init__(in_keys=[], out_keys=out_keys)
         self.share = check_number("share", share, 0, 1)
-        if not interval >= period:
-            raise ConfigurationError(
-                f"interval must be at least one policy step, {period} s, got {interval!r}"
-            )
-        self.interval, self._period = interval, period
+        self.interval, self._period = check_interval(interval, period), period
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)

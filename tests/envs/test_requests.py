@@ -95,6 +95,22 @@ def test_entries_of_an_ending_episode_are_not_requests(make: MakeEnv, drop: list
     assert env.base_env.dynamics["mass"].tolist() == [1.0, 1.0]
 
 
+def test_partial_resets_in_a_row_keep_the_entries_of_the_others(make: MakeEnv) -> None:
+    """Requests with nothing but a mask, as collectors send them."""
+    env = make(num_envs=2)
+    td = env.reset()
+    for _ in range(3):
+        td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
+    first, second = (
+        env.reset(TensorDict(_reset=torch.tensor(mask), batch_size=2))
+        for mask in ([[True], [False]], [[False], [True]])
+    )
+    assert first["step_count"].flatten().tolist() == [0, 3]
+    assert second["step_count"].flatten().tolist() == [0, 0]
+    for key in ("command", "phase", ("truth", "qpos"), ("reference", "body_position")):
+        assert torch.equal(second[key][0], first[key][0])
+
+
 @pytest.mark.parametrize(
     ("request_", "error", "message"),
     [

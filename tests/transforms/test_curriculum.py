@@ -56,6 +56,20 @@ def test_difficulty_carries_over_the_episodes_of_a_training() -> None:
     assert env.reset()["difficulty"].sum() == 0
 
 
+def test_a_full_reset_starts_the_curriculum_again() -> None:
+    env, mask = make(2), torch.tensor([[True], [False]])
+    td = env.reset()
+    for _ in range(3):
+        td = env.step(td.set("action", torch.zeros(2, 10)))["next"]
+    assert env.reset()["difficulty"].flatten().tolist() == [0.0, 0.0]
+    # a request with nothing but a mask finds what the reset began with, not the steps before it
+    assert env.reset(TensorDict(_reset=mask, batch_size=2))["difficulty"][0] == 0
+    request = TensorDict(_reset=mask, difficulty=torch.full((2, 1), 0.5), batch_size=2)
+    assert env.reset(request)["difficulty"][0] == 0.5
+    td = env.reset(TensorDict(_reset=torch.ones(2, 1, dtype=torch.bool), batch_size=2))
+    assert td["difficulty"].flatten().tolist() == [0.5, 0.0]
+
+
 def test_ranges_grow_from_the_nominal_value() -> None:
     env, drawn = make(200), []
     for difficulty in (0.0, 0.5, 1.0):

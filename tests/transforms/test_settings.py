@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import pytest
@@ -13,9 +14,11 @@ from aslip.transforms import (
     Fall,
     LowReward,
     ObservationNoise,
+    RandomPushes,
     ReferenceInjection,
     RewardTerm,
     SpeedCommand,
+    StandCommand,
     WeightedReward,
 )
 from tests.helpers import MakeEnv
@@ -40,8 +43,10 @@ def test_numbers(library: GaitLibrary, value: Any) -> None:
 
 @pytest.mark.parametrize("value", ["x", None, True], ids=repr)
 def test_times_that_may_be_infinite(library: GaitLibrary, value: Any) -> None:
-    with pytest.raises(ConfigurationError, match=f"interval must be .*{value!r}"):
-        SpeedCommand(library, interval=value)
+    makers: list[Any] = [partial(SpeedCommand, library), RandomPushes, StandCommand]
+    for make in makers:
+        with pytest.raises(ConfigurationError, match=f"interval must be .*{value!r}"):
+            make(interval=value)
     with pytest.raises(ConfigurationError, match=f"bias_time must be .*{value!r}"):
         ObservationNoise(bias_time=value)
 

@@ -195,6 +195,23 @@ def test_drawn_wishes_have_their_share() -> None:
         StandCommand(interval=0.0)
 
 
+def test_wishes_change_at_their_rate() -> None:
+    command, robots, steps = StandCommand(share=1 / 3, interval=0.3), 4000, 50
+    td = TensorDict(stand=torch.zeros(robots, 1), batch_size=robots)
+    seen = [td["stand"]]
+    for _ in range(steps):
+        td = command._step(td, TensorDict(batch_size=robots))
+        seen.append(td["stand"])
+    wishes = torch.cat(seen, dim=-1)
+    assert wishes[:, -1].mean().item() == pytest.approx(1 / 3, abs=0.03)
+    changes = wishes.diff(dim=-1)[:, steps // 2 :].abs().mean().item()
+    # one draw in ten steps, of which 4/9 differ from the wish before
+    assert changes == pytest.approx(0.1 * 4 / 9, rel=0.1)
+    # at an interval without end, none changes
+    kept = StandCommand(share=1 / 3)._step(td, TensorDict(batch_size=robots))["stand"]
+    assert torch.equal(kept, td["stand"])
+
+
 def test_library_without_stop_and_start_has_no_clock_for_them() -> None:
     with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
         StandClock(symmetric_library())

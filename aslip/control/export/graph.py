@@ -175,9 +175,10 @@ class PolicyStep(nn.Module):
         first, before = given["first"], given["path_heading"].float()
         place = rotate_about_vertical(given[POSITION], -given["heading"])
         steer, begun = given["last_filtered_command"], given["last_origin"]
-        origin, ahead = advance_frame(begun, before, steer, self._robot.policy_period)
+        period = self._robot.policy_period
+        origin, ahead = advance_frame(begun, before, steer, period)
         origin, ahead = torch.where(first, begun, origin), torch.where(first, before, ahead)
-        return place_on_path(place, origin, ahead, given["last_path_error"], mode)
+        return place_on_path(place, origin, ahead, given["last_path_error"], mode, period)
 
     def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
         """Values of the outputs by name."""
