@@ -51,6 +51,8 @@ class DirectionConfig(Config):
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
     randomise_share: float = 0.5
     """Probability with which a parameter of dynamics and sensors is drawn; else it is nominal."""
+    encoder_offset: float = 0.01
+    """Largest offset of the motor encoders of robots that differ [rad]; 0 for none."""
     push_impulse: float = 30.0
     """Largest impulse of random pushes [N s]; 0 for none."""
     push_interval: float = 4.0
@@ -74,8 +76,9 @@ class DirectionConfig(Config):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigurationError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
         check_positive(self, "command_rates", "leash", "leash_time")
-        if self.push_impulse < 0:
-            raise ConfigurationError(f"push_impulse must be 0 or more, got {self.push_impulse}")
+        for name in ("push_impulse", "encoder_offset"):
+            if getattr(self, name) < 0:
+                raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
 
 
 def settings(arguments: list[str] | None = None) -> DirectionConfig:
@@ -109,6 +112,7 @@ from aslip.transforms import (
     WIDE_RANGES,
     AssembleObservation,
     Difficulty,
+    EncoderOffsets,
     RandomDynamics,
     RandomPushes,
     StandCommand,
@@ -177,6 +181,10 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     if config.randomise:
         stack = randomise_stack(stack, WIDE_RANGES)
         stack["dynamics"] = partial(RandomDynamics, WIDE_RANGES, share=share, **scaled)
+        readings = [("sensors", "motor_position"), *scaled.get("in_keys", [])]
+        largest = config.encoder_offset
+        offsets = partial(EncoderOffsets, largest, share=share, in_keys=readings)
+        stack = insert_before(stack, "estimator", encoders=offsets)
     if config.push_impulse:
         pushes = partial(RandomPushes, config.push_impulse, config.push_interval, **scaled)
         stack = insert_before(stack, "command", pushes=pushes)

@@ -25,6 +25,7 @@ from aslip.errors import ConfigurationError
 from aslip.sim.checks import check_count
 from aslip.transforms import (
     ActionDelta,
+    EncoderOffsets,
     EpisodeSum,
     EstimatedState,
     LastAction,
@@ -287,8 +288,8 @@ def _check_simulation(env: StackEnv) -> None:
         truth = [key for key in transform.in_keys if key[0] == "truth" and key not in entries]
         if truth:
             lacks = f"reads {truth[0]!r}"
-        elif isinstance(transform, ReferenceStart | RandomDynamics):
-            lacks = "chooses the initial state or the dynamics"
+        elif isinstance(transform, ReferenceStart | RandomDynamics | EncoderOffsets):
+            lacks = "chooses the initial state, the dynamics or offsets of encoders"
         else:
             continue
         raise ConfigurationError(

@@ -20,6 +20,7 @@ from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
     ClockInput,
+    EncoderOffsets,
     EpisodeSum,
     EstimatedState,
     Fall,
@@ -292,9 +293,9 @@ def _make_for_robot(make: Callable[[], Transform]) -> Transform:
 
 
 def needs_simulation(transform: Transform) -> bool:
-    """True for a transform that reads the truth, sets initial state or dynamics, or pushes."""
+    """True for a transform that reads the truth, or changes the state or the simulated robot."""
     groups = {key if isinstance(key, str) else key[0] for key in transform.in_keys}
-    chooses = isinstance(transform, ReferenceStart | RandomDynamics | RandomPushes)
+    chooses = isinstance(transform, ReferenceStart | RandomDynamics | EncoderOffsets | RandomPushes)
     return chooses or bool(groups & {"truth", "true_odometry"})
 
 
@@ -319,7 +320,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         common = STACKS["standing" if "stand" in stack else "directions"](library)
         names = [name for name in common if name in {*names, *DIRECTION_WEIGHTS}]
     evaluation = {name: common[name] for name in ("start", *names)}
-    trained = {"difficulty", "dynamics", "pushes", "privileged"}
+    trained = {"difficulty", "dynamics", "encoders", "pushes", "privileged"}
     seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}
     # the noise of a nominal robot
     seen = {name: ObservationNoise if make is RandomNoise else make for name, make in seen.items()}

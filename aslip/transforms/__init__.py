@@ -17,6 +17,7 @@ from aslip.transforms.command import (
     VelocityCommand,
 )
 from aslip.transforms.curriculum import Difficulty
+from aslip.transforms.encoders import EncoderOffsets
 from aslip.transforms.episode import Fall, FirstStep, LowReward, StaggeredEnds
 from aslip.transforms.estimate import (
     ESTIMATE_SIZES,
@@ -59,6 +60,7 @@ __all__ = [
     "ClockInput",
     "CommandFilter",
     "Difficulty",
+    "EncoderOffsets",
     "EpisodeSum",
     "EstimatedState",
     "Fall",

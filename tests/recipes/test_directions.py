@@ -78,7 +78,8 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     stack = directions_stack(symmetric_library())
     config = replace(config, randomise_share=1.0)
     trained = ppo_directions.training_stack(config, stack)
-    assert set(trained) - set(stack) == {"difficulty", "dynamics", "pushes", "privileged"}
+    extra = {"difficulty", "dynamics", "encoders", "pushes", "privileged"}
+    assert set(trained) - set(stack) == extra
     env = aslip.make_env(stack=trained, num_envs=2, num_threads=1, timestep=1e-3)
     td = env.reset()
     # 16 numbers of the truth, and the parameters
@@ -90,6 +91,8 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     for name, (low, high) in WIDE_RANGES.items():
         assert low <= float(hard["dynamics", name][0]) <= high
         assert hard["dynamics", name][0] != hard["dynamics", name][1]
+    assert not td["motor_offset"].any()
+    assert 0 < hard["motor_offset"].abs().max() <= 0.01
     assert env.base_env.model.opt.timestep == 1e-3
     whole = ppo_directions.training_stack(replace(config, ramp=0.0), stack)
     assert "difficulty" not in whole

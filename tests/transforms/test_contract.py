@@ -44,6 +44,7 @@ ONLY_INSIDE = {
     transforms.StaggeredEnds: "distinguishes resets of all robots from partial resets",
     transforms.ObservationNoise: "changes packets before the estimator reads them",
     transforms.RandomNoise: "changes packets before the estimator reads them",
+    transforms.EncoderOffsets: "changes packets before the estimator reads them",
     transforms.EstimatedState: "estimates robots along one axis of the batch",
     transforms.ActionDelta: "hides the motor targets of the base environment",
 }
@@ -87,9 +88,10 @@ def make_env(seed: int = 0) -> StackEnv:
         distance=transforms.ReferenceDistance,
         truth=partial(transforms.TrueState, out_keys=("true_estimate", "copied_odometry")),
     )
-    # both kinds of noise must come before the estimator
+    # whatever changes packets must come before the estimator
     noise = stack.pop("random_noise")
-    stack = insert_before(stack, "estimator", random_noise=noise)
+    encoders = transforms.EncoderOffsets
+    stack = insert_before(stack, "estimator", random_noise=noise, encoders=encoders)
     stack = insert_before(stack, "episode_sum", stagger=partial(transforms.StaggeredEnds, 9))
     return aslip.make_env(stack=stack, num_envs=NUM, seed=seed, num_threads=1)
 
@@ -229,10 +231,16 @@ def test_a_transform_that_needs_an_environment_says_why(
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda kind: kind.__name__)
 def test_inverse(env: StackEnv, recorded: TensorDictBase, kind: type[SeededTransform]) -> None:
-    """One transform turns actions into motor targets; the others do not change actions."""
-    found = of_class(env, kind).inv(recorded.clone())
+    """One transform turns actions into motor targets, one shifts them; others do not act."""
+    given = recorded.clone()
+    if kind is transforms.EncoderOffsets:
+        given["motor_target"] = recorded["action"]
+    found = of_class(env, kind).inv(given)
     if kind is transforms.ActionDelta:
         expected = recorded["reference", "motor_target"] + recorded["action"]
+        assert torch.equal(found.pop("motor_target"), expected)
+    if kind is transforms.EncoderOffsets:
+        expected = recorded["action"] - recorded["motor_offset"]
         assert torch.equal(found.pop("motor_target"), expected)
     assert leaves(found).keys() == leaves(recorded).keys()
     assert torch.equal(found["action"], recorded["action"])
