@@ -44,9 +44,11 @@ DIRECTION_TABLE: Final[tuple[NestedKey, ...]] = (
     ("reference", "right_foot_heading"),
     "filtered_command",
     ("odometry", "path_error"),
+    "last_action",
 )
-"""Keys of the 72 numbers for walks in all directions: the default 64, headings of the reference
-[rad], filtered command, and the estimated distance from the moving frame's origin [m]."""
+"""Keys of the 82 numbers for walks in all directions: the default 64, headings of the reference
+[rad], filtered command, the estimated distance from the moving frame's origin [m], and the last
+action [rad], with which the policy can tell how strongly the motors pull."""
 
 
 class AssembleObservation(SeededTransform):
@@ -55,8 +57,8 @@ class AssembleObservation(SeededTransform):
     | index | entry | unit, frame |
     |---|---|---|
     | 0 | estimate: height | m |
-    | 1-4 | orientation, wxyz | pelvis to world |
-    | 5-7 | velocity | m/s, world |
+    | 1-4 | orientation, wxyz | pelvis to heading frame, see `ESTIMATE_SIZES` |
+    | 5-7 | velocity | m/s, heading frame |
     | 8-10 | angular velocity | rad/s, pelvis |
     | 11-13 | acceleration without gravity | m/s^2, pelvis |
     | 14-23 | motor positions | rad |

@@ -16,6 +16,7 @@ import torch
 
 import aslip
 import aslip.training.provenance
+from aslip.envs import default_stack, describe_transforms, randomise_stack
 from aslip.errors import AssetError, ConfigurationError
 from aslip.files.assets import asset_path
 from aslip.policy import (
@@ -38,7 +39,7 @@ def _card(run_folder: Path | None, assets: Path, **settings: Any) -> str:
     return policy_card.main(config).read_text()
 
 
-SIZES = {"single_reference": 49, "standing": 72}
+SIZES = {"single_reference": 49, "standing": 82}
 
 
 def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) -> Path:
@@ -107,7 +108,7 @@ def test_card_of_shipped_policy_is_written_again(
     assert _card(None, tmp_path / "assets", measure=True) == first
     assert (tmp_path / "assets" / "mine.zip").read_bytes() == weights
     assert f"measured with commit {provenance()['commit'] or 'not recorded'}." in first
-    assert "as trained: of 2 speeds 1 survived.\n\n| walks |\n\n## Benchmarks" in first
+    assert "on the nominal robot: of 2 speeds 1 survived.\n\n| walks |\n\n## Benchmarks" in first
 
 
 def test_refuses_missing_run_and_invalid_name(tmp_path: Path) -> None:
@@ -157,14 +158,20 @@ def test_run_folder_is_removed_from_shipped_policy(tmp_path: Path) -> None:
 
 
 def test_card_lists_training_conditions() -> None:
+    """Of the training, as its policy's file has them, not those of today."""
     made: dict[str, dict] = {"settings": {}}
-    assert "level ground" in policy_card.training_conditions({"made_by": made})
-    made["transforms"] = {"training/dynamics": "RandomDynamics()"}
-    assert "drawn for each episode: " in policy_card.training_conditions({"made_by": made})
-    assert "floor_friction 0.4 to 1.1" in policy_card.training_conditions({"made_by": made})
-    made["settings"]["randomise_share"] = 0.3
     line = policy_card.training_conditions({"made_by": made})
-    assert "each episode (each nominal with a probability of 0.7): " in line
+    assert line.endswith("level ground with friction 1, to walk straight ahead.")
+    stack = randomise_stack(default_stack(), {"payload": (0.0, 7.5), "sensor_noise": (0.5, 1.5)})
+    made["transforms"] = describe_transforms(aslip.make_env(stack=stack))
+    line = policy_card.training_conditions({"made_by": made})
+    assert "drawn for each episode: payload 0 to 7.5, sensor_noise 0.5 to 1.5; see" in line
+    settings = {"randomise_share": 0.3, "ramp": 0.5, "push_impulse": 30.0, "encoder_offset": 0.01}
+    made["settings"] |= settings
+    line = policy_card.training_conditions({"made_by": made})
+    assert "(each nominal with a probability of 0.7), in ranges that grew from" in line
+    assert "1.5, encoder offsets of up to 0.01 rad; see" in line
+    assert line.endswith(", with pushes of up to 30 N s.")
 
 
 def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(

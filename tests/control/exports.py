@@ -20,9 +20,9 @@ from tests.library.standing import standing_library
 def recurrent_controller() -> Controller:
     """Controller with an untrained GRU policy of large actions that walks anywhere, and stands."""
     torch.manual_seed(3)
-    normalizer = RunningNormalizer(72)
-    normalizer.update(torch.randn(100, 72))
-    shape = PolicyShape(observation_size=72, hidden=(16, 16))
+    normalizer = RunningNormalizer(82)
+    normalizer.update(torch.randn(100, 82))
+    shape = PolicyShape(observation_size=82, hidden=(16, 16))
     actor = make_recurrent_actor(normalizer, shape)
     for name, weight in actor.named_parameters():
         if name.endswith("weight"):

@@ -20,7 +20,7 @@ from tests.library.bent import symmetric_library
 def _policy() -> TensorDictModule:
     """Untrained network with small actions."""
     torch.manual_seed(4)
-    net = torch.nn.Sequential(torch.nn.Linear(72, 10), torch.nn.Tanh())
+    net = torch.nn.Sequential(torch.nn.Linear(82, 10), torch.nn.Tanh())
     module = TensorDictModule(
         lambda seen: 0.1 * net(seen), in_keys=["observation"], out_keys=["action"]
     )

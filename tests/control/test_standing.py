@@ -25,7 +25,7 @@ from tests.library.standing import standing_files, standing_library
 def _policy() -> TensorDictModule:
     """Untrained network with small actions."""
     torch.manual_seed(4)
-    net = torch.nn.Sequential(torch.nn.Linear(72, 10), torch.nn.Tanh())
+    net = torch.nn.Sequential(torch.nn.Linear(82, 10), torch.nn.Tanh())
     return TensorDictModule(
         lambda seen: 0.02 * net(seen), in_keys=["observation"], out_keys=["action"]
     )

@@ -80,7 +80,7 @@ def test_the_reference_follows_the_filtered_command_and_the_entry_stays() -> Non
         # neither body nor feet jump: the largest change of speed in a step is 0.06 m/s
         for name in ("body_position", "left_foot_position", "right_foot_position"):
             torch.testing.assert_close(td["reference", name], goal.get(name), atol=0.02, rtol=0)
-    assert torch.equal(td["observation"][:, -5:-2], filtered)
+    assert torch.equal(td["observation"][:, -15:-12], filtered)
 
 
 def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None:
@@ -167,7 +167,7 @@ def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:
     mirror, mirror_action = observation_mirror(DIRECTION_TABLE), action_mirror()
     generator = torch.Generator().manual_seed(0)
     # contacts and the stiff loops amplify the pelvis' asymmetry most in accelerations
-    slow = torch.ones(72, dtype=torch.bool)
+    slow = torch.ones(82, dtype=torch.bool)
     slow[8:14] = slow[24:34] = slow[40:46] = False
     wish = torch.tensor([0.2, -0.1, -0.5])
     for i in range(4):
@@ -179,8 +179,9 @@ def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:
         td = step(env, td, torch.stack([action, mirror_action(action)]))
         for name, term in td["reward_terms"].items():
             torch.testing.assert_close(term[0], term[1], atol=2e-3, rtol=0, msg=name)
-    # the entries that turns add were compared at values other than zero, but for the body's heading
-    assert (td["observation"][:, -7:].abs() > 1e-4).all()
+    # the entries that turns add, and the last action, were compared at values other than zero, but
+    # for the body's heading
+    assert (td["observation"][:, 65:].abs() > 1e-4).all()
 
 
 def test_commands_outside_the_region_are_refused() -> None:
@@ -224,5 +225,5 @@ def test_options_of_gymnasium_take_a_command_of_three_numbers() -> None:
     env = GymEnv(stack=directions_stack(symmetric_library()), num_threads=1)
     _, info = env.reset(seed=1, options={"command": [0.5, -0.1, 0.25]})
     assert info["command"] == [0.5, pytest.approx(-0.1), 0.25]
-    assert env.observation_space.shape == (72,)
+    assert env.observation_space.shape == (82,)
     env.close()

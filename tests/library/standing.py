@@ -26,7 +26,7 @@ def standing_files(folder: Path) -> tuple[Path, Path]:
     """Library, and untrained policy that stands, in a folder."""
     standing_library().save(folder / "gaits.npz")
     env = aslip.make_env(stack="standing", library=standing_library(), num_threads=1)
-    interface, shape = policy_interface(env), PolicyShape(72)
-    actor = make_actor(RunningNormalizer(72), shape, interface["observation"])
+    interface, shape = policy_interface(env), PolicyShape(82)
+    actor = make_actor(RunningNormalizer(82), shape, interface["observation"])
     save_policy(folder / "policy.zip", actor, shape, **interface)
     return folder / "gaits.npz", folder / "policy.zip"

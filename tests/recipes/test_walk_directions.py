@@ -25,8 +25,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("directions")
     symmetric_library().save(folder / "gaits.npz")
     env = aslip.make_env(stack=directions_stack(symmetric_library()), num_threads=1)
-    shape, interface = PolicyShape(72), policy_interface(env)
-    actor = make_actor(RunningNormalizer(72), shape, interface["observation"])
+    shape, interface = PolicyShape(82), policy_interface(env)
+    actor = make_actor(RunningNormalizer(82), shape, interface["observation"])
     save_policy(folder / "policy.zip", actor, shape, **interface)
     return folder / "gaits.npz", folder / "policy.zip"
 
