@@ -4,8 +4,8 @@
     python -m benchmarks.path --policy runs/ppo_directions --duration 48 --video eight.mp4
 
 As on a robot, a control law (`aslip.control.PathFollower`) computes commands from the pose of the
-state estimator's odometry. Errors are distances of the estimated and of the true pose from the
-path; dead reckoning drifts, so they differ.
+state estimator's odometry. Errors are distances of the estimated and of the true pose from their
+nearest points of the path; dead reckoning drifts, so they differ.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def walk_path(
         Numbers of the walk; positions (m, 2, 2), estimated and true, after each policy step [m];
         and frames of the film, none without one.
     """
-    start, way = (config.speed, 0.0, 0.0), 0.0
+    start, way, true_way = (config.speed, 0.0, 0.0), 0.0, 0.0
     places, distances, frames, fell = [], [], [], False
     with contextlib.closing(subject.walking_env(config, 1)) as env:
         td: TensorDictBase = reset_walks(env, library.nearest(torch.tensor([start])).numpy())
@@ -117,14 +117,14 @@ def walk_path(
             heading = float(cast("torch.Tensor", td["heading"]))
             estimated, true = (world_pose(td, group) for group in ("odometry", "true_odometry"))
             command, way = follower.command(estimated, heading, way)
+            true_way += follower.errors(true, true_way)[0]
             td["command"] = library.nearest(torch.tensor([command]))
             if config.video is not None and len(places) % _STEPS_PER_FRAME == 0:
                 frames.append(Frame.of(td))
             td = take_step(subject.policy, env, td)
             places.append([estimated[:2], true[:2]])
-            distances.append(
-                [math.hypot(*follower.errors(pose, way)[:2]) for pose in (estimated, true)]
-            )
+            nearest = (estimated, way), (true, true_way)
+            distances.append([math.hypot(*follower.errors(*one)[:2]) for one in nearest])
             if fell := bool(td["next", "terminated"]):
                 break
             td = next_start(td)

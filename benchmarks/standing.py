@@ -7,7 +7,8 @@ A robot walks at a command for 4 s, is told to stand, stands for a minute, and w
 command. Commands are straight speeds, then random ones over the region of the library; walks begin
 at different phases. Forces and torques are sampled at 2 kHz. The feet count as planted from the
 time at which both carry a force for half a second; drift, turn, power and feet that lose the ground
-are measured from 4 s after the wish on, when the robot should have come to rest.
+are measured from 4 s after the wish on, when the robot should have come to rest. A foot that is in
+the air by then counts as lifted.
 """
 
 from __future__ import annotations
@@ -157,8 +158,13 @@ def quantities(walk: Substeps, command: np.ndarray, ends: np.ndarray) -> dict[st
 
 
 def summary(walks: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Falls in each stage, and means and largest values of walks without a fall before."""
+    """Falls in each stage, and means and largest values of walks without a fall before.
+
+    `unplanted` is the number of walks that stood to the end, without ever planting both feet.
+    """
     row: dict[str, Any] = {"count": len(walks)}
+    stood = [walk for walk in walks if walk["fell"] not in ("walk", "stop", "stand")]
+    row["unplanted"] = sum(not math.isfinite(walk["planted"]) for walk in stood)
     row["falls"] = {stage: sum(walk["fell"] == stage for walk in walks) for stage in STAGES}
     for name in ("planted", "drift", "turn", "lifted", "power"):
         values = [walk[name] for walk in walks if math.isfinite(walk[name])]
@@ -170,8 +176,8 @@ def summary(walks: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def table(rows: Sequence[dict[str, Any]]) -> str:
     """Table with a row for each policy: means, and largest values in parentheses."""
     header = [
-        "policy", "walks", f"falls: {', '.join(STAGES)}", "planted after [s]", "drift [cm]",
-        "turn [deg]", "feet lifted", "power [W]",
+        "policy", "walks", f"falls: {', '.join(STAGES)}", "never planted", "planted after [s]",
+        "drift [cm]", "turn [deg]", "feet lifted", "power [W]",
     ]  # fmt: skip
     scales = {"planted": (1, 2), "drift": (100, 1), "turn": (math.degrees(1), 2), "lifted": (1, 1)}
     scales["power"] = (1, 0)
@@ -182,7 +188,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
             for name, (scale, digits) in scales.items()
         ]
         falls = ", ".join(str(count) for count in row["falls"].values())
-        lines.append([row["policy"], str(row["count"]), falls, *numbers])
+        never = str(row["unplanted"])
+        lines.append([row["policy"], str(row["count"]), falls, never, *numbers])
     return markdown(header, lines)
 
 

@@ -4,7 +4,9 @@
     python -m benchmarks.transitions --policy runs/ppo_directions --changes 10000
 
 Each command is uniform over the region of the library, and held for a random time from 0.75 to
-2.25 s. Robots that fall start again, so that every change counts.
+2.25 s; the command that the robot follows changes at limited rates, and may not reach it in that
+time. Robots that fall start again at a random command, so that every change counts. A change
+counts as one fall at most.
 """
 
 from __future__ import annotations
@@ -109,11 +111,12 @@ def walk_changes(
 ) -> list[tuple[int, int]]:
     """Walk through commands (k + 1, n, 3), and return (change, robot) of each fall.
 
-    A fall before the first change counts for the first change.
+    A fall before the first change counts for the first change, and the first of several falls after
+    a change counts, as the next ones follow other starts.
     """
     robots = np.arange(env.num_envs)
     due = hold.cumsum(axis=0)
-    fallen: list[tuple[int, int]] = []
+    fallen: dict[tuple[int, int], None] = {}
     td: TensorDictBase = reset_walks(env, commands[0])
     for step in tqdm(range(int(due[-1].max())), unit="step", leave=False):
         at = (due <= step).sum(axis=0)
@@ -123,11 +126,11 @@ def walk_changes(
         td = take_step(subject.policy, env, td)
         fell = cast("torch.Tensor", td["next", "terminated"])
         down = fell[:, 0].numpy() & walking
-        fallen += [(max(int(at[i]) - 1, 0), int(i)) for i in np.flatnonzero(down)]
+        fallen |= {(max(int(at[i]) - 1, 0), int(i)): None for i in np.flatnonzero(down)}
         td = next_start(td)
         if fell.any():
             td = env.reset(td.set("_reset", fell))
-    return fallen
+    return [*fallen]
 
 
 def picture(row: dict[str, Any]) -> Figure:

@@ -31,7 +31,7 @@ def planting_time(force: np.ndarray, period: float, hold: float = 0.5) -> float:
 
 
 def lifted_feet(force: np.ndarray) -> int:
-    """Number of times a foot loses the ground, both feet counted.
+    """Number of times a foot leaves the ground or begins in the air, both feet counted.
 
     Args:
         force: (m, 2) vertical ground force of both feet [N].
@@ -40,7 +40,7 @@ def lifted_feet(force: np.ndarray) -> int:
         ShapeError: `force` is not of two feet.
     """
     loaded = _loaded(force)
-    return int((loaded[:-1] & ~loaded[1:]).sum())
+    return int((loaded[:-1] & ~loaded[1:]).sum() + (~loaded[:1]).sum())
 
 
 def drift(position: np.ndarray) -> np.ndarray:
