@@ -4,9 +4,10 @@
     python -m benchmarks.direction_targets --policy runs/seed1 runs/seed2 --record seeds.json
 
 Several policies count as seeds of one method: values are means with 95 % intervals over seeds, and
-a target is met if the whole interval meets it. With the default sizes, five policies walk at 1000
-commands and through 10 000 changes. Tables and pictures of the benchmarks are written to a folder
-for each policy.
+a target is met if the whole interval meets it. Each policy walks at commands of its own, drawn from
+the seed of its training, so that with the default sizes five policies walk at 1000 commands and
+through 10 000 changes. Tables and pictures of the benchmarks are written to a folder for each
+policy.
 
 With `--record`, the values of each policy are kept in a file. Its policies are not measured again,
 and the table is over all of them: after an interruption, the same command goes on.
@@ -65,7 +66,8 @@ import numpy as np
 
 from aslip.policy import read_card
 from aslip.show.ghost import Footholds
-from aslip.walking import markdown
+from aslip.transforms.standing import transitions_of
+from aslip.walking import Interval, markdown
 from benchmarks import (
     direction_tracking,
     foot_placement,
@@ -80,6 +82,7 @@ from benchmarks.claims import describe, judge, value_text
 from benchmarks.common import (
     MakeEnv,
     Policy,
+    chosen_library,
     load_with_library,
     policy_name,
     record_subject,
@@ -94,10 +97,15 @@ def _falls(name: str, measure: str, digits: int = 0) -> Claim:
     return Claim(name, measure, at_most=0.0, every_seed=True, digits=digits)
 
 
+def _survived(name: str, what: str) -> Claim:
+    """Target of a sweep of robot or floor."""
+    return Claim(name, f"walks survived with {what} [%]", at_least=98.0, digits=1)
+
+
 TARGETS: Final = (
     Claim("samples", "policy steps of the training [million]", at_most=5.0),
     Claim("time", "time of the training [min]", at_most=90.0, digits=0),
-    _falls("falls, walks", "falls in 1000 walks at random commands"),
+    _falls("falls, walks", "falls per 1000 walks at random commands"),
     Claim(
         "velocity", "error of the mean velocity, mean over commands [m/s]", at_most=0.03, digits=3
     ),
@@ -108,12 +116,13 @@ TARGETS: Final = (
     Claim(
         "yaw rate, 95 %", "error that 95 % of commands stay below [rad/s]", at_most=0.06, digits=3
     ),
-    _falls("falls, changes", "falls in 10 000 sudden changes of the command"),
+    _falls("falls, changes", "falls per 10 000 sudden changes of the command"),
     _falls("falls, stops", "share of walks with a stop that fall at any time [%]", digits=1),
+    _falls("unplanted", "share of these that stand without planting both feet [%]", digits=1),
     Claim("drift", "largest drift of the pelvis in standing [cm]", at_most=1.0),
     Claim("turn", "largest turn of the pelvis in standing [deg]", at_most=0.5),
     _falls("lifted feet", "feet that lost the ground in standing, of all walks"),
-    Claim("stop", "time from the wish at 1 m/s to planted feet [s]", at_most=1.0),
+    Claim("stop", "time from the wish at 1 m/s to planted feet, mean over phases [s]", at_most=1.0),
     Claim("power, standing", "positive joint power in standing [W]", at_most=40.0, digits=0),
     Claim(
         "feet, straight",
@@ -134,7 +143,7 @@ TARGETS: Final = (
         digits=1,
     ),
     Claim("force", "largest foot force over weight, at 1 and 2 m/s", at_most=1.5),
-    Claim("friction", "time at the limit of friction, largest of 0, 1 and 2 m/s [%]", at_most=0.5),
+    Claim("slip", "time at the limit of friction, largest of 0, 1 and 2 m/s [%]", at_most=0.5),
     Claim("power, 1 m/s", "positive joint power over weight and speed", at_most=0.50),
     Claim("power, 2 m/s", "positive joint power over weight and speed", at_most=0.55),
     Claim(
@@ -144,12 +153,11 @@ TARGETS: Final = (
         digits=1,
     ),
     Claim("pushes, mean", "largest impulse survived at 1 m/s, mean [N s]", at_least=45.0, digits=1),
-    Claim(
-        "other robots",
-        "walks survived in the worst sweep of robot or floor [%]",
-        at_least=98.0,
-        digits=1,
-    ),
+    _survived("friction", "a floor friction of 0.4 to 1.2"),
+    _survived("payload", "0 to 16 kg of payload"),
+    _survived("slope", "slopes from -9 to 9 degrees"),
+    _survived("delay", "torque delays of 0 to 9 ms"),
+    _survived("motors", "motors of 70 to 140 % of their strength"),
     Claim(
         "path",
         "mean distance from the figure of eight [cm]; no value after a fall",
@@ -159,16 +167,17 @@ TARGETS: Final = (
 )
 """Targets for the nominal robot, unless the measure says otherwise."""
 
-_RANGES: Final[Mapping[str, tuple[float, float]]] = {
-    "floor_friction": (0.4, 1.2),
-    "payload": (0.0, 16.0),
-    "slope": (-9.0, 9.0),
-    "torque_delay": (0.0, 9.0),
-    "motor_strength": (0.7, 1.4),
+_SWEPT: Final[Mapping[str, tuple[str, float, float]]] = {
+    "friction": ("floor_friction", 0.4, 1.2),
+    "payload": ("payload", 0.0, 16.0),
+    "slope": ("slope", -9.0, 9.0),
+    "delay": ("torque_delay", 0.0, 9.0),
+    "motors": ("motor_strength", 0.7, 1.4),
 }
-"""Displayed values of a sweep that count, by parameter."""
+"""Parameter of a target, and the range of its displayed values that count."""
 
 _SPEEDS: Final = (0.0, 1.0, 2.0)
+_STOPS: Final = 8  # stops at 1 m/s, each at another phase
 
 
 def main(
@@ -180,19 +189,61 @@ def main(
         config: the settings.
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
+
+    Raises:
+        ConfigurationError: a setting is invalid, two policies have the same name, or the library
+            has no stop and start.
     """
-    if policy is not None:
-        found = [measure(config, policy, make_env)]
-    elif config.record is None:
-        found = [measure(config, one, make_env) for one in config.policy]
+    policies: list[Policy] = [*config.policy] if policy is None else [policy]
+    _check(config, policies)
+    if policy is not None or config.record is None:
+        found = [measure(config, one, make_env) for one in policies]
     else:
         found = recorded(config, config.record)
     rows = [
         {**vars(claim), "found": judge(claim, [values[claim.name] for values in found])}
         for claim in TARGETS
     ]
-    write_report(config, policy, "direction_targets", {"rows": rows}, table(rows))
+    text = f"{table(rows)}\n\n{falls_text(config, found)}"
+    write_report(config, policy, "direction_targets", {"rows": rows}, text)
     return rows
+
+
+def _check(config: Config, policies: Sequence[Policy]) -> None:
+    """Check what would fail after minutes otherwise; see `main`."""
+    for one in policies:
+        benchmarks_of(config, one)
+    names = [describe(one)["name"] for one in policies]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise ConfigurationError(f"policies must differ in name, several have {twice}")
+    library = chosen_library(config)
+    if library is not None:
+        transitions_of(library)
+
+
+def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
+    """Settings of each benchmark for a policy, by its name.
+
+    Raises:
+        ConfigurationError: a setting is invalid.
+    """
+    out = results_folder(config.out, policy)
+    common: dict[str, Any] = {"out": out, "policy": (policy_name(policy),), "truth": config.truth}
+    common |= {"library": config.library, "seed": config.seed + (describe(policy)["seed"] or 0)}
+    ahead = {"speeds": (1.0,) * _STOPS, "walks": _STOPS, "duration": 0.5, "out": out / "stops"}
+    return {
+        "tracking": direction_tracking.Config(**common, commands=config.commands),
+        "transitions": transitions.Config(
+            **common, changes=config.changes, robots=min(50, config.changes)
+        ),
+        "standing": standing.Config(**common, walks=config.stops, duration=config.stand),
+        "stops": standing.Config(**{**common, **ahead}),
+        "path": eight.Config(**common, duration=config.path),
+        "quality": walking_quality.Config(**common, speeds=_SPEEDS),
+        "perturbation": perturbation.Config(**common, walks=config.walks),
+        "straight": foot_placement.Config(**common, speeds=_SPEEDS),
+        "turns": foot_placement.Config(**common),
+    }
 
 
 def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> dict[str, float]:
@@ -200,23 +251,14 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
 
     Falls have targets of their own. The other values are over the walks without a fall.
     """
-    name = policy_name(policy)
-    common: dict[str, Any] = {"out": results_folder(config.out, policy)}
-    common["library"] = config.library
-    common |= {"policy": (name,), "truth": config.truth, "seed": config.seed}
-    of = (policy, make_env)
-    (errors,) = direction_tracking.main(
-        direction_tracking.Config(**common, commands=config.commands), *of
-    )
-    (changed,) = transitions.main(
-        transitions.Config(**common, changes=config.changes, robots=min(50, config.changes)), *of
-    )
-    (stood,) = standing.main(
-        standing.Config(**common, walks=config.stops, duration=config.stand), *of
-    )
-    (walked,) = eight.main(eight.Config(**common, duration=config.path), *of)
-    quality = walking_quality.main(walking_quality.Config(**common, speeds=_SPEEDS), *of)
-    survived = perturbation.main(perturbation.Config(**common, walks=config.walks), *of)
+    settings, of = benchmarks_of(config, policy), (policy, make_env)
+    (errors,) = direction_tracking.main(settings["tracking"], *of)
+    (changed,) = transitions.main(settings["transitions"], *of)
+    (stood,) = standing.main(settings["standing"], *of)
+    (stopped,) = standing.main(settings["stops"], *of)
+    (walked,) = eight.main(settings["path"], *of)
+    quality = walking_quality.main(settings["quality"], *of)
+    survived = perturbation.main(settings["perturbation"], *of)
     return {
         **training_values(policy),
         "falls, walks": 1e3 * errors["falls"] / config.commands,
@@ -226,7 +268,8 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
         "yaw rate, 95 %": errors["turn_p95"],
         "falls, changes": 1e4 * len(changed["falls"]) / changed["changes"],
         **standing_values(stood),
-        **foot_values(config, common, *of),
+        "stop": stopped["planted"],
+        **foot_values(config, settings, *of),
         **quality_values(quality),
         **perturbation_values(survived),
         "path": math.nan if walked["fell"] else 100 * walked["truth"],
@@ -259,6 +302,18 @@ def open_record(config: Config, path: Path) -> TargetRecord:
         ConfigurationError: its policies were measured with other settings, or for other targets.
     """
     settings = {k: v for k, v in asdict(config).items() if k not in ("policy", "out", "record")}
+    if (library := chosen_library(config)) is not None:
+        settings["library_sha256"] = [library.table.sha256, transitions_of(library).sha256]
+    return read_record(path, settings)
+
+
+def read_record(path: Path, settings: Mapping[str, Any]) -> TargetRecord:
+    """Record of values that were measured with given settings, or with any if they are empty.
+
+    Raises:
+        FileDamagedError: the file is no record.
+        ConfigurationError: its policies were measured with other settings, or for other targets.
+    """
     record, names = TargetRecord(path, settings), {claim.name for claim in TARGETS}
     if other := sorted(set().union(*(names ^ values.keys() for values in record.values()))):
         raise ConfigurationError(
@@ -279,29 +334,34 @@ def training_values(policy: Policy) -> dict[str, float]:
 
 def standing_values(row: Mapping[str, Any]) -> dict[str, float]:
     """Values of standing; NaN if no robot stood to the end."""
-    at_one = [walk["planted"] for walk in row["walks"] if walk["command"] == [1.0, 0.0, 0.0]]
     lifted = [walk["lifted"] for walk in row["walks"] if math.isfinite(walk["lifted"])]
     return {
         "falls, stops": 100 * sum(row["falls"].values()) / row["count"],
+        "unplanted": 100 * row["unplanted"] / row["count"],
         "drift": 100 * row["drift_most"],
         "turn": math.degrees(row["turn_most"]),
         "lifted feet": float(sum(lifted)) if lifted else math.nan,
         "power, standing": row["power"],
-        "stop": float(np.mean(at_one)) if at_one else math.nan,
     }
 
 
 def foot_values(
-    config: Config, common: Mapping[str, Any], policy: Policy, make_env: MakeEnv | None
+    config: Config, settings: Mapping[str, Any], policy: Policy, make_env: MakeEnv | None
 ) -> dict[str, float]:
-    """Foot placement errors of straight walks, and of walks at random commands [cm]."""
-    placed = foot_placement.main(foot_placement.Config(**common, speeds=_SPEEDS), policy, make_env)
+    """Foot placement errors of straight walks, and of walks at random commands [cm].
+
+    Args:
+        config: the settings.
+        settings: those of the benchmarks.
+        policy: the policy.
+        make_env: function that makes the environment, or None.
+    """
+    placed = foot_placement.main(settings["straight"], policy, make_env)
     straight = [_mean(one.error) for ones in placed.values() for one in ones]
-    settings = foot_placement.Config(**common)
-    subjects, library = load_with_library(settings, policy, make_env)
-    command = random_commands(library, config.placements, config.seed)
+    subjects, library = load_with_library(settings["turns"], policy, make_env)
+    command = random_commands(library, config.placements, settings["turns"].seed)
     steps = foot_placement.recorded_steps()
-    walks = record_subject(settings, subjects[0], np.tile(command, (steps, 1, 1)))
+    walks = record_subject(settings["turns"], subjects[0], np.tile(command, (steps, 1, 1)))
     footholds = Footholds(library)
     turns = np.array(
         [
@@ -328,7 +388,7 @@ def quality_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return {
         "no contact": 100 * float(np.max(of["airborne"])),
         "force": float(np.max(of["largest"][1:])),
-        "friction": 100 * float(np.max(of["friction"])),
+        "slip": 100 * float(np.max(of["friction"])),
         "power, 1 m/s": of["cost"][1],
         "power, 2 m/s": of["cost"][2],
     }
@@ -337,19 +397,15 @@ def quality_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 def perturbation_values(numbers: Mapping[str, Any]) -> dict[str, float]:
     """Values of `benchmarks.perturbation`."""
     impulses = [cell["mean"] for row in numbers["pushes"] for cell in row["phases"]]
-    shares = []
-    for name, (low, high) in _RANGES.items():
+    found = {"pushes, least": float(np.min(impulses)), "pushes, mean": float(np.mean(impulses))}
+    for name, (parameter, low, high) in _SWEPT.items():
         counted = [
             row["mean"]
             for row in numbers["sweeps"]
-            if row["parameter"] == name and low <= row["value"] <= high
+            if row["parameter"] == parameter and low <= row["value"] <= high
         ]
-        shares.append(float(np.mean(counted)))
-    return {
-        "pushes, least": float(np.min(impulses)),
-        "pushes, mean": float(np.mean(impulses)),
-        "other robots": 100 * min(shares),
-    }
+        found[name] = 100 * float(np.mean(counted))
+    return found
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
@@ -363,6 +419,20 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         )
     header = ["target", "measured", "limit", "value", "verdict"]
     return markdown(header, lines, ["---", "---", "---:", "---:", "---"])
+
+
+def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:
+    """Sentence on the falls that were counted, and how many more are likely."""
+    counted = {
+        "walks at random commands": ("falls, walks", 1e3, config.commands),
+        "sudden changes": ("falls, changes", 1e4, config.changes),
+    }
+    parts = []
+    for what, (name, per, each) in counted.items():
+        falls, trials = sum(round(values[name] * each / per) for values in found), each * len(found)
+        most = Interval.of_share(falls, trials).high
+        parts.append(f"{falls} in {trials} {what} (at most {per * most:.1f} in {per:g})")
+    return f"Falls, with upper 95 % limits: {', '.join(parts)}."
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ from aslip.robot import CASSIE
 from aslip.training.environments import make_evaluation_env
 from aslip.training.provenance import provenance
 from aslip.training.run import write_text
-from aslip.transforms import DYNAMICS_RANGES, WIDE_RANGES, ActionDelta
+from aslip.transforms import ActionDelta
 from aslip.walking import evaluate, markdown, walk_table
 from benchmarks import (
     direction_targets,
@@ -78,8 +78,8 @@ _OWN = r" --out [^ ]+| --resume\b"
 _MOTORS, _JOINTS = "; ".join(CASSIE.motor_names), "; ".join(CASSIE.joint_names)
 _ENTRIES = {
     "estimate/height": "pelvis height above the ground [m]",
-    "estimate/orientation": "pelvis-to-world quaternion, wxyz with w ≥ 0",
-    "estimate/velocity": "pelvis velocity [m/s, world]",
+    "estimate/orientation": "quaternion from the pelvis to the heading frame, wxyz with w ≥ 0",
+    "estimate/velocity": "pelvis velocity [m/s, heading frame: z up, x along the robot's heading]",
     "estimate/angular_velocity": "pelvis angular velocity [rad/s, pelvis]",
     "estimate/acceleration": "pelvis acceleration without gravity [m/s², pelvis]",
     "estimate/motor_position": f"motor angles [rad]: {_MOTORS}",
@@ -200,7 +200,8 @@ def walks_section(policy: Path, about: dict[str, Any]) -> str:
     with closing(env):
         env.set_seed(seed)
         rows, _, total = walk_table(evaluate(load_policy(policy), env, commands)).rpartition("\n\n")
-    return f"## Walks at constant command\n\nTwelve seconds each, as trained: {total}.\n\n{rows}"
+    where = f"Twelve seconds each, on the nominal robot: {total}."
+    return f"## Walks at constant command\n\n{where}\n\n{rows}"
 
 
 def benchmark_sections(config: Config, policy: str, about: dict[str, Any]) -> list[str]:
@@ -281,20 +282,27 @@ def limits(numbers: dict[str, Any]) -> str:
 
 
 def training_conditions(about: dict[str, Any]) -> str:
-    """Line on the robots and floors of the training."""
+    """Line on the robots, floors and pushes of the training, as its policy's file has them."""
     made = about.get("made_by", {})
-    trained_on = made.get("transforms", {})
-    turns = _in_all_directions(about)
-    how = "to walk in all directions" if turns else "to walk straight ahead"
-    if "training/dynamics" not in trained_on and not made.get("settings", {}).get("randomise"):
-        return f"- It was trained on level ground with friction 1, {how}."
-    drawn = WIDE_RANGES if turns else DYNAMICS_RANGES
-    ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in drawn.items()]
-    share = made.get("settings", {}).get("randomise_share", 1)
+    settings, transforms = made.get("settings", {}), made.get("transforms", {})
+    how = "to walk in all directions" if _in_all_directions(about) else "to walk straight ahead"
+    pushes = settings.get("push_impulse", 0)
+    pushed = f", with pushes of up to {pushes:g} N s" if pushes else ""
+    dynamics = transforms.get("training/dynamics", transforms.get("dynamics"))
+    if dynamics is None:
+        return f"- It was trained on level ground with friction 1, {how}{pushed}."
+    ranges = [
+        f"{name} {float(low):g} to {float(high):g}"
+        for name, low, high in re.findall(r"'(\w+)': '\(([^,]+), ([^)]+)\)'", dynamics)
+    ]
+    if settings.get("encoder_offset"):
+        ranges.append(f"encoder offsets of up to {settings['encoder_offset']:g} rad")
+    share = settings.get("randomise_share", 1)
     each = f" (each nominal with a probability of {1 - share:g})" if share < 1 else ""
+    grown = ", in ranges that grew from the nominal ones" if settings.get("ramp") else ""
     return (
-        f"- It was trained {how} on robots and floors drawn for each episode{each}:"
-        f" {', '.join(ranges)}; see `aslip.sim.DYNAMICS`."
+        f"- It was trained {how} on robots and floors drawn for each episode{each}{grown}:"
+        f" {', '.join(ranges)}; see `aslip.sim.DYNAMICS`{pushed}."
     )
 
 

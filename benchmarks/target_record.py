@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.policy import find_policy
+from aslip.policy import CARD, POLICY_FORMAT, find_policy
+from aslip.training.provenance import provenance
 from aslip.training.run import write_text
 from benchmarks.claims import describe
 from benchmarks.common import without_nan
@@ -19,11 +20,11 @@ from benchmarks.common import without_nan
 
 @dataclass
 class TargetRecord:
-    """Measured values of policies, by the hash of their files.
+    """Measured values of policies, by the hash of their weights.
 
     Args:
         path: JSON file; need not exist.
-        settings: settings of the measurement, as JSON types.
+        settings: settings of the measurement, as JSON types; if empty, those of the file.
 
     Raises:
         FileDamagedError: the file is no record.
@@ -33,7 +34,8 @@ class TargetRecord:
     path: Path
     settings: Mapping[str, Any]
     policies: list[dict[str, Any]] = field(init=False, default_factory=list)
-    """Name, file hash, seed, commit, policy steps and values of each policy."""
+    """Name, hash of the weights, seed, commit and policy steps of each policy; commit of the
+    measurement, and values."""
 
     def __post_init__(self) -> None:
         self._read()
@@ -46,6 +48,7 @@ class TargetRecord:
             found = json.loads(self.path.read_text())
             settings, self.policies = found["settings"], [*found["policies"]]
             self.values()
+            self.settings = self.settings or dict(settings)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise FileDamagedError(
                 f"{str(self.path)!r} is no record of targets: {error}"
@@ -67,7 +70,8 @@ class TargetRecord:
     def add(self, policy: str | Path, values: Mapping[str, float]) -> None:
         """Add the values of a policy, and write the file."""
         self._read()  # another process may have added some since
-        about = {**describe(policy), "sha256": _digest(policy), "values": without_nan(values)}
+        about = {**describe(policy), "sha256": _digest(policy)}
+        about |= {"measured_at": provenance()["commit"], "values": without_nan(values)}
         self.policies.append(about)
         kept = {"settings": dict(self.settings), "policies": self.policies}
         write_text(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
@@ -81,4 +85,9 @@ class TargetRecord:
 
 
 def _digest(policy: str | Path) -> str:
-    return hashlib.sha256(find_policy(policy).read_bytes()).hexdigest()
+    """SHA-256 of a policy without its card, which a shipped copy writes anew."""
+    entries, digest = POLICY_FORMAT.read(find_policy(policy)), hashlib.sha256()
+    for name in sorted(entries.keys() - {CARD}):
+        digest.update(f"{name} {len(entries[name])} ".encode())
+        digest.update(entries[name])
+    return digest.hexdigest()

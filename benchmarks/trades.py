@@ -3,8 +3,8 @@
     python -m benchmarks.trades
     python -m benchmarks.trades --records docs/directions.json tried.json --picture trades.png
 
-A record is a file of `python -m benchmarks.direction_targets --record`. The region that meets both
-targets of a panel is shaded.
+A record is a file of `python -m benchmarks.direction_targets --record`; all must be measured with
+the same settings. The region that meets both targets of a panel is shaded.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if __name__ == "__main__":
 
 import math
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -50,14 +50,13 @@ from matplotlib.figure import Figure
 from aslip.show.plots import save_figure
 from aslip.walking import markdown
 from benchmarks.claim_list import Claim
-from benchmarks.direction_targets import TARGETS
-from benchmarks.target_record import TargetRecord
+from benchmarks.direction_targets import TARGETS, read_record
 
 PAIRS: Final = (
     ("velocity, 95 %", "force"),
     ("falls, changes", "pushes, mean"),
-    ("feet, straight", "friction"),
-    ("power, 2 m/s", "other robots"),
+    ("feet, straight", "slip"),
+    ("power, 2 m/s", "payload"),
 )
 """Names of the targets of each panel, along its axes."""
 
@@ -70,8 +69,10 @@ Values = Mapping[str, float]
 def main(config: Config) -> dict[str, Values]:
     """Print a table and draw; returns the values of each policy, by its name."""
     found: dict[str, Values] = {}
+    settings: Mapping[str, Any] = {}
     for path in config.records:
-        record = TargetRecord(path, {})
+        record = read_record(path, settings)
+        settings = record.settings
         for about, values in zip(record.policies, record.values(), strict=True):
             name = about["name"]
             if name in found:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -104,11 +105,7 @@ class GaitTable:
         """SHA-256 of all arrays, as hexadecimal digits; names the table in exported policies."""
         arrays = {**{name: getattr(self, name) for name in ARRAYS}, "missing": self.missing}
         arrays |= {f"axis{i}": axis for i, axis in enumerate(self.axes)}
-        digest = hashlib.sha256(f"{self.torque_jumps}".encode())
-        for name, array in arrays.items():
-            digest.update(f"{name} {array.dtype} {array.shape}".encode())
-            digest.update(np.ascontiguousarray(array).data)
-        return digest.hexdigest()
+        return hash_arrays(arrays, f"{self.torque_jumps}")
 
     def _check_present(self) -> None:
         if self.present is None:
@@ -172,3 +169,17 @@ def _read_only(values: np.ndarray) -> np.ndarray:
         array = array.copy()
         array.setflags(write=False)
     return array
+
+
+def hash_arrays(arrays: Mapping[str, np.ndarray], start: str = "") -> str:
+    """SHA-256 of arrays, with names, types and shapes, as hexadecimal digits.
+
+    Args:
+        arrays: the arrays by name; their order counts.
+        start: text before them.
+    """
+    digest = hashlib.sha256(start.encode())
+    for name, array in arrays.items():
+        digest.update(f"{name} {array.dtype} {array.shape}".encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()

@@ -24,6 +24,7 @@ from torch import Tensor, nn
 
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library.interpolation import OpenTable
+from aslip.library.table import hash_arrays
 
 HALF = 0.5
 """Phase between the touchdowns, and lift-offs, of left and right foot."""
@@ -93,6 +94,12 @@ class TransitionTable:
             raise ConfigurationError(
                 f"the left touchdown must have a phase between 0 and 0.5, got {self.touchdown}"
             )
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of all arrays, as hexadecimal digits."""
+        arrays = {name: getattr(self, name) for name in ("durations", *TRANSITION_ARRAYS)}
+        return hash_arrays(arrays, f"{self.touchdown}")
 
     @property
     def standing(self) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.policy import find_policy
+from aslip.policy import find_policy, read_card
 from benchmarks import (
     direction_targets,
     direction_tracking,
@@ -39,27 +39,30 @@ from tests.library.standing import standing_library
 
 
 def test_values_of_standing_are_the_worst_of_all_walks_that_stood() -> None:
-    walk = {"command": [0.0, 0.0, 0.0], "planted": 0.4, "lifted": 0}
+    walk = {"planted": 0.4, "lifted": 0}
     row: dict[str, Any] = {
         "falls": {"walk": 0, "stop": 0},
-        "walks": [walk, {"command": [1.0, 0.0, 0.0], "planted": 0.9, "lifted": 1}],
+        "walks": [walk, {"planted": math.nan, "lifted": 1}],
         "count": 2,
+        "unplanted": 1,
         "drift_most": 0.02,
         "turn_most": math.radians(0.3),
         "power": 30.0,
     }
-    expected = {"drift": 2.0, "turn": 0.3, "lifted feet": 1.0, "power, standing": 30.0, "stop": 0.9}
-    assert standing_values(row) == pytest.approx({**expected, "falls, stops": 0.0})
+    expected = {"drift": 2.0, "turn": 0.3, "lifted feet": 1.0, "power, standing": 30.0}
+    found = standing_values(row)
+    assert found == pytest.approx({**expected, "falls, stops": 0.0, "unplanted": 50.0})
     fallen = {**walk, "lifted": math.nan}
     row |= {"falls": {"walk": 0, "stop": 1}, "walks": [*row["walks"], fallen], "count": 3}
-    assert standing_values(row) == pytest.approx({**expected, "falls, stops": 100 / 3})
+    share = 100 / 3
+    expected |= {"falls, stops": share, "unplanted": share}
+    assert standing_values(row) == pytest.approx(expected)
     none = standing_values({**row, "walks": [fallen]})
     assert math.isnan(none["lifted feet"])
-    assert math.isnan(none["stop"])
 
 
 def test_sweeps_count_within_the_ranges_of_the_targets() -> None:
-    """The worst sweep counts, and impulses at the worst direction and phase."""
+    """Each sweep has a target, and so have impulses at the worst direction and phase."""
     values = {name: 1.0 for name in SWEEPS}
     sweeps = [{"parameter": name, "value": 1.0, "mean": mean} for name, mean in values.items()]
     sweeps += [
@@ -69,7 +72,8 @@ def test_sweeps_count_within_the_ranges_of_the_targets() -> None:
     ]
     pushes = [{"phases": [{"mean": 20.0}, {"mean": 40.0}]}, {"phases": [{"mean": 30.0}] * 2}]
     found = perturbation_values({"pushes": pushes, "sweeps": sweeps})
-    assert found == {"pushes, least": 20.0, "pushes, mean": 30.0, "other robots": 75.0}
+    sweeps = {**dict.fromkeys(["friction", "slope", "delay", "motors"], 100.0), "payload": 75.0}
+    assert found == {"pushes, least": 20.0, "pushes, mean": 30.0, **sweeps}
 
 
 def test_force_and_power_are_those_of_walks_ahead() -> None:
@@ -100,18 +104,19 @@ def test_every_target_has_a_value_from_its_benchmark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each benchmark runs once for each policy, in a folder of its own."""
-    folders = []
+    folders, seeds = [], set()
 
     def fake(rows: Any) -> Any:
         def main(config: Any, *of: Any) -> Any:
             folders.append(config.out)
+            seeds.add((config.policy[0], config.seed))
             return rows
 
         return main
 
     errors = {"falls": 0, "speed": 0.02, "speed_p95": 0.05, "turn": 0.01, "turn_p95": 0.02}
-    walk = {"command": [1.0, 0.0, 0.0], "planted": 0.8, "lifted": 0}
-    stood = {"falls": {"stop": 0}, "walks": [walk]}
+    walk = {"planted": 0.8, "lifted": 0}
+    stood = {"falls": {"stop": 0}, "walks": [walk], "planted": 0.8, "unplanted": 0}
     stood |= {"count": 1, "drift_most": 0.0, "turn_most": 0.0, "power": 30.0}
     means = {**dict.fromkeys(walking_quality.QUANTITIES, 0.001), "largest": 1.2, "cost": 0.4}
     quality = [{name: {"mean": value} for name, value in means.items()}] * 3
@@ -139,14 +144,18 @@ def test_every_target_has_a_value_from_its_benchmark(
     assert found["path"]["each"] == [5.0, 5.0]
     missed = [name for name, one in found.items() if one["verdict"] != "PASS"]
     assert set(missed) - {"time"} == {"falls, changes"}
-    assert {folder.name for folder in folders} == {"straight", "robust"}
-    assert len(folders) == 2 * len(rows)
+    assert {folder.name for folder in folders} == {"straight", "robust", "stops"}
+    runs = len(rows) + 1  # stops are measured twice
+    assert len(folders) == 2 * runs
+    # each policy walks at commands drawn from the seed of its training
+    trained = {name: read_card(name)["made_by"]["settings"]["seed"] for name in config.policy}
+    assert seeds == {*trained.items()}
     record = tmp_path / "seeds.json"
     kept = dataclasses.replace(config, policy=("robust",), record=record)
     direction_targets.main(kept)
     again = dataclasses.replace(kept, policy=("straight", "robust"))
     each = [row["found"]["each"] for row in direction_targets.main(again)]
-    assert len(folders) == 4 * len(rows)  # the second call measures one policy only
+    assert len(folders) == 4 * runs  # the second call measures one policy only
     assert all(len(values) == 2 for values in each)
     with pytest.raises(ConfigurationError, match="measured with commands 200, not commands 10;"):
         direction_targets.main(dataclasses.replace(kept, commands=10))
@@ -155,6 +164,14 @@ def test_every_target_has_a_value_from_its_benchmark(
     record.write_text(json.dumps(values))
     with pytest.raises(ConfigurationError, match=r"targets differ: \['changes'\]; use another"):
         direction_targets.main(again)
+    copied = tmp_path / "other" / "robust.zip"
+    copied.parent.mkdir()
+    copyfile(file, copied)
+    with pytest.raises(ConfigurationError, match=r"several have \['robust'\]"):
+        direction_targets.main(dataclasses.replace(config, policy=("robust", str(copied))))
+    with pytest.raises(ConfigurationError, match="walks must be 1 or more, got 0"):
+        direction_targets.main(dataclasses.replace(config, walks=0))
+    assert len(folders) == 4 * runs
     record.write_text("[]")
     with pytest.raises(FileDamagedError, match="no record of targets"):
         direction_targets.main(kept)
@@ -189,7 +206,7 @@ def test_all_targets_are_measured(
     assert [row["name"] for row in rows] == [claim.name for claim in TARGETS]
     found = {row["name"]: row["found"] for row in rows}
     assert found["samples"]["verdict"] == "FAIL"  # a module has no training
-    assert found["other robots"]["each"] == [100.0]
+    assert found["payload"]["each"] == [100.0]
     assert np.isfinite(found["path"]["each"]).all()
     assert "| path | mean distance" in capsys.readouterr().out
     written = json.loads((tmp_path / "out" / "direction_targets.json").read_text())

@@ -57,5 +57,17 @@ def test_records_are_needed_and_names_are_unique(tmp_path: Path) -> None:
         Config(())
 
 
+def test_records_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
+    first, second = write(tmp_path / "a.json", one=1.0), write(tmp_path / "b.json", two=2.0)
+    changed = json.loads(second.read_text())
+    second.write_text(json.dumps({**changed, "settings": {"commands": 8}}))
+    with pytest.raises(ConfigurationError, match="commands 8, not commands 7"):
+        trades.main(Config((first, second)))
+    changed["policies"][0]["values"]["speed"] = 1.0
+    second.write_text(json.dumps(changed))
+    with pytest.raises(ConfigurationError, match=r"targets differ: \['speed'\]"):
+        trades.main(Config((first, second)))
+
+
 def test_every_drawn_target_exists() -> None:
     assert all(claim_of(name) for pair in PAIRS for name in pair)
