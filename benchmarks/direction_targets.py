@@ -303,7 +303,7 @@ def open_record(config: Config, path: Path) -> TargetRecord:
     """
     settings = {k: v for k, v in asdict(config).items() if k not in ("policy", "out", "record")}
     if (library := chosen_library(config)) is not None:
-        settings["library_sha256"] = [library.table.sha256, transitions_of(library).sha256]
+        settings["library_sha256"] = library.sha256
     return read_record(path, settings)
 
 

@@ -6,9 +6,9 @@
 
 Works like `ablate.py`: variants have the same budget, finished work is kept, and the same command
 goes on. All policies walk the same 32 commands twice: on the nominal robot, and on robots, floors
-and sensors drawn from `aslip.transforms.WIDE_RANGES`, which are the same for each policy. They are
-compared by the reward of `aslip.transforms.rewards.DIRECTION_WEIGHTS`, to the gaits of the shipped
-library.
+and sensors drawn from `aslip.transforms.WIDE_RANGES`, which are the same for each policy. Each has
+a table. Policies are compared by the reward of `aslip.transforms.rewards.DIRECTION_WEIGHTS`, to the
+gaits of the shipped library.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from aslip.training.command_line import command_line, this_command
 
 NAMES = (
     "default", "no_randomise", "no_pushes", "no_privileged", "no_curriculum", "no_effort",
-    "no_path", "no_heading", "memory", "world_frame", "independent_gaits", "no_minimum_force",
+    "no_path", "no_heading", "no_symmetry", "memory", "world_frame", "independent_gaits",
+    "no_minimum_force",
 )  # fmt: skip
 """Names of the variants."""
 
@@ -90,7 +91,12 @@ from aslip.transforms import (
 )
 from aslip.transforms.base import extend_spec
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
-from aslip.transforms.rotation import multiply, rotate_about_vertical, vertical_quaternion
+from aslip.transforms.rotation import (
+    multiply,
+    rotate_about_vertical,
+    upper_hemisphere,
+    vertical_quaternion,
+)
 from aslip.walking import WalkResult, evaluate
 
 MakeStack = Callable[[GaitLibrary], Stack]
@@ -102,24 +108,27 @@ _SECONDS_A_STEP = 1.2e-3  # of one core, about
 class WorldFrame(SeededTransform):
     """Write the estimated orientation and velocity in a frame that does not turn with the path.
 
-    Entries are `("world", "orientation")` (n, 4) and `("world", "velocity")` (n, 3).
+    Entries are `("world", "orientation")` (n, 4), wxyz with w >= 0, `("world", "velocity")` (n, 3)
+    [m/s], and the way of the path there, the unit vector `("world", "direction")` (n, 2).
     """
 
     def __init__(self) -> None:
         super().__init__(
             in_keys=[("estimate", "orientation"), ("estimate", "velocity"), "heading"],
-            out_keys=[("world", "orientation"), ("world", "velocity")],
+            out_keys=[("world", name) for name in ("orientation", "velocity", "direction")],
         )
 
     def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
         orientation, velocity, heading = (next_tensordict[key] for key in self.in_keys)
         turned = multiply(vertical_quaternion(heading), orientation)
-        next_tensordict.set(self.out_keys[0], turned)
-        return next_tensordict.set(self.out_keys[1], rotate_about_vertical(velocity, heading))
+        next_tensordict.set(self.out_keys[0], upper_hemisphere(turned))
+        next_tensordict.set(self.out_keys[1], rotate_about_vertical(velocity, heading))
+        direction = torch.cat([heading.cos(), heading.sin()], dim=-1)
+        return next_tensordict.set(self.out_keys[2], direction)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add both entries."""
-        return extend_spec(observation_spec, dict(zip(self.out_keys, (4, 3), strict=True)))
+        """Add the entries."""
+        return extend_spec(observation_spec, dict(zip(self.out_keys, (4, 3, 2), strict=True)))
 
 
 class NearestGait(SeededTransform):
@@ -148,11 +157,11 @@ class NearestGait(SeededTransform):
 
 
 def in_world_frame(library: GaitLibrary) -> Stack:
-    """Stack whose policy observes orientation and velocity in the world."""
+    """Stack whose policy observes orientation, velocity and the way of the path in the world."""
     moved: Mapping[NestedKey, NestedKey] = {
         ("estimate", name): ("world", name) for name in ("orientation", "velocity")
     }
-    table = [moved.get(key, key) for key in DIRECTION_TABLE]
+    table = [*(moved.get(key, key) for key in DIRECTION_TABLE), ("world", "direction")]
     stack = insert_before(standing_stack(library), "observation", world=WorldFrame)
     return {**stack, "observation": partial(AssembleObservation, table)}
 
@@ -172,7 +181,7 @@ def with_independent_gaits(library: GaitLibrary) -> Stack:
 
 
 def without_terms(library: GaitLibrary, names: Sequence[str]) -> Stack:
-    """Stack without some reward terms; the others share their weights."""
+    """Stack without some reward terms; the weights of the others are scaled to a sum of 1."""
     rest = 1 - sum(DIRECTION_WEIGHTS[name] for name in names)
     weights = {k: 0.0 if k in names else w / rest for k, w in DIRECTION_WEIGHTS.items()}
     return {**standing_stack(library), "reward": partial(WeightedReward, weights)}
@@ -207,13 +216,14 @@ VARIANTS: Mapping[str, Variant] = {
     "no_heading": Variant(
         "no reward for the heading", make_stack=partial(without_terms, names=("heading_diff",))
     ),
+    "no_symmetry": Variant("networks without mirror symmetry", {"symmetric": False}),
     "memory": Variant(
-        "a recurrent policy (GRU)",
+        "a recurrent policy (GRU), also without symmetry",
         {"symmetric": False},
         networks={"make_actor": make_recurrent_actor},
     ),
     "world_frame": Variant(
-        "orientation and velocity in the world's frame, not along the path",
+        "orientation, velocity and the way of the path in the world, not along the path",
         make_stack=in_world_frame,
     ),
     "independent_gaits": Variant(
@@ -231,11 +241,21 @@ def main(config: Config, go_on: str = "the same call") -> Found:
         config: the settings.
         go_on: command that continues after an interruption, for messages.
     """
+    origins = {}
+    if not config.list:
+        # loaded at once, as a missing file would end the work after hours
+        files = {config.library, *(library_of(config, name) for name in config.variants)}
+        origins = {file: GaitLibrary.load(file).sha256 for file in files}
     experiment = Experiment(
         questions={name: variant.question for name, variant in VARIANTS.items()},
         weights=DIRECTION_WEIGHTS,
         train=partial(train, config, go_on=go_on),
         seconds=lambda: _SECONDS_A_STEP * config.total_steps,
+        origin=lambda name: {
+            "trained on": origins[library_of(config, name)],
+            "compared with": origins[config.library],
+        },
+        groups=("Nominal robots", "Drawn robots, floors and sensors"),
     )
     return run(config, experiment)
 
@@ -243,7 +263,7 @@ def main(config: Config, go_on: str = "the same call") -> Found:
 def train(config: Config, name: str, folder: Path, seed: int, go_on: str) -> list[WalkResult]:
     """Train or resume one run, and return its walks."""
     variant, resume = VARIANTS[name], is_begun(folder, config)
-    library = str(config.unloaded) if name == "no_minimum_force" else config.library
+    library = library_of(config, name)
     settings = DirectionConfig(
         out=folder,
         seed=seed,
@@ -256,6 +276,11 @@ def train(config: Config, name: str, folder: Path, seed: int, go_on: str) -> lis
     ppo_directions.main(settings, go_on, make_stack=variant.make_stack, **variant.networks)
     stack = variant.make_stack(GaitLibrary.load(library))
     return judge(folder, stack, GaitLibrary.load(config.library))
+
+
+def library_of(config: Config, name: str) -> str:
+    """Library that a variant is trained on."""
+    return str(config.unloaded) if name == "no_minimum_force" else config.library
 
 
 def judge(folder: Path, stack: Stack, library: GaitLibrary) -> list[WalkResult]:

@@ -42,6 +42,11 @@ class Experiment:
     """Function that trains, or resumes, a variant by name in a folder with a seed, and walks."""
     seconds: Callable[[], float]
     """Function that estimates the duration of a training [s]."""
+    origin: Callable[[str], Mapping[str, str]] = lambda _: {}
+    """Function that tells where a variant, by name, has its gaits from; results of another origin
+    are refused."""
+    groups: tuple[str, ...] = ("",)
+    """What equal parts of a training's walks are of, in order; each part has a table."""
 
 
 def run(config: AblationConfig, experiment: Experiment) -> Found:
@@ -64,7 +69,8 @@ def run(config: AblationConfig, experiment: Experiment) -> Found:
     print(announcement(config, experiment), flush=True)
     for i, (seed, name) in enumerate(jobs):
         folder = config.out / f"{name}-{seed}"
-        results = read_results(folder, config)
+        origin = experiment.origin(name)
+        results = read_results(folder, config, origin)
         if results is None:
             left = ""
             if durations:
@@ -73,18 +79,19 @@ def run(config: AblationConfig, experiment: Experiment) -> Found:
             print(f"{i + 1} of {len(jobs)}: {name}, seed {seed}{left}", flush=True)
             start = time.perf_counter()
             results = experiment.train(name, folder, seed)
-            kept = {**budget(config), "walks": [asdict(result) for result in results]}
+            walks = [asdict(result) for result in results]
+            kept = {**budget(config), "origin": {**origin}, "walks": walks}
             write_text(folder / _RESULTS, json.dumps(kept, indent=1) + "\n")
             durations.append(time.perf_counter() - start)
         found.setdefault(name, {})[seed] = results
-        shown = table(found, config.total_steps, experiment.weights)
+        shown = tables(found, config.total_steps, experiment)
         write_text(config.out / "ablation.md", shown + "\n")
         if durations or i + 1 == len(jobs):
             runs = {
                 key: [read_progress(config.out / f"{key}-{s}") for s in found[key]] for key in found
             }
             save_figure(compare_learning(runs), config.out / "ablation.png")
-    print(table(found, config.total_steps, experiment.weights))
+    print(tables(found, config.total_steps, experiment))
     return found
 
 
@@ -120,11 +127,14 @@ def budget(config: AblationConfig) -> dict[str, int]:
     return {"total_steps": config.total_steps, "num_envs": config.num_envs}
 
 
-def read_results(folder: Path, config: AblationConfig) -> list[WalkResult] | None:
+def read_results(
+    folder: Path, config: AblationConfig, origin: Mapping[str, str]
+) -> list[WalkResult] | None:
     """Walks of a finished training; None if there is none.
 
     Raises:
-        ConfigurationError: the training had another budget, to which its schedule belongs.
+        ConfigurationError: the training had another budget, to which its schedule belongs, or its
+            gaits have another origin.
         FileDamagedError: the results cannot be read.
     """
     path = folder / _RESULTS
@@ -138,6 +148,11 @@ def read_results(folder: Path, config: AblationConfig) -> list[WalkResult] | Non
             f"{str(path)!r} is damaged ({error}); without it the training is evaluated again"
         ) from error
     check_budget(folder, kept, config)
+    if kept.get("origin", {}) != origin:
+        raise ConfigurationError(
+            f"the training in {str(folder)!r} had gaits of {kept.get('origin')}, not {origin};"
+            " choose another --out"
+        )
     return walks
 
 
@@ -177,6 +192,25 @@ def _speed_error(walk: WalkResult) -> float:
     """Distance between mean and commanded velocity over the ground [m/s]."""
     sideways = walk.mean_sideways_speed - walk.sideways_speed
     return float(np.hypot(walk.mean_speed - walk.speed, sideways))
+
+
+def tables(found: Found, total_steps: int, experiment: Experiment) -> str:
+    """A table for each group of the walks, under its name."""
+    parts = []
+    for i, group in enumerate(experiment.groups):
+        of_group = {
+            name: {seed: _part(walks, i, len(experiment.groups)) for seed, walks in runs.items()}
+            for name, runs in found.items()
+        }
+        heading = f"## {group}\n\n" if group else ""
+        parts.append(heading + table(of_group, total_steps, experiment.weights))
+    return "\n\n".join(parts)
+
+
+def _part(walks: Sequence[WalkResult], index: int, parts: int) -> Sequence[WalkResult]:
+    """One of equal parts of a training's walks."""
+    size = len(walks) // parts
+    return walks[index * size : (index + 1) * size]
 
 
 def table(

@@ -7,6 +7,7 @@ the command of a motion and the phase of a sample it equals that sample.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -162,6 +163,12 @@ class GaitLibrary(nn.Module):
             OSError: the file cannot be written; an existing one is unchanged.
         """
         write_library(Path(path), self.motions, self.table, self.made_by, self.transitions)
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of all arrays, of stop and start, too, as hexadecimal digits."""
+        parts = [self.table.sha256, *([self.transitions.sha256] if self.transitions else [])]
+        return hashlib.sha256(" ".join(parts).encode()).hexdigest()
 
     @property
     def transitions(self) -> TransitionTable | None:

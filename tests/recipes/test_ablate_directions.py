@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from ablate_directions import NAMES, VARIANTS, Config
 from ppo_directions import DirectionConfig
 
 import aslip
+from aslip.errors import AssetError, ConfigurationError
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from tests.library.standing import standing_library
 
@@ -50,15 +52,28 @@ def test_variants_train_and_walk(library: Path, tmp_path: Path, names: tuple[str
         assert len(walks[0]) == 4
         assert {*walks[0][0].terms} == {*DIRECTION_WEIGHTS}
     shown = (tmp_path / "ablation.md").read_text()
-    assert "Counts are of 4 commands" in shown
-    assert all(f"| {name} |" in shown for name in names)
+    assert shown.count("Counts are of 2 commands") == 2
+    halves = [part.splitlines() for part in shown.split("## Drawn robots")]
+    for name in names:
+        nominal, drawn = (next(x for x in part if f"| {name} |" in x) for part in halves)
+        assert nominal != drawn
+    other = library.with_name("other.npz")
+    changed = standing_library()
+    changed.table.motor_torque.setflags(write=True)
+    changed.table.motor_torque[:] *= 2
+    changed.save(other)
+    with pytest.raises(ConfigurationError, match=r"had gaits of .* choose another --out"):
+        ablate_directions.main(replace(config, library=str(other)))
+    with pytest.raises(AssetError, match="nowhere"):
+        ablate_directions.main(replace(config, variants=NAMES, unloaded=Path("nowhere.npz")))
 
 
-def test_the_world_frame_does_not_turn_with_the_path() -> None:
+@pytest.mark.parametrize("heading", [0.5, 4.0])
+def test_the_world_frame_does_not_turn_with_the_path(heading: float) -> None:
     library = standing_library()
     env = aslip.make_env(stack=VARIANTS["world_frame"].make_stack(library), num_threads=1)
     td = env.reset()
-    td["heading"] = torch.full((1, 1), 0.5)
+    td["heading"] = torch.full((1, 1), heading)
     td["action"] = torch.zeros(1, 10)
     td = env.step(td)["next"]
     turn, seen = float(td["heading"]), td["observation"]
@@ -66,7 +81,11 @@ def test_the_world_frame_does_not_turn_with_the_path() -> None:
     turned = aslip.transforms.rotation.multiply(
         torch.cat([half.cos(), 0 * half, 0 * half, half.sin()], -1), td["estimate", "orientation"]
     )
-    torch.testing.assert_close(seen[:, 1:5], turned)
+    # a pose has one quaternion
+    torch.testing.assert_close(seen[:, 1:5], turned * turned[:, :1].sign())
+    torch.testing.assert_close(
+        seen[:, -2:], torch.cat([td["heading"].cos(), td["heading"].sin()], -1)
+    )
     assert (seen[:, 1:5] - td["estimate", "orientation"]).abs().max() > 0.1
     assert torch.equal(seen[:, 8:11], td["estimate", "angular_velocity"])
 
