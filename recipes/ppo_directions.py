@@ -1,13 +1,14 @@
-"""Teach Cassie to walk in all directions and to stand: forward, sideways speed and yaw rate.
+"""Teach Cassie to follow forward speed, sideways speed and yaw rate, and to stand.
 
     python recipes/ppo_directions.py                   # train, evaluate, draw: runs/ppo_directions/
     python recipes/ppo_directions.py --resume          # continue after Ctrl-C, kill or a crash
     python recipes/ppo_directions.py --library runs/small/gaits.npz --no-randomise --push-impulse 0
 
-PPO is that of `ppo_aslip.py`. Robots, floors and sensors differ between episodes, pushes and
-wishes to stand come at random times, and the critic sees true state and dynamics, which the policy
-does not. Training begins with nominal robots and without pushes. Evaluations walk commands from all
-over the region, on nominal robots, without pushes, at 2 kHz physics.
+PPO is that of `ppo_aslip.py`. In each episode some parameters of robot, floor and sensors are drawn
+at random; pushes and wishes to stand come at random times; and the critic sees true state and
+dynamics, which the policy does not. Training begins with nominal robots and without pushes, and
+ranges and pushes grow from there. Evaluations walk commands from all over the region, on nominal
+robots, without pushes, at 2 kHz physics.
 """
 
 from __future__ import annotations
@@ -28,20 +29,20 @@ class DirectionConfig(Config):
 
     out: Path = Path("runs/ppo_directions")
     """Folder of the run."""
-    total_steps: int = 2_500_000
+    total_steps: int = 5_000_000
     """Policy steps to train for, rounded up to whole updates."""
     library: str = "directions"
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""
     command_interval: float = 4.0
     """Mean time between changes of the command in an episode [s]."""
     command_rates: float = 2.0
-    """Rates at which the followed command may change in training, over those of walks later
-    (`aslip.transforms.COMMAND_RATES`)."""
+    """Factor on the rates at which the followed command changes (`aslip.transforms.COMMAND_RATES`),
+    in training only."""
     leash: float = 0.1
-    """Length of a slack leash of the path in training [m], longer than that of walks later."""
+    """Distance from the place on the path beyond which the path waits for the robot, in training
+    [m]; see `aslip.transforms.path`."""
     leash_time: float = 1.0
-    """Time constant with which a taut leash shortens in training [s]; see
-    `aslip.transforms.path`."""
+    """Time constant of that waiting in training [s]."""
     stand: float = 0.2
     """Share of the time with a wish to stand; 0 for robots that only walk. Others need a library
     with stop and start."""
@@ -49,17 +50,17 @@ class DirectionConfig(Config):
     """Mean time between draws of the wish to stand in an episode [s]."""
     randomise: bool = True
     """Draw dynamics and sensor noise of each episode from `aslip.transforms.WIDE_RANGES`."""
-    randomise_share: float = 0.5
+    randomise_share: float = 0.3
     """Probability with which a parameter of dynamics and sensors is drawn; else it is nominal."""
     encoder_offset: float = 0.01
     """Largest offset of the motor encoders of robots that differ [rad]; 0 for none."""
     push_impulse: float = 30.0
     """Largest impulse of random pushes [N s]; 0 for none."""
-    push_interval: float = 4.0
+    push_interval: float = 8.0
     """Mean time between pushes [s]."""
     ramp: float = 0.5
-    """Share of the training after which robots, floors, sensors and pushes have their full ranges,
-    which grow from the nominal ones; 0 for full ranges from the start."""
+    """Share of the training over which ranges and pushes grow from nothing to their full size; 0
+    for full size from the start."""
     privileged: bool = True
     """Show true state and dynamics to the critic."""
 
