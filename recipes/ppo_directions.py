@@ -38,11 +38,6 @@ class DirectionConfig(Config):
     command_rates: float = 2.0
     """Factor on the rates at which the followed command changes (`aslip.transforms.COMMAND_RATES`),
     in training only."""
-    leash: float = 0.1
-    """Distance from the place on the path beyond which the path waits for the robot, in training
-    [m]; see `aslip.transforms.path`."""
-    leash_time: float = 1.0
-    """Time constant of that waiting in training [s]."""
     stand: float = 0.2
     """Share of the time with a wish to stand; 0 for robots that only walk. Others need a library
     with stop and start."""
@@ -76,7 +71,7 @@ class DirectionConfig(Config):
         for name in ("ramp", "randomise_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigurationError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
-        check_positive(self, "command_rates", "leash", "leash_time")
+        check_positive(self, "command_rates")
         for name in ("push_impulse", "encoder_offset"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
@@ -118,10 +113,8 @@ from aslip.transforms import (
     RandomPushes,
     StandCommand,
 )
-from aslip.transforms.path import Leash
 from aslip.walking import WalkResult
 
-_LEASHED = ("heading", "estimator")
 PRIVILEGED = "privileged"
 """Key of the entries that only the critic sees."""
 
@@ -163,13 +156,11 @@ def main(
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     """Stack for training.
 
-    It differs in leash and rates of the command, and has wishes to stand, other robots, pushes and
+    It differs in rates of the command, and has wishes to stand, other robots, pushes and
     entries for the critic.
     """
-    leash = Leash(config.leash, config.leash_time)
-    leashed = {name: partial(_leashed, stack[name], leash) for name in _LEASHED if name in stack}
     hurried = partial(_hurried, stack["command_filter"], config.command_rates)
-    stack = {**stack, **leashed, "command_filter": hurried}
+    stack = {**stack, "command_filter": hurried}
     if config.stand:
         stack = {**stack, "stand": partial(StandCommand, config.stand, config.stand_interval)}
     steps = config.schedule_steps or config.total_steps
@@ -193,13 +184,6 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
         seen = partial(AssembleObservation, privileged_table(drawn(config)), out_keys=[PRIVILEGED])
         stack = insert_before(stack, "action", privileged=seen)
     return stack
-
-
-def _leashed(make: Callable[[], Any], leash: Leash) -> Any:
-    """Make a transform that moves the origin of the path, and give it a leash."""
-    made = make()
-    made.leash = leash
-    return made
 
 
 def _hurried(make: Callable[[], Any], factor: float) -> Any:

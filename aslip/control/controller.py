@@ -294,8 +294,8 @@ class Controller:
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
         origin = None
         if command is not None:
-            origin = cast("Tensor", past["odometry", "origin"])
-            origin = follow_path(tracking, origin, command, heading, self._period)
+            before = cast("TensorDictBase", past["odometry"])
+            origin = follow_path(tracking, before, command, heading, self._period)
         elif heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, rows)

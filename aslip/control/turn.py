@@ -79,7 +79,7 @@ def next_entries(
             position = torch.full((len(rows), 3), torch.nan, dtype=torch.float64)
         origin, error = (cast("Tensor", past["odometry", name]) for name in PATH_SIZES)
         place = rotate_about_vertical(position, -ahead)
-        moved = advance_frame(origin, before.float(), command, robot.policy_period)
+        moved = advance_frame(origin, before.float(), command, error, robot.policy_period)
         entries["odometry"] = place_on_path(place, *moved, error, mode, robot.policy_period)
     return entries
 

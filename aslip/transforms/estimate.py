@@ -164,12 +164,10 @@ class EstimatedState(_Estimator):
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
         origin = None
         if self._command_key is not None:
-            before, origin = (
-                tensordict.get(key, None)
-                for key in (self._heading_key, unravel_key((self.out_keys[1], "origin")))
-            )
+            before = tensordict.get(self._heading_key, None)
+            past = cast("TensorDictBase", tensordict[self.out_keys[1]])
             command = cast("Tensor", tensordict[self._command_key])
-            origin = follow_path(tracking, origin, command, before, self._robot.policy_period)
+            origin = follow_path(tracking, past, command, before, self._robot.policy_period)
         heading = next_tensordict.get(self._heading_key, None)
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
@@ -232,7 +230,7 @@ class EstimatedState(_Estimator):
 
 def follow_path(
     tracking: Tracking,
-    origin: Tensor,
+    past: Mapping[str, Tensor] | TensorDictBase,
     command: Tensor,
     heading: Tensor | None,
     period: float = CASSIE.policy_period,
@@ -241,7 +239,7 @@ def follow_path(
 
     Args:
         tracking: memory of the estimator before a policy step.
-        origin: (n, 3) origin before the step [m, frame of the IMU's attitude].
+        past: entries of `PATH_SIZES` before the step.
         command: (n, c) command during the step.
         heading: (n, 1) yaw before the step [rad], as a caller may have changed it; by default that
             of `tracking`.
@@ -251,7 +249,8 @@ def follow_path(
         (n, 3) origin after the step.
     """
     before = torch.from_numpy(tracking.heading)[:, None] if heading is None else heading
-    origin, after = advance_frame(origin, before.float(), command, period)
+    origin, error = (cast("Tensor", past[name]) for name in PATH_SIZES)
+    origin, after = advance_frame(origin, before.float(), command, error, period)
     tracking.heading = after[:, 0].double().numpy()
     return origin
 

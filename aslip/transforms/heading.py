@@ -17,8 +17,8 @@ from aslip.transforms.estimate import ODOMETRY_SIZES
 from aslip.transforms.path import (
     DEFAULT_LEASH,
     Leash,
+    advance,
     advance_heading,
-    arc,
     move_origin,
     place_in_path,
 )
@@ -55,10 +55,10 @@ class HeadingFrame(SeededTransform):
     its line.
 
     With a `command_key` the frame moves along the commanded path: at each step, heading and origin
-    follow the twist of that command, and a pelvis further than the length of the `leash` from
-    the origin drags it along slowly. `("true_odometry", "path_error")` (n, 2) is then the distance
-    of the pelvis from the origin, forward and sideways [m]. With a `mode_key`, stops move the
-    origin below the pelvis.
+    follow the twist of that command, about the pelvis, and a pelvis further than the length of the
+    `leash` from the origin drags it along slowly. `("true_odometry", "path_error")` (n, 2) is then
+    the distance of the pelvis from the origin, forward and sideways [m]. With a `mode_key`, stops
+    move the origin below the pelvis.
 
     Args:
         truth_key: key of the truth; the entries of `ODOMETRY_SIZES` and `slope` are read.
@@ -106,7 +106,8 @@ class HeadingFrame(SeededTransform):
         if self._command_key is not None:
             command = cast("Tensor", tensordict[self._command_key])
             slope = cast("Tensor", next_tensordict[self._truth_key, "slope"])
-            origin = move_origin(origin, heading, arc(command, self._period), slope)
+            error = cast("Tensor", tensordict[unravel_key((self.out_keys[1], "path_error"))])
+            origin = move_origin(origin, heading, advance(command, error, self._period), slope)
             heading = advance_heading(heading, command, self._period)
         return self._written(next_tensordict, heading, origin)
 

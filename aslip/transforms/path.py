@@ -1,7 +1,10 @@
 """Path that a command describes: heading and origin of the frame that moves along it.
 
 Over a policy step, the moving frame of `aslip.library.Reference` moves and turns in the world with
-the twist of the command. Truth and estimates use the same functions.
+the twist of the command, which is that of the pelvis: the frame turns about the pelvis, wherever
+its origin is. So a pelvis at rest in the frame has the commanded velocity in turns, too. If the
+frame turned about its origin, a pelvis d behind it would move sideways at d times the yaw rate.
+Truth and estimates use the same functions.
 """
 
 from __future__ import annotations
@@ -17,12 +20,12 @@ from aslip.library import WalkMode
 from aslip.robot import CASSIE
 from aslip.transforms.rotation import conjugate, heading_to_world, rotate_inverse
 
-LEASH: Final = 0.05
+LEASH: Final = 0.1
 """Length of a slack leash from the pelvis to the origin of the moving frame along the ground [m].
 A pelvis further away drags the origin along, so that it need not walk back after a push. During a
 stop the origin is below the pelvis, so that the robot stands where it comes to rest."""
 
-LEASH_TIME: Final = 0.3
+LEASH_TIME: Final = 1.0
 """Time constant with which a taut leash shortens [s]. At an error v of the mean velocity, the
 distance settles at `LEASH` + v x `LEASH_TIME`, and so still tells how large the error is."""
 
@@ -37,7 +40,7 @@ class Leash(NamedTuple):
 
 
 DEFAULT_LEASH: Final = Leash()
-"""Leash of walks; that of a training may be longer."""
+"""Leash of trainings and walks."""
 
 
 def advance_heading(
@@ -56,14 +59,37 @@ def advance_heading(
 
 
 def advance_frame(
-    origin: Tensor, heading: Tensor, command: Tensor, period: float = CASSIE.policy_period
+    origin: Tensor,
+    heading: Tensor,
+    command: Tensor,
+    error: Tensor,
+    period: float = CASSIE.policy_period,
 ) -> tuple[Tensor, Tensor]:
     """Origin (*b, 3) [m, world] and yaw (*b, 1) [rad] of the moving frame a policy step later.
 
-    Arguments are those of `advance_heading`, and `origin` (*b, 3) on a level floor [m, world].
+    Arguments are those of `advance_heading`, `origin` (*b, 3) on a level floor [m, world], and
+    `error` (*b, 2), the pelvis from the origin before the step [m, heading frame].
     """
     after = advance_heading(heading, command, period)
-    return move_origin(origin, heading, arc(command, period)), after
+    return move_origin(origin, heading, advance(command, error, period)), after
+
+
+def advance(command: Tensor, error: Tensor, period: float = CASSIE.policy_period) -> Tensor:
+    """Displacement (*b, 3) of the origin over a policy step, in the frame at its start [m].
+
+    It is that of `arc`, and that by which the turn about the pelvis moves the origin.
+
+    Args:
+        command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
+        error: (*b, 2) pelvis from the origin before the step [m, frame at its start].
+        period: duration of a policy step [s].
+    """
+    angle = period * _complete(command)[..., 2:]
+    # half angles, as 1 - cos of small angles loses digits
+    less, sine = 2 * (angle / 2).sin().square(), angle.sin()
+    x, y = error.split(1, dim=-1)
+    swung = torch.cat([less * x + sine * y, less * y - sine * x, torch.zeros_like(x)], dim=-1)
+    return arc(command, period) + swung
 
 
 def arc(command: Tensor, period: float = CASSIE.policy_period) -> Tensor:

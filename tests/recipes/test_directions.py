@@ -17,7 +17,6 @@ from aslip.errors import ConfigurationError
 from aslip.policy import policy_stack, read_card
 from aslip.sim import DYNAMICS
 from aslip.transforms import COMMAND_RATES, DYNAMICS_RANGES, WIDE_RANGES, Difficulty
-from aslip.transforms.path import Leash
 from aslip.walking import WalkResult
 from recipes import ppo_directions
 from recipes.ppo_directions import DirectionConfig
@@ -99,15 +98,11 @@ def test_only_training_has_other_robots_pushes_and_coarse_physics(config: Direct
     nominal = replace(config, randomise=False, push_impulse=0.0, privileged=False)
     same = ppo_directions.training_stack(nominal, stack)
     assert [*same] == [*stack]
-    assert {name for name in stack if same[name] != stack[name]} == {
-        "heading",
-        "estimator",
-        "command_filter",
-    }
+    assert {name for name in stack if same[name] != stack[name]} == {"command_filter"}
 
 
 def test_episodes_of_a_training_have_ever_more_different_robots(config: DirectionConfig) -> None:
-    """Until they have the full ranges, of about half of the parameters each."""
+    """Until they have the full ranges, of about a third of the parameters each."""
     trained = ppo_directions.training_stack(config, directions_stack(symmetric_library()))
     env = aslip.make_env(stack=trained, num_envs=16, num_threads=1, timestep=1e-3)
     td, action = env.reset(), 3.0 * torch.randn(16, 10, generator=torch.manual_seed(0))
@@ -116,19 +111,8 @@ def test_episodes_of_a_training_have_ever_more_different_robots(config: Directio
     assert (td["difficulty"] == 1).all()
     names = [name for name in WIDE_RANGES if name != "torque_delay"]
     differs = torch.cat([td["dynamics", n] != DYNAMICS[n].nominal for n in names], dim=-1)
-    assert 0.35 < differs.float().mean() < 0.65
+    assert 0.15 < differs.float().mean() < 0.45
     assert td["dynamics", "payload"].max() > 8.0
-
-
-def test_only_training_has_a_long_leash(config: DirectionConfig) -> None:
-    """Both origins of the path, the true and the estimated one, are on the same leash."""
-    stack = directions_stack(symmetric_library())
-    trained = ppo_directions.training_stack(replace(config, leash=0.2, leash_time=2.0), stack)
-    for name in ("heading", "estimator"):
-        assert stack[name]().leash == Leash()  # pyright: ignore[reportAttributeAccessIssue]
-        assert trained[name]().leash == Leash(0.2, 2.0)  # pyright: ignore[reportAttributeAccessIssue]
-    with pytest.raises(ConfigurationError, match="leash_time"):
-        replace(config, leash_time=0.0)
 
 
 def test_only_training_has_fast_changes_of_the_command(config: DirectionConfig) -> None:

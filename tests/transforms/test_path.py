@@ -14,13 +14,12 @@ from aslip.transforms.path import (
     LEASH,
     LEASH_TIME,
     Leash,
-    advance_heading,
-    arc,
+    advance_frame,
     dragged,
     move_origin,
     place_in_path,
 )
-from aslip.transforms.rotation import heading_to_world, rotate_inverse
+from aslip.transforms.rotation import heading_to_world, rotate_about_vertical, rotate_inverse
 
 PERIOD = 0.03
 
@@ -29,17 +28,32 @@ PERIOD = 0.03
 def test_origin_and_heading_follow_the_twist_of_the_command(
     command: tuple[float, float, float],
 ) -> None:
-    """100 policy steps end where the model's motion ends."""
+    """100 policy steps end where the model's motion ends, for a pelvis above the origin."""
     twist = torch.tensor([command], dtype=torch.float64)
     heading = torch.zeros(1, 1, dtype=torch.float64)
     origin = torch.zeros(1, 3, dtype=torch.float64)
+    above = torch.zeros(1, 2, dtype=torch.float64)
     for _ in range(100):
-        origin = move_origin(origin, heading, arc(twist, PERIOD))
-        heading = advance_heading(heading, twist, PERIOD)
+        origin, heading = advance_frame(origin, heading, twist, above, PERIOD)
     expected = twist_pose(np.array(command), np.array([100 * PERIOD]))
     zero = np.zeros((1, 3))
     np.testing.assert_allclose(origin, expected.transform(zero), atol=1e-12)
     np.testing.assert_allclose(heading[:, 0], expected.angle, atol=1e-12)
+
+
+def test_a_pelvis_at_rest_in_the_frame_has_the_commanded_velocity() -> None:
+    """Wherever it is in the frame: its path is the model's, and the origin swings around it."""
+    twist = torch.tensor([[1.0, 0.3, 0.9]] * 3, dtype=torch.float64)
+    heading = torch.zeros(3, 1, dtype=torch.float64)
+    error = torch.tensor([[0.0, 0.0], [-0.2, 0.1], [0.3, 0.0]], dtype=torch.float64)
+    level = torch.nn.functional.pad(error, (0, 1))
+    pelvis = torch.ones(3, 3, dtype=torch.float64)
+    origin = pelvis - level
+    for _ in range(100):
+        origin, heading = advance_frame(origin, heading, twist, error, PERIOD)
+    pelvis = origin + rotate_about_vertical(level, heading)
+    expected = twist_pose(twist[0].numpy(), np.array([100 * PERIOD])).transform(np.zeros((1, 3)))
+    np.testing.assert_allclose(pelvis[:, :2], 1 + expected.repeat(3, axis=0)[:, :2], atol=1e-12)
 
 
 def test_on_a_slope_the_origin_stays_on_the_floor_below_the_way() -> None:
@@ -73,7 +87,7 @@ def test_the_distance_from_the_path_tells_the_error_of_the_velocity() -> None:
     """It settles at the leash's length and what the error adds in its time constant."""
     lag = torch.tensor([[0.05], [0.3]])
     error = torch.zeros(2, 3)
-    for _ in range(round(4.0 / PERIOD)):
+    for _ in range(round(12.0 / PERIOD)):
         error[:, :1] -= lag * PERIOD
         error -= dragged(error)
     expected = LEASH + lag[:, 0] * (LEASH_TIME - PERIOD)
