@@ -44,9 +44,11 @@ DIRECTION_TABLE: Final[tuple[NestedKey, ...]] = (
     ("reference", "right_foot_heading"),
     "filtered_command",
     ("odometry", "path_error"),
+    "last_action",
 )
-"""Keys of the 72 numbers for walks in all directions: the default 64, headings of the reference
-[rad], filtered command, and the estimated distance from the moving frame's origin [m]."""
+"""Keys of the 82 numbers for walks in all directions: the default 64, headings of the reference
+[rad], filtered command, the estimated distance from the moving frame's origin [m], and the last
+action [rad], with which the policy can tell how strongly the motors pull."""
 
 
 class AssembleObservation(SeededTransform):
