@@ -73,8 +73,7 @@ def tabulate(
             where the command leads, or there are fewer than four samples.
         UnreachablePoseError: the robot cannot take a pose of a motion.
     """
-    if samples < FEWEST_SAMPLES:
-        raise ConfigurationError(f"samples must be {FEWEST_SAMPLES} or more, got {samples!r}")
+    _check_samples(samples)
     axes, present = grid_of(motions, missing=missing)
     phase = np.arange(samples) / samples
     rows = build_rows(motions, robot, phase, leg_dynamics=leg_dynamics, **build)
@@ -109,9 +108,10 @@ def tabulate_transitions(
         leg_dynamics: as in `tabulate`.
 
     Raises:
-        ShapeError: there are fewer than four samples.
+        ConfigurationError: there are fewer than four samples.
         UnreachablePoseError: the robot cannot take a pose.
     """
+    _check_samples(samples)
     kinematics, phase = Kinematics(robot), np.linspace(0.0, 1.0, samples)
     motions = [side for one in transitions for side in (one, one.mirrored())]
     framed = [FramedMotion.still(motion, phase).sharing_friction() for motion in motions]
@@ -122,6 +122,16 @@ def tabulate_transitions(
         durations=np.array([motion.stride for motion in transitions]),
         **{name: v.reshape(2, 2, *v.shape[1:]) for name, v in columns.items()},
     )
+
+
+def _check_samples(samples: int) -> None:
+    """Check that a cubic can interpolate between the samples.
+
+    Raises:
+        ConfigurationError: there are fewer than four.
+    """
+    if samples < FEWEST_SAMPLES:
+        raise ConfigurationError(f"samples must be {FEWEST_SAMPLES} or more, got {samples!r}")
 
 
 def grid_of(

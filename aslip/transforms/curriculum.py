@@ -77,10 +77,12 @@ def difficulty_of(tensordict: TensorDictBase, keys: Sequence[NestedKey]) -> Tens
     """Difficulty (*b, 1) at the only key of a list; 1 for an empty list.
 
     Raises:
-        ConfigurationError: the tensordict lacks the key.
+        ConfigurationError: there are several keys, or the tensordict lacks the key.
     """
     if not keys:
         return 1.0
+    if len(keys) > 1:
+        raise ConfigurationError(f"the difficulty has one key, got {list(keys)}")
     found = tensordict.get(keys[0], None)
     if found is None:
         raise ConfigurationError(

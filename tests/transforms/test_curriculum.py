@@ -99,6 +99,13 @@ def test_ranges_need_a_difficulty_later_in_the_stack(names: list[str]) -> None:
         aslip.make_env(stack=stack, num_envs=2, num_threads=1).reset()
 
 
+def test_two_difficulties_are_refused() -> None:
+    keys = ["difficulty", "phase"]
+    stack = insert_before(default_stack(), "start", dynamics=partial(RandomDynamics, in_keys=keys))
+    with pytest.raises(ConfigurationError, match="the difficulty has one key, got"):
+        aslip.make_env(stack=stack, num_envs=2, num_threads=1).reset()
+
+
 def test_impulses_grow_from_zero() -> None:
     env = make()
     forces = []
