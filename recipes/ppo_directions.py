@@ -29,7 +29,7 @@ class DirectionConfig(Config):
 
     out: Path = Path("runs/ppo_directions")
     """Folder of the run."""
-    total_steps: int = 5_000_000
+    total_steps: int = 4_990_000
     """Policy steps to train for, rounded up to whole updates."""
     library: str = "directions"
     """Library over three commands: the shipped one, or a file from `direction_library.py`."""

@@ -77,6 +77,9 @@ def directions_stack(
         "observation": lambda: AssembleObservation(DIRECTION_TABLE),
         "reward": lambda: WeightedReward(DIRECTION_WEIGHTS),
     }
+    # the observation has the last action
+    moved = {name: stack.pop(name) for name in ("action", "last_action")}
+    stack = insert_before(stack, "observation", **moved)
     for name in _HEADINGS:
         stack[name] = partial(_with_headings, stack[name])
     stack = insert_before(stack, "clock", command_filter=CommandFilter)
