@@ -169,12 +169,13 @@ def check_interval(interval: Any, period: float) -> float:
     Raises:
         ConfigurationError: it is no number, or shorter than a policy step of duration `period`.
     """
-    number = isinstance(interval, Real) and not isinstance(interval, bool)
-    if not number or not interval >= period:
+    real = isinstance(interval, Real) and not isinstance(interval, bool)
+    number = float(interval) if real else math.nan
+    if not number >= period:
         raise ConfigurationError(
             f"interval must be at least one policy step, {period} s, got {interval!r}"
         )
-    return float(interval)
+    return number
 
 
 def extend_spec(spec: Composite, sizes: Mapping[Any, int]) -> Composite:
