@@ -121,7 +121,7 @@ TARGETS: Final = (
     _falls("unplanted", "share of these that stand without planting both feet [%]", digits=1),
     Claim("drift", "largest drift of the pelvis in standing [cm]", at_most=1.0),
     Claim("turn", "largest turn of the pelvis in standing [deg]", at_most=0.5),
-    _falls("lifted feet", "feet that lost the ground in standing, of all walks"),
+    _falls("lifted feet", "times a foot is off the ground in standing, of all walks"),
     Claim("stop", "time from the wish at 1 m/s to planted feet, mean over phases [s]", at_most=1.0),
     Claim("power, standing", "positive joint power in standing [W]", at_most=40.0, digits=0),
     Claim(

@@ -46,7 +46,7 @@ class Experiment:
     """Function that tells where a variant, by name, has its gaits from; results of another origin
     are refused."""
     groups: tuple[str, ...] = ("",)
-    """What equal parts of a training's walks are of, in order; each part has a table."""
+    """Names of the equal parts of a training's walks, in order; each part has a table."""
 
 
 def run(config: AblationConfig, experiment: Experiment) -> Found:

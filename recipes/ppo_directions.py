@@ -156,8 +156,8 @@ def main(
 def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     """Stack for training.
 
-    It differs in rates of the command, and has wishes to stand, other robots, pushes and
-    entries for the critic.
+    It differs in rates of the command, and has wishes to stand, other robots, pushes and entries
+    for the critic.
     """
     hurried = partial(_hurried, stack["command_filter"], config.command_rates)
     stack = {**stack, "command_filter": hurried}

@@ -11,6 +11,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
 from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
 from aslip.transforms.curriculum import difficulty_of
@@ -34,7 +35,8 @@ class EncoderOffsets(SeededTransform):
         in_keys_inv: key of the motor targets (n, m) [rad].
 
     Raises:
-        ConfigurationError: `largest` is negative, or `share` not from 0 to 1.
+        ConfigurationError: `largest` is negative, `share` not from 0 to 1, or there are neither one
+            nor two keys to read.
     """
 
     num_out_keys = 1
@@ -51,6 +53,10 @@ class EncoderOffsets(SeededTransform):
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self._check_keys("in_keys_inv", in_keys_inv, 1)
+        if not 1 <= len(in_keys) <= 2:
+            raise ConfigurationError(
+                f"in_keys must be those of readings and, if any, of the difficulty, got {in_keys!r}"
+            )
         self.in_keys_inv, self.out_keys_inv = list(in_keys_inv), list(in_keys_inv)
         self.largest = check_number("largest", largest, 0.0, what="in rad")
         self.share = check_number("share", share, 0, 1)

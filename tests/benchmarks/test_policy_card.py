@@ -158,7 +158,7 @@ def test_run_folder_is_removed_from_shipped_policy(tmp_path: Path) -> None:
 
 
 def test_card_lists_training_conditions() -> None:
-    """Of the training, as its policy's file has them, not those of today."""
+    """Ranges, share and pushes on the card are those of the policy's file, not today's defaults."""
     made: dict[str, dict] = {"settings": {}}
     line = policy_card.training_conditions({"made_by": made})
     assert line.endswith("level ground with friction 1, to walk straight ahead.")

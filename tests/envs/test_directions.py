@@ -28,13 +28,15 @@ from aslip.robot import CASSIE
 from aslip.transforms import (
     COMMAND_RATES,
     DIRECTION_TABLE,
+    EstimatedState,
+    HeadingFrame,
     RandomPushes,
     RewardTerm,
     TrueState,
     rewards,
 )
 from aslip.transforms.command import approach_command
-from aslip.transforms.path import advance_heading, arc
+from aslip.transforms.path import Leash, advance_heading, arc
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from tests.library.bent import symmetric_library
 
@@ -105,6 +107,24 @@ def test_rewards_and_odometry_are_in_a_frame_that_moves_along_the_path() -> None
     error, body = td["odometry", "path_error"], td["reference", "body_position"]
     expected = rewards.path_diff(cast("Tensor", error), cast("Tensor", body))
     torch.testing.assert_close(td["reward_terms", "path_diff"], expected)
+
+
+def test_both_origins_of_the_path_are_on_the_leash_of_their_transform() -> None:
+    """A robot that falls behind without a policy drags origins on a short leash along."""
+    short = Leash(0.001, PERIOD)
+    replaced = {
+        "heading": HeadingFrame(command_key="filtered_command", leash=short),
+        "estimator": EstimatedState(command_key="filtered_command", leash=short),
+    }
+    far = []
+    for env in (make(1, replace=replaced), make(1)):
+        td = start(env, [[0.8, 0.0, 0.5]], [0.1])
+        for _ in range(15):
+            td = step(env, td)
+        groups = ("true_odometry", "odometry")
+        far.append(torch.stack([td[group, "path_error"].norm() for group in groups]))
+    assert far[0].max() <= 0.0011
+    assert far[1].min() > 0.01
 
 
 def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> None:

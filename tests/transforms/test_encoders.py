@@ -91,3 +91,5 @@ def test_a_real_robot_has_its_own_offsets() -> None:
     assert "encoders" not in robot_stack(stack)
     with pytest.raises(ConfigurationError, match=r"largest must be .* at least 0"):
         EncoderOffsets(-0.1)
+    with pytest.raises(ConfigurationError, match="in_keys must be those of readings"):
+        EncoderOffsets(in_keys=[])

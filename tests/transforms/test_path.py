@@ -99,6 +99,15 @@ def test_a_longer_leash_lets_the_origin_stay_behind_further() -> None:
     way = dragged(place, leash=Leash(0.2, 1.0))
     torch.testing.assert_close(way, torch.tensor([[0.0, 0.1 * PERIOD, 0.0]]))
     assert torch.equal(dragged(place, leash=Leash(0.4, 1.0)), torch.zeros(1, 3))
+    # the leash shortens for twice as long in a policy step of twice the duration
+    found = place_in_path(
+        {"pelvis_position": place},
+        place * 0,
+        place[:, :1],
+        leash=Leash(0.2, 1.0),
+        period=2 * PERIOD,
+    )
+    torch.testing.assert_close(found["path_error"], (place - 2 * way)[:, :2])
 
 
 def test_stops_bring_the_origin_below_the_pelvis() -> None:
