@@ -40,14 +40,14 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.2,
+        "com_vel": 0.15,
         "foot_pos": 0.2,
         "path_diff": 0.15,
         "heading_diff": 0.1,
         "foot_orient": 0.05,
         "action_diff": 0.05,
         "power": 0.1,
-        "landing": 0.1,
+        "landing": 0.15,
         "squeeze": 0.05,
     }
 )
@@ -70,7 +70,7 @@ SPEED_IN_PLACE: Final = 0.4
 LEAST_LOAD: Final = 0.9
 """Force on a foot over body weight up to which `landing` is 1."""
 
-LOAD_SCALE: Final = 0.3
+LOAD_SCALE: Final = 0.6
 """Force on a foot over body weight, beyond `LEAST_LOAD`, at which `landing` is 1/e."""
 
 SQUEEZE_SCALE: Final = 30.0
@@ -223,7 +223,7 @@ def power(motor_power: Tensor, command: Tensor) -> Tensor:
 
 
 def landing(largest_force: Tensor) -> Tensor:
-    r""":math:`\exp(-(F/W - 0.9)^+ / 0.3)`, F the vertical force on the foot that bears more.
+    r""":math:`\exp(-(F/W - 0.9)^+ / 0.6)`, F the vertical force on the foot that bears more.
 
     W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. It reads the largest force of
     a policy step, as feet land within milliseconds, which the mean does not show. Ours.
