@@ -32,7 +32,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
-from aslip.transforms.rewards import DIRECTION_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS, FOOT_SCALE
 from aslip.transforms.standing import transitions_of
 
 # headings of the goal that reward terms read on turns
@@ -43,6 +43,8 @@ _HEADINGS: Final = MappingProxyType(
         "foot_orient": ("left_foot_heading", "right_foot_heading"),
     }
 )
+# functions of reward terms that differ from those of the default stack
+_FUNCTIONS: Final = MappingProxyType({"foot_pos": partial(rewards.foot_pos, scale=FOOT_SCALE)})
 _STEER: Final = "filtered_command"
 
 
@@ -129,9 +131,10 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
 
 
 def _with_headings(make: Callable[[], Transform]) -> RewardTerm:
-    """Make a reward term that reads headings of the goal, too."""
+    """Make a reward term for turns: it reads headings of the goal, too."""
     term = make()
     assert isinstance(term, RewardTerm)
     name = str(term.out_keys[0][-1])
     goals: list[NestedKey] = [("goal", heading) for heading in _HEADINGS[name]]
-    return RewardTerm(name, term.function, term.next_keys, [*term.root_keys, *goals])
+    function = _FUNCTIONS.get(name, term.function)
+    return RewardTerm(name, function, term.next_keys, [*term.root_keys, *goals])

@@ -2,9 +2,8 @@ r"""The paper's five reward terms as pure functions of tensors (Sec. IV-B), and 
 
 Ours are for walks in all directions: the distance from the path, the heading, mechanical power,
 the largest force on a foot, and friction that the feet spend against each other. Every term is
-:math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the paper, but that
-of `squeeze` is a square; the public code sums absolute values per axis for velocity and feet.
-Shapes: (*b, k) in, (*b, 1) out.
+:math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the paper; the
+public code sums absolute values per axis for velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ PAPER_WEIGHTS: Final = MappingProxyType(
 
 DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
-        "com_vel": 0.15,
+        "com_vel": 0.1,
         "foot_pos": 0.2,
         "path_diff": 0.15,
         "heading_diff": 0.1,
@@ -48,12 +47,16 @@ DIRECTION_WEIGHTS: Final = MappingProxyType(
         "action_diff": 0.05,
         "power": 0.1,
         "landing": 0.15,
-        "squeeze": 0.05,
+        "squeeze": 0.1,
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
 `path_diff` takes the place of `straight_diff`; the terms for heading, power, landings and squeezing
 are new."""
+
+FOOT_SCALE: Final = 0.5
+"""Sum of the distances of both feet at which `foot_pos` is 1/e in walks in all directions [m]; 1 m
+in the paper."""
 
 HEADING_SCALE: Final = 0.1
 """Angle at which `heading_diff` is 1/e [rad]."""
@@ -73,7 +76,7 @@ LEAST_LOAD: Final = 0.9
 LOAD_SCALE: Final = 0.6
 """Force on a foot over body weight, beyond `LEAST_LOAD`, at which `landing` is 1/e."""
 
-SQUEEZE_SCALE: Final = 30.0
+SQUEEZE_SCALE: Final = 10.0
 """Horizontal force that feet spend against each other at which `squeeze` is 1/e [N]."""
 
 _WEIGHT: Final = CASSIE.total_mass * STANDARD_GRAVITY  # [N]
@@ -110,8 +113,10 @@ def foot_pos(
     left_reference: Tensor,
     right_reference: Tensor,
     body_heading: Tensor | None = None,
+    *,
+    scale: float = 1.0,
 ) -> Tensor:
-    r""":math:`\exp(-\|l - \hat l\| - \|r - \hat r\|)`, feet relative to the body.
+    r""":math:`\exp(-(\|l - \hat l\| + \|r - \hat r\|) / s)`, feet relative to the body.
 
     Both feet are seen in the pelvis-centred, yaw-aligned frame. Public code compares feet in the
     tilting pelvis frame with a level reference, an error of about 15 mm a degree of pitch.
@@ -125,13 +130,14 @@ def foot_pos(
         right_reference: (*b, 3) right foot minus body [m, walking frame].
         body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its feet, too,
             are seen from its body.
+        scale: the distance s, 1 m in the paper [m].
     """
     yaw = yaw_quaternion(pelvis_orientation)
     left = rotate_inverse(yaw, left_foot_position - pelvis_position)
     right = rotate_inverse(yaw, right_foot_position - pelvis_position)
     left = left - _from_body(left_reference, body_heading)
     right = right - _from_body(right_reference, body_heading)
-    return torch.exp(-_norm(left) - _norm(right))
+    return torch.exp(-(_norm(left) + _norm(right)) / scale)
 
 
 def straight_diff(pelvis_position: Tensor) -> Tensor:
@@ -236,7 +242,7 @@ def landing(largest_force: Tensor) -> Tensor:
 
 
 def squeeze(ground_force: Tensor) -> Tensor:
-    r""":math:`\exp(-(S / 30\,\mathrm{N})^2)`, S the friction that feet spend against each other.
+    r""":math:`\exp(-S / 10\,\mathrm{N})`, S the friction that feet spend against each other.
 
     :math:`S = \|h_l\| + \|h_r\| - \|h_l + h_r\|`, with the horizontal forces h on both feet, is 0
     in single stance, and whenever both feet push in the same direction. Ours: feet of a robot that
@@ -248,7 +254,7 @@ def squeeze(ground_force: Tensor) -> Tensor:
     """
     horizontal = ground_force[..., :2]
     spent = _norm(horizontal).sum(-2) - _norm(horizontal.sum(-2))
-    return torch.exp(-(spent / SQUEEZE_SCALE).square())
+    return torch.exp(-spent / SQUEEZE_SCALE)
 
 
 def _norm(vector: Tensor) -> Tensor:

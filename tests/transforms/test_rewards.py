@@ -68,11 +68,12 @@ def test_com_vel_is_compared_in_the_pelvis_frame() -> None:
 def test_foot_pos_adds_the_distances_of_both_feet() -> None:
     left, right = torch.tensor([0.1, 0.1, -0.8]), torch.tensor([-0.1, -0.1, -0.9])
     body = torch.tensor([5.0, 2.0, 0.9])
-    reward = rewards.foot_pos(
-        LEVEL, body, body + left + torch.tensor([0.03, 0.0, 0.04]),
-        body + right + torch.tensor([0.0, 0.1, 0.0]), left, right,
-    )  # fmt: skip
-    assert reward.item() == pytest.approx(math.exp(-0.05 - 0.10), rel=1e-5)
+    for scale in (1.0, 0.5):
+        reward = rewards.foot_pos(
+            LEVEL, body, body + left + torch.tensor([0.03, 0.0, 0.04]),
+            body + right + torch.tensor([0.0, 0.1, 0.0]), left, right, scale=scale,
+        )  # fmt: skip
+        assert reward.item() == pytest.approx(math.exp(-0.15 / scale), rel=1e-5)
 
 
 def test_straight_diff_has_no_dead_zone() -> None:
@@ -217,7 +218,7 @@ def test_power_is_seen_over_weight_and_speed() -> None:
 def test_landing_falls_with_the_force_on_the_foot_that_bears_more() -> None:
     weights = torch.tensor([[0.5, 0.5], [0.9, 0.0], [0.0, 1.2], [1.5, 0.2]])
     vertical = weights * 33.312 * 9.81
-    expected = torch.tensor([0.0, 0.0, -1.0, -2.0]).exp()[:, None]
+    expected = torch.tensor([0.0, 0.0, -0.5, -1.0]).exp()[:, None]
     torch.testing.assert_close(rewards.landing(vertical), expected)
 
 
@@ -228,7 +229,7 @@ def test_squeeze_falls_with_the_friction_that_feet_spend_against_each_other() ->
     along = torch.tensor([[20.0, 10.0, 200.0], [10.0, 5.0, 100.0]])
     # 5 + 12 - 13 N
     across = torch.tensor([[5.0, 0.0, 160.0], [0.0, 12.0, 160.0]])
-    expected = torch.tensor([-1.0, 0.0, 0.0, -((4 / 30) ** 2)]).exp()[:, None]
+    expected = torch.tensor([-3.0, 0.0, 0.0, -0.4]).exp()[:, None]
     force = torch.stack([inward, alone, along, across])
     torch.testing.assert_close(rewards.squeeze(force), expected)
 
