@@ -83,7 +83,7 @@ def directions_stack(
     moved = {name: stack.pop(name) for name in ("action", "last_action")}
     stack = insert_before(stack, "observation", **moved)
     for name in _HEADINGS:
-        stack[name] = partial(_with_headings, stack[name])
+        stack[name] = partial(_turning_term, stack[name])
     stack = insert_before(stack, "clock", command_filter=CommandFilter)
     stack = insert_before(stack, "straight_diff", **_terms())
     return {name: make for name, make in stack.items() if name != "straight_diff"}
@@ -130,7 +130,7 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
     return insert_before(stack, "reference", stand=StandCommand)
 
 
-def _with_headings(make: Callable[[], Transform]) -> RewardTerm:
+def _turning_term(make: Callable[[], Transform]) -> RewardTerm:
     """Make a reward term for turns: it reads headings of the goal, too."""
     term = make()
     assert isinstance(term, RewardTerm)

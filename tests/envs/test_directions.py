@@ -37,7 +37,7 @@ from aslip.transforms import (
 )
 from aslip.transforms.command import approach_command
 from aslip.transforms.path import Leash, advance_heading, arc
-from aslip.transforms.rewards import DIRECTION_WEIGHTS
+from aslip.transforms.rewards import DIRECTION_WEIGHTS, FOOT_SCALE
 from tests.library.bent import symmetric_library
 
 PERIOD = CASSIE.policy_period
@@ -176,6 +176,19 @@ def test_rewards_read_the_estimated_heading_and_the_largest_force() -> None:
         before = td
 
 
+def test_feet_are_seen_at_half_the_scale_of_the_paper() -> None:
+    """From the truth of the step, in any frame, as they are relative to the pelvis."""
+    env = make(1)
+    before = start(env, [[0.1, 0.0, 0.1]], [0.3])
+    td = step(env, before, torch.full((1, 10), 0.1))
+    feet = ("left_foot_position", "right_foot_position")
+    seen = [td["truth", name] for name in ("pelvis_orientation", "pelvis_position", *feet)]
+    goal = [before["goal", name] for name in (*feet, "body_heading")]
+    term = cast("Tensor", td["reward_terms", "foot_pos"])
+    assert (term < rewards.foot_pos(*seen, *goal) - 0.01).all()
+    torch.testing.assert_close(term, rewards.foot_pos(*seen, *goal, scale=FOOT_SCALE))
+
+
 def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:
     """Robot 1 starts half a stride later with sideways speed and yaw rate reversed.
 
@@ -198,9 +211,9 @@ def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:
         action = 0.1 * torch.randn(10, generator=generator)
         td = step(env, td, torch.stack([action, mirror_action(action)]))
         for name, term in td["reward_terms"].items():
-            # a touchdown of 580 N differs by 2.3 N, which are 2.7e-3 of `landing`
-            tolerance = 3e-3 if name == "landing" else 2e-3
-            torch.testing.assert_close(term[0], term[1], atol=tolerance, rtol=0, msg=name)
+            # a touchdown of 580 N differs by 2.3 N; squared, `landing` is exp(-(F/W - 0.9) / 0.3)
+            one, image = term.square() if name == "landing" else term
+            torch.testing.assert_close(one, image, atol=2e-3, rtol=0, msg=name)
     # the entries that turns add, and the last action, were compared at values other than zero, but
     # for the body's heading
     assert (td["observation"][:, 65:].abs() > 1e-4).all()
