@@ -101,7 +101,8 @@ class LivePage:
         self.controls = Controls(
             self._server,
             limits=[(float(axis[0]), float(axis[-1])) for axis in walker.library.table.axes],
-            command=numbers(walker.command),
+            # as written: 0.8 in single precision is 0.80000001
+            command=[round(value, 6) for value in numbers(walker.command)],
             policies=list(self._policies),
             stands=walker.can_stand,
         )

@@ -159,7 +159,7 @@ class RobotView:
     orientations are sent.
 
     Args:
-        scene: scene to draw in, with the pelvis above the origin.
+        scene: scene to draw in, with the frame `/world` and the pelvis above its origin.
         model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
     """
 
@@ -167,7 +167,7 @@ class RobotView:
         self._model, self._data = model, mujoco.MjData(model)
         self._bodies: list[viser.FrameHandle] = []
         self._meshes: list[viser.MeshHandle] = []
-        names = ["/robot"]
+        names = ["/world/robot"]
         scene.add_frame(names[0], show_axes=False)
         for body in range(1, model.nbody):
             names.append(f"{names[model.body_parentid[body]]}/{model.body(body).name}")

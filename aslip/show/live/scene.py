@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Literal, cast, get_args
 
@@ -45,23 +46,23 @@ class RomView:
     """Reduced-order model, a sphere on two coil springs, and discs at planned footholds.
 
     Args:
-        scene: scene to draw in, with the pelvis of the robot above the origin.
+        scene: scene to draw in, with the frame `/world` and the pelvis above its origin.
         library: gaits for footholds.
     """
 
     def __init__(self, scene: viser.SceneApi, library: GaitLibrary) -> None:
         self._footholds = Footholds(library)
         self._beside = _BESIDE if library.command_size == 1 else _BESIDE_STEPS
-        self._root = scene.add_frame("/rom", show_axes=False)
+        self._root = scene.add_frame("/world/rom", show_axes=False)
         self._offset, self._turn = np.zeros(3), np.eye(3)
         self._body = scene.add_mesh_simple(
-            "/rom/body", *sphere(BODY_RADIUS), color=to_color(BODY_COLOR)
+            "/world/rom/body", *sphere(BODY_RADIUS), color=to_color(BODY_COLOR)
         )
-        self._plans = scene.add_frame("/footholds", show_axes=False)
-        self._legs = {side: _LegView(scene, f"/rom/{side}", side) for side in SIDES}
+        self._plans = scene.add_frame("/world/footholds", show_axes=False)
+        self._legs = {side: _LegView(scene, f"/world/rom/{side}", side) for side in SIDES}
         self._discs = {
             side: scene.add_mesh_simple(
-                f"/footholds/{side}",
+                f"/world/footholds/{side}",
                 *cylinder(_FOOTHOLD_RADIUS, _FOOTHOLD_HALF),
                 color=to_color(LEG_COLORS[side]),
                 visible=False,
@@ -159,6 +160,9 @@ _ROBOT_OPACITY = 0.35
 class RobotScene:
     """Scene in which the robot stays at the origin and the floor moves, for a fixed camera.
 
+    The floor also turns, so that a robot on its path faces the same side of the picture at all
+    headings, and left is left.
+
     Args:
         server: server of the page.
         model: the robot with its visible geoms, `aslip.robot.model.load_model()`.
@@ -167,8 +171,9 @@ class RobotScene:
     def __init__(self, server: viser.ViserServer, model: mujoco.MjModel) -> None:
         camera = server.initial_camera
         camera.position, camera.look_at, camera.fov = _CAMERA, _LOOK_AT, _FIELD_OF_VIEW
+        self._world = server.scene.add_frame("/world", show_axes=False)
         self._floor = server.scene.add_grid(
-            "/floor",
+            "/world/floor",
             infinite_grid=True,
             fade_distance=12.0,
             cell_size=_CELL,
@@ -182,8 +187,14 @@ class RobotScene:
         self.robot = RobotView(server.scene, model)
         """Meshes of the robot."""
 
-    def update(self, qpos: np.ndarray) -> None:
-        """Draw a configuration (35,), in MuJoCo's conventions."""
+    def update(self, qpos: np.ndarray, heading: float = 0.0) -> None:
+        """Draw a configuration (35,), in MuJoCo's conventions.
+
+        Args:
+            qpos: the configuration.
+            heading: yaw of a robot that faces along the x axis of the picture [rad].
+        """
+        self._world.wxyz = np.array([math.cos(heading / 2), 0.0, 0.0, -math.sin(heading / 2)])
         # the pattern of the floor repeats after a section
         self._floor.position = np.array([*(-qpos[:2] % _SECTION), 0.0])
         self.robot.update(qpos)
@@ -215,9 +226,11 @@ class SceneView:
         """Draw the present instant.
 
         Args:
-            td: tensordict of one robot with `command`, `("reference", ...)` and `("truth", ...)`.
+            td: tensordict of one robot with `command`, `("reference", ...)` and `("truth", ...)`,
+                and with `heading` for stacks that have it.
         """
         qpos = cast("torch.Tensor", td["truth", "qpos"])[0].numpy()
+        heading = float(cast("torch.Tensor", td.get("heading", torch.zeros(1, 1))))
         with self._server.atomic():
-            self._scene.update(qpos)
+            self._scene.update(qpos, heading)
             self._rom.update(td)

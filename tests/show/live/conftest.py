@@ -18,6 +18,7 @@ from aslip.walking import Walker
 @pytest.fixture(scope="module")
 def server() -> Iterator[viser.ViserServer]:
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    server.scene.add_frame("/world", show_axes=False)
     yield server
     server.stop()
 

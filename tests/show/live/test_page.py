@@ -124,14 +124,14 @@ def test_new_visitors_see_the_present_poses(open_page):
         with visit(page) as visitor:
             places = {
                 name: visitor.messages("SetPositionMessage", lambda m, name=name: m["name"] == name)
-                for name in ("/floor", "/robot/pelvis", "/rom/body")
+                for name in ("/world/floor", "/world/robot/pelvis", "/world/rom/body")
             }
         height = float(page.walker.td["truth", "pelvis_position"][0, 2])
-        assert places["/robot/pelvis"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
+        assert places["/world/robot/pelvis"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
         x = float(page.walker.td["truth", "qpos"][0, 0])
-        assert places["/floor"][-1]["position"][0] == pytest.approx(-x % 1.0, abs=1e-4)
+        assert places["/world/floor"][-1]["position"][0] == pytest.approx(-x % 1.0, abs=1e-4)
         height = float(page.walker.td["reference", "body_position"][0, 2])
-        assert places["/rom/body"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
+        assert places["/world/rom/body"][-1]["position"][2] == pytest.approx(height, abs=1e-4)
 
 
 def test_two_visitors_see_the_same_and_one_may_return(open_page):

@@ -43,7 +43,7 @@ def pose(scene, name: str) -> np.ndarray:
 
 def names(model: mujoco.MjModel) -> list[str]:
     """Names of the bodies in the scene."""
-    names = ["/robot"]
+    names = ["/world/robot"]
     for body in range(1, model.nbody):
         names.append(f"{names[model.body_parentid[body]]}/{model.body(body).name}")
     return names[1:]
@@ -82,7 +82,7 @@ def test_every_visible_shape_is_drawn(server, model):
 
 def test_robot_fades_and_comes_back(server, model):
     view = RobotView(server.scene, model)
-    shape = server.scene.get_handle_by_name("/robot/pelvis/shape0")
+    shape = server.scene.get_handle_by_name("/world/robot/pelvis/shape0")
     view.fade(0.3)
     assert shape.opacity == 0.3
     view.fade(None)
@@ -93,11 +93,11 @@ def test_springs_connect_body_and_feet_of_the_model(server, library, walker):
     RomView(server.scene, library).update(walker.td)
     ghost = Ghost.of(walker.td)
     origin = np.array([*ghost.body[:2], 0.0])
-    body = pose(server.scene, "/rom/body")[:3, 3]
+    body = pose(server.scene, "/world/rom/body")[:3, 3]
     np.testing.assert_allclose(body, ghost.body - origin, atol=1e-5)
     for side, foot in (("left", ghost.left), ("right", ghost.right)):
-        leg = pose(server.scene, f"/rom/{side}")
-        spring = server.scene.get_handle_by_name(f"/rom/{side}/spring")
+        leg = pose(server.scene, f"/world/rom/{side}")
+        spring = server.scene.get_handle_by_name(f"/world/rom/{side}/spring")
         np.testing.assert_allclose(leg[:3, 3], foot - origin, atol=1e-5)
         # the far end of the skin moves with the second bone, the near end with the first
         end = leg @ [*spring.bones[1].position, 1.0]
@@ -114,14 +114,15 @@ def test_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, library
         walker.step()
     view.update(walker.td)
     node = server.scene.get_handle_by_name
-    assert min(node("/rom/left/spring").color) > 100 > min(node("/rom/right/spring").color)
-    assert node("/footholds/left").visible
-    assert not node("/footholds/right").visible
+    left, right = (min(node(f"/world/rom/{side}/spring").color) for side in ("left", "right"))
+    assert left > 100 > right
+    assert node("/world/footholds/left").visible
+    assert not node("/world/footholds/right").visible
     truth = walker.td["truth"]
     plan = Footholds(library).planned(
         "left", 1.0, truth["right_foot_position"][0].numpy(), truth["pelvis_orientation"][0].numpy()
     )
-    drawn = node("/footholds/left").position
+    drawn = node("/world/footholds/left").position
     np.testing.assert_allclose(drawn[:2], plan - ghost.body[:2], atol=1e-5)
     # ahead of the robot, on the floor
     assert drawn[0] > 0.1
@@ -130,13 +131,13 @@ def test_leg_in_swing_is_pale_and_its_foothold_lies_on_the_floor(server, library
 
 def test_model_is_beside_the_robot_in_its_place_or_hidden(server, library):
     view = RomView(server.scene, library)
-    root = server.scene.get_handle_by_name("/rom")
+    root = server.scene.get_handle_by_name("/world/rom")
     view.place("beside")
     assert root.visible
     assert np.linalg.norm(root.position) > 0.5
     view.place("hidden")
     assert not root.visible
-    assert not server.scene.get_handle_by_name("/footholds").visible
+    assert not server.scene.get_handle_by_name("/world/footholds").visible
     view.place("through")
     assert root.visible
     np.testing.assert_array_equal(root.position, 0.0)
@@ -149,20 +150,20 @@ def test_beside_is_to_the_right_of_a_robot_that_has_turned(server, library, walk
     td, half = walker.td.clone(), np.radians(degrees) / 2
     td["truth", "pelvis_orientation"][0] = torch.tensor([np.cos(half), 0, 0, np.sin(half)])
     view.update(td)
-    place = server.scene.get_handle_by_name("/rom").position
+    place = server.scene.get_handle_by_name("/world/rom").position
     right = [np.sin(2 * half), -np.cos(2 * half), 0.0]
     np.testing.assert_allclose(place, 0.7 * np.array(right), atol=1e-6)
     # shown again without a step in between
     view.place("through")
-    np.testing.assert_array_equal(server.scene.get_handle_by_name("/rom").position, 0.0)
+    np.testing.assert_array_equal(server.scene.get_handle_by_name("/world/rom").position, 0.0)
     view.place("beside")
-    place = server.scene.get_handle_by_name("/rom").position
+    place = server.scene.get_handle_by_name("/world/rom").position
     np.testing.assert_allclose(place, 0.7 * np.array(right), atol=1e-6)
 
 
 def test_floor_moves_under_the_robot(server, model, library, walker):
     view = SceneView(server, model, library)
-    floor = server.scene.get_handle_by_name("/floor")
+    floor = server.scene.get_handle_by_name("/world/floor")
     places = []
     for x, y in ((0.2, 0.1), (0.45, 0.1), (3.2, -1.9)):
         td = walker.td.clone()
@@ -170,15 +171,39 @@ def test_floor_moves_under_the_robot(server, model, library, walker):
         view.update(td)
         places.append(np.array(floor.position))
         # the drawn robot stays at the origin
-        assert server.scene.get_handle_by_name("/robot/pelvis").position[0] == 0.0
+        assert server.scene.get_handle_by_name("/world/robot/pelvis").position[0] == 0.0
     np.testing.assert_allclose(places[1] - places[0], [-0.25, 0, 0], atol=1e-12)
     # after whole squares the picture is the same
     np.testing.assert_allclose(places[2], places[0], atol=1e-12)
 
 
+@pytest.mark.parametrize("degrees", [0.0, 90.0, -150.0])
+def test_floor_turns_so_that_a_robot_that_turns_faces_the_same_way(
+    server, model, library, walker, degrees
+):
+    view, heading = SceneView(server, model, library), np.radians(degrees)
+    view.place_rom("beside")
+    td = walker.td.clone()
+    view.update(td)
+    robot, rom = (pose(server.scene, f"/world/{name}") for name in ("robot/pelvis", "rom/left"))
+    # robot, heading and reference turn about the pelvis
+    turn = np.array([np.cos(heading / 2), 0, 0, np.sin(heading / 2)])
+    turned, qpos = np.empty(4), td["truth", "qpos"][0].double().numpy()
+    mujoco.mju_mulQuat(turned, turn, qpos[3:7])
+    td["truth", "qpos"][0, 3:7] = td["truth", "pelvis_orientation"][0] = torch.tensor(turned)
+    td["heading"] += heading
+    view.update(td)
+    floor = pose(server.scene, "/world/floor")
+    np.testing.assert_allclose(floor[0, :2], [np.cos(heading), np.sin(heading)], atol=1e-6)
+    np.testing.assert_allclose(pose(server.scene, "/world/robot/pelvis"), robot, atol=1e-4)
+    # place and direction; the coil may turn about the leg
+    leg = pose(server.scene, "/world/rom/left")
+    np.testing.assert_allclose(leg[:, 2:], rom[:, 2:], atol=1e-4)
+
+
 def test_robot_is_transparent_with_the_model_in_its_place(server, model, library):
     view = SceneView(server, model, library)
-    shape = server.scene.get_handle_by_name("/robot/pelvis/shape0")
+    shape = server.scene.get_handle_by_name("/world/robot/pelvis/shape0")
     view.place_rom("through")
     assert shape.opacity is not None
     view.place_rom("beside")

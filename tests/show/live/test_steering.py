@@ -77,7 +77,7 @@ def test_lines_name_all_speeds_and_their_commands(page: LivePage) -> None:
 def test_the_ghost_is_beside_the_robot_at_every_yaw(page: LivePage) -> None:
     """Its centre is to the right of the robot, further away than both are wide."""
     page.controls.steering.sliders[2].value = 0.8
-    root = page._server.scene.get_handle_by_name("/rom")
+    root = page._server.scene.get_handle_by_name("/world/rom")
     assert root is not None
     yaws = []
     for _ in range(24):
