@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,13 @@ from aslip.library import GaitLibrary
 from aslip.transforms.clock import advance_phase
 from aslip.transforms.command import approach_command
 from aslip.transforms.reference import reference_and_goal
-from aslip.transforms.standing import advance_mode, first_mode, led_command, transitions_of
+from aslip.transforms.standing import (
+    advance_mode,
+    first_mode,
+    led_command,
+    led_rates,
+    transitions_of,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +98,10 @@ class Steering:
             phase, mode = advance_mode(self.library, phase, mode, steer, stand, self.period)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
-            aim = self._led(command, stand, past["mode"] if self.stands else None)
-            entries["filtered_command"] = approach_command(steer, aim, self.rates, self.period)
+            past_mode = past["mode"] if self.stands else None
+            aim = self._led(command, stand, past_mode)
+            rates = self._rates(stand, past_mode)
+            entries["filtered_command"] = approach_command(steer, aim, rates, self.period)
         return entries
 
     def reference(self, present: Mapping[str, Any]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
@@ -134,3 +142,7 @@ class Steering:
     def _led(command: Tensor, stand: Tensor | None, mode: Tensor | None) -> Tensor:
         """Command that the filtered one approaches."""
         return command if stand is None or mode is None else led_command(command, stand, mode)
+
+    def _rates(self, stand: Tensor | None, mode: Tensor | None) -> Sequence[float] | Tensor:
+        """Largest rates of the filtered command, for all robots or (n, 3)."""
+        return self.rates if stand is None or mode is None else led_rates(self.rates, stand, mode)

@@ -268,8 +268,13 @@ class CommandFilter(SeededTransform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         past = cast("Tensor", tensordict[self.out_keys[0]])
         command = self._aim(tensordict, cast("Tensor", next_tensordict[self.in_keys[0]]))
-        following = approach_command(past, command, self.rates, self._period)
+        following = approach_command(past, command, self._rates(tensordict), self._period)
         return next_tensordict.set(self.out_keys[0], following)
+
+    def _rates(self, tensordict: TensorDictBase) -> Sequence[float] | Tensor:
+        """Largest rates of each component, for all robots or (n, 3)."""
+        del tensordict
+        return self.rates
 
     def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
         """Command (n, c) that is approached."""
@@ -299,17 +304,20 @@ def checked_rates(rates: Sequence[float]) -> tuple[float, ...]:
 
 
 def approach_command(
-    past: Tensor, command: Tensor, rates: Sequence[float], period: float = CASSIE.policy_period
+    past: Tensor,
+    command: Tensor,
+    rates: Sequence[float] | Tensor,
+    period: float = CASSIE.policy_period,
 ) -> Tensor:
     """Filtered command (*b, c) a policy step later, on the straight line to the command.
 
     Args:
         past: (*b, c) filtered command.
         command: (*b, c) command to approach.
-        rates: largest rate of each component [m/s^2, rad/s^2].
+        rates: largest rate of each component, for all or (*b, c or more) [m/s^2, rad/s^2].
         period: duration of a policy step [s].
     """
     way = command - past
-    limit = period * torch.tensor(rates[: way.shape[-1]], dtype=way.dtype)
+    limit = period * torch.as_tensor(rates, dtype=way.dtype)[..., : way.shape[-1]]
     steps = (way.abs() / limit).amax(-1, keepdim=True)
     return torch.where(steps <= 1, command, past + way / steps.clamp(min=1))

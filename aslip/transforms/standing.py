@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import torch
 from tensordict import TensorDictBase
@@ -34,6 +35,10 @@ from aslip.transforms.base import (
     require_keys,
 )
 from aslip.transforms.command import COMMAND_RATES, CommandFilter
+
+STOP_RATES: Final = (1.5, 0.75, 1.0)
+"""Rates of the filtered command in stops, for robots whose own are lower: forward, sideways speed
+[m/s^2], yaw rate [rad/s^2]."""
 
 _ROUNDING = 1e-6  # of a phase in single precision
 
@@ -128,6 +133,19 @@ def led_command(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
     """
     walks = (mode == WalkMode.WALK) & (stand <= 0.5)
     return torch.where(walks, command, torch.zeros_like(command))
+
+
+def led_rates(rates: Sequence[float], stand: Tensor, mode: Tensor) -> Tensor:
+    """Largest rates (*b, 3) of the filtered command: at least `STOP_RATES` for robots that stop.
+
+    Args:
+        rates: forward, sideways speed [m/s^2] and yaw rate [rad/s^2].
+        stand: (*b, 1) 1 to stand, 0 to walk.
+        mode: (*b, 1) values of `WalkMode`.
+    """
+    own, stop = (torch.tensor(some, dtype=torch.float64) for some in (rates, STOP_RATES))
+    walks = (mode == WalkMode.WALK) & (stand <= 0.5)
+    return torch.where(walks, own, own.maximum(stop))
 
 
 def _rate(table: TransitionTable, mode: Tensor, walking: Tensor) -> Tensor:
@@ -281,7 +299,8 @@ class StandFilter(CommandFilter):
     again. It takes the place of `CommandFilter`, before `StandClock` in the stack.
 
     Args:
-        rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
+        rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2];
+            stops are at least as fast as `STOP_RATES`.
         in_keys: keys of the command (n, c), of the wish to stand (n, 1) and of the mode (n, 1).
         out_keys: key of the filtered command (n, c).
         period: duration of a policy step [s].
@@ -318,3 +337,6 @@ class StandFilter(CommandFilter):
 
     def _aim(self, tensordict: TensorDictBase, command: Tensor) -> Tensor:
         return led_command(command, *(tensordict[key] for key in self.in_keys[1:]))
+
+    def _rates(self, tensordict: TensorDictBase) -> Tensor:
+        return led_rates(self.rates, *(tensordict[key] for key in self.in_keys[1:]))

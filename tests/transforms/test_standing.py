@@ -12,7 +12,8 @@ from aslip.envs import EPISODE_ENDS, StackEnv, standing_stack
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.robot import CASSIE
-from aslip.transforms import StandClock, StandCommand, advance_mode
+from aslip.transforms import COMMAND_RATES, StandClock, StandCommand, advance_mode
+from aslip.transforms.standing import STOP_RATES, led_rates
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
 
@@ -170,6 +171,26 @@ def test_reference_leads_from_a_walk_to_standing_and_back(env: StackEnv) -> None
         passed = [one[robot] for one in modes]
         assert list(dict.fromkeys(passed)) == [0.0, 1.0, 2.0, 3.0]
         assert passed[-1] == WalkMode.WALK
+
+
+def test_stops_are_faster_than_changes_of_the_command(env: StackEnv) -> None:
+    """The first robot shall stand, the second one walk in place."""
+    td = _start(env, [[0.2, 0.0, 0.0]] * 2, phase=[0.1, 0.1], stand=[0.0, 0.0])
+    td["stand"], td["command"][1] = torch.tensor([[1.0], [0.0]]), 0.0
+    forward = _step(env, td)["filtered_command"][:, 0]
+    expected = [0.2 - PERIOD * rate for rate in (STOP_RATES[0], COMMAND_RATES[0])]
+    torch.testing.assert_close(forward, torch.tensor(expected), rtol=0, atol=1e-6)
+    assert STOP_RATES[0] > COMMAND_RATES[0]
+
+
+@pytest.mark.parametrize(
+    ("stand", "mode"), [(1.0, WalkMode.WALK), (0.0, WalkMode.STOP), (0.0, WalkMode.START)]
+)
+def test_rates_that_are_faster_than_those_of_stops_stay(stand: float, mode: WalkMode) -> None:
+    """Until the robot walks again."""
+    wishes, modes = torch.tensor([[stand], [0.0]]), torch.tensor([[mode], [WalkMode.WALK]])
+    rates = led_rates((2.0, 0.5, 1.0), wishes, modes)
+    assert rates.tolist() == [[2.0, STOP_RATES[1], 1.0], [2.0, 0.5, 1.0]]
 
 
 def test_robot_that_shall_stand_at_a_reset_starts_standing(
