@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,12 +67,13 @@ class Steering:
             phase: (n, 1) stride fraction.
             stand: (n, 1) wish to stand; None for robots that only walk.
         """
-        phase, mode = phase % 1.0, None
+        phase, mode, steer = phase % 1.0, None, command
         if stand is not None:
             phase, mode = first_mode(transitions_of(self.library), phase, stand)
+            steer = led_command(command, stand, mode)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
-            entries["filtered_command"] = self._led(command, stand, mode).clone()
+            entries["filtered_command"] = steer.clone()
         return entries
 
     def advance(
@@ -98,9 +99,10 @@ class Steering:
             phase, mode = advance_mode(self.library, phase, mode, steer, stand, self.period)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
-            past_mode = past["mode"] if self.stands else None
-            aim = self._led(command, stand, past_mode)
-            rates = self._rates(stand, past_mode)
+            aim, rates = command, self.rates
+            if stand is not None:
+                aim = led_command(command, stand, past["mode"])
+                rates = led_rates(self.rates, stand, past["mode"])
             entries["filtered_command"] = approach_command(steer, aim, rates, self.period)
         return entries
 
@@ -137,12 +139,3 @@ class Steering:
         if stand is not None and mode is not None:
             entries |= {"stand": stand, "mode": mode}
         return entries
-
-    @staticmethod
-    def _led(command: Tensor, stand: Tensor | None, mode: Tensor | None) -> Tensor:
-        """Command that the filtered one approaches."""
-        return command if stand is None or mode is None else led_command(command, stand, mode)
-
-    def _rates(self, stand: Tensor | None, mode: Tensor | None) -> Sequence[float] | Tensor:
-        """Largest rates of the filtered command, for all robots or (n, 3)."""
-        return self.rates if stand is None or mode is None else led_rates(self.rates, stand, mode)

@@ -131,8 +131,7 @@ def led_command(command: Tensor, stand: Tensor, mode: Tensor) -> Tensor:
         stand: (*b, 1) 1 to stand, 0 to walk.
         mode: (*b, 1) values of `WalkMode`.
     """
-    walks = (mode == WalkMode.WALK) & (stand <= 0.5)
-    return torch.where(walks, command, torch.zeros_like(command))
+    return torch.where(_walks(stand, mode), command, torch.zeros_like(command))
 
 
 def led_rates(rates: Sequence[float], stand: Tensor, mode: Tensor) -> Tensor:
@@ -144,8 +143,12 @@ def led_rates(rates: Sequence[float], stand: Tensor, mode: Tensor) -> Tensor:
         mode: (*b, 1) values of `WalkMode`.
     """
     own, stop = (torch.tensor(some, dtype=torch.float64) for some in (rates, STOP_RATES))
-    walks = (mode == WalkMode.WALK) & (stand <= 0.5)
-    return torch.where(walks, own, own.maximum(stop))
+    return torch.where(_walks(stand, mode), own, own.maximum(stop))
+
+
+def _walks(stand: Tensor, mode: Tensor) -> Tensor:
+    """Whether robots walk and shall walk (*b, 1)."""
+    return (mode == WalkMode.WALK) & (stand <= 0.5)
 
 
 def _rate(table: TransitionTable, mode: Tensor, walking: Tensor) -> Tensor:

@@ -65,6 +65,12 @@ def test_pause_stops_time_and_a_click_steps_once(open_page):
     assert page.controls.pause.label == "Pause"
 
 
+def test_slider_starts_at_the_command_as_written(open_page):
+    """And not at 0.3 in single precision, 0.30000001192."""
+    page = open_page(speed=0.3)
+    assert page.controls.command.value == 0.3 != page.walker.command
+
+
 def test_single_step_needs_a_paused_page(open_page):
     page = open_page()
     assert page.controls.step.disabled
