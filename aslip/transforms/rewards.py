@@ -41,12 +41,12 @@ DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
         "com_vel": 0.1,
         "foot_pos": 0.2,
-        "path_diff": 0.15,
+        "path_diff": 0.2,
         "heading_diff": 0.1,
         "foot_orient": 0.05,
         "action_diff": 0.05,
         "power": 0.1,
-        "landing": 0.15,
+        "landing": 0.1,
         "squeeze": 0.1,
     }
 )
