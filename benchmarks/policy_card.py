@@ -235,6 +235,8 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
     out = config.out / config.name
     settings = direction_targets.Config(policy=(policy,), out=out)
     record = config.record and direction_targets.open_record(settings, config.record)
+    if record:
+        record.check(policy)
     rows = direction_targets.main(settings)
     if record and policy not in record:
         record.add(policy, {row["name"]: row["found"]["each"][0] for row in rows})
@@ -250,7 +252,8 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
     numbers = json.loads((folder / "perturbation.json").read_text())
     return [
         _section(config, "Targets", "direction_targets"),
-        *(_section(config, title, name, folder) for title, name in titles.items()),
+        "This command also made the tables below.",
+        *(_table_section(title, folder / f"{name}.md") for title, name in titles.items()),
         f"## Limits\n\n{limits(numbers)}\n{training_conditions(about)}",
         (folder / "perturbation.md").read_text().strip(),
     ]
@@ -306,9 +309,15 @@ def training_conditions(about: dict[str, Any]) -> str:
     )
 
 
-def _section(config: Config, title: str, benchmark: str, folder: Path | None = None) -> str:
-    table = ((folder or config.out / config.name) / f"{benchmark}.md").read_text().strip()
-    return f"## {title}\n\n`python -m benchmarks.{benchmark} --policy {config.name}`\n\n{table}"
+def _section(config: Config, title: str, benchmark: str) -> str:
+    """Section with a benchmark's table and its command."""
+    command = f"`python -m benchmarks.{benchmark} --policy {config.name}`"
+    return _table_section(title, config.out / config.name / f"{benchmark}.md", f"{command}\n\n")
+
+
+def _table_section(title: str, table: Path, before: str = "") -> str:
+    """Section with a table."""
+    return f"## {title}\n\n{before}{table.read_text().strip()}"
 
 
 def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:

@@ -201,6 +201,8 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     assert (kept["name"], kept["values"]) == ("mine", {"drift": 0.5})
     for name in (*names, "walking_quality", "perturbation", "targets"):
         assert f"table of {name}" in text
+    assert text.count("python -m benchmarks.direction_targets --policy mine") == 1
+    assert text.count("python -m") == 1  # as other commands have other settings
     assert "pushes of 0.2 s of more than 30.0 N s" in text
     assert "It was trained to walk in all directions on robots" in text
 
