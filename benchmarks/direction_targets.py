@@ -22,6 +22,8 @@ from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
 from benchmarks.flags import Directions
 
+_ROBOTS = 50  # whose commands change
+
 
 @dataclass(frozen=True)
 class Config(Directions):
@@ -47,10 +49,14 @@ class Config(Directions):
     """File with the values of each policy; its policies count, too."""
 
     def __post_init__(self) -> None:
-        """Check the number of footstep commands."""
+        """Check the numbers of footstep commands and changes."""
         super().__post_init__()
         if self.placements < 1:
             raise ConfigurationError(f"placements must be 1 or more, got {self.placements}")
+        if self.changes > _ROBOTS and self.changes % _ROBOTS:
+            raise ConfigurationError(
+                f"changes must be at most {_ROBOTS}, or a multiple of it, got {self.changes}"
+            )
 
 
 if __name__ == "__main__":
@@ -196,15 +202,17 @@ def main(
     """
     policies: list[Policy] = [*config.policy] if policy is None else [policy]
     _check(config, policies)
+    about = ""
     if policy is not None or config.record is None:
         found = [measure(config, one, make_env) for one in policies]
     else:
-        found = recorded(config, config.record)
+        record = recorded(config, config.record)
+        found, about = record.values(), f"\n\n{trainings_text(record)}"
     rows = [
         {**vars(claim), "found": judge(claim, [values[claim.name] for values in found])}
         for claim in TARGETS
     ]
-    text = f"{table(rows)}\n\n{falls_text(config, found)}"
+    text = f"{table(rows)}\n\n{falls_text(config, found)}{about}"
     write_report(config, policy, "direction_targets", {"rows": rows}, text)
     return rows
 
@@ -234,7 +242,7 @@ def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
     return {
         "tracking": direction_tracking.Config(**common, commands=config.commands),
         "transitions": transitions.Config(
-            **common, changes=config.changes, robots=min(50, config.changes)
+            **common, changes=config.changes, robots=min(_ROBOTS, config.changes)
         ),
         "standing": standing.Config(**common, walks=config.stops, duration=config.stand),
         "stops": standing.Config(**{**common, **ahead}),
@@ -267,8 +275,7 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
         "yaw rate": errors["turn"],
         "yaw rate, 95 %": errors["turn_p95"],
         "falls, changes": 1e4 * len(changed["falls"]) / changed["changes"],
-        **standing_values(stood),
-        "stop": stopped["planted"],
+        **standing_values(stood, stopped),
         **foot_values(config, settings, *of),
         **quality_values(quality),
         **perturbation_values(survived),
@@ -281,17 +288,20 @@ def results_folder(out: Path, policy: Policy) -> Path:
     return out / describe(policy)["name"]
 
 
-def recorded(config: Config, path: Path) -> list[dict[str, float]]:
-    """Values of all policies of a record, after those of the settings were added.
+def recorded(config: Config, path: Path) -> TargetRecord:
+    """Record of values, after the policies of the settings were added.
 
     Raises:
-        FileDamagedError, ConfigurationError: see `open_record`.
+        FileDamagedError: see `open_record`.
+        ConfigurationError: see `open_record`; or the record has another policy of the same name.
     """
     record = open_record(config, path)
     for policy in config.policy:
+        record.check(policy)
+    for policy in config.policy:
         if policy not in record:
             record.add(policy, measure(config, policy))
-    return record.values()
+    return record
 
 
 def open_record(config: Config, path: Path) -> TargetRecord:
@@ -332,12 +342,20 @@ def training_values(policy: Policy) -> dict[str, float]:
     }
 
 
-def standing_values(row: Mapping[str, Any]) -> dict[str, float]:
-    """Values of standing; NaN if no robot stood to the end."""
+def standing_values(row: Mapping[str, Any], stopped: Mapping[str, Any]) -> dict[str, float]:
+    """Values of stops and of standing; NaN if no robot stood to the end.
+
+    Args:
+        row: result of `benchmarks.standing` for walks that stop, stand and start.
+        stopped: the same for the stops at 1 m/s, whose falls count, too.
+    """
     lifted = [walk["lifted"] for walk in row["walks"] if math.isfinite(walk["lifted"])]
+    count = row["count"] + stopped["count"]
+    falls = [*row["falls"].values(), *stopped["falls"].values()]
     return {
-        "falls, stops": 100 * sum(row["falls"].values()) / row["count"],
-        "unplanted": 100 * row["unplanted"] / row["count"],
+        "falls, stops": 100 * sum(falls) / count,
+        "unplanted": 100 * (row["unplanted"] + stopped["unplanted"]) / count,
+        "stop": stopped["planted"],
         "drift": 100 * row["drift_most"],
         "turn": math.degrees(row["turn_most"]),
         "lifted feet": float(sum(lifted)) if lifted else math.nan,
@@ -433,6 +451,12 @@ def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:
         most = Interval.of_share(falls, trials).high
         parts.append(f"{falls} in {trials} {what} (at most {per * most:.1f} in {per:g})")
     return f"Falls, with upper 95 % limits: {', '.join(parts)}."
+
+
+def trainings_text(record: TargetRecord) -> str:
+    """Sentence on the trainings of a record's policies, which should differ in their seed only."""
+    made = [f"{one['name']} (seed {one['seed']}, {one['commit']})" for one in record.policies]
+    return f"Policies, with seed and commit of their trainings: {', '.join(made)}."
 
 
 if __name__ == "__main__":

@@ -3,9 +3,10 @@
     python -m benchmarks.standing --policy runs/ppo_directions
     python -m benchmarks.standing --policy runs/seed0 runs/seed1 --walks 32
 
-A robot walks at a command for 4 s, is told to stand, stands for a minute, and walks on at the same
-command. Commands are straight speeds, then random ones over the region of the library; walks begin
-at different phases. Forces and torques are sampled at 2 kHz. The feet count as planted from the
+A robot walks at a command for 4 s and a part of a stride, is told to stand, stands for a minute,
+and walks on at the same command. Commands are straight speeds, then random ones over the region of
+the library; the parts of a stride are spread evenly, so that wishes to stand come at all phases.
+Forces and torques are sampled at 2 kHz. The feet count as planted from the
 time at which both carry a force for half a second; drift, turn, power and feet that lose the ground
 are measured from 4 s after the wish on, when the robot should have come to rest. A foot that is in
 the air by then counts as lifted.
@@ -26,7 +27,7 @@ class Config(Directions):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)
-    """Forward speeds from which robots stop [m/s]."""
+    """Forward speeds from which robots stop [m/s], moved into the region of the library."""
     walks: int = 12
     """Number of walks; those after the forward speeds have random commands."""
     duration: float = 60.0
@@ -39,6 +40,8 @@ class Config(Directions):
         super().__post_init__()
         if self.walks < 1:
             raise ConfigurationError(f"walks must be 1 or more, got {self.walks}")
+        if not all(map(math.isfinite, self.speeds)):
+            raise ConfigurationError(f"speeds must be finite, got {self.speeds}")
         if not 0.5 <= self.duration < math.inf:
             raise ConfigurationError(f"duration must be 0.5 s or more, got {self.duration}")
 
@@ -90,16 +93,17 @@ def main(
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
     """
-    chosen = chosen_library(config)
-    in_stack = partial(aslip.make_env, stack=config.stack, library=chosen)
-    subjects = load_subjects(config, policy, make_env or in_stack, chosen)
+    given = chosen_library(config)
+    in_stack = partial(aslip.make_env, stack=config.stack, library=given)
+    subjects = load_subjects(config, policy, make_env or in_stack, given)
     library = subjects[0].find_library()
     chosen = commands(config, library)
+    later = delays(library, chosen)
     rows, traces = [], []
     for subject in subjects:
         walks = [
-            measure(config, subject, command, i / len(chosen))
-            for i, command in enumerate(tqdm(chosen, unit="walk", leave=False))
+            measure(config, subject, command, delay)
+            for command, delay in tqdm([*zip(chosen, later, strict=True)], unit="walk", leave=False)
         ]
         traces.append([walk.pop("traces") for walk in walks])
         rows.append({"policy": subject.name, **summary(walks), "walks": walks})
@@ -117,17 +121,28 @@ def commands(config: Config, library: GaitLibrary) -> np.ndarray:
     return np.concatenate([nearest, random])[: config.walks]
 
 
-def measure(config: Config, subject: Subject, command: np.ndarray, share: float) -> dict[str, Any]:
+def delays(library: GaitLibrary, command: np.ndarray) -> np.ndarray:
+    """Times (n,) [s] by which wishes to stand come later, from none to nearly a stride.
+
+    Args:
+        library: the gaits.
+        command: (n, c) commands of the walks.
+    """
+    stride = library.stride(torch.from_numpy(command)).squeeze(-1).numpy()
+    return stride * np.arange(len(command)) / len(command)
+
+
+def measure(config: Config, subject: Subject, command: np.ndarray, delay: float) -> dict[str, Any]:
     """Measure one walk; quantities that a fall prevents are NaN.
 
     Args:
         config: the settings.
         subject: policy.
         command: (c,) command before and after standing.
-        share: share of a second by which the wish to stand comes later, to meet any phase.
+        delay: time by which the wish to stand comes later [s].
     """
     torch.set_num_threads(1)
-    lasts = (_WALK + share, _REST, config.duration, _GO_ON)
+    lasts = (_WALK + delay, _REST, config.duration, _GO_ON)
     steps = [round(time / CASSIE.policy_period) for time in lasts]
     ends = np.cumsum(steps)
     stand = np.zeros(ends[-1])

@@ -17,6 +17,8 @@ from aslip.training.run import write_text
 from benchmarks.claims import describe
 from benchmarks.common import without_nan
 
+_KEYS = {"name", "sha256", "seed", "commit", "values"}
+
 
 @dataclass
 class TargetRecord:
@@ -47,8 +49,12 @@ class TargetRecord:
         try:
             found = json.loads(self.path.read_text())
             settings, self.policies = found["settings"], [*found["policies"]]
+            if not isinstance(settings, dict):
+                raise TypeError(f"settings are no object: {settings}")
+            if missing := [key for one in self.policies for key in _KEYS - one.keys()]:
+                raise KeyError(f"policies without {sorted({*missing})}")
             self.values()
-            self.settings = self.settings or dict(settings)
+            self.settings = self.settings or settings
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise FileDamagedError(
                 f"{str(self.path)!r} is no record of targets: {error}"
@@ -67,12 +73,28 @@ class TargetRecord:
         digest = _digest(policy)
         return any(one["sha256"] == digest for one in self.policies)
 
+    def check(self, policy: str | Path) -> None:
+        """Check that the record has no other weights under a policy's name.
+
+        Raises:
+            ConfigurationError: it has.
+        """
+        name, digest = describe(policy)["name"], _digest(policy)
+        for one in self.policies:
+            if one["name"] == name and one["sha256"] != digest:
+                raise ConfigurationError(
+                    f"the record {str(self.path)!r} has another policy named {name!r}, trained at"
+                    f" commit {one['commit']}; use another record, or another name"
+                )
+
     def add(self, policy: str | Path, values: Mapping[str, float]) -> None:
-        """Add the values of a policy, and write the file."""
+        """Add the values of a policy in place of older ones of it, and write the file."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         self._read()  # another process may have added some since
         about = {**describe(policy), "sha256": _digest(policy)}
         about |= {"measured_at": provenance()["commit"], "values": without_nan(values)}
-        self.policies.append(about)
+        others = [one for one in self.policies if one["sha256"] != about["sha256"]]
+        self.policies = [*others, about]
         kept = {"settings": dict(self.settings), "policies": self.policies}
         write_text(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
 

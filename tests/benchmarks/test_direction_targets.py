@@ -50,14 +50,19 @@ def test_values_of_standing_are_the_worst_of_all_walks_that_stood() -> None:
         "power": 30.0,
     }
     expected = {"drift": 2.0, "turn": 0.3, "lifted feet": 1.0, "power, standing": 30.0}
-    found = standing_values(row)
-    assert found == pytest.approx({**expected, "falls, stops": 0.0, "unplanted": 50.0})
+    stopped = {"falls": {"stop": 0}, "count": 2, "unplanted": 0, "planted": 0.9}
+    expected["stop"] = 0.9
+    found = standing_values(row, stopped)
+    assert found == pytest.approx({**expected, "falls, stops": 0.0, "unplanted": 25.0})
     fallen = {**walk, "lifted": math.nan}
     row |= {"falls": {"walk": 0, "stop": 1}, "walks": [*row["walks"], fallen], "count": 3}
-    share = 100 / 3
-    expected |= {"falls, stops": share, "unplanted": share}
-    assert standing_values(row) == pytest.approx(expected)
-    none = standing_values({**row, "walks": [fallen]})
+    expected |= {"falls, stops": 20.0, "unplanted": 20.0}
+    assert standing_values(row, stopped) == pytest.approx(expected)
+    # falls of the stops at 1 m/s count, too
+    stopped |= {"falls": {"walk": 1, "stop": 1}, "unplanted": 1}
+    expected |= {"falls, stops": 60.0, "unplanted": 40.0}
+    assert standing_values(row, stopped) == pytest.approx(expected)
+    none = standing_values({**row, "walks": [fallen]}, stopped)
     assert math.isnan(none["lifted feet"])
 
 
@@ -101,7 +106,7 @@ def test_table_has_a_limit_and_a_verdict_for_each_target() -> None:
 
 
 def test_every_target_has_a_value_from_its_benchmark(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Each benchmark runs once for each policy, in a folder of its own."""
     folders, seeds = [], set()
@@ -123,7 +128,7 @@ def test_every_target_has_a_value_from_its_benchmark(
     sweeps = [{"parameter": name, "value": 1.0, "mean": 1.0} for name in SWEEPS]
     rows = {
         direction_tracking: [errors],
-        transitions: [{"falls": [[[0.0], [1.0]]], "changes": 5000}],
+        transitions: [{"falls": [[[0.0], [1.0]]], "changes": 2000}],
         standing: [stood],
         direction_targets.eight: [{"fell": False, "truth": 0.05}],
         walking_quality: quality,
@@ -140,7 +145,9 @@ def test_every_target_has_a_value_from_its_benchmark(
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
     assert list(found) == [claim.name for claim in TARGETS]
     assert found["velocity"]["each"] == [0.02, 0.02]
-    assert found["falls, changes"]["each"] == [2.0, 2.0]
+    assert found["falls, changes"]["each"] == [5.0, 5.0]
+    assert "0 in 400 walks at random commands (at most" in (text := capsys.readouterr().out)
+    assert "2 in 4000 sudden changes (at most" in text
     assert found["path"]["each"] == [5.0, 5.0]
     missed = [name for name, one in found.items() if one["verdict"] != "PASS"]
     assert set(missed) - {"time"} == {"falls, changes"}
@@ -150,15 +157,21 @@ def test_every_target_has_a_value_from_its_benchmark(
     # each policy walks at commands drawn from the seed of its training
     trained = {name: read_card(name)["made_by"]["settings"]["seed"] for name in config.policy}
     assert seeds == {*trained.items()}
-    record = tmp_path / "seeds.json"
+    record = tmp_path / "new" / "seeds.json"
     kept = dataclasses.replace(config, policy=("robust",), record=record)
     direction_targets.main(kept)
     again = dataclasses.replace(kept, policy=("straight", "robust"))
     each = [row["found"]["each"] for row in direction_targets.main(again)]
     assert len(folders) == 4 * runs  # the second call measures one policy only
     assert all(len(values) == 2 for values in each)
+    assert f"robust (seed {trained[str(file)]}, " in capsys.readouterr().out
     with pytest.raises(ConfigurationError, match="measured with commands 200, not commands 10;"):
         direction_targets.main(dataclasses.replace(kept, commands=10))
+    changed = file.parent.with_name("straight") / file.name  # weights of robust
+    changed.parent.mkdir(exist_ok=True)
+    copyfile(file, changed)
+    with pytest.raises(ConfigurationError, match="another policy named 'straight', trained at"):
+        direction_targets.main(dataclasses.replace(kept, policy=(str(changed),)))
     values = json.loads(record.read_text())
     values["policies"][0]["values"]["changes"] = 1.0
     record.write_text(json.dumps(values))
@@ -171,9 +184,16 @@ def test_every_target_has_a_value_from_its_benchmark(
         direction_targets.main(dataclasses.replace(config, policy=("robust", str(copied))))
     with pytest.raises(ConfigurationError, match="walks must be 1 or more, got 0"):
         direction_targets.main(dataclasses.replace(config, walks=0))
+    with pytest.raises(ConfigurationError, match="50, or a multiple of it, got 60"):
+        dataclasses.replace(config, changes=60)
     assert len(folders) == 4 * runs
-    record.write_text("[]")
-    with pytest.raises(FileDamagedError, match="no record of targets"):
+    for text in ("[]", '{"settings": [], "policies": []}', json.dumps({**values, "settings": [1]})):
+        record.write_text(text)
+        with pytest.raises(FileDamagedError, match="no record of targets"):
+            direction_targets.main(kept)
+    del values["policies"][0]["sha256"]
+    record.write_text(json.dumps(values))
+    with pytest.raises(FileDamagedError, match=r"no record of targets: .*sha256"):
         direction_targets.main(kept)
     errors["falls"] = 1
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -135,6 +136,16 @@ def test_stops_standing_and_starts_are_measured(
         standing.main(standing.Config(library=library, out=tmp_path), limp())
     with pytest.raises(ConfigurationError, match="duration must be"):
         standing.Config(duration=0.1)
+
+
+def test_wishes_to_stand_come_at_all_phases_of_a_stride() -> None:
+    library = standing_library()
+    command = np.zeros((4, library.command_size))
+    stride = library.stride(torch.zeros(1, library.command_size)).item()
+    expected = stride * np.arange(4) / 4
+    assert standing.delays(library, command) == pytest.approx(expected, rel=1e-6)
+    with pytest.raises(ConfigurationError, match="speeds must be finite"):
+        standing.Config(speeds=(0.0, math.nan))
 
 
 def test_a_robot_that_stands_is_measured_after_it_came_to_rest() -> None:

@@ -16,7 +16,13 @@ from benchmarks.trades import PAIRS, Config, claim_of
 def write(path: Path, **policies: float) -> Path:
     """Record in which every target of a policy has one value."""
     kept = [
-        {"name": name, "sha256": name, "values": {claim.name: value for claim in TARGETS}}
+        {
+            "name": name,
+            "sha256": name,
+            "seed": 0,
+            "commit": "abc",
+            "values": {claim.name: value for claim in TARGETS},
+        }
         for name, value in policies.items()
     ]
     path.write_text(json.dumps({"settings": {"commands": 7}, "policies": kept}))
