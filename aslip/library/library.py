@@ -305,17 +305,24 @@ class GaitLibrary(nn.Module):
         return self._transitions
 
     def _check_joints(self, table: TransitionTable) -> None:
-        """Compare the ends of stop and start, after the left touchdown, with the gait in place."""
-        phase = torch.tensor([[table.touchdown], [HALF - _BORDER]], dtype=torch.float64)
-        in_place = torch.zeros(2, self.command_size, dtype=phase.dtype)
-        mode = torch.tensor([[WalkMode.STOP], [WalkMode.START]])
-        gait, ends = self.lookup(phase, in_place), self.transition(phase, mode)
-        gaps = [(getattr(gait, n) - getattr(ends, n)).norm(dim=-1).max().item() for n in _PLACES]
-        if not (self.covers(in_place).all() and max(gaps) <= _JOINT):
-            raise ConfigurationError(
-                "stop and start must join the gait of the library in place, got a gap of"
-                f" {1e3 * max(gaps):.3g} mm"
-            )
+        """Compare stop and start, after each touchdown, with the gait in place and each other."""
+        halves = torch.tensor([[0.0], [HALF]], dtype=torch.float64)
+        stops, starts = table.touchdown + halves, HALF - _BORDER + halves
+        in_place = torch.zeros(4, self.command_size, dtype=halves.dtype)
+        if not self.covers(in_place).all():
+            raise ConfigurationError("stop and start need a gait in place, which the library lacks")
+        gait = self.lookup(torch.cat([stops, starts]), in_place)
+        stop, start = (torch.full_like(halves, mode) for mode in (WalkMode.STOP, WalkMode.START))
+        ends = self.transition(torch.cat([stops, starts]), torch.cat([stop, start]))
+        standing = table.standing + halves
+        stood, begun = self.transition(standing, stop), self.transition(standing, start)
+        gaps = {
+            "stop and start must join the gait of the library in place": _gap(gait, ends),
+            "a start must begin where a stop ends": _gap(stood, begun),
+        }
+        for demand, gap in gaps.items():
+            if not gap <= _JOINT:
+                raise ConfigurationError(f"{demand}, got a gap of {1e3 * gap:.3g} mm")
 
     def stride(self, command: Tensor) -> Tensor:
         """Duration (*b, 1) of a stride at commands (*b, c) [s], multilinear between motions.
@@ -381,6 +388,12 @@ def _check_width(name: str, value: Tensor, width: int) -> None:
     if not isinstance(value, Tensor) or value.shape[-1:] != (width,):
         got = tuple(value.shape) if isinstance(value, Tensor) else value
         raise ShapeError(f"{name} must be a tensor of shape (..., {width}), got {got!r}")
+
+
+def _gap(one: Reference, other: Reference) -> float:
+    """Largest distance between places of body and feet in two references [m]."""
+    pairs = ((getattr(one, name), getattr(other, name)) for name in _PLACES)
+    return max((first - second).norm(dim=-1).max().item() for first, second in pairs)
 
 
 def _flat(values: np.ndarray) -> np.ndarray:

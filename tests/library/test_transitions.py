@@ -206,6 +206,16 @@ def test_transitions_of_another_gait_are_refused(
     shifted = replace(table, body_position=table.body_position + 0.01)
     with pytest.raises(ConfigurationError, match=r"join the gait .* a gap of 17\.3 mm"):
         GaitLibrary(None, walking.table, transitions=shifted)
+    # after the right touchdown alone
+    after_right = table.foot_position.copy()
+    after_right[:, 1] += 0.01
+    with pytest.raises(ConfigurationError, match=r"join the gait .* a gap of "):
+        GaitLibrary(None, walking.table, transitions=replace(table, foot_position=after_right))
+    # between a stop and the start after it
+    begun = table.body_position.copy()
+    begun[1, :, 0] += 0.01
+    with pytest.raises(ConfigurationError, match=r"begin where a stop ends, got a gap of 17\.3 mm"):
+        GaitLibrary(None, walking.table, transitions=replace(table, body_position=begun))
 
 
 @pytest.mark.parametrize(
