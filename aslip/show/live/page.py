@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from aslip.envs import check_policy_fits
 from aslip.errors import AslipError, ConfigurationError
 from aslip.library import Command, WalkMode, numbers
 from aslip.policy import load_policy
@@ -37,8 +38,8 @@ _PANEL_WIDTH = 340
 class LivePage:
     """Page to watch and steer one robot in real time.
 
-    The server starts in the constructor, with the robot standing. The simulation runs in `serve`;
-    meanwhile its thread alone may use the walker.
+    The server starts in the constructor. The simulation runs in `serve`; meanwhile its thread alone
+    may use the walker.
 
     Args:
         walker: robot to watch; its present command is the first value of the slider.
@@ -52,7 +53,7 @@ class LivePage:
 
     Raises:
         ConfigurationError: the host is not this machine, the port is taken or not allowed,
-            `policies` is empty, or a policy is invalid.
+            `policies` is empty, or a policy does not fit the walker's environment.
         AssetError: a policy of this name or path does not exist.
     """
 
@@ -75,7 +76,7 @@ class LivePage:
         self.falls = 0
         """Number of falls."""
         self._policies = {
-            name: load_policy(policy) if isinstance(policy, str | Path) else policy
+            name: _fitting_policy(policy, walker) if isinstance(policy, str | Path) else policy
             for name, policy in policies.items()
         }
         self._on_step = on_step
@@ -286,3 +287,9 @@ class LivePage:
             off_path=float(torch.linalg.vector_norm(off)),
             mode=WalkMode(int(td["mode"])).name.lower() if "mode" in td else "",
         )
+
+
+def _fitting_policy(policy: str | Path, walker: Walker) -> TensorDictModuleBase:
+    """Policy by its name or path, after a check that it fits the walker's environment."""
+    check_policy_fits(policy, walker.env)
+    return load_policy(policy)
