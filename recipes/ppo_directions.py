@@ -71,7 +71,7 @@ class DirectionConfig(Config):
         for name in ("ramp", "randomise_share"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ConfigurationError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
-        check_positive(self, "command_rates")
+        check_positive(self, "command_rates", "command_interval", "stand_interval", "push_interval")
         for name in ("push_impulse", "encoder_offset"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")

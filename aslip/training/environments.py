@@ -10,7 +10,9 @@ from typing import Any, Final
 from torchrl.envs.transforms import StepCounter
 
 from aslip.envs import StackEnv, command_speeds, describe_transforms
+from aslip.robot import CASSIE
 from aslip.transforms import RandomCommand, StaggeredEnds, VelocityCommand
+from aslip.transforms.base import check_interval
 
 DIRECTIONS: Final = 32
 """Number of commands in all directions that an evaluation walks."""
@@ -30,7 +32,11 @@ def make_training_env(
         command_interval: mean time between changes of the commanded speed [s]; infinite for a
             constant speed per episode. A `RandomCommand` with a finite interval keeps its own.
         settings: keywords of `make_env`.
+
+    Raises:
+        ConfigurationError: `command_interval` is shorter than a policy step.
     """
+    check_interval(command_interval, CASSIE.policy_period)
     env = make_env(**settings)
     limits = [t.max_steps for t in env.transforms if isinstance(t, StepCounter)]
     if limits and limits[0] is not None:

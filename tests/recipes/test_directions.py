@@ -140,6 +140,9 @@ def test_settings_of_a_run_are_kept_when_it_is_resumed(
     assert kept.push_interval == 0.03
     with pytest.raises(ConfigurationError, match="push_impulse must be 0 or more"):
         replace(config, push_impulse=-1.0)
+    for name in ("command_interval", "stand_interval", "push_interval"):
+        with pytest.raises(ConfigurationError, match=f"{name} must be positive, got -1"):
+            replace(config, **{name: -1.0})
     with pytest.raises(ConfigurationError, match=r"stand must be from 0 to 1, got 1\.5"):
         replace(config, stand=1.5)
     with pytest.raises(ConfigurationError, match=r"ramp must be from 0 to 1, got -0\.1"):
