@@ -117,7 +117,7 @@ class ExportedController:
 
     @property
     def pose(self) -> np.ndarray:
-        """Motor angles (m,) of the reference at phase 0 and zero command [rad]."""
+        """Motor angles (m,) of the reference in standing, or in place at phase 0 [rad]."""
         return np.array(self.contract.numbers("default_joint_pos"))
 
     def start(

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
-_STEEPEST = 0.5  # largest angle towards the path [rad]
+_STEEPEST = 0.5  # largest angle a e towards the path [rad]
 
 Pose = tuple[float, float, float]
 """Position x, y [m] and yaw [rad] in the world."""
@@ -50,8 +50,8 @@ class PathFollower:
 
     u is the speed along the path, :math:`\kappa` its curvature, and :math:`\psi` the yaw of the
     command's frame relative to the tangent; k, :math:`k_\theta` and a are `gain`, `turn_gain` and
-    `aim`. The law is feedforward with proportional feedback (Siciliano et al. 2009, Sec. 11.5),
-    extended by a sideways speed.
+    `aim`. k e is limited to `most`, and a e to half a radian. The law is feedforward with
+    proportional feedback (Siciliano et al. 2009, Sec. 11.5), extended by a sideways speed.
     """
 
     path: Path

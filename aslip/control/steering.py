@@ -16,6 +16,7 @@ from aslip.transforms.command import approach_command
 from aslip.transforms.reference import reference_and_goal
 from aslip.transforms.standing import (
     advance_mode,
+    check_rates_of_stops,
     first_mode,
     led_command,
     led_rates,
@@ -31,7 +32,8 @@ class Steering:
     `CommandFilter`. Robots that stand on a wish have `StandClock` and `StandFilter`.
 
     Raises:
-        ConfigurationError: robots shall stand, and the library has no stop and start, or one axis.
+        ConfigurationError: robots shall stand, and the library has no stop and start, or one axis,
+            or there are not three rates.
     """
 
     library: GaitLibrary
@@ -53,6 +55,7 @@ class Steering:
                 raise ConfigurationError(
                     "standing needs a library over several commands, got one over forward speed"
                 )
+            check_rates_of_stops(self.rates)
 
     @property
     def along_path(self) -> bool:

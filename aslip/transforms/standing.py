@@ -146,6 +146,18 @@ def led_rates(rates: Sequence[float], stand: Tensor, mode: Tensor) -> Tensor:
     return torch.where(_walks(stand, mode), own, own.maximum(stop))
 
 
+def check_rates_of_stops(rates: Sequence[float]) -> None:
+    """Check that there is one rate for each one of `STOP_RATES`.
+
+    Raises:
+        ConfigurationError: there is not.
+    """
+    if len(rates) != len(STOP_RATES):
+        raise ConfigurationError(
+            f"robots that stand need {len(STOP_RATES)} rates of the command, got {len(rates)}"
+        )
+
+
 def _walks(stand: Tensor, mode: Tensor) -> Tensor:
     """Whether robots walk and shall walk (*b, 1)."""
     return (mode == WalkMode.WALK) & (stand <= 0.5)
@@ -232,7 +244,7 @@ class StandClock(SeededTransform):
     """Advance the phase and the mode of walk, stop, standing and start; see `advance_mode`.
 
     It takes the place of `PhaseClock`. Robots that wish to stand at a reset begin with standing,
-    the others walk, all at a drawn phase.
+    the others walk, all at a drawn phase; a mode can be set between steps, but not at a reset.
 
     Args:
         library: gaits with transitions.
@@ -309,7 +321,7 @@ class StandFilter(CommandFilter):
         period: duration of a policy step [s].
 
     Raises:
-        ConfigurationError: a rate is not a positive finite number.
+        ConfigurationError: a rate is not a positive finite number, or there are not three.
     """
 
     num_in_keys = 3
@@ -323,6 +335,7 @@ class StandFilter(CommandFilter):
         period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(rates, in_keys=in_keys, out_keys=out_keys, period=period)
+        check_rates_of_stops(self.rates)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

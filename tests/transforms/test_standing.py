@@ -8,11 +8,12 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 import aslip
+from aslip.control.steering import Steering
 from aslip.envs import EPISODE_ENDS, StackEnv, standing_stack
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.robot import CASSIE
-from aslip.transforms import COMMAND_RATES, StandClock, StandCommand, advance_mode
+from aslip.transforms import COMMAND_RATES, StandClock, StandCommand, StandFilter, advance_mode
 from aslip.transforms.standing import STOP_RATES, led_rates
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
@@ -191,6 +192,16 @@ def test_rates_that_are_faster_than_those_of_stops_stay(stand: float, mode: Walk
     wishes, modes = torch.tensor([[stand], [0.0]]), torch.tensor([[mode], [WalkMode.WALK]])
     rates = led_rates((2.0, 0.5, 1.0), wishes, modes)
     assert rates.tolist() == [[2.0, STOP_RATES[1], 1.0], [2.0, 0.5, 1.0]]
+
+
+@pytest.mark.parametrize("rates", [(1.0, 1.0), (1.0, 1.0, 1.0, 1.0)])
+def test_robots_that_stand_need_a_rate_for_each_part_of_the_command(
+    walking: GaitLibrary, rates: tuple[float, ...]
+) -> None:
+    with pytest.raises(ConfigurationError, match=f"need 3 rates of the command, got {len(rates)}"):
+        StandFilter(rates)
+    with pytest.raises(ConfigurationError, match=f"need 3 rates of the command, got {len(rates)}"):
+        Steering(walking, rates, True, 1.0, 0.03)
 
 
 def test_robot_that_shall_stand_at_a_reset_starts_standing(
