@@ -43,7 +43,7 @@ from aslip.robot import CASSIE
 from aslip.walking import markdown
 from aslip.walking.metrics import mean_twist, tracking_errors
 from benchmarks.common import MakeEnv, Policy, load_with_library, record_subject, write_report
-from benchmarks.directions import LIMITS, random_commands
+from benchmarks.directions import AXES, random_commands
 
 # durations of settling and of the measurement [s]
 _SETTLE, _WALK = 4.0, 4.0
@@ -107,7 +107,7 @@ def picture(command: np.ndarray, twist: np.ndarray) -> Figure:
                 command[~fell, other], command[~fell, 0], c=error[~fell], s=22, vmin=0, vmax=0.2
             )
             axes.plot(command[fell, other], command[fell, 0], "rx", ms=5, label="fall")
-            axes.set(xlabel=LIMITS[other], ylabel=LIMITS[0])
+            axes.set(xlabel=AXES[other], ylabel=AXES[0])
             if fell.any():
                 axes.legend(loc="upper right", fontsize=8)
         figure.colorbar(dots, ax=row.tolist(), label=name, extend="max")

@@ -7,7 +7,7 @@ import numpy as np
 from aslip.library import GaitLibrary
 from aslip.transforms import VelocityCommand
 
-LIMITS = ("forward [m/s]", "sideways [m/s]", "yaw rate [rad/s]")
+AXES = ("forward [m/s]", "sideways [m/s]", "yaw rate [rad/s]")
 """Names of a command's numbers, for tables and pictures."""
 
 

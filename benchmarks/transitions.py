@@ -56,7 +56,7 @@ from aslip.robot import CASSIE
 from aslip.walking import markdown, next_start, reset_walks, take_step
 from aslip.walking.record import commands_kept
 from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
-from benchmarks.directions import LIMITS, random_commands
+from benchmarks.directions import AXES, random_commands
 
 _HOLD = 0.75, 2.25
 """Shortest and longest time for which a command is held [s]."""
@@ -145,7 +145,7 @@ def picture(row: dict[str, Any]) -> Figure:
                 arrowprops={"arrowstyle": "->", "color": "tab:red"},
             )
             axes.plot([old[other], new[other]], [old[0], new[0]], ".", color="tab:red", ms=3)
-        axes.set(xlabel=LIMITS[other], ylabel=LIMITS[0])
+        axes.set(xlabel=AXES[other], ylabel=AXES[0])
         axes.grid(alpha=0.3)
     figure.suptitle(f"{len(row['falls'])} falls in {row['changes']} changes of the command")
     return figure
