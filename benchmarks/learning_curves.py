@@ -1,14 +1,17 @@
-r"""Learning curves of the recipe: default, robust, true state, the paper's settings and baseline.
+r"""Learning curves of the recipes: straight walks, the paper's settings, and all directions.
 
     python -m benchmarks.learning_curves                      # train missing runs, then report
     python -m benchmarks.learning_curves --jobs 2             # two runs at a time
     python -m benchmarks.learning_curves --no-train           # report existing runs
     python -m benchmarks.learning_curves --record docs/learning_curves.csv --no-train \
         --variants fine paper baseline --seeds 10 11 12 13 14
+    python -m benchmarks.learning_curves --out runs --variants directions --seeds 10 11 12 13 14 \
+        --total-steps 4990000 --jobs 2 --record docs/direction_curves.csv
 
-Each run is `recipes/ppo_aslip.py` in its own folder, such as `runs/learning_curves/paper-10`;
-interrupted runs resume from their last checkpoints. A run made elsewhere counts when it is copied
-there, finished or not. Curves show mean and range over seeds.
+Each run is a recipe in its own folder, such as `runs/learning_curves/paper-10`: `ppo_aslip.py`, or
+`ppo_directions.py` for the variant `directions`. Interrupted runs resume from their last
+checkpoints. A run made elsewhere counts when it is copied there, finished or not. Curves show mean
+and range over seeds.
 
 A record, `--record`, collects the curves of finished runs over days and machines, without their run
 folders. The report includes its runs, which are not trained again, and adds new finished runs.
@@ -23,7 +26,7 @@ from typing import Literal
 from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
 from aslip.training.command_line import command_line
 
-Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline"]
+Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline", "directions"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class Config:
     out: Path = Path("runs/learning_curves")
     """Parent of the run folders."""
     variants: tuple[Variant, ...] = ("truth", "default")
-    """Variants of the recipe."""
+    """Variants of the recipes."""
     seeds: tuple[int, ...] = (0, 1, 2)
     """Seeds of each variant."""
     total_steps: int = 1_500_000
@@ -68,7 +71,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -83,6 +86,7 @@ from aslip.training.settings import SETTINGS_FILE, read_settings
 from aslip.walking import markdown
 from benchmarks.common import Interval
 from benchmarks.learning_record import COLUMNS, LENGTHS, Run, Runs, read_record, write_record
+from recipes.ppo_directions import DirectionConfig
 from recipes.ppo_settings import PRESETS
 
 VARIANTS: Final = MappingProxyType(
@@ -96,9 +100,10 @@ VARIANTS: Final = MappingProxyType(
             "single-reference", "--last-learning-rate", "1e-4", "--last-std", str(math.exp(-2)),
             "--fall-after", "0.6",
         ),
+        "directions": (),
     }
 )  # fmt: skip
-"""Variant -> flags of the recipe. Only `truth` observes the true state. `baseline` is the paper's
+"""Variant -> flags of its recipe. Only `truth` observes the true state. `baseline` is the paper's
 baseline with the learning settings of `paper`; its returns are of its own reward."""
 
 _OWN_REWARD = {"baseline": " (return of its own reward)"}
@@ -108,7 +113,8 @@ _FREE = {
     "out", "resume", "device", "total_steps", "schedule_steps", "eval_interval",
     "checkpoint_minutes",
 }  # fmt: skip
-_RECIPE = Path(__file__).parents[1] / "recipes" / "ppo_aslip.py"
+_RECIPES = Path(__file__).parents[1] / "recipes"
+_IN_ALL_DIRECTIONS = ("directions",)
 _POLL = 5.0  # [s]
 
 
@@ -163,8 +169,7 @@ def _check_settings(folder: Path, variant: str, seed: int) -> None:
     if not (folder / SETTINGS_FILE).exists():
         return
     kept, _ = read_settings(folder)
-    flags = [*VARIANTS[variant], "--seed", str(seed)]
-    wanted = asdict(preset_command_line(PRESETS, {}, flags))
+    wanted = _settings(variant, seed)
     other = {
         name: kept[name]
         for name, value in wanted.items()
@@ -175,6 +180,14 @@ def _check_settings(folder: Path, variant: str, seed: int) -> None:
             f"the run in {str(folder)!r} is not {variant!r} with seed {seed}, it has {other};"
             f" {variant!r} has { ({name: wanted[name] for name in other}) }"
         )
+
+
+def _settings(variant: str, seed: int) -> dict[str, Any]:
+    """Settings of a variant's recipe."""
+    flags = [*VARIANTS[variant], "--seed", str(seed)]
+    if variant in _IN_ALL_DIRECTIONS:
+        return asdict(command_line(DirectionConfig, arguments=flags))
+    return asdict(preset_command_line(PRESETS, {}, flags))
 
 
 # --------------------------------------------------------------------- training
@@ -212,7 +225,8 @@ def _train(config: Config, recorded: Runs) -> None:
 
 def _start(config: Config, variant: str, seed: int, slot: int) -> subprocess.Popen[bytes]:
     folder = _folder(config, variant, seed)
-    command = [sys.executable, str(_RECIPE), *VARIANTS[variant], "--seed", str(seed)]
+    recipe = "ppo_directions.py" if variant in _IN_ALL_DIRECTIONS else "ppo_aslip.py"
+    command = [sys.executable, str(_RECIPES / recipe), *VARIANTS[variant], "--seed", str(seed)]
     command += ["--out", str(folder), "--total-steps", str(config.total_steps)]
     command += ["--schedule-steps", str(config.schedule_steps)]
     # without a checkpoint, --resume starts from the beginning
@@ -256,7 +270,7 @@ def report(runs: Sequence[Run]) -> str:
     """Table of time until walking and final results, for each run and each variant's mean."""
     header = ["variant", "seed", "commit", "steps [10³]", "time [min]"]
     header += [f"steps to length {length} [10³]" for length in LENGTHS]
-    header += ["final length", "final return", "evaluation return", "speeds survived [%]"]
+    header += ["final length", "final return", "evaluation return", "commands survived [%]"]
     header += ["divergences"]
     # Student's interval may exceed 100 %
     most = [100.0 if name.endswith("[%]") else math.inf for name in header[3:]]

@@ -52,7 +52,7 @@ class Run:
         return int(found[0]) if len(found) else None
 
     def evaluations(self) -> np.ndarray:
-        """Rows with an evaluation over all speeds."""
+        """Rows with an evaluation over all commands."""
         return np.flatnonzero(np.isfinite(self.columns["eval_return"]))
 
     def until(self, steps: int) -> Run:

@@ -32,6 +32,7 @@ from benchmarks import (
 )
 from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
+from recipes.ppo_directions import DirectionConfig
 from recipes.ppo_settings import PRESETS, training_settings
 
 
@@ -267,6 +268,27 @@ def test_started_training_is_resumed(
     learning_curves._start(curves_config(tmp_path, schedule_steps=7000), "default", 0, 0)
     assert [command[-1] == "--resume" for command in commands] == [begun]
     assert commands[0][commands[0].index("--schedule-steps") + 1] == "7000"
+
+
+def test_walks_in_all_directions_have_their_own_recipe(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whose settings are checked, too."""
+    curves_of(tmp_path / "directions-0", walks_at=300)
+    path = tmp_path / "directions-0" / "config.json"
+    settings = asdict(DirectionConfig(total_steps=600_000))
+    path.write_text(json.dumps(settings, default=str))
+    config = curves_config(tmp_path, variants=("directions",), seeds=(0,))
+    learning_curves.main(config)
+    path.write_text(json.dumps({**settings, "randomise_share": 1.0}, default=str))
+    with pytest.raises(ConfigurationError, match=r"not 'directions' with seed 0.*randomise_share"):
+        learning_curves.main(config)
+    commands: list[list[str]] = []
+    monkeypatch.setattr(
+        learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)
+    )
+    learning_curves._start(config, "directions", 0, 0)
+    assert Path(commands[0][1]).name == "ppo_directions.py"
 
 
 def test_repeated_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
