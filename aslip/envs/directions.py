@@ -32,7 +32,7 @@ from aslip.transforms import (
     WeightedReward,
     rewards,
 )
-from aslip.transforms.rewards import DIRECTION_WEIGHTS, FOOT_SCALE
+from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from aslip.transforms.standing import transitions_of
 
 # headings of the goal that reward terms read on turns
@@ -43,8 +43,6 @@ _HEADINGS: Final = MappingProxyType(
         "foot_orient": ("left_foot_heading", "right_foot_heading"),
     }
 )
-# functions of reward terms that differ from those of the default stack
-_FUNCTIONS: Final = MappingProxyType({"foot_pos": partial(rewards.foot_pos, scale=FOOT_SCALE)})
 _STEER: Final = "filtered_command"
 
 
@@ -136,5 +134,4 @@ def _turning_term(make: Callable[[], Transform]) -> RewardTerm:
     assert isinstance(term, RewardTerm)
     name = str(term.out_keys[0][-1])
     goals: list[NestedKey] = [("goal", heading) for heading in _HEADINGS[name]]
-    function = _FUNCTIONS.get(name, term.function)
-    return RewardTerm(name, function, term.next_keys, [*term.root_keys, *goals])
+    return RewardTerm(name, term.function, term.next_keys, [*term.root_keys, *goals])

@@ -41,22 +41,18 @@ DIRECTION_WEIGHTS: Final = MappingProxyType(
     {
         "com_vel": 0.1,
         "foot_pos": 0.2,
-        "path_diff": 0.2,
+        "path_diff": 0.15,
         "heading_diff": 0.1,
         "foot_orient": 0.05,
         "action_diff": 0.05,
         "power": 0.1,
-        "landing": 0.1,
+        "landing": 0.15,
         "squeeze": 0.1,
     }
 )
 """Weights of the reward for walks in all directions; they sum to one. Compared with the paper's,
 `path_diff` takes the place of `straight_diff`; the terms for heading, power, landings and squeezing
 are new."""
-
-FOOT_SCALE: Final = 0.5
-"""Sum of the distances of both feet at which `foot_pos` is 1/e in walks in all directions [m]; 1 m
-in the paper."""
 
 HEADING_SCALE: Final = 0.1
 """Angle at which `heading_diff` is 1/e [rad]."""
@@ -113,10 +109,8 @@ def foot_pos(
     left_reference: Tensor,
     right_reference: Tensor,
     body_heading: Tensor | None = None,
-    *,
-    scale: float = 1.0,
 ) -> Tensor:
-    r""":math:`\exp(-(\|l - \hat l\| + \|r - \hat r\|) / s)`, feet relative to the body.
+    r""":math:`\exp(-\|l - \hat l\| - \|r - \hat r\|)`, feet relative to the body.
 
     Both feet are seen in the pelvis-centred, yaw-aligned frame. Public code compares feet in the
     tilting pelvis frame with a level reference, an error of about 15 mm a degree of pitch.
@@ -130,14 +124,13 @@ def foot_pos(
         right_reference: (*b, 3) right foot minus body [m, walking frame].
         body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its feet, too,
             are seen from its body.
-        scale: the distance s, 1 m in the paper [m].
     """
     yaw = yaw_quaternion(pelvis_orientation)
     left = rotate_inverse(yaw, left_foot_position - pelvis_position)
     right = rotate_inverse(yaw, right_foot_position - pelvis_position)
     left = left - _from_body(left_reference, body_heading)
     right = right - _from_body(right_reference, body_heading)
-    return torch.exp(-(_norm(left) + _norm(right)) / scale)
+    return torch.exp(-_norm(left) - _norm(right))
 
 
 def straight_diff(pelvis_position: Tensor) -> Tensor:

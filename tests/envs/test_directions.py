@@ -37,7 +37,7 @@ from aslip.transforms import (
 )
 from aslip.transforms.command import approach_command
 from aslip.transforms.path import Leash, advance_heading, arc
-from aslip.transforms.rewards import DIRECTION_WEIGHTS, FOOT_SCALE
+from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from tests.library.bent import symmetric_library
 
 PERIOD = CASSIE.policy_period
@@ -174,19 +174,6 @@ def test_rewards_read_the_estimated_heading_and_the_largest_force() -> None:
         expected = sum(DIRECTION_WEIGHTS[name] * term for name, term in terms.items())
         torch.testing.assert_close(td["reward"], expected)
         before = td
-
-
-def test_feet_are_seen_at_half_the_scale_of_the_paper() -> None:
-    """From the truth of the step, in any frame, as they are relative to the pelvis."""
-    env = make(1)
-    before = start(env, [[0.1, 0.0, 0.1]], [0.3])
-    td = step(env, before, torch.full((1, 10), 0.1))
-    feet = ("left_foot_position", "right_foot_position")
-    seen = [td["truth", name] for name in ("pelvis_orientation", "pelvis_position", *feet)]
-    goal = [before["goal", name] for name in (*feet, "body_heading")]
-    term = cast("Tensor", td["reward_terms", "foot_pos"])
-    assert (term < rewards.foot_pos(*seen, *goal) - 0.01).all()
-    torch.testing.assert_close(term, rewards.foot_pos(*seen, *goal, scale=FOOT_SCALE))
 
 
 def test_mirrored_commands_and_actions_lead_to_mirrored_observations() -> None:

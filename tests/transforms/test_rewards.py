@@ -68,12 +68,11 @@ def test_com_vel_is_compared_in_the_pelvis_frame() -> None:
 def test_foot_pos_adds_the_distances_of_both_feet() -> None:
     left, right = torch.tensor([0.1, 0.1, -0.8]), torch.tensor([-0.1, -0.1, -0.9])
     body = torch.tensor([5.0, 2.0, 0.9])
-    for scale in (1.0, 0.5):
-        reward = rewards.foot_pos(
-            LEVEL, body, body + left + torch.tensor([0.03, 0.0, 0.04]),
-            body + right + torch.tensor([0.0, 0.1, 0.0]), left, right, scale=scale,
-        )  # fmt: skip
-        assert reward.item() == pytest.approx(math.exp(-0.15 / scale), rel=1e-5)
+    reward = rewards.foot_pos(
+        LEVEL, body, body + left + torch.tensor([0.03, 0.0, 0.04]),
+        body + right + torch.tensor([0.0, 0.1, 0.0]), left, right,
+    )  # fmt: skip
+    assert reward.item() == pytest.approx(math.exp(-0.15), rel=1e-5)
 
 
 def test_straight_diff_has_no_dead_zone() -> None:
