@@ -6,10 +6,10 @@
 A robot walks at a command for 4 s and a part of a stride, is told to stand, stands for a minute,
 and walks on at the same command. Commands are straight speeds, then random ones over the region of
 the library; the parts of a stride are spread evenly, so that wishes to stand come at all phases.
-Forces and torques are sampled at 2 kHz. The feet count as planted from the
-time at which both carry a force for half a second; drift, turn, power and feet that lose the ground
-are measured from 4 s after the wish on, when the robot should have come to rest. A foot that is in
-the air by then counts as lifted.
+Forces and torques are sampled at 2 kHz. The feet count as planted from the time at which both carry
+a force for half a second; drift, turn, power and feet that lose the ground are measured from 4 s
+after the wish on, when the robot should have come to rest. A foot that is in the air by then counts
+as lifted.
 """
 
 from __future__ import annotations

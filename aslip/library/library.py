@@ -307,13 +307,12 @@ class GaitLibrary(nn.Module):
     def _check_joints(self, table: TransitionTable) -> None:
         """Compare stop and start, after each touchdown, with the gait in place and each other."""
         halves = torch.tensor([[0.0], [HALF]], dtype=torch.float64)
-        stops, starts = table.touchdown + halves, HALF - _BORDER + halves
+        phase = torch.cat([table.touchdown + halves, HALF - _BORDER + halves])
         in_place = torch.zeros(4, self.command_size, dtype=halves.dtype)
         if not self.covers(in_place).all():
             raise ConfigurationError("stop and start need a gait in place, which the library lacks")
-        gait = self.lookup(torch.cat([stops, starts]), in_place)
         stop, start = (torch.full_like(halves, mode) for mode in (WalkMode.STOP, WalkMode.START))
-        ends = self.transition(torch.cat([stops, starts]), torch.cat([stop, start]))
+        gait, ends = self.lookup(phase, in_place), self.transition(phase, torch.cat([stop, start]))
         standing = table.standing + halves
         stood, begun = self.transition(standing, stop), self.transition(standing, start)
         gaps = {
