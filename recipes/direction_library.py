@@ -30,7 +30,8 @@ LIMITS = (
     (1.0, 1.6, -1.6, 2.8),
     (1.0, 0.4, 0.4, 2.2),
     (1.0, 0.4, -0.4, 2.2),
-    (-1.0, 1.0, -1.0, 2.2),
+    (-1.0, 1.0, -1.0, 2.0),
+    (0.0, 1.0, -1.0, 1.44),
 )
 
 
@@ -45,9 +46,9 @@ class Config:
         *(1.5, 1.6, 1.7, 1.775, 1.85, 1.925, 2.0, 2.05, 2.1, 2.2),
     )
     """Ascending forward speeds [m/s]."""
-    sideways: tuple[float, ...] = (0.0, 0.08, 0.2, 0.32, 0.38, 0.44, 0.5)
+    sideways: tuple[float, ...] = (0.0, 0.08, 0.16, 0.24, 0.32, 0.41, 0.5)
     """Sideways speeds to the left, from 0 [m/s]; those to the right are their mirror images."""
-    yaw_rates: tuple[float, ...] = (0.0, 0.1, 0.2, 0.33, 0.55, 0.78, 1.0)
+    yaw_rates: tuple[float, ...] = (0.0, 0.17, 0.34, 0.5, 0.67, 0.84, 1.0)
     """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
     limits: tuple[tuple[float, float, float, float], ...] = LIMITS
     """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; by default the
@@ -288,10 +289,13 @@ def _covered(library: GaitLibrary, command: torch.Tensor) -> bool:
 
 
 def differences(library: GaitLibrary, gait: Gait, samples: int) -> list[float]:
-    """Largest differences of positions [mm], velocities [m/s] and angles [rad] over a stride."""
-    exact = GaitLibrary.from_motions([gait], library.table.robot, samples=samples)
-    phase = torch.arange(samples, dtype=torch.float64)[:, None] / samples
-    command = torch.tensor(gait.command).expand(samples, 3)
+    """Largest differences of positions [mm], velocities [m/s] and angles [rad] over a stride.
+
+    Compared are the samples and the instants midway between them.
+    """
+    exact = GaitLibrary.from_motions([gait], library.table.robot, samples=2 * samples)
+    phase = torch.arange(2 * samples, dtype=torch.float64)[:, None] / (2 * samples)
+    command = torch.tensor(gait.command).expand(2 * samples, 3)
     found, true = (one.lookup(phase, command) for one in (library, exact))
     worst = {n: (v - getattr(true, n)).abs().max().item() for n, v in vars(found).items()}
     position = 1e3 * max(worst[f"{side}_foot_position"] for side in SIDES)

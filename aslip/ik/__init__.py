@@ -5,6 +5,7 @@ closures. All arguments and results follow MuJoCo's conventions (wxyz quaternion
 as in `mujoco.MjData`).
 """
 
+from aslip.ik.clearance import LegClearance
 from aslip.ik.dynamics import leg_torque, pelvis_axes
 from aslip.ik.kinematics import Kinematics
 from aslip.ik.solve import IkResidual, IkSolution, solve
@@ -16,6 +17,7 @@ __all__ = [
     "IkResidual",
     "IkSolution",
     "Kinematics",
+    "LegClearance",
     "leg_torque",
     "pelvis_axes",
     "share_friction",

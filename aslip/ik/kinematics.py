@@ -68,6 +68,7 @@ class Kinematics:
         leg_v: (2, k) indices in `qvel` of the velocities of each leg.
         leg_motors: (2, m) indices of the motors among the k, in motor order.
         leg_joints: (2, k) names of the joints.
+        subtrees: numbers of the joints of each leg in `model`, springs included.
         loop_rows: number of first rows of `LegState.closure` that are gaps of loops.
         hips: (2, 3) position of the first joint of each leg, pelvis frame [m].
         lower: (2, k) lower limits of the angles, -inf for none.
@@ -101,6 +102,7 @@ class Kinematics:
         self._xyzw_to_wxyz = np.argsort(self._wxyz_to_xyzw)
         hips = [model.supports[model.frames[foot].parentJoint][_HIP] for foot in self._feet]
         self.hips = np.array([model.jointPlacements[hip].translation for hip in hips])
+        self.subtrees = [frozenset(model.subtrees[hip]) for hip in hips]
         springs = [model.getJointId(name) for name in self.robot.spring_names]
         self._joints = [[j for j in model.subtrees[hip] if j not in springs] for hip in hips]
         self.leg_joints = [

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from aslip.errors import (
     UnreachablePoseError,
 )
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.ik import Kinematics, LegClearance
 from aslip.library.build import usable_cores
 from aslip.library.region import inside_hull
 from aslip.library.tabulate import tabulate
@@ -150,11 +152,14 @@ class GaitFolder:
     """Robot that must reach the poses."""
     samples: int = 48
     """Samples of a stride at which the robot must reach the poses."""
+    least_clearance: float = 0.02
+    """Least distance between the robot's legs [m]."""
 
     def file(self, command: np.ndarray) -> Path:
         """File of a command; other settings have other files."""
         digest = hashlib.sha256(self.robot.mjcf.read_bytes())
         settings = [command.tolist(), asdict(self.model), self.objective, self.samples]
+        settings.append(self.least_clearance)
         digest.update(json.dumps(settings).encode())
         return self.folder / f"{digest.hexdigest()[:32]}.npz"
 
@@ -173,7 +178,7 @@ class GaitFolder:
             return None
 
     def solve(self, command: np.ndarray, guess: Gait | None) -> Outcome:
-        """Optimise a gait, check the robot's reach, store and return the outcome.
+        """Optimise a gait, check the robot's poses, store and return the outcome.
 
         The solver starts from the guess, and from the rough one if it fails.
 
@@ -196,14 +201,25 @@ class GaitFolder:
                 gait = optimize_gait(
                     command, parameters=self.model, guess=start, objective=self.objective
                 )
-                tabulate([gait], self.robot, samples=self.samples)
+                poses = tabulate([gait], self.robot, samples=self.samples).qpos[0]
             except UnreachablePoseError as error:
                 return str(error)
             except GaitOptimizationError as error:
                 reason = str(error)
             else:
-                return gait
+                clearance = _leg_clearance(self.robot)(poses).min()
+                if clearance >= self.least_clearance:
+                    return gait
+                reason = (
+                    f"legs come within {1e3 * clearance:.0f} mm of each other, at least"
+                    f" {1e3 * self.least_clearance:.0f} mm are wanted"
+                )
         return reason
+
+
+@lru_cache(maxsize=2)
+def _leg_clearance(robot: Robot) -> LegClearance:
+    return LegClearance(Kinematics(robot))
 
 
 def solve_directions(

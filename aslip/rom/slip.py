@@ -62,6 +62,12 @@ class SlipParameters:
 
     Sidesteps need wider footholds to keep it; straight gaits never come near.
     """
+    heel_offset: float = 0.0
+    """Distance of points behind the centres of the feet, along the toes, whose approach widens the
+    footholds of turns as that of the feet does [m].
+
+    In a turn the toes point apart, so that legs which bend backward meet behind the feet.
+    """
     swing_clearance: float = 0.200
     """Height of the swing foot at half swing [m] (Sec. III-A)."""
     swing_ramp: float | None = None
@@ -109,6 +115,11 @@ class SlipParameters:
                     raise ConfigurationError(
                         f"swing_ramp must be above 0 and at most 0.5, or None, got {value}"
                     )
+            elif field.name == "heel_offset":
+                if not 0.0 <= value < math.inf:
+                    raise ConfigurationError(
+                        f"heel_offset must be at least 0 and finite, got {value}"
+                    )
             elif field.name == "min_stance_force":
                 if not 0.0 <= value < 1.0:
                     raise ConfigurationError(
@@ -128,11 +139,12 @@ class SlipParameters:
 
 
 DIRECTION_MODEL: Final = SlipParameters(
-    min_stance_force=0.15, swing_clearance=0.12, swing_ramp=0.35
+    min_stance_force=0.15, heel_offset=0.35, swing_clearance=0.12, swing_ramp=0.35
 )
 """Model and bounds of gaits for Cassie in all directions: the standing foot keeps 15 % of body
-weight, and the swing foot is low and steady, because Cassie's motors cannot follow the published
-swing at 2 m/s."""
+weight, footholds of turns are as wide as Cassie's legs need, which reach 0.35 m behind the feet,
+and the swing foot is low and steady, because Cassie's motors cannot follow the published swing at
+2 m/s."""
 
 
 def leg_force(

@@ -8,14 +8,15 @@ optimum limps, even straight ahead, and its mirror image is as good.
 
 The sideways distance s of left and right foothold is at least foot_separation. It is larger in
 sidesteps and turns, in which the feet approach each other by a_i at the four lift-offs and
-touchdowns:
+touchdowns, and points heel_offset behind them by b_i:
 
-.. math:: s - d \ge \sqrt[4]{(s_0 - d)^4 + \tfrac12 \sum_i a_i^4}
+.. math:: s - d \ge \sqrt[4]{(s_0 - d)^4 + \tfrac14 \sum_i (a_i^4 + b_i^4)}
 
 with s_0 the foot separation of a straight gait and d the least distance of the feet. The
 approaches at the touchdown of one foot and at the lift-off of the other are nearly equal, so that
 this is a smooth maximum. A bound on the bare distance would give the gaits a kink over the command,
-and look-ups errors there. That bound holds, too, but binds only where both approaches differ.
+and look-ups errors there. The feet have that bound, too, but it binds only where both approaches
+differ.
 
 All positions are in the heading frame of the stride's start; the moving frame leaves it at time 0
 with the commanded twist. Each foothold is fixed in the moving frame of its own
@@ -138,14 +139,18 @@ class StrideProblem(GaitProgram[WholeStride]):
             stance_time = mid_stance[1 - swing] - time
             swing_time = mid_stance[swing] - time + begins[4] * (share + k // 2 - 1)
             sides = [swing_time, stance_time] if swing == 0 else [stance_time, swing_time]
-            ahead = [self._foothold(foot, sides[foot])[1, :] for foot in range(2)]
-            distance = ahead[0] - ahead[1]
+            feet, heels = (
+                ca.vertcat(*(self._foothold(i, sides[i], behind)[1, :] for i in range(2)))
+                for behind in (0.0, p.heel_offset)
+            )
+            distance = feet[0, :] - feet[1, :]
             side = ("left", "right")[swing]
             self._require(f"foot distance, {side} swing", distance, distance >= p.min_foot_distance)
-            approach.append(separation - distance[[0, -1]])
+            for across in (feet, heels):
+                approach.append(separation - across[0, [0, -1]] + across[1, [0, -1]])
         # a smooth maximum: a kink in it would give the gaits a kink over the command
         room = p.foot_separation - p.min_foot_distance
-        room = (room**4 + ca.sumsqr(ca.horzcat(*approach) ** 2) / 2) ** 0.25
+        room = (room**4 + ca.sumsqr(ca.horzcat(*approach) ** 2) / 4) ** 0.25
         wide = separation - p.min_foot_distance - room
         self._require("foot separation", wide, wide >= 0)
 
@@ -181,11 +186,15 @@ class StrideProblem(GaitProgram[WholeStride]):
             mean += durations[k] / INTERVALS * ca.sum2(deviation * ca.repmat(weight, 2, 1))
         self._require("origin", mean, mean == 0)
 
-    def _foothold(self, foot: int, time: ca.MX) -> ca.MX:
-        """Foothold (3, n) carried along by the moving frame until times (1, n) [s]."""
+    def _foothold(self, foot: int, time: ca.MX, behind: float = 0.0) -> ca.MX:
+        """Foothold, or a point behind it [m], carried along by the moving frame.
+
+        Points (3, n) at times (1, n) after the foot's mid-stance [s].
+        """
         angle, way = _arc(self.command, time)
         count = angle.shape[1]
-        point = way + _rotate(angle, ca.repmat(self.foothold[:, foot], 1, count))
+        place = self.foothold[:, foot] - ca.DM([behind, 0.0])
+        point = way + _rotate(angle, ca.repmat(place, 1, count))
         return ca.vertcat(point, ca.MX.zeros(1, count))
 
     def solution(self) -> WholeStride:
@@ -223,13 +232,15 @@ class StrideProblem(GaitProgram[WholeStride]):
         state = np.zeros((STATE_SIZE, len(time)))
         state[:3] = pose.position.T
         state[3:6] = pose.rotate(np.tile([command[0], command[1], 0.0], (len(time), 1))).T
-        # heights, set points and effort of the middle of the published library
+        # heights and set points of the middle of the published library. With its effort as well,
+        # slow gaits end in a dear local optimum whose double stances have their largest duration.
         step = np.minimum(time % (time[-1] / 2) / p.single_stance, 1.0)
         state[2] = 0.83 + 0.07 * np.sin(np.pi * step)
         state[6:8] = 0.92
-        separation = max(p.foot_separation, p.min_foot_distance + abs(command[1]) * time[-1] / 2)
+        approach = (abs(command[1]) + p.heel_offset * abs(command[2])) * time[-1] / 2
+        separation = max(p.foot_separation, p.min_foot_distance + approach)
         foothold = np.array([[0.0, 0.0], [separation / 2, -separation / 2]])
-        control = np.full((CONTROL_SIZE, 4 * (POINTS + 1)), 15.0)
+        control = np.zeros((CONTROL_SIZE, 4 * (POINTS + 1)))
         return WholeStride(state, control, double_stance, foothold)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -161,6 +162,16 @@ def test_pose_out_of_reach_is_a_reason(
     store = GaitFolder(tmp_path)
     assert store.solve(np.zeros(3), None) == "the left foot misses its target"
     assert store.read(np.zeros(3)) == "the left foot misses its target"
+
+
+def test_legs_too_close_to_each_other_are_a_reason(
+    library: GaitLibrary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(directions, "optimize_gait", lambda *_, **__: library.gaits[5])
+    assert GaitFolder(tmp_path, samples=8).solve(np.zeros(3), None) is library.gaits[5]
+    reason = GaitFolder(tmp_path, samples=8, least_clearance=0.5).solve(np.zeros(3), None)
+    assert isinstance(reason, str)
+    assert re.fullmatch("legs come within 1.. mm of each other, at least 500 mm are wanted", reason)
 
 
 def test_half_of_the_points_and_their_images_are_all_points_parents_first() -> None:

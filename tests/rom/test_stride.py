@@ -8,9 +8,9 @@ from scipy.integrate import solve_ivp
 
 from aslip.errors import GaitOptimizationError
 from aslip.rom import (
+    DIRECTION_MODEL,
     Mode,
     SampledMotion,
-    SlipParameters,
     mirror,
     optimize,
     optimize_gait,
@@ -25,7 +25,7 @@ from .velocities import check_velocities
 
 POINTS = 2 * INTERVALS
 """Points per contact mode."""
-P = SlipParameters(min_stance_force=0.15)
+P = DIRECTION_MODEL
 """Model of the gaits."""
 COMMANDS = [
     (1.0, 0.0, 0.0),
@@ -42,6 +42,7 @@ SLOW = [
     (0.0, 0.0, 1.0),
     (-0.8, 0.0, -0.4),
     (-0.8, 0.3, -1.0),
+    (0.0, -0.3, 1.0),
 ]
 """Further commands, all over the region, for slow tests."""
 CASES = [*COMMANDS, *(pytest.param(command, marks=pytest.mark.slow) for command in SLOW)]
@@ -154,13 +155,31 @@ def test_standing_leg_carries_at_least_the_bound(gait):
 
 def test_feet_pass_each_other_at_a_distance(gait):
     sample = gait.sample(np.linspace(0.0, 1.0, 801, endpoint=False))
-    across = np.stack([-np.sin(sample.heading.angle), np.cos(sample.heading.angle)], axis=1)
-    between = sample.feet.position[:, 0, :2] - sample.feet.position[:, 1, :2]
-    distance = np.sum(across * between, axis=1)[sample.mode != Mode.DOUBLE].min()
+    distance = across(sample, 0.0)[sample.mode != Mode.DOUBLE].min()
     assert distance >= P.min_foot_distance - 1e-4
     margins = gait.certificate.margins
     closest = min(margins[f"foot distance, {side} swing"] for side in ("left", "right"))
     assert distance - P.min_foot_distance == pytest.approx(closest, abs=1e-4)
+
+
+def test_footholds_are_as_wide_as_the_approach_of_feet_and_heels_asks_for(gait):
+    """The rule of the module's docstring at the four lift-offs and touchdowns."""
+    swings = np.array([0.0, gait.single_stance, gait.stride / 2])
+    times = np.r_[swings, swings[1] + gait.stride / 2]
+    sample = gait.sample(times / gait.stride)
+    approach = [gait.step_width - across(sample, behind) for behind in (0.0, P.heel_offset)]
+    room = (P.foot_separation - P.min_foot_distance) ** 4 + np.sum(np.power(approach, 4)) / 4
+    wanted = P.min_foot_distance + room**0.25
+    margin = gait.certificate.margins["foot separation"]
+    assert gait.step_width - wanted == pytest.approx(margin, abs=1e-5)
+
+
+def across(sample, behind):
+    """Distance (m,) of the feet, or of points behind them, across the heading."""
+    toes = np.stack([np.cos(sample.foot_heading), np.sin(sample.foot_heading)], axis=-1)
+    points = sample.feet.position[..., :2] - behind * toes
+    left = np.stack([-np.sin(sample.heading.angle), np.cos(sample.heading.angle)], axis=1)
+    return np.sum(left * (points[:, 0] - points[:, 1]), axis=1)
 
 
 def test_feet_stand_still_and_toes_point_along_the_heading_of_mid_stance(gait):
@@ -226,9 +245,17 @@ def test_straight_gaits_are_those_of_half_a_stride(request, command):
     np.testing.assert_allclose(gait.leg_force, straight.leg_force, atol=0.05)
 
 
-def test_solved_mirror_image_is_the_mirrored_gait(gaits):
-    gait = gaits[1.0, -0.4, 0.5]
-    image, solved = mirror(gait), optimize_gait([1.0, 0.4, -0.5], parameters=P)
+CURVES = [
+    (1.0, -0.4, 0.5),
+    *(pytest.param(command, marks=pytest.mark.slow) for command in SLOW if command[2]),
+]
+"""Commands in curves."""
+
+
+@pytest.mark.parametrize("command", CURVES, ids=str)
+def test_solved_mirror_image_is_the_mirrored_gait(request, command):
+    gait = gait_at(command, request)
+    image, solved = mirror(gait), optimize_gait(gait.command * [1, -1, -1], parameters=P)
     np.testing.assert_array_equal(image.command, solved.command)
     np.testing.assert_array_equal(image.mode, solved.mode)
     np.testing.assert_allclose(image.time, solved.time, atol=1e-8)
