@@ -11,6 +11,7 @@ import pytest
 
 from aslip.errors import ShapeError
 from aslip.ik import Kinematics, LegClearance
+from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 
 PARTS = ("thigh", "shin", "tarsus", "foot")
@@ -48,3 +49,9 @@ def test_distance_is_that_of_mujocos_geoms(
 def test_configurations_of_another_robot_are_refused(clearance: LegClearance) -> None:
     with pytest.raises(ShapeError, match=r"qpos must have shape \(n, 35\), got \(2, 34\)"):
         clearance(np.zeros((2, 34)))
+
+
+def test_legs_of_the_shipped_gaits_keep_clear(clearance: LegClearance) -> None:
+    """Every third sample of all gaits in all directions."""
+    qpos = GaitLibrary.load("directions").table.qpos[:, ::3]
+    assert clearance(qpos.reshape(-1, qpos.shape[-1])).min() >= 0.02
