@@ -32,6 +32,7 @@ from aslip.robot import CASSIE
 from aslip.show.ghost import Footholds
 from aslip.sim import PD
 from aslip.training.provenance import commit, versions
+from aslip.transforms import PhaseClock, StandClock
 
 CONFIG_FILE = "config.json"
 
@@ -57,7 +58,8 @@ class Recorder(Transform):
         joint_rate: rate of `/joint_states`: that of the policy, or of the physics (2 kHz).
         policy: name or file of the acting policy, to attach.
         config: settings to attach: a dataclass, or JSON types.
-        library: gaits for planned footholds; the shipped ones by default.
+        library: gaits for planned footholds; by default those of the stack's clock. Without a
+            clock, or with motions whose feet do not swing once per stride, plans are NaN.
         overwrite: replace an existing log when this one is finished.
 
     Raises:
@@ -95,7 +97,7 @@ class Recorder(Transform):
         self._policy = None if policy is None else find_policy(policy).read_bytes()
         settings: Any = config
         self._config = dataclasses.asdict(settings) if dataclasses.is_dataclass(config) else config
-        self._footholds = Footholds(GaitLibrary.load() if library is None else library)
+        self._library = library
         self._session: Session | None = None
         self._closed = False
         self._finish: weakref.finalize | None = None
@@ -163,6 +165,16 @@ class Recorder(Transform):
                 f" later ones; the last one is a {type(after).__name__}"
             )
 
+    def _footholds(self, env: StackEnv) -> Footholds | None:
+        """Planned footholds; None without a clock, or if its motions have none."""
+        if self._library is not None:
+            return Footholds(self._library)
+        clocks = [t for t in env.transforms if isinstance(t, PhaseClock | StandClock)]
+        try:
+            return Footholds(clocks[0].library) if clocks else None
+        except ConfigurationError:
+            return None
+
     def _begin(self, tensordict: TensorDictBase) -> Session:
         base = self.base_env
         if not 0 <= self._robot < base.num_envs:
@@ -193,7 +205,7 @@ class Recorder(Transform):
         try:
             writer.attach(files, _metadata(base.model, config))
             names = _observed_names(env, tensordict)
-            chosen = (self._robot, self._fast, self._footholds)
+            chosen = (self._robot, self._fast, self._footholds(env))
             return Session(writer, base, *chosen, tensordict, names)
         except BaseException as error:
             writer.discard()

@@ -117,7 +117,7 @@ class Session:
         base: SimulatedEnv,
         robot: int,
         fast: bool,
-        footholds: Footholds,
+        footholds: Footholds | None,
         sample: TensorDictBase,
         observed: Sequence[str] | None = None,
     ) -> None:
@@ -343,9 +343,11 @@ class Session:
             foot, stance = (truth[f"{name}_foot_position"].astype(float) for name in (side, other))
             command = before.get("filtered_command", before["command"])
             speed = float(command[0])
-            planned = self._footholds.planned(
-                side, command.tolist(), stance, truth["pelvis_orientation"]
-            )
+            planned = np.full(2, np.nan)
+            if self._footholds is not None:
+                planned = self._footholds.planned(
+                    side, command.tolist(), stance, truth["pelvis_orientation"]
+                )
             values = {"side": i, "x": foot[0], "y": foot[1], "x_planned": planned[0]}
             values |= {"y_planned": planned[1], "speed": speed}
             self._event("/touchdown", values)
