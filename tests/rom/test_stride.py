@@ -31,9 +31,6 @@ COMMANDS = [
     (1.0, 0.0, 0.0),
     (1.0, -0.4, 0.5),
     (0.5, 0.5, 1.0),
-]
-"""Commands straight ahead and in curves."""
-SLOW = [
     (0.0, 0.0, 0.0),
     (2.0, 0.0, 0.0),
     (2.0, 0.0, 0.3),
@@ -44,8 +41,7 @@ SLOW = [
     (-0.8, 0.3, -1.0),
     (0.0, -0.3, 1.0),
 ]
-"""Further commands, all over the region, for slow tests."""
-CASES = [*COMMANDS, *(pytest.param(command, marks=pytest.mark.slow) for command in SLOW)]
+"""Commands straight ahead and in curves, all over the region."""
 ARRAYS = ("control", "leg_force", "set_point", "set_point_velocity")
 
 
@@ -54,19 +50,9 @@ def gaits():
     return dict(zip(COMMANDS, optimize_gaits(COMMANDS, parameters=P), strict=True))
 
 
-@pytest.fixture(scope="module")
-def slow_gaits():
-    return dict(zip(SLOW, optimize_gaits(SLOW, parameters=P), strict=True))
-
-
-def gait_at(command, request):
-    """Gait of the fixture that has the command."""
-    return request.getfixturevalue("gaits" if command in COMMANDS else "slow_gaits")[command]
-
-
-@pytest.fixture(params=CASES, ids=str)
-def gait(request):
-    return gait_at(request.param, request)
+@pytest.fixture(params=COMMANDS, ids=str)
+def gait(gaits, request):
+    return gaits[request.param]
 
 
 def test_gait_is_certified(gait):
@@ -223,18 +209,10 @@ def test_next_stride_continues_along_the_arc(gait):
         np.testing.assert_allclose(array[0], array[1], atol=1e-6)
 
 
-STRAIGHT = [
-    (1.0, 0.0, 0.0),
-    pytest.param((0.0, 0.0, 0.0), marks=pytest.mark.slow),
-    pytest.param((2.0, 0.0, 0.0), marks=pytest.mark.slow),
-]
-"""Straight commands forward."""
-
-
-@pytest.mark.parametrize("command", STRAIGHT, ids=str)
-def test_straight_gaits_are_those_of_half_a_stride(request, command):
+@pytest.mark.parametrize("command", [c for c in COMMANDS if not any(c[1:])], ids=str)
+def test_straight_gaits_are_those_of_half_a_stride(gaits, command):
     """Up to the origin along the path."""
-    gait, straight = gait_at(command, request), optimize_gait(command[0], parameters=P)
+    gait, straight = gaits[command], optimize_gait(command[0], parameters=P)
     assert gait.certificate.cost == pytest.approx(straight.certificate.cost, rel=1e-9)
     assert gait.stride == pytest.approx(straight.stride, abs=1e-7)
     shift = gait.body.position[0, 0] * np.array([1.0, 0.0, 0.0])
@@ -245,16 +223,9 @@ def test_straight_gaits_are_those_of_half_a_stride(request, command):
     np.testing.assert_allclose(gait.leg_force, straight.leg_force, atol=0.05)
 
 
-CURVES = [
-    (1.0, -0.4, 0.5),
-    *(pytest.param(command, marks=pytest.mark.slow) for command in SLOW if command[2]),
-]
-"""Commands in curves."""
-
-
-@pytest.mark.parametrize("command", CURVES, ids=str)
-def test_solved_mirror_image_is_the_mirrored_gait(request, command):
-    gait = gait_at(command, request)
+@pytest.mark.parametrize("command", [c for c in COMMANDS if any(c[1:])], ids=str)
+def test_solved_mirror_image_is_the_mirrored_gait(gaits, command):
+    gait = gaits[command]
     image, solved = mirror(gait), optimize_gait(gait.command * [1, -1, -1], parameters=P)
     np.testing.assert_array_equal(image.command, solved.command)
     np.testing.assert_array_equal(image.mode, solved.mode)
