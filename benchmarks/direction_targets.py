@@ -132,7 +132,7 @@ TARGETS: Final = (
     Claim("power, standing", "positive joint power in standing [W]", at_most=40.0, digits=0),
     Claim(
         "feet, straight",
-        "foot placement error, largest mean of 0, 1 and 2 m/s [cm]",
+        "foot placement error, largest mean of 0 to 2 m/s [cm]",
         at_most=3.0,
         digits=1,
     ),
@@ -144,12 +144,12 @@ TARGETS: Final = (
     ),
     Claim(
         "no contact",
-        "time without ground contact, largest of 0, 1 and 2 m/s [%]",
+        "time without ground contact, largest of 0 to 2 m/s [%]",
         at_most=1.0,
         digits=1,
     ),
     Claim("force", "largest foot force over weight, at 1 and 2 m/s", at_most=1.5),
-    Claim("slip", "time at the limit of friction, largest of 0, 1 and 2 m/s [%]", at_most=0.5),
+    Claim("slip", "time at the limit of friction, largest of 0 to 2 m/s [%]", at_most=0.5),
     Claim("power, 1 m/s", "positive joint power over weight and speed", at_most=0.50),
     Claim("power, 2 m/s", "positive joint power over weight and speed", at_most=0.55),
     Claim(
@@ -182,7 +182,8 @@ _SWEPT: Final[Mapping[str, tuple[str, float, float]]] = {
 }
 """Parameter of a target, and the range of its displayed values that count."""
 
-_SPEEDS: Final = (0.0, 1.0, 2.0)
+_SPEEDS: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
+_ONE, _TWO = 2, 4  # places of 1 and 2 m/s
 _STOPS: Final = 8  # stops at 1 m/s, each at another phase
 
 
@@ -401,14 +402,14 @@ def _mean(error: np.ndarray) -> float:
 
 
 def quality_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Values of `benchmarks.walking_quality` at the three speeds."""
+    """Values of `benchmarks.walking_quality` at five speeds."""
     of = {name: [row[name]["mean"] for row in rows] for name in walking_quality.QUANTITIES}
     return {
         "no contact": 100 * float(np.max(of["airborne"])),
-        "force": float(np.max(of["largest"][1:])),
+        "force": float(np.max([of["largest"][_ONE], of["largest"][_TWO]])),
         "slip": 100 * float(np.max(of["friction"])),
-        "power, 1 m/s": of["cost"][1],
-        "power, 2 m/s": of["cost"][2],
+        "power, 1 m/s": of["cost"][_ONE],
+        "power, 2 m/s": of["cost"][_TWO],
     }
 
 
@@ -454,9 +455,13 @@ def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:
 
 
 def trainings_text(record: TargetRecord) -> str:
-    """Sentence on the trainings of a record's policies, which should differ in their seed only."""
+    """Sentence on a record's policies, whose trainings should differ in their seed only."""
     made = [f"{one['name']} (seed {one['seed']}, {one['commit']})" for one in record.policies]
-    return f"Policies, with seed and commit of their trainings: {', '.join(made)}."
+    measured = ", ".join(sorted({str(one.get("measured_at")) for one in record.policies}))
+    return (
+        f"Policies, with seed and commit of their trainings: {', '.join(made)}. Measured at commit"
+        f" {measured}."
+    )
 
 
 if __name__ == "__main__":

@@ -83,7 +83,8 @@ def test_sweeps_count_within_the_ranges_of_the_targets() -> None:
 
 def test_force_and_power_are_those_of_walks_ahead() -> None:
     rows = [
-        {name: {"mean": value} for name in walking_quality.QUANTITIES} for value in (3.0, 1.0, 2.0)
+        {name: {"mean": value} for name in walking_quality.QUANTITIES}
+        for value in (3.0, 2.5, 1.0, 2.4, 2.0)
     ]
     found = quality_values(rows)
     assert (found["no contact"], found["force"]) == (300.0, 2.0)
@@ -124,7 +125,7 @@ def test_every_target_has_a_value_from_its_benchmark(
     stood = {"falls": {"stop": 0}, "walks": [walk], "planted": 0.8, "unplanted": 0}
     stood |= {"count": 1, "drift_most": 0.0, "turn_most": 0.0, "power": 30.0}
     means = {**dict.fromkeys(walking_quality.QUANTITIES, 0.001), "largest": 1.2, "cost": 0.4}
-    quality = [{name: {"mean": value} for name, value in means.items()}] * 3
+    quality = [{name: {"mean": value} for name, value in means.items()}] * 5
     sweeps = [{"parameter": name, "value": 1.0, "mean": 1.0} for name in SWEEPS]
     rows = {
         direction_tracking: [errors],
@@ -212,7 +213,7 @@ def test_all_targets_are_measured(
     for name in ("_WALK", "_REST", "_GO_ON"):
         monkeypatch.setattr(standing, name, 0.06)
     monkeypatch.setattr(transitions, "_HOLD", (0.06, 0.06))
-    monkeypatch.setattr(direction_targets, "_SPEEDS", (0.0, 0.2, 0.4))
+    monkeypatch.setattr(direction_targets, "_SPEEDS", (0.0, 0.1, 0.2, 0.3, 0.4))
     full = perturbation.Config
     short = {"directions": 1, "phases": 1, "repeats": 1, "bisections": 1, "settle": 0.03}
     short |= {"after": 0.03, "episode": 0.03, "duration": 0.03, "speed": 0.4}
