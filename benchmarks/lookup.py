@@ -1,11 +1,11 @@
-"""Look-ups of a library over three commands: cost, memory, and accuracy of fewer samples.
+"""Look-ups of the shipped libraries: cost, memory, and accuracy of fewer samples.
 
     python -m benchmarks.lookup
 
 Cost is CPU time of the look-ups of reference and goal for all robots, in percent of a policy step
-of the same robots (policy, environment and physics), all on one thread in one process; both are
-medians. The large library holds copies of the shipped gaits, because cost and memory do not depend
-on the numbers. Errors are the largest ones, at random phases, against tables of 512 samples.
+of the same robots (policy, environment, and physics of 1 kHz as in training), all on one thread in
+one process; both are medians. Errors are the largest ones over three straight gaits, at random
+phases, against tables of 512 samples.
 """
 
 from __future__ import annotations
@@ -22,10 +22,6 @@ class Config:
 
     num_envs: int = 256
     """Number of robots."""
-    grid: tuple[int, int, int] = (14, 11, 13)
-    """Number of forward speeds, at most 21, of sideways speeds and of yaw rates."""
-    samples: int = 48
-    """Samples of a stride in the large library."""
     rounds: int = 12
     """Number of policy steps; the median counts."""
 
@@ -39,14 +35,15 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
 import torch
 
 import aslip
-from aslip.library import GaitLibrary, GaitTable, tabulate
-from aslip.library.table import ARRAYS
+from aslip.library import GaitLibrary, tabulate
 from aslip.walking import markdown
+from benchmarks.directions import random_commands
 
+_LIBRARIES = ("gaits", "directions")
+_TIMESTEP = 1e-3
 _SAMPLES = (128, 64, 48, 32)
 _ERRORS = {
     "feet": ("left_foot_position", 1e3, "mm"),
@@ -59,13 +56,12 @@ _ERRORS = {
 def main(config: Config) -> None:
     """Measure and print."""
     torch.set_num_threads(1)
-    library = GaitLibrary.load()
-    print(_cost(config, library), _accuracy(library), sep="\n\n")
+    print(_cost(config), _accuracy(GaitLibrary.load()), sep="\n\n")
 
 
-def _cost(config: Config, straight: GaitLibrary) -> str:
-    """Table of the two libraries' costs and sizes."""
-    env = aslip.make_env(num_envs=config.num_envs, num_threads=1, seed=0)
+def _cost(config: Config) -> str:
+    """Table of the libraries' costs and sizes."""
+    env = aslip.make_env(num_envs=config.num_envs, num_threads=1, seed=0, timestep=_TIMESTEP)
     policy, states = aslip.load_policy("straight"), [env.reset()]
 
     def step() -> None:
@@ -74,8 +70,9 @@ def _cost(config: Config, straight: GaitLibrary) -> str:
     rows = []
     with torch.no_grad():
         whole = _seconds(step, config.rounds)
-        for name, library in (("shipped", straight), ("large", large_library(straight, config))):
-            command = torch.rand(config.num_envs, len(library.table.axes))
+        for name in _LIBRARIES:
+            library = GaitLibrary.load(name)
+            command = torch.tensor(random_commands(library, config.num_envs, 0)).float()
             command = command.expand(2, *command.shape)
             phase = torch.rand(2, config.num_envs, 1)
             seconds = _seconds(partial(library.lookup, phase, command), 50)
@@ -84,20 +81,6 @@ def _cost(config: Config, straight: GaitLibrary) -> str:
             rows.append([name, str(len(library.table.commands)), f"{size:.1f} MB", share])
     env.close()
     return markdown(["library", "gaits", "memory", f"of {1e3 * whole:.0f} ms a step"], rows)
-
-
-def large_library(library: GaitLibrary, config: Config) -> GaitLibrary:
-    """Library in single precision over three commands, filled with straight gaits."""
-    table, grid = library.table, config.grid
-    ranges = zip((-0.8, -0.5, -1.0), (2.2, 0.5, 1.0), grid, strict=True)
-    columns = {}
-    for name in ARRAYS:
-        rows = getattr(table, name)[: grid[0]]
-        if name != "strides":
-            rows = rows[:, : config.samples].astype(np.float32)
-        columns[name] = np.repeat(rows, grid[1] * grid[2], axis=0)
-    axes = tuple(np.linspace(low, high, count) for low, high, count in ranges)
-    return GaitLibrary(None, GaitTable(axes=axes, **columns))
 
 
 def _accuracy(library: GaitLibrary) -> str:
