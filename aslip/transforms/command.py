@@ -231,9 +231,9 @@ class VelocityCommand(RandomCommand):
 class CommandFilter(SeededTransform):
     """Limit the rate of the command that clock, reference and path follow.
 
-    When the command jumps, the reference neither jumps nor needs accelerations beyond the legs'
-    ability. The filtered command starts at the command, and moves straight towards it, so it stays
-    in a convex region. `command` stays as the caller wrote it.
+    When the command jumps, the reference does not. The filtered command starts at the command, and
+    moves straight towards it, so it stays in a convex region. `command` stays as the caller wrote
+    it.
 
     Args:
         rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
