@@ -4,9 +4,10 @@
     python -m benchmarks.command_changes --rates 2 1.5 2
 
 The reference of a walk changes with its command. While the command moves from one random command
-to another, as fast as the filter of commands lets it, planted feet of the reference slide, and legs
-accelerate more than at a constant command. Torques are those of inverse dynamics of the legs
-without ground forces, as in `benchmarks.motor_demand`.
+to another, step by step as the filter of commands lets it, planted feet of the reference slide, and
+legs accelerate more than at a constant command. Torques are those of inverse dynamics of the legs
+without ground forces, as in `benchmarks.motor_demand`; velocities jump where a change begins and
+ends, and the jump takes a policy step.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dataclasses import dataclass
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
 from aslip.transforms import COMMAND_RATES
+from aslip.transforms.command import checked_rates
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,8 @@ class Config:
     """Seed of commands and phases."""
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
+        """Check number and rates."""
+        checked_rates(self.rates)
         if self.changes < 1:
             raise ConfigurationError(f"changes must be 1 or more, got {self.changes}")
 
@@ -57,138 +60,141 @@ from aslip.walking import markdown
 from benchmarks.directions import random_commands
 from benchmarks.motor_demand import motor_limit
 
-_PERIOD: Final = 0.01  # time between samples [s]
+_PERIOD: Final = CASSIE.policy_period
 _PLANTED: Final = 1e-2  # speed below which a foot of the gait stands [m/s]
-_ROWS: Final = {"hip roll": 0, "hip yaw": 1, "hip pitch": 2, "knee": 3, "foot": 4}
+_MOTORS: Final = ("hip_roll", "hip_yaw", "hip_pitch", "knee", "foot")
+_COLUMNS: Final = ("99 % of torques below [N m]", "largest", "beyond the motor [% of time]")
 
 
-class Asked(NamedTuple):
-    """What n instants ask of the legs."""
+class Demand(NamedTuple):
+    """Demand on the motors at n instants."""
 
-    slide: np.ndarray
-    """(k,) speeds of the planted feet over ground [m/s]."""
+    velocity: np.ndarray
+    """(n, motors) velocities at the joints [rad/s]."""
     torque: np.ndarray
-    """(n, motors) torques of the motors [N m]."""
-    beyond: np.ndarray
-    """(n, motors) True where a motor cannot give its torque."""
+    """(n, motors) torques at the joints [N m]."""
 
 
-def main(config: Config) -> tuple[Asked, Asked]:
-    """Compute and print; returns what constant and changing commands ask."""
+class Found(NamedTuple):
+    """Demand at the commands of changes, held and changing, and how fast planted feet slide."""
+
+    held: Demand
+    changing: Demand
+    slide: np.ndarray
+    """(k,) speeds of the planted feet of the reference over ground [m/s]."""
+
+
+def main(config: Config) -> Found:
+    """Compute and print."""
     library, kinematics = GaitLibrary.load(config.library), Kinematics()
-    ends = torch.tensor(random_commands(library, 2 * config.changes, config.seed)).reshape(2, -1, 3)
-    phase = torch.rand(
-        config.changes, 1, generator=torch.Generator().manual_seed(config.seed), dtype=ends.dtype
-    )
+    drawn = random_commands(library, 2 * config.changes, config.seed)
+    starts, ends = torch.tensor(drawn).reshape(2, -1, 3)
+    random = torch.Generator().manual_seed(config.seed)
+    phases = torch.rand(config.changes, 1, generator=random, dtype=ends.dtype)
     parts = [
-        asked(library, kinematics, *walk_over(library, config, start, end, at))
-        for start, end, at in zip(*ends, phase, strict=True)
+        change(library, kinematics, *steps(library, config, *each))
+        for each in zip(starts, ends, phases, strict=True)
     ]
-    constant, changing = (
-        Asked(*(np.concatenate(arrays) for arrays in zip(*part, strict=True)))
-        for part in zip(*parts, strict=True)
-    )
-    print(table(constant, changing), _summary(changing.slide), sep="\n\n")
-    return constant, changing
+    held, changing, slide = zip(*parts, strict=True)
+    found = Found(_joined(held), _joined(changing), np.concatenate(slide))
+    print(table(found), _summary(found.slide), sep="\n\n")
+    return found
 
 
-def walk_over(
+def _joined(parts: tuple[Demand, ...]) -> Demand:
+    """Demand at the instants of all changes."""
+    return Demand(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def steps(
     library: GaitLibrary, config: Config, start: Tensor, end: Tensor, phase: Tensor
 ) -> tuple[Tensor, Tensor]:
-    """Phases (n, 1) and commands (n, 3) from the first instant of a change to the last one."""
-    commands, phases = [start], [phase]
+    """Phases (n, 1) and commands (n, 3), from a policy step before a change to two after it."""
+    commands, phases = [start, start], [phase]
     while not torch.equal(commands[-1], end):
-        commands.append(approach_command(commands[-1], end, config.rates, _PERIOD))
-        phases.append(advance_phase(library, phases[-1], commands[-1], _PERIOD))
+        commands.append(approach_command(commands[-1], end, config.rates))
+    commands += [end, end]
+    for command in commands[1:]:
+        phases.append(advance_phase(library, phases[-1], command))
     return torch.stack(phases), torch.stack(commands)
 
 
-def asked(
-    library: GaitLibrary, kinematics: Kinematics, phase: Tensor, command: Tensor
-) -> tuple[Asked, Asked]:
-    """What the inner instants of a change ask at their commands, constant and changing."""
-    before, after = slice(None, -2), slice(2, None)
-    at, here = phase[1:-1], command[1:-1]
-    qpos, qvel = (state.numpy() for state in library.initial_state(at, here))
-    steady = _velocity(library, kinematics, at, here)
-    ahead = _PERIOD / library.stride(here)
-    gone = [_velocity(library, kinematics, at + s * ahead, here) for s in (1, -1)]
-    constant = leg_torque(kinematics, qpos, steady, (gone[0] - gone[1]) / (2 * _PERIOD))
+def change(library: GaitLibrary, kinematics: Kinematics, phase: Tensor, command: Tensor) -> Found:
+    """Demand and sliding feet of all policy steps but the first and the last one.
 
-    # the change moves joints and feet beyond the motion at a constant command
-    moved = _moved(library, kinematics, phase, command)
-    velocity = steady + moved
-    acceleration = np.gradient(velocity, _PERIOD, axis=0) if len(at) > 1 else np.zeros_like(moved)
-    changing = leg_torque(kinematics, qpos, velocity, acceleration)
-    motors = CASSIE.indices.motor_qvel
-    return (
-        Asked(_slide(library, at, here, here), constant, _beyond(constant, qvel[:, motors])),
-        Asked(
-            _slide(library, at, command[before], command[after]),
-            changing,
-            _beyond(changing, velocity[:, motors]),
-        ),
+    Args:
+        library: gaits.
+        kinematics: the robot.
+        phase: (n, 1) stride fractions.
+        command: (n, 3) commands.
+    """
+    at, here, before = phase[1:-1], command[1:-1], command[:-2]
+    qpos = library.initial_state(at, here)[0].numpy()
+    velocity = _velocity(library, kinematics, at, here)
+    step = 0.01 * _PERIOD / library.stride(here)  # short, as velocities change fast in a swing
+    later, sooner = (
+        _velocity(library, kinematics, (at + sign * step) % 1.0, here) for sign in (1, -1)
     )
+    acceleration = (later - sooner) / (0.02 * _PERIOD)
+    motors = CASSIE.indices.motor_qvel
+    held = Demand(velocity[:, motors], leg_torque(kinematics, qpos, velocity, acceleration))
+
+    # what the change of the command adds to velocity and acceleration
+    moved = _moved(library, kinematics, phase[1:], command)
+    changed = (velocity - _velocity(library, kinematics, at, before)) / _PERIOD
+    acceleration = acceleration + changed + np.diff(moved, axis=0) / _PERIOD
+    velocity = velocity + moved[:-1]
+    torque = leg_torque(kinematics, qpos, velocity, acceleration)
+    return Found(held, Demand(velocity[:, motors], torque), _slide(library, at, before, here))
 
 
 def _velocity(
     library: GaitLibrary, kinematics: Kinematics, phase: Tensor, command: Tensor
 ) -> np.ndarray:
-    """Velocities (n, nv) of the gaits at constant commands, all of the pelvis in its own axes."""
-    qpos, qvel = (state.numpy() for state in library.initial_state(phase % 1.0, command))
+    """Velocities (n, nv) of the gaits at their commands, all of the pelvis in its own axes."""
+    qpos, qvel = (state.numpy() for state in library.initial_state(phase, command))
     return pelvis_axes(kinematics, qpos, qvel)
 
 
 def _moved(
     library: GaitLibrary, kinematics: Kinematics, phase: Tensor, command: Tensor
 ) -> np.ndarray:
-    """Velocities (n - 2, nv) of the joints that only the change of the command causes."""
-    first, last = (
-        kinematics.to_pinocchio(library.initial_state(phase[1:-1], ends)[0].numpy())
-        for ends in (command[:-2], command[2:])
+    """Velocities (n, nv) at phases (n, 1) that only the steps between commands (n + 1, 3) cause."""
+    pairs = (
+        kinematics.to_pinocchio(library.initial_state(phase, ends)[0].numpy())
+        for ends in (command[:-1], command[1:])
     )
-    rates = np.array(
-        [pin.difference(kinematics.model, *pair) for pair in zip(first, last, strict=True)]
-    )
-    rates[:, :6] = 0.0  # the pelvis
-    return rates / (2 * _PERIOD)
+    moved = [pin.difference(kinematics.model, *pair) for pair in zip(*pairs, strict=True)]
+    return np.array(moved) / _PERIOD
 
 
-def _slide(library: GaitLibrary, phase: Tensor, before: Tensor, after: Tensor) -> np.ndarray:
-    """Speeds (k,) of planted feet while the command goes from `before` to `after`."""
-    first, middle, last = (library.lookup(phase, c) for c in (before, (before + after) / 2, after))
+def _slide(library: GaitLibrary, phase: Tensor, before: Tensor, here: Tensor) -> np.ndarray:
+    """Speeds (k,) over ground of planted feet in policy steps that change the command."""
+    changes = (before != here).any(dim=-1)
+    phase, before, here = phase[changes], before[changes], here[changes]
+    first, last = (library.lookup(phase, command) for command in (before, here))
     speeds = []
     for side in SIDES:
-        places = [m.body_position + getattr(m, f"{side}_foot_position") for m in (first, last)]
-        rate = (places[1] - places[0]) / (2 * _PERIOD)
-        planted = getattr(middle, f"{side}_foot_velocity").norm(dim=-1) < _PLANTED
-        speeds.append(rate[planted][:, :2].norm(dim=-1).numpy())
+        start, end = (m.body_position + getattr(m, f"{side}_foot_position") for m in (first, last))
+        planted = getattr(last, f"{side}_foot_velocity").norm(dim=-1) < _PLANTED
+        speeds.append((end - start)[planted, :2].norm(dim=-1).numpy() / _PERIOD)
     return np.concatenate(speeds)
 
 
-def _beyond(torque: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """(n, motors) True where a motor cannot give a torque at its velocity."""
-    return np.abs(torque) > motor_limit(velocity)
-
-
-def table(constant: Asked, changing: Asked) -> str:
-    """Largest torques of both legs' motors, and the share of time beyond the motor's limit."""
+def table(found: Found) -> str:
+    """Torques of both legs' motors, and the share of time beyond the motors' limits."""
     rows = []
-    count = len(_ROWS)
-    for name, i in _ROWS.items():
-        cells = [name]
-        for part in (constant, changing):
-            both = [i, i + count]
-            cells += [
-                f"{np.quantile(np.abs(part.torque[:, both]), 0.99):.0f}",
-                f"{100 * part.beyond[:, both].mean():.1f}",
-            ]
+    for name in _MOTORS:
+        both = [CASSIE.motor_names.index(f"{side}_{name}") for side in SIDES]
+        cells = [name.replace("_", " ")]
+        for part in (found.held, found.changing):
+            torque = np.abs(part.torque[:, both])
+            beyond = (np.abs(part.torque) > motor_limit(part.velocity))[:, both]
+            cells += [f"{np.quantile(torque, 0.99):.0f}", f"{torque.max():.0f}"]
+            cells.append(f"{100 * beyond.mean():.1f}")
         rows.append(cells)
-    names = [f"{when}: {what}" for when in ("constant", "changing") for what in _WHAT]
+    names = [f"{when}: {what}" for when in ("held", "changing") for what in _COLUMNS]
     return markdown(("motor", *names), rows)
-
-
-_WHAT: Final = ("99 % of torques below [N m]", "beyond the motor [% of time]")
 
 
 def _summary(slide: np.ndarray) -> str:

@@ -457,10 +457,9 @@ def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:
 def trainings_text(record: TargetRecord) -> str:
     """Sentence on a record's policies, whose trainings should differ in their seed only."""
     made = [f"{one['name']} (seed {one['seed']}, {one['commit']})" for one in record.policies]
-    measured = ", ".join(sorted({str(one.get("measured_at")) for one in record.policies}))
+    at = ", ".join(sorted({one["measured_at"] for one in record.policies}))
     return (
-        f"Policies, with seed and commit of their trainings: {', '.join(made)}. Measured at commit"
-        f" {measured}."
+        f"Policies, with seed and commit of their trainings: {', '.join(made)}. Measured at {at}."
     )
 
 

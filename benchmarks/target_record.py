@@ -17,7 +17,7 @@ from aslip.training.run import write_text
 from benchmarks.claims import describe
 from benchmarks.common import without_nan
 
-_KEYS = {"name", "sha256", "seed", "commit", "values"}
+_KEYS = {"name", "sha256", "seed", "commit", "measured_at", "values"}
 
 
 @dataclass

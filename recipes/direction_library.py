@@ -6,9 +6,9 @@ python recipes/direction_library.py --out runs/small --forward 0 0.5 1 --sideway
 
 The gaits to the left are solved on all cores, each from a neighbour, and those to the right are
 their mirror images. Every solved gait is stored at once, so that the same command goes on after an
-interruption. Gaits that do not exist, or that the robot cannot reach, are left out and listed; the
-region stays convex, because it is an intersection of half-spaces (`--limits`), and is cut further
-where a gait is missing amid others.
+interruption. Gaits that do not exist, that the robot cannot reach, or whose legs come too close to
+each other are left out and listed; the region stays convex, because it is an intersection of
+half-spaces (`--limits`), and is cut further where a gait is missing amid others.
 
 Stop and start of the gait in place are solved in the end, so that robots can stand.
 

@@ -210,7 +210,7 @@ class GaitFolder:
                 clearance = _leg_clearance(self.robot)(poses).min()
                 if clearance >= self.least_clearance:
                     return gait
-                reason = (
+                return (
                     f"legs come within {1e3 * clearance:.0f} mm of each other, at least"
                     f" {1e3 * self.least_clearance:.0f} mm are wanted"
                 )

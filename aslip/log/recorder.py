@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
 import os
 import platform
@@ -21,7 +20,6 @@ from torchrl.envs.transforms import Transform
 import aslip
 from aslip.envs import SimulatedEnv, StackEnv, describe_transforms, observation_keys
 from aslip.errors import AslipError, ConfigurationError
-from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, messages
 from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
@@ -98,6 +96,7 @@ class Recorder(Transform):
         settings: Any = config
         self._config = dataclasses.asdict(settings) if dataclasses.is_dataclass(config) else config
         self._library = library
+        self._footholds = None if library is None else Footholds(library)
         self._session: Session | None = None
         self._closed = False
         self._finish: weakref.finalize | None = None
@@ -165,16 +164,6 @@ class Recorder(Transform):
                 f" later ones; the last one is a {type(after).__name__}"
             )
 
-    def _footholds(self, env: StackEnv) -> Footholds | None:
-        """Planned footholds; None without a clock, or if its motions have none."""
-        if self._library is not None:
-            return Footholds(self._library)
-        clocks = [t for t in env.transforms if isinstance(t, PhaseClock | StandClock)]
-        try:
-            return Footholds(clocks[0].library) if clocks else None
-        except ConfigurationError:
-            return None
-
     def _begin(self, tensordict: TensorDictBase) -> Session:
         base = self.base_env
         if not 0 <= self._robot < base.num_envs:
@@ -203,9 +192,11 @@ class Recorder(Transform):
         files[CONFIG_FILE] = json.dumps(config, indent=1, default=str).encode()
         writer = LogWriter(self.path, overwrite=self._overwrite)
         try:
-            writer.attach(files, _metadata(base.model, config))
+            library = self._library or _library_of(env)
+            writer.attach(files, _metadata(base.model, config, library))
             names = _observed_names(env, tensordict)
-            chosen = (self._robot, self._fast, self._footholds(env))
+            footholds = self._footholds or _footholds_of(library)
+            chosen = (self._robot, self._fast, footholds)
             return Session(writer, base, *chosen, tensordict, names)
         except BaseException as error:
             writer.discard()
@@ -214,6 +205,20 @@ class Recorder(Transform):
                     f"cannot write the log {str(self.path)!r}: {error}"
                 ) from error
             raise
+
+
+def _library_of(env: StackEnv) -> GaitLibrary | None:
+    """Gaits of a stack's clock; None without a clock."""
+    clocks = (t for t in env.transforms if isinstance(t, PhaseClock | StandClock))
+    return next((clock.library for clock in clocks), None)
+
+
+def _footholds_of(library: GaitLibrary | None) -> Footholds | None:
+    """Footholds of gaits; None if they have none."""
+    try:
+        return None if library is None else Footholds(library)
+    except ConfigurationError:
+        return None
 
 
 def _finish(session: Session, process: int) -> None:
@@ -237,7 +242,9 @@ def _observed_names(env: StackEnv, td: TensorDictBase) -> list[str] | None:
     return names if len(set(names)) == len(names) else None
 
 
-def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str]:
+def _metadata(
+    model: mujoco.MjModel, config: Mapping[str, Any], library: GaitLibrary | None
+) -> dict[str, str]:
     """Metadata about the origin of a log."""
     packages = ("mujoco", "torch", "torchrl", "tensordict", "dm-control", "numpy", "mcap")
     return {
@@ -247,7 +254,7 @@ def _metadata(model: mujoco.MjModel, config: Mapping[str, Any]) -> dict[str, str
         **{f"version/{name}": found or "" for name, found in versions(packages).items()},
         "model_digest": model_digest(model),
         "low_level_digest": low_level_digest(),
-        "gaits_sha256": hashlib.sha256(asset_path("gaits.npz").read_bytes()).hexdigest(),
+        "library_sha256": "" if library is None else library.sha256,
         "seed": str(config["seed"]),
         "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "timestep_s": repr(float(model.opt.timestep)),

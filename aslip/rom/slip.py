@@ -63,10 +63,11 @@ class SlipParameters:
     Sidesteps need wider footholds to keep it; straight gaits never come near.
     """
     heel_offset: float = 0.0
-    """Distance of points behind the centres of the feet, along the toes, whose approach widens the
-    footholds of turns as that of the feet does [m].
+    """How far behind the centres of the feet the legs come closest in turns [m].
 
-    In a turn the toes point apart, so that legs which bend backward meet behind the feet.
+    There the toes point apart, so that legs which bend backward approach each other behind the
+    feet. Footholds are wider where points at this distance behind the feet approach each other, as
+    they are where the feet do. 0 for legs that end in their feet.
     """
     swing_clearance: float = 0.200
     """Height of the swing foot at half swing [m] (Sec. III-A)."""
@@ -142,7 +143,7 @@ DIRECTION_MODEL: Final = SlipParameters(
     min_stance_force=0.15, heel_offset=0.35, swing_clearance=0.12, swing_ramp=0.35
 )
 """Model and bounds of gaits for Cassie in all directions: the standing foot keeps 15 % of body
-weight, footholds of turns are as wide as Cassie's legs need, which reach 0.35 m behind the feet,
+weight, footholds of turns are wide enough for Cassie's legs, which reach 0.35 m behind the feet,
 and the swing foot is low and steady, because Cassie's motors cannot follow the published swing at
 2 m/s."""
 

@@ -12,11 +12,11 @@ touchdowns, and points heel_offset behind them by b_i:
 
 .. math:: s - d \ge \sqrt[4]{(s_0 - d)^4 + \tfrac14 \sum_i (a_i^4 + b_i^4)}
 
-with s_0 the foot separation of a straight gait and d the least distance of the feet. The
-approaches at the touchdown of one foot and at the lift-off of the other are nearly equal, so that
-this is a smooth maximum. A bound on the bare distance would give the gaits a kink over the command,
-and look-ups errors there. The feet have that bound, too, but it binds only where both approaches
-differ.
+with s_0 the foot separation of a straight gait and d the least distance of the feet. In a sidestep,
+and in a turn in place, the four approaches are nearly equal in size, and the right side is a smooth
+maximum. A bound on the bare distance would give the gaits a kink over the command, and look-ups
+errors there. The feet have that bound, too; it binds where the a_i differ, in walks that sidestep
+into their turn.
 
 All positions are in the heading frame of the stride's start; the moving frame leaves it at time 0
 with the commanded twist. Each foothold is fixed in the moving frame of its own
@@ -233,7 +233,7 @@ class StrideProblem(GaitProgram[WholeStride]):
         state[:3] = pose.position.T
         state[3:6] = pose.rotate(np.tile([command[0], command[1], 0.0], (len(time), 1))).T
         # heights and set points of the middle of the published library. With its effort as well,
-        # slow gaits end in a dear local optimum whose double stances have their largest duration.
+        # slow gaits end in a costly local optimum whose double stances have their largest duration.
         step = np.minimum(time % (time[-1] / 2) / p.single_stance, 1.0)
         state[2] = 0.83 + 0.07 * np.sin(np.pi * step)
         state[6:8] = 0.92

@@ -3,47 +3,115 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import torch
+from torch import Tensor
 
 from aslip.errors import ConfigurationError
 from aslip.ik import Kinematics
 from aslip.library import GaitLibrary
+from aslip.robot import CASSIE, SIDES
+from aslip.rom.arc import Pose, twist_pose
 from benchmarks import command_changes
-from benchmarks.command_changes import Config, asked, walk_over
+from benchmarks.command_changes import Config, change, steps
+
+# pyright: reportAttributeAccessIssue=false
+# Pinocchio is a compiled module without type stubs
+
+PERIOD = CASSIE.policy_period
+START, END = (torch.tensor(c, dtype=torch.float64) for c in ([0.2, 0.0, 0.0], [0.9, 0.1, 0.3]))
+Walk = tuple[Tensor, Tensor]
 
 
-def test_a_change_ends_at_its_command_as_fast_as_the_rates_allow() -> None:
-    library, config = GaitLibrary.load("directions"), Config(rates=(1.0, 0.5, 1.0))
-    start, end = torch.tensor([[0.2, 0.0, 0.0], [1.0, 0.1, 0.0]]).double()
-    phase, command = walk_over(library, config, start, end, torch.tensor([0.3]).double())
-    assert len(phase) == len(command) == 81
-    assert torch.equal(command[-1], end)
-    stride = library.stride(command[:1]).item()
-    assert (phase[-1] - phase[0]).item() % 1 == pytest.approx(0.8 / stride, abs=0.01)
+@pytest.fixture(scope="module")
+def gaits() -> GaitLibrary:
+    return GaitLibrary.load("directions")
 
 
-def test_a_constant_command_slides_no_foot_and_asks_the_same_of_the_motors() -> None:
-    library = GaitLibrary.load("directions")
-    command = torch.tensor([0.5, 0.1, 0.3]).double().expand(21, 3)
-    stride = library.stride(command[:1]).item()
-    phase = 0.1 + torch.arange(21, dtype=torch.float64)[:, None] * 0.01 / stride
-    constant, changing = asked(library, Kinematics(), phase, command)
-    assert len(changing.slide) and changing.slide.max() < 1e-6
-    # differences of 10 ms, one-sided at both ends
-    np.testing.assert_allclose(changing.torque[1:-1], constant.torque[1:-1], atol=1.0)
+@pytest.fixture(scope="module")
+def walk(gaits: GaitLibrary) -> Walk:
+    return steps(gaits, Config(), START, END, torch.tensor([0.5], dtype=torch.float64))
 
 
-def test_faster_changes_slide_feet_faster(capsys: pytest.CaptureFixture[str]) -> None:
-    (_, slow), (_, fast) = (
-        command_changes.main(Config(changes=3, rates=rates))
-        for rates in ((1.0, 0.75, 1.0), (2.0, 1.5, 2.0))
+def test_a_change_ends_at_its_command_as_fast_as_the_rates_allow(
+    gaits: GaitLibrary, walk: Walk
+) -> None:
+    phase, command = walk
+    # 0.7 m/s forward at 1 m/s^2, in steps of 0.03 s
+    assert len(phase) == len(command) == 2 + 24 + 2
+    assert torch.equal(command[:2], START.expand(2, 3))
+    assert torch.equal(command[-3:], END.expand(3, 3))
+    stride = gaits.stride(command[:1]).item()
+    assert (phase[-1] - phase[0]).item() % 1 == pytest.approx(27 * PERIOD / stride % 1, abs=0.01)
+
+
+def test_sliding_feet_are_those_of_the_reference_in_the_world(
+    gaits: GaitLibrary, walk: Walk
+) -> None:
+    """The moving frame goes along each command for a policy step."""
+    phase, command = walk
+    frame, places = Pose(np.zeros((1, 3)), np.zeros(1)), []
+    for at, c in zip(phase, command, strict=True):
+        motion = gaits.lookup(at[None], c[None])
+        feet = [motion.body_position + getattr(motion, f"{s}_foot_position") for s in SIDES]
+        places.append([frame.transform(foot.numpy())[0, :2] for foot in feet])
+        step = twist_pose(c.numpy(), np.array([PERIOD]))
+        frame = Pose(frame.transform(step.position), frame.angle + step.angle)
+    speed = np.linalg.norm(np.diff(places, axis=0), axis=-1) / PERIOD
+    motion = gaits.lookup(phase, command)
+    velocities = [getattr(motion, f"{s}_foot_velocity").norm(dim=-1).numpy() for s in SIDES]
+    planted = np.stack(velocities, axis=1) < 1e-2
+    both = planted[1:] & planted[:-1] & np.any(np.diff(command, axis=0), axis=1)[:, None]
+    slide = change(gaits, Kinematics(), phase, command).slide
+    assert slide.mean() > 0.05
+    assert speed[both].mean() == pytest.approx(slide.mean(), rel=0.1)
+
+
+def test_velocities_move_the_legs_from_step_to_step(gaits: GaitLibrary, walk: Walk) -> None:
+    """Differences of the reference's configurations over 0.3 ms, the command on its way."""
+    kinematics, (phase, command) = Kinematics(), walk
+    found = change(gaits, kinematics, phase, command).changing.velocity
+    part = 0.01
+    stride, here = gaits.stride(command[1:-1]), command[1:-1]
+    on = (phase[1:-1] + part * PERIOD / stride) % 1
+    first, last = (
+        kinematics.to_pinocchio(gaits.initial_state(at, c)[0].numpy())
+        for at, c in ((phase[1:-1], here), (on, here + part * (here - command[:-2])))
     )
-    assert fast.slide.mean() == pytest.approx(2 * slow.slide.mean(), rel=0.2)
-    assert slow.torque.shape[1] == 10
-    assert "planted feet of the reference slide by" in capsys.readouterr().out
+    pairs = zip(first, last, strict=True)
+    rates = np.array([pin.difference(kinematics.model, *pair) for pair in pairs])
+    expected = rates[:, CASSIE.indices.motor_qvel] / (part * PERIOD)
+    np.testing.assert_allclose(found, expected, atol=0.05)
 
 
-def test_no_change_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="changes must be 1 or more, got 0"):
-        Config(changes=0)
+def test_a_held_command_asks_the_same_of_the_motors(gaits: GaitLibrary) -> None:
+    phase, command = steps(gaits, Config(), END, END, torch.tensor([0.1], dtype=torch.float64))
+    found = change(gaits, Kinematics(), phase, command)
+    assert not len(found.slide)
+    np.testing.assert_allclose(found.changing.torque, found.held.torque, atol=1e-9)
+
+
+def test_faster_changes_slide_feet_faster_and_load_motors_more(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    slow, fast = (
+        command_changes.main(Config(changes=3, rates=rates))
+        for rates in ((1.0, 0.75, 1.0), (5.0, 4.0, 5.0))
+    )
+    assert fast.slide.mean() > 3 * slow.slide.mean()
+    more = [np.abs(f.changing.torque - f.held.torque).max() for f in (slow, fast)]
+    assert more[1] > 2 * more[0] > 0
+    assert "| hip pitch |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"changes": 0}, "changes must be 1 or more, got 0"),
+        ({"rates": (0.0, 1.0, 1.0)}, "a rate must be"),
+    ],
+)
+def test_wrong_settings_are_refused(settings: dict, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        Config(**settings)

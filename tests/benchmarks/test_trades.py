@@ -21,6 +21,7 @@ def write(path: Path, **policies: float) -> Path:
             "sha256": name,
             "seed": 0,
             "commit": "abc",
+            "measured_at": "def",
             "values": {claim.name: value for claim in TARGETS},
         }
         for name, value in policies.items()

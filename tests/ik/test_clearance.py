@@ -52,6 +52,9 @@ def test_configurations_of_another_robot_are_refused(clearance: LegClearance) ->
 
 
 def test_legs_of_the_shipped_gaits_keep_clear(clearance: LegClearance) -> None:
-    """Every third sample of all gaits in all directions."""
-    qpos = GaitLibrary.load("directions").table.qpos[:, ::3]
-    assert clearance(qpos.reshape(-1, qpos.shape[-1])).min() >= 0.02
+    """All samples of all gaits in all directions, of stop and of start."""
+    library = GaitLibrary.load("directions")
+    assert library.transitions is not None
+    for table, least in ((library.table, 0.037), (library.transitions, 0.124)):
+        qpos = table.qpos.reshape(-1, table.qpos.shape[-1])
+        assert clearance(qpos).min() == pytest.approx(least, abs=1e-3)

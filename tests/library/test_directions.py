@@ -167,11 +167,22 @@ def test_pose_out_of_reach_is_a_reason(
 def test_legs_too_close_to_each_other_are_a_reason(
     library: GaitLibrary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(directions, "optimize_gait", lambda *_, **__: library.gaits[5])
-    assert GaitFolder(tmp_path, samples=8).solve(np.zeros(3), None) is library.gaits[5]
-    reason = GaitFolder(tmp_path, samples=8, least_clearance=0.5).solve(np.zeros(3), None)
+    solves: list[Gait | None] = []
+
+    def optimize(command: np.ndarray, *, guess: Gait | None, **_: Any) -> Gait:
+        solves.append(guess)
+        return library.gaits[5]
+
+    monkeypatch.setattr(directions, "optimize_gait", optimize)
+    usual = GaitFolder(tmp_path, samples=8)
+    assert usual.solve(np.zeros(3), None) is library.gaits[5]
+    strict = GaitFolder(tmp_path, samples=8, least_clearance=0.5)
+    assert strict.read(np.zeros(3)) is None
+    reason = strict.solve(np.zeros(3), library.gaits[4])
     assert isinstance(reason, str)
     assert re.fullmatch("legs come within 1.. mm of each other, at least 500 mm are wanted", reason)
+    assert solves == [None, library.gaits[4]]
+    assert strict.read(np.zeros(3)) == reason
 
 
 def test_half_of_the_points_and_their_images_are_all_points_parents_first() -> None:

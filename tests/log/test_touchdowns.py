@@ -11,9 +11,9 @@ import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.envs import Stack, StackEnv, default_stack, directions_stack
+from aslip.envs import Stack, StackEnv, default_stack, standing_stack
 from aslip.library import GaitLibrary
-from aslip.log import Recorder, Series, read
+from aslip.log import Recorder, Recording, read
 from aslip.robot import SIDES
 from aslip.show.ghost import Footholds
 from tests.log.helpers import MakeRecorded
@@ -71,20 +71,23 @@ def test_reset_of_an_airborne_robot_is_not_a_touchdown(
 def test_planned_footholds_turn_with_the_robot(
     make_recorded: Any, tmp_path: Path, library: GaitLibrary
 ) -> None:
-    _check_planned(make_recorded(tmp_path / "a.mcap"), tmp_path / "a.mcap", Footholds(library))
+    walk = _walk(make_recorded(tmp_path / "a.mcap"), tmp_path / "a.mcap", "straight", (1.0,))
+    _check_planned(walk, Footholds(library), (1.0,))
 
 
 def test_planned_footholds_are_those_of_the_gaits_of_the_stack(tmp_path: Path) -> None:
     """The recorder is not told which gaits they are."""
-    gaits = GaitLibrary.load("directions")
-    env = _recorded(tmp_path / "a.mcap", directions_stack(gaits))
-    _check_planned(env, tmp_path / "a.mcap", Footholds(gaits), (0.2, 0.3, 0.4))
+    gaits, command = GaitLibrary.load("directions"), (0.3, 0.2, 0.4)
+    env = _recorded(tmp_path / "a.mcap", standing_stack(gaits))
+    walk = _walk(env, tmp_path / "a.mcap", "aslip", command)
+    _check_planned(walk, Footholds(gaits), command)
+    assert walk.metadata["library_sha256"] == gaits.sha256
 
 
 def test_motions_without_footholds_have_no_planned_ones(tmp_path: Path) -> None:
     """On the pendulum's walk, feet do not swing once per stride at rest."""
     env = _recorded(tmp_path / "a.mcap", default_stack(GaitLibrary.load("single_reference")))
-    events, _ = _walk(env, tmp_path / "a.mcap", (1.0,))
+    events = _walk(env, tmp_path / "a.mcap", "straight", (1.0,))["/touchdown"]
     assert np.isnan(events["x_planned"]).all()
     assert np.isfinite(events["x"]).all()
 
@@ -94,23 +97,18 @@ def _recorded(path: Path, stack: Stack) -> StackEnv:
     return aslip.make_env(seed=4, stack=stack, drop=["fall", "low_reward"])
 
 
-def _walk(env: StackEnv, path: Path, command: tuple[float, ...]) -> tuple[Series, Series]:
-    """Footsteps and truth of 40 policy steps with the motor targets of the reference."""
+def _walk(env: StackEnv, path: Path, policy: str, command: tuple[float, ...]) -> Recording:
+    """Log of 40 policy steps."""
     start = TensorDict(command=torch.tensor([command]), phase=torch.zeros(1, 1), batch_size=1)
-    td = env.reset(start)
-    for _ in range(40):
-        td = env.step_mdp(env.step(td.set("action", torch.zeros(1, 10))))
+    env.rollout(40, aslip.load_policy(policy), auto_reset=False, tensordict=env.reset(start))
     env.close()
-    log = read(path)
-    return log["/touchdown"], log["/truth"]
+    return read(path)
 
 
-def _check_planned(
-    env: StackEnv, path: Path, footholds: Footholds, command: tuple[float, ...] = (1.0,)
-) -> None:
-    """Walk, and compare the planned footholds of the log with those of a library."""
-    events, truth = _walk(env, path, command)
-    assert len(events)
+def _check_planned(log: Recording, footholds: Footholds, command: tuple[float, ...]) -> None:
+    """Compare the planned footholds of a log with those of a library."""
+    events, truth = log["/touchdown"], log["/truth"]
+    assert {*events["side"]} == {0, 1}
     for i, k in enumerate(np.searchsorted(truth.time, events.time)):
         side, other = SIDES[events["side"][i]], SIDES[1 - events["side"][i]]
         stance = truth.vector(f"{other}_foot_position")[k].astype(float)

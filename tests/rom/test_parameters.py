@@ -36,6 +36,12 @@ def test_least_stance_force_must_be_a_share_of_body_weight(value):
         SlipParameters(min_stance_force=value)
 
 
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
+def test_offset_of_the_heels_must_not_be_negative(value):
+    with pytest.raises(ConfigurationError, match="heel_offset must be at least 0 and finite"):
+        SlipParameters(heel_offset=value)
+
+
 @pytest.mark.parametrize("value", [0.0, -0.1, 0.51, float("nan")])
 def test_ramp_of_the_swing_is_checked(value: float) -> None:
     with pytest.raises(ConfigurationError, match="swing_ramp"):
