@@ -15,7 +15,7 @@ as lifted.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
@@ -102,8 +102,10 @@ def main(
     rows, traces = [], []
     for subject in subjects:
         walks = [
-            measure(config, subject, command, delay)
-            for command, delay in tqdm([*zip(chosen, later, strict=True)], unit="walk", leave=False)
+            measure(replace(config, seed=seed), subject, *each)
+            for seed, *each in tqdm(
+                [*zip(seeds(config), chosen, later, strict=True)], unit="walk", leave=False
+            )
         ]
         traces.append([walk.pop("traces") for walk in walks])
         rows.append({"policy": subject.name, **summary(walks), "walks": walks})
@@ -119,6 +121,11 @@ def commands(config: Config, library: GaitLibrary) -> np.ndarray:
     nearest = library.nearest(torch.from_numpy(straight)).numpy()
     random = random_commands(library, max(config.walks - len(straight), 1), config.seed)
     return np.concatenate([nearest, random])[: config.walks]
+
+
+def seeds(config: Config) -> list[int]:
+    """Seeds of the walks, so that each has sensor noise of its own."""
+    return np.random.SeedSequence(config.seed).generate_state(config.walks).tolist()
 
 
 def delays(library: GaitLibrary, command: np.ndarray) -> np.ndarray:
