@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -136,6 +137,29 @@ def test_stops_standing_and_starts_are_measured(
         standing.main(standing.Config(library=library, out=tmp_path), limp())
     with pytest.raises(ConfigurationError, match="duration must be"):
         standing.Config(duration=0.1)
+
+
+def test_walks_that_stop_have_sensor_noise_of_their_own(
+    library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    standing_library().save(tmp_path / "gaits.npz")
+    seeds, whole = [], standing.measure
+
+    def measure(config: standing.Config, *of: Any) -> Any:
+        seeds.append(config.seed)
+        return whole(config, *of)
+
+    monkeypatch.setattr(standing, "measure", measure)
+    for name in ("_WALK", "_REST", "_GO_ON"):
+        monkeypatch.setattr(standing, name, 0.06)
+    for seed in (0, 0, 1):
+        gaits = str(tmp_path / "gaits.npz")
+        config = standing.Config(
+            library=gaits, speeds=(0.0,), walks=2, duration=0.5, seed=seed, out=tmp_path
+        )
+        standing.main(config, limp())
+    assert seeds[:2] == seeds[2:4]
+    assert len({*seeds}) == 4
 
 
 def test_wishes_to_stand_come_at_all_phases_of_a_stride() -> None:
