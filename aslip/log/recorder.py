@@ -254,7 +254,7 @@ def _metadata(
         **{f"version/{name}": found or "" for name, found in versions(packages).items()},
         "model_digest": model_digest(model),
         "low_level_digest": low_level_digest(),
-        "library_sha256": "" if library is None else library.sha256,
+        "gaits_sha256": "" if library is None else library.sha256,
         "seed": str(config["seed"]),
         "started_utc": datetime.now(UTC).isoformat(timespec="seconds"),
         "timestep_s": repr(float(model.opt.timestep)),

@@ -81,7 +81,7 @@ def test_planned_footholds_are_those_of_the_gaits_of_the_stack(tmp_path: Path) -
     env = _recorded(tmp_path / "a.mcap", standing_stack(gaits))
     walk = _walk(env, tmp_path / "a.mcap", "aslip", command)
     _check_planned(walk, Footholds(gaits), command)
-    assert walk.metadata["library_sha256"] == gaits.sha256
+    assert walk.metadata["gaits_sha256"] == gaits.sha256
 
 
 def test_motions_without_footholds_have_no_planned_ones(tmp_path: Path) -> None:
