@@ -1,7 +1,7 @@
 """What changes of the command ask of the legs: sliding feet of the reference, torque of the motors.
 
     python -m benchmarks.command_changes
-    python -m benchmarks.command_changes --rates 2 1.5 2
+    python -m benchmarks.command_changes --faster 2
 
 The reference of a walk changes with its command. While the command moves from one random command
 to another, step by step as the filter of commands lets it, planted feet of the reference slide, and
@@ -12,12 +12,11 @@ ends, and the jump takes a policy step.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
-from aslip.transforms import COMMAND_RATES
-from aslip.transforms.command import checked_rates
 
 
 @dataclass(frozen=True)
@@ -28,14 +27,15 @@ class Config:
     """Library over three commands, shipped or a file."""
     changes: int = 200
     """Number of changes between random commands."""
-    rates: tuple[float, float, float] = COMMAND_RATES
-    """Largest rates of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2]."""
+    faster: float = 1.0
+    """Factor of the largest rates of a command, `aslip.transforms.COMMAND_RATES`."""
     seed: int = 0
     """Seed of commands and phases."""
 
     def __post_init__(self) -> None:
-        """Check number and rates."""
-        checked_rates(self.rates)
+        """Check number and factor."""
+        if not 0 < self.faster < math.inf:
+            raise ConfigurationError(f"faster must be positive and finite, got {self.faster}")
         if self.changes < 1:
             raise ConfigurationError(f"changes must be 1 or more, got {self.changes}")
 
@@ -54,6 +54,7 @@ from torch import Tensor
 from aslip.ik import Kinematics, leg_torque, pelvis_axes
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, SIDES
+from aslip.transforms import COMMAND_RATES
 from aslip.transforms.clock import advance_phase
 from aslip.transforms.command import approach_command
 from aslip.walking import markdown
@@ -110,9 +111,10 @@ def steps(
     library: GaitLibrary, config: Config, start: Tensor, end: Tensor, phase: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Phases (n, 1) and commands (n, 3), from a policy step before a change to two after it."""
+    rates = [config.faster * rate for rate in COMMAND_RATES]
     commands, phases = [start, start], [phase]
     while not torch.equal(commands[-1], end):
-        commands.append(approach_command(commands[-1], end, config.rates))
+        commands.append(approach_command(commands[-1], end, rates))
     commands += [end, end]
     for command in commands[1:]:
         phases.append(advance_phase(library, phases[-1], command))
