@@ -1,4 +1,4 @@
-"""What changes of the command ask of the legs: sliding feet of the reference, torque of the motors.
+"""Demand of command changes on the legs: sliding feet of the reference, torques of the motors.
 
     python -m benchmarks.command_changes
     python -m benchmarks.command_changes --faster 2
@@ -131,11 +131,10 @@ def change(library: GaitLibrary, kinematics: Kinematics, phase: Tensor, command:
         command: (n, 3) commands.
     """
     at, here, before = phase[1:-1], command[1:-1], command[:-2]
-    qpos = library.initial_state(at, here)[0].numpy()
-    velocity = _velocity(library, kinematics, at, here)
+    qpos, velocity = _state(library, kinematics, at, here)
     step = 0.01 * _PERIOD / library.stride(here)  # short, as velocities change fast in a swing
     later, sooner = (
-        _velocity(library, kinematics, (at + sign * step) % 1.0, here) for sign in (1, -1)
+        _state(library, kinematics, (at + sign * step) % 1.0, here)[1] for sign in (1, -1)
     )
     acceleration = (later - sooner) / (0.02 * _PERIOD)
     motors = CASSIE.indices.motor_qvel
@@ -143,19 +142,19 @@ def change(library: GaitLibrary, kinematics: Kinematics, phase: Tensor, command:
 
     # what the change of the command adds to velocity and acceleration
     moved = _moved(library, kinematics, phase[1:], command)
-    changed = (velocity - _velocity(library, kinematics, at, before)) / _PERIOD
+    changed = (velocity - _state(library, kinematics, at, before)[1]) / _PERIOD
     acceleration = acceleration + changed + np.diff(moved, axis=0) / _PERIOD
     velocity = velocity + moved[:-1]
     torque = leg_torque(kinematics, qpos, velocity, acceleration)
     return Found(held, Demand(velocity[:, motors], torque), _slide(library, at, before, here))
 
 
-def _velocity(
+def _state(
     library: GaitLibrary, kinematics: Kinematics, phase: Tensor, command: Tensor
-) -> np.ndarray:
-    """Velocities (n, nv) of the gaits at their commands, all of the pelvis in its own axes."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Configurations (n, nq) and velocities (n, nv) of gaits, all of the pelvis in its own axes."""
     qpos, qvel = (state.numpy() for state in library.initial_state(phase, command))
-    return pelvis_axes(kinematics, qpos, qvel)
+    return qpos, pelvis_axes(kinematics, qpos, qvel)
 
 
 def _moved(

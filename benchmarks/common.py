@@ -42,7 +42,6 @@ from aslip.show.ghost import Footholds
 from aslip.show.plots import save_figure
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import write_text
-from aslip.transforms import PhaseClock, StandClock
 from aslip.walking import Interval, Walks, command_library, next_start, record_walks, walk
 from benchmarks.flags import Common, WithLibrary
 
@@ -57,7 +56,6 @@ __all__ = [
     "checkpoint_times",
     "chosen_library",
     "constant_walks",
-    "library_of",
     "load_subjects",
     "load_with_library",
     "nearest_gait",
@@ -244,11 +242,6 @@ def walk_on(
         if not alive.any():
             break
     return td, alive
-
-
-def library_of(env: StackEnv) -> GaitLibrary:
-    """Gait library whose strides the clock of an environment follows."""
-    return next(t for t in env.transforms if isinstance(t, PhaseClock | StandClock)).library
 
 
 # ---------------------------------------------------------------------------- gaits

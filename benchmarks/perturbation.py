@@ -79,7 +79,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tqdm import tqdm
 
-from aslip.envs import StackEnv
+from aslip.envs import StackEnv, library_of
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.walking import Interval, markdown, policy_steps, reset_walks
@@ -87,7 +87,6 @@ from benchmarks.common import (
     MakeEnv,
     Policy,
     Subject,
-    library_of,
     load_with_library,
     straight,
     walk_on,

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from aslip.envs import library_of
 from aslip.robot import CASSIE
 from aslip.walking import Interval, markdown, reset_walks
-from benchmarks.common import Subject, library_of, walk_on
+from benchmarks.common import Subject, walk_on
 from benchmarks.directions import random_commands
 from benchmarks.flags import SWEEPS, Sweeps
 

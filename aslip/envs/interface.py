@@ -25,6 +25,7 @@ from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
     CommandFilter,
+    PhaseClock,
     ReferenceInjection,
     SpeedCommand,
     StandClock,
@@ -174,6 +175,15 @@ def command_speeds(env: StackEnv) -> list[float]:
     return list(dict.fromkeys(round(speed, 6) for speed in speeds))
 
 
+def library_of(env: StackEnv) -> GaitLibrary:
+    """Gait library whose strides the clock of an environment follows.
+
+    Raises:
+        ConfigurationError: the stack has no clock.
+    """
+    return _only(env, PhaseClock, StandClock).library
+
+
 def describe_transforms(env: StackEnv) -> dict[str, str]:
     """Transforms of an environment: name -> class and settings.
 
@@ -225,17 +235,18 @@ def _text(value: Any) -> str:
 Kind = TypeVar("Kind", bound=Transform)
 
 
-def _only(env: StackEnv, kind: type[Kind]) -> Kind:
-    """First transform of a class.
+def _only(env: StackEnv, *kinds: type[Kind]) -> Kind:
+    """First transform of one of some classes.
 
     Raises:
         ConfigurationError: the stack has none.
     """
     for transform in env.transforms:
-        if isinstance(transform, kind):
+        if isinstance(transform, kinds):
             return transform
+    names = " or ".join(kind.__name__ for kind in kinds)
     raise ConfigurationError(
-        f"the stack lacks a {kind.__name__}; its transforms are {list(env.transform_names)}"
+        f"the stack lacks a {names}; its transforms are {list(env.transform_names)}"
     )
 
 

@@ -158,8 +158,8 @@ class GaitFolder:
     def file(self, command: np.ndarray) -> Path:
         """File of a command; other settings have other files."""
         digest = hashlib.sha256(self.robot.mjcf.read_bytes())
-        settings = [command.tolist(), asdict(self.model), self.objective, self.samples]
-        settings.append(self.least_clearance)
+        poses = [self.samples, self.least_clearance]
+        settings = [command.tolist(), asdict(self.model), self.objective, *poses]
         digest.update(json.dumps(settings).encode())
         return self.folder / f"{digest.hexdigest()[:32]}.npz"
 

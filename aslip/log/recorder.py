@@ -18,7 +18,13 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
 import aslip
-from aslip.envs import SimulatedEnv, StackEnv, describe_transforms, observation_keys
+from aslip.envs import (
+    SimulatedEnv,
+    StackEnv,
+    describe_transforms,
+    library_of,
+    observation_keys,
+)
 from aslip.errors import AslipError, ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, messages
@@ -30,7 +36,6 @@ from aslip.robot import CASSIE
 from aslip.show.ghost import Footholds
 from aslip.sim import PD
 from aslip.training.provenance import commit, versions
-from aslip.transforms import PhaseClock, StandClock
 
 CONFIG_FILE = "config.json"
 
@@ -209,8 +214,10 @@ class Recorder(Transform):
 
 def _library_of(env: StackEnv) -> GaitLibrary | None:
     """Gaits of a stack's clock; None without a clock."""
-    clocks = (t for t in env.transforms if isinstance(t, PhaseClock | StandClock))
-    return next((clock.library for clock in clocks), None)
+    try:
+        return library_of(env)
+    except ConfigurationError:
+        return None
 
 
 def _footholds_of(library: GaitLibrary | None) -> Footholds | None:

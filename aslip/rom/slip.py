@@ -63,7 +63,7 @@ class SlipParameters:
     Sidesteps need wider footholds to keep it; straight gaits never come near.
     """
     heel_offset: float = 0.0
-    """How far behind the centres of the feet the legs come closest in turns [m].
+    """Distance behind the centres of the feet at which the legs come closest in turns [m].
 
     There the toes point apart, so that legs which bend backward approach each other behind the
     feet. Footholds are wider where points at this distance behind the feet approach each other, as

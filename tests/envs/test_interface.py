@@ -24,8 +24,10 @@ from aslip.envs import (
     default_stack,
     describe_transforms,
     insert_before,
+    library_of,
     policy_interface,
     stack_name,
+    standing_stack,
 )
 from aslip.envs.interface import function_text
 from aslip.errors import ConfigurationError
@@ -296,3 +298,14 @@ def test_description_of_an_environment_tells_reward_functions_apart(make: MakeEn
     assert text(lambda q: q[..., :1].abs()) == text(lambda q: q[..., :1].abs())
     assert text(partial(zero)) == text(partial(zero))
     assert "zero#" in text(zero)
+
+
+def test_gaits_are_those_of_the_clock(library: GaitLibrary) -> None:
+    directions = GaitLibrary.load("directions")
+    for stack, gaits in (
+        (default_stack(library), library),
+        (standing_stack(directions), directions),
+    ):
+        assert library_of(aslip.make_env(stack=stack)) is gaits
+    with pytest.raises(ConfigurationError, match="the stack lacks a PhaseClock or StandClock"):
+        library_of(aslip.make_env(stack={}))
