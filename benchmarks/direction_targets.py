@@ -209,6 +209,8 @@ def main(
     else:
         record = recorded(config, config.record)
         found, about = record.values(), f"\n\n{trainings_text(record)}"
+        if len(found) > 1:
+            about += f"\n\n{table_of_each(record)}"
     rows = [
         {**vars(claim), "found": judge(claim, [values[claim.name] for values in found])}
         for claim in TARGETS
@@ -438,6 +440,22 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
         )
     header = ["target", "measured", "limit", "value", "verdict"]
     return markdown(header, lines, ["---", "---", "---:", "---:", "---"])
+
+
+def table_of_each(record: TargetRecord) -> str:
+    """Table of targets: limit, and value of each policy of a record, "-" where it has none."""
+    values = record.values()
+    rows = [
+        [claim.name, claim.limit, *(cell(claim, each[claim.name]) for each in values)]
+        for claim in TARGETS
+    ]
+    names = [one["name"] for one in record.policies]
+    return markdown(["target", "limit", *names], rows, ["---", *["---:"] * (1 + len(names))])
+
+
+def cell(claim: Claim, value: float) -> str:
+    """Value of a target for one policy as text; "-" for NaN."""
+    return f"{value:.{claim.digits}f}" if math.isfinite(value) else "-"
 
 
 def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:

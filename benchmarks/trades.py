@@ -50,7 +50,7 @@ from matplotlib.figure import Figure
 from aslip.show.plots import save_figure
 from aslip.walking import markdown
 from benchmarks.claim_list import Claim
-from benchmarks.direction_targets import TARGETS, read_record
+from benchmarks.direction_targets import TARGETS, cell, read_record
 
 PAIRS: Final = (
     ("velocity, 95 %", "force"),
@@ -89,7 +89,7 @@ def table(found: Mapping[str, Values]) -> str:
     claims = [claim_of(name) for pair in PAIRS for name in pair]
     header = ["policy", *(f"{claim.name} ({claim.limit})" for claim in claims)]
     rows = [
-        [name, *(f"{values[claim.name]:.{claim.digits}f}" for claim in claims)]
+        [name, *(cell(claim, values[claim.name]) for claim in claims)]
         for name, values in found.items()
     ]
     return markdown(header, rows)

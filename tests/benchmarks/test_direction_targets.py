@@ -26,6 +26,7 @@ from benchmarks import (
 from benchmarks.direction_targets import (
     TARGETS,
     Config,
+    cell,
     judge,
     perturbation_values,
     quality_values,
@@ -106,6 +107,11 @@ def test_table_has_a_limit_and_a_verdict_for_each_target() -> None:
     assert fallen.endswith("| ≤ 10 | no value for 1 of 2 seeds | FAIL |")
 
 
+def test_a_target_without_a_value_has_a_dash() -> None:
+    claim = next(claim for claim in TARGETS if claim.name == "path")
+    assert [cell(claim, value) for value in (4.04, math.nan)] == ["4.0", "-"]
+
+
 def test_every_target_has_a_value_from_its_benchmark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -165,7 +171,9 @@ def test_every_target_has_a_value_from_its_benchmark(
     each = [row["found"]["each"] for row in direction_targets.main(again)]
     assert len(folders) == 4 * runs  # the second call measures one policy only
     assert all(len(values) == 2 for values in each)
-    assert f"robust (seed {trained[str(file)]}, " in capsys.readouterr().out
+    assert f"robust (seed {trained[str(file)]}, " in (text := capsys.readouterr().out)
+    assert "| target | limit | robust | straight |\n" in text
+    assert "\n| velocity | ≤ 0.03 | 0.020 | 0.020 |\n" in text
     with pytest.raises(ConfigurationError, match="measured with commands 200, not commands 10;"):
         direction_targets.main(dataclasses.replace(kept, commands=10))
     changed = file.parent.with_name("straight") / file.name  # weights of robust
