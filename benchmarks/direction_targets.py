@@ -122,7 +122,7 @@ TARGETS: Final = (
     Claim(
         "yaw rate, 95 %", "error that 95 % of commands stay below [rad/s]", at_most=0.06, digits=3
     ),
-    _falls("falls, changes", "falls per 10 000 sudden changes of the command"),
+    _falls("falls, changes", "falls per 10 000 sudden changes of the command", digits=1),
     _falls("falls, stops", "share of walks with a stop that fall at any time [%]", digits=1),
     _falls("unplanted", "share of these that stand without planting both feet [%]", digits=1),
     Claim("drift", "largest drift of the pelvis in standing [cm]", at_most=1.0),

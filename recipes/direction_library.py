@@ -68,7 +68,11 @@ class Config:
     """Gaits solved at random commands and compared with look-ups."""
 
     def __post_init__(self) -> None:
-        """Check the numbers that would otherwise fail only after the solves."""
+        """Check the numbers that would otherwise fail only after the solves.
+
+        Raises:
+            ConfigurationError: one of them is invalid.
+        """
         if self.checks < 0 or (self.workers is not None and self.workers < 1):
             raise ConfigurationError(
                 "checks must be 0 or more and workers 1 or more, got"

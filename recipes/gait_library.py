@@ -37,7 +37,11 @@ class Config:
     """Speed of the gait to draw in space [m/s]; the nearest of the library is drawn."""
 
     def __post_init__(self) -> None:
-        """Refuse to replace the shipped library by another one."""
+        """Refuse to replace the shipped library by another one.
+
+        Raises:
+            ConfigurationError: the settings would do so.
+        """
         usual = Config.speeds, Config.samples, SlipParameters(), Config.objective
         if self.out == Config.out and usual != (
             self.speeds, self.samples, self.model, self.objective

@@ -88,7 +88,7 @@ def make_actor(normalizer: RunningNormalizer, shape: PolicyShape, *_: object) ->
 
 
 def make_critic(normalizer: RunningNormalizer, shape: PolicyShape) -> TensorDictSequential:
-    """Action-value function; layer normalisation reduces overestimation."""
+    """Action-value function; layer normalisation is meant to limit overestimation."""
     inputs = shape.observation_size + shape.action_size
     mlp = MLP(inputs, 1, norm_class=nn.LayerNorm, norm_kwargs={"normalized_shape": _CELLS}, **_MLP)
     # a function, because the loss copies modules, and a copied normaliser would not be updated

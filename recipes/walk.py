@@ -77,7 +77,11 @@ class Config:
     """Port of the page."""
 
     def __post_init__(self) -> None:
-        """Check settings that would otherwise fail late."""
+        """Check settings that would otherwise fail late.
+
+        Raises:
+            ConfigurationError: a setting is invalid.
+        """
         if self.duration is not None and not 0 < self.duration < math.inf:
             raise ConfigurationError(f"duration must be a positive time [s], got {self.duration}")
         if self.steps_per_frame < 1:
@@ -198,7 +202,12 @@ def check_policies(config: Config) -> None:
 
 
 def make_walker(config: Config, schedule: Schedule) -> Walker:
-    """Robot in its environment, with a recorder if there is a log to write."""
+    """Robot in its environment, with a recorder if there is a log to write.
+
+    Raises:
+        ConfigurationError: the policy cannot stand, and the schedule asks for it.
+        SpeedOutOfRangeError: a command of the schedule is outside the library.
+    """
     chosen = None if config.library is None else aslip.GaitLibrary.load(config.library)
     stack = STACKS[policy_stack(config.policy)](chosen)
     library = command_library(config.policy) if chosen is None else chosen

@@ -60,7 +60,7 @@ def directions_stack(
             always the estimated ones, which the policy observes, power and forces the true ones.
 
     Raises:
-        ConfigurationError: commands of the library have not three numbers.
+        ConfigurationError: commands of the library do not have three numbers.
     """
     library = shipped_library("directions") if library is None else library
     if library.command_size != 3:
@@ -111,7 +111,7 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
         reward_on: source of pelvis and feet in the rewards.
 
     Raises:
-        ConfigurationError: commands of the library have not three numbers, or it has no stop and
+        ConfigurationError: commands of the library do not have three numbers, or it has no stop and
             start.
     """
     library = shipped_library("directions") if library is None else library

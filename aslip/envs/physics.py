@@ -70,7 +70,11 @@ class BipedPhysics(mujoco.Physics):
     # ------------------------------------------------------------------ time
 
     def set_control(self, control: np.ndarray) -> None:
-        """Set the command of the drive, by default joint angles (10,) [rad]."""
+        """Set the command of the drive, by default joint angles (10,) [rad].
+
+        Raises:
+            ShapeError: the command has another shape.
+        """
         control = np.asarray(control, dtype=np.float64)
         if control.shape != self._motor_target.shape:
             expected = self._motor_target.shape

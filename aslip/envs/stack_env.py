@@ -75,7 +75,11 @@ class StackEnv(TransformedEnv):
 
     @EnvBase.action_spec.setter
     def action_spec(self, value: TensorSpec) -> None:
-        """Refuse to set the spec: it follows from the transforms."""
+        """Refuse to set the spec: it follows from the transforms.
+
+        Raises:
+            ConfigurationError: always.
+        """
         raise ConfigurationError(
             f"the action spec follows from the transforms and cannot be {type(value).__name__};"
             ' bound it with make_env(replace={"action": ActionDelta(limit=...)}) and the stack\'s'

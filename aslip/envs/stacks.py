@@ -1,4 +1,4 @@
-"""Stacks by name: the default, the paper's own, and the paper's baseline."""
+"""Stacks by name: the default, the paper's, its baseline's, and those for all directions."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from aslip.transforms import (
 from aslip.transforms.rewards import DIRECTION_WEIGHTS, PAPER_WEIGHTS
 from aslip.transforms.single_reference import KNEELING_HEIGHT, SINGLE_REFERENCE_WEIGHTS
 
-# groups with the same entries in the same frame, the robot's heading frame
+# groups with the same entries in the same frame, the heading frame
 REWARD_SOURCES: Final[Mapping[RewardSource, str]] = MappingProxyType(
     {"truth": "true_odometry", "estimate": "odometry"}
 )
@@ -216,7 +216,7 @@ def _turning(
     """Stack of `aslip.envs.directions` by name.
 
     Raises:
-        ConfigurationError: commands of the library have not three numbers, or it has no stop and
+        ConfigurationError: commands of the library do not have three numbers, or it has no stop and
             start to stand.
     """
     from aslip.envs import directions  # imports this module
@@ -311,7 +311,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
         library: library over three commands, for walks in all directions.
 
     Raises:
-        ConfigurationError: `stack` is a name, or commands of the library have not three numbers.
+        ConfigurationError: `stack` is a name, or commands of the library do not have three numbers.
         UnknownNameError: the stack has no transform `start`.
     """
     _require_names(stack, ["start"])

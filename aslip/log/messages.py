@@ -6,7 +6,7 @@
 | `/tf` | 33 Hz | world to each body, and to the reduced-order model's body and feet |
 | `/joint_states` | 33 Hz or 2 kHz | `LOGGED_JOINTS`: position, velocity, effort [rad, rad/s, N m] |
 | `/truth`, `/estimate`, `/odometry`, `/reference` | 33 Hz | by the tensordict's names |
-| `/true_odometry` | 33 Hz | the truth in the robot's heading frame, and its `heading` [rad] |
+| `/true_odometry` | 33 Hz | the truth in the heading frame, and its `heading` [rad] |
 | | | in all directions, also `origin` of that frame and `path_error`, as in `/odometry` |
 | `/observation` | 33 Hz | observation that the policy acts on next |
 | `/sensors` | 33 Hz | packets with noise; an array per number, oldest first |

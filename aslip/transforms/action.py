@@ -24,8 +24,7 @@ class ActionDelta(SeededTransform):
     `Feedforward`. A robot whose action is not finite counts as diverged.
 
     The action spec has bounds nevertheless: algorithms that squash their actions, and random
-    actions, need them. The shipped policies walk with actions of up to 0.95 rad (aslip) and
-    1.21 rad (robust).
+    actions, need them. They clip nothing.
 
     Args:
         baseline_key: key of the angles (n, m) to which the action is added [rad].

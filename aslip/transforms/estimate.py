@@ -29,9 +29,10 @@ ESTIMATE_SIZES: Final = MappingProxyType(CASSIE.estimate_sizes)
 """Entries of `("estimate", ...)`, 46 numbers in all: height of the pelvis above ground [m],
 orientation (wxyz, w >= 0) and velocity [m/s] in the heading frame, angular velocity in the pelvis
 frame [rad/s], acceleration in the pelvis frame without gravity [m/s^2], motors and joints [rad,
-rad/s]. The heading frame has z up against gravity, also on a slope, and x along the robot's
-heading, see `HeadingFrame`; otherwise frames are those of the robot's own estimator, measured in
-its public simulator."""
+rad/s]. The heading frame has z up against gravity, also on a slope, and x along the entry
+`heading`, the direction that counts as straight ahead, which does not turn with the robot, see
+`HeadingFrame`; otherwise frames are those of the robot's own estimator, measured in its public
+simulator."""
 
 ODOMETRY_SIZES: Final = MappingProxyType(
     {
@@ -45,8 +46,8 @@ ODOMETRY_SIZES: Final = MappingProxyType(
     }
 )
 """Entries of `("odometry", ...)`: estimated poses of pelvis and soles, with the names of
-`("truth", ...)`, in the heading frame: z up against gravity, also on a slope, x along the robot's
-heading. Heights are above the ground below the robot. Distances along the ground count from the
+`("truth", ...)`, in the heading frame: z up against gravity, also on a slope, x along the entry
+`heading`. Heights are above the ground below the robot. Distances along the ground count from the
 start, and drift; the policy does not see them, but rewards can use them. `HeadingFrame` writes
 perfect odometry as `("true_odometry", ...)`."""
 

@@ -38,12 +38,12 @@ _SWAY: Final = 0.05
 
 
 class HeadingFrame(SeededTransform):
-    """Write the heading and perfect odometry: the truth in the robot's heading frame.
+    """Write the heading and perfect odometry: the truth in the heading frame.
 
     `("true_odometry", ...)` has the names and the frame of `("odometry", ...)`, see
-    `ODOMETRY_SIZES`: z is up (against gravity), x along the robot's heading. `("truth", ...)` is in
-    the world frame. Rewards and metrics read `true_odometry` instead, so a robot may start at any
-    place and yaw.
+    `ODOMETRY_SIZES`: z is up (against gravity), x along the entry `heading`, which does not turn
+    with the robot. `("truth", ...)` is in the world frame. Rewards and metrics read
+    `true_odometry` instead, so a robot may start at any place and yaw.
 
     `heading` (n, 1) [rad] is the yaw that counts as straight ahead; setting it does not turn the
     robot. Pass it to a reset, `env.reset(TensorDict(heading=...))`, or write `td["heading"]`

@@ -236,7 +236,11 @@ class ReferenceDistance(SeededTransform):
         return into.set(now, distance)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
-        """Add the distances."""
+        """Add the distances.
+
+        Raises:
+            UnknownNameError: no transform before this one writes their group.
+        """
         require_keys(self, observation_spec, self.in_keys)
         for group in (key[0] for key in self.out_keys if isinstance(key, tuple)):
             if group not in observation_spec.keys():  # noqa: SIM118, of a spec
@@ -257,8 +261,8 @@ class ReferenceStart(SeededTransform):
     last transform to the first.
 
     Paper: the robot "is set to a random starting position in the trajectory's walk cycle", without
-    a word on its velocity. The public code intends a start at rest. Policies that start at rest
-    learn to stand still, so our episodes start with the reference's velocities.
+    a word on its velocity. The public code intends a start at rest. Our episodes start with the
+    reference's velocities: a start at rest may favour standing still, which was not compared.
 
     Args:
         library: gaits.

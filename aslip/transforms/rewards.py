@@ -4,6 +4,9 @@ Ours are for walks in all directions: the distance from the path, the heading, m
 the largest force on a foot, and friction that the feet spend against each other. Every term is
 :math:`\exp(-\text{distance})`, in [0, 1]. Distances are Euclidean norms, as in the paper; the
 public code sums absolute values per axis for velocity and feet. Shapes: (*b, k) in, (*b, 1) out.
+
+"World" is the frame in which the caller gives the robot's poses, z up and x straight ahead; the
+stacks pass the heading frame. The reference is in the same axes.
 """
 
 from __future__ import annotations
@@ -93,8 +96,8 @@ def com_vel(
     Args:
         pelvis_orientation: (*b, 4) wxyz, pelvis to world.
         pelvis_velocity: (*b, 3) [m/s, world].
-        body_velocity: (*b, 3) of the reference [m/s, walking frame].
-        body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its velocity,
+        body_velocity: (*b, 3) of the reference [m/s, same axes].
+        body_heading: (*b, 1) of the reference [rad, same axes]; zero by default. Its velocity,
             too, is seen from its body.
     """
     velocity_b = rotate_inverse(pelvis_orientation, pelvis_velocity)
@@ -120,9 +123,9 @@ def foot_pos(
         pelvis_position: (*b, 3) [m, world].
         left_foot_position: (*b, 3) [m, world].
         right_foot_position: (*b, 3) [m, world].
-        left_reference: (*b, 3) left foot minus body [m, walking frame].
-        right_reference: (*b, 3) right foot minus body [m, walking frame].
-        body_heading: (*b, 1) of the reference [rad, walking frame]; zero by default. Its feet, too,
+        left_reference: (*b, 3) left foot minus body [m, same axes].
+        right_reference: (*b, 3) right foot minus body [m, same axes].
+        body_heading: (*b, 1) of the reference [rad, same axes]; zero by default. Its feet, too,
             are seen from its body.
     """
     yaw = yaw_quaternion(pelvis_orientation)
@@ -188,9 +191,9 @@ def foot_orient(
     Args:
         left_foot_orientation: (*b, 4) wxyz, sole to world.
         right_foot_orientation: (*b, 4) wxyz, sole to world.
-        left_foot_heading: (*b, 1) direction of the reference's toes [rad, walking frame], which
+        left_foot_heading: (*b, 1) direction of the reference's toes [rad, same axes], which
             :math:`q^*` then has; straight ahead by default.
-        right_foot_heading: (*b, 1) [rad, walking frame].
+        right_foot_heading: (*b, 1) [rad, same axes].
     """
     left = _from_toes(left_foot_orientation, left_foot_heading)
     right = _from_toes(right_foot_orientation, right_foot_heading)

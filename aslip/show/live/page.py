@@ -222,7 +222,7 @@ class LivePage:
             self.walker.command = self._reachable(settings.command)
 
     def _reachable(self, command: Command) -> Command:
-        """Nearest command in the region of the library, which sliders may leave at its corners."""
+        """Command moved into the region of the library, which sliders may leave at its corners."""
         if not isinstance(command, tuple):
             return command
         return tuple(self.walker.library.nearest(torch.tensor(command).double()).tolist())
