@@ -12,11 +12,14 @@ from tensordict.nn import TensorDictModule
 
 import aslip
 from aslip.control import Controller
+from aslip.control.runner.supervisor import Limits
+from aslip.control.steering import Steering
 from aslip.envs import StackEnv, check_policy_fits
 from aslip.errors import ConfigurationError
-from aslip.library import WalkMode
+from aslip.library import GaitLibrary, WalkMode
 from aslip.policy import policy_stack
-from aslip.transforms import DIRECTION_TABLE, StandCommand
+from aslip.robot import CASSIE
+from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_files, standing_library
 
@@ -102,6 +105,24 @@ def test_a_wish_stays_until_the_next(env: StackEnv) -> None:
         state, _ = controller.step(state, packets, stand=walks)
         walks = None
     assert state.tensordict["mode"].flatten().tolist() == [3, 2, 3]
+
+
+def test_robots_stand_before_the_runner_damps_them() -> None:
+    """From the corners of the region, at any phase, with half a second to spare."""
+    library = GaitLibrary.load("directions")
+    rates, motor_lead, period = COMMAND_RATES, 0.0, CASSIE.policy_period
+    steering = Steering(library, rates, True, motor_lead, period)
+    low, high = (torch.tensor([axis[i] for axis in library.table.axes]) for i in (0, -1))
+    corners = torch.cartesian_prod(*torch.stack([low, torch.zeros(3), high]).T).float()
+    corners = library.nearest(torch.cat([corners, torch.tensor([[2.2, 0.0, 0.0]])]))
+    command = corners.repeat_interleave(16, 0)
+    phase = (torch.arange(len(command))[:, None] / 16) % 1
+    stand = torch.ones(len(command), 1)
+    present = steering.begin(command, phase, 0 * stand)
+    for _ in range(round((Limits().settle - 0.5) / period)):
+        present = steering.advance(present, command, stand)
+    assert (present["mode"] == WalkMode.STAND).all()
+    assert not present["filtered_command"].any()
 
 
 def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) -> None:

@@ -120,9 +120,9 @@ class Limits:
     """Longest time without a packet [s]."""
     tilt: float = 0.8
     """Largest angle between the pelvis and the vertical [rad]."""
-    settle: float = 1.5
+    settle: float = 3.0
     """Time of slowing down, and of standing or stepping in place, before the damping of a stop [s].
-    """
+    From any command of the shipped gaits, robots stand after 2.4 s at most."""
     damping: float = 1.0
     """Time of damping before the end of a run [s]."""
 
