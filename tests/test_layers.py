@@ -17,10 +17,11 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
 # room -> rooms that it may import in addition to itself and the rooms that all may import
-_BELOW_ALL = {"errors", "files"}
+_BELOW_ALL = {"errors", "files", "processes"}
 _MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "files": set(),
+    "processes": set(),
     "robot": set(),
     "rom": set(),
     "ik": {"robot"},
@@ -63,6 +64,7 @@ _HEAVY = {
 _FOREIGN = {
     "errors": _HEAVY,
     "files": _HEAVY,
+    "processes": _HEAVY,
     "robot": _HEAVY - {"mujoco"},
     "rom": _HEAVY - {"casadi"},
     "ik": _HEAVY - {"pinocchio"},

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -17,6 +15,7 @@ from aslip.errors import FileDamagedError
 from aslip.files.archive import ArchiveFormat, from_npy, npy
 from aslip.ik import Kinematics
 from aslip.library.rows import FramedMotion, Rows
+from aslip.processes import processors, worker_pool
 from aslip.robot import Robot
 from aslip.rom.motion import Motion
 
@@ -64,7 +63,7 @@ def build_rows(
         for i in range(0, len(motions), _CHUNK)
     ]
     if workers is None:
-        workers = usable_cores() if len(motions) > ONE_PROCESS else 1
+        workers = processors() if len(motions) > ONE_PROCESS else 1
     found, done = {}, 0
     for i, rows in _worked(chunks, min(workers, len(chunks))):
         found[i], done = rows, done + len(rows)
@@ -96,26 +95,15 @@ class _Chunk:
         return rows
 
 
-def usable_cores() -> int:
-    """Cores that this process may use."""
-    usable = getattr(os, "sched_getaffinity", None)
-    return len(usable(0)) if usable else os.cpu_count() or 1
-
-
 def _worked(chunks: Sequence[_Chunk], workers: int) -> Iterator[tuple[int, list[Rows]]]:
     """Rows of chunks by index, in the order in which they are finished."""
-    if workers <= 1:
-        yield from ((i, chunk.rows()) for i, chunk in enumerate(chunks))
-        return
-    # threads would wait for each other, and forks of a process with threads may hang
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context) as pool:
+    with worker_pool(workers) as pool:
+        if pool is None:
+            yield from ((i, chunk.rows()) for i, chunk in enumerate(chunks))
+            return
         tasks = {pool.submit(_Chunk.rows, chunk): i for i, chunk in enumerate(chunks)}
-        try:
-            for task in as_completed(tasks):
-                yield tasks[task], task.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+        for task in as_completed(tasks):
+            yield tasks[task], task.result()
 
 
 def _digest(motions: Sequence[FramedMotion], robot: Robot, leg_dynamics: bool) -> str:

@@ -12,14 +12,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import asdict, dataclass
 from functools import lru_cache
-from multiprocessing import get_context, parent_process
 from pathlib import Path
 
 import numpy as np
@@ -32,9 +28,9 @@ from aslip.errors import (
 )
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.ik import Kinematics, LegClearance
-from aslip.library.build import usable_cores
 from aslip.library.region import inside_hull
 from aslip.library.tabulate import tabulate
+from aslip.processes import processors, worker_pool
 from aslip.robot import CASSIE, Robot
 from aslip.rom import (
     DIRECTION_MODEL,
@@ -245,7 +241,7 @@ def solve_directions(
     """
     half = grid.half
     found: dict[Point, Outcome] = {}
-    with _pool(usable_cores() if workers is None else workers) as pool:
+    with worker_pool(processors() if workers is None else workers) as pool:
         for point, outcome, stored in _outcomes(grid, half, store, pool):
             found[point] = outcome
             if progress:
@@ -286,32 +282,6 @@ def _outcomes(
             point, outcome = running.pop(task), task.result()
             finished(point, outcome)
             yield point, outcome, False
-
-
-@contextmanager
-def _pool(workers: int) -> Iterator[Executor | None]:
-    """Pool of processes, which end with this one; None for one worker."""
-    if workers <= 1:
-        yield None
-        return
-    # forks of a process with threads may hang
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=_end_with_parent) as pool:
-        try:
-            yield pool
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _end_with_parent() -> None:
-    """End this process when its parent is killed; it would wait on its queue for ever."""
-    parent = parent_process()
-    assert parent is not None
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def convex_gaits(

@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from aslip.errors import ConfigurationError, ShapeError
+from aslip.processes import processors
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
 from aslip.sim.checks import check_count, check_ids, check_states
@@ -226,10 +227,3 @@ class SimulationPool:
         states = check_states(states, (self.num, self.parts[0].state_size))
         for part, rows in zip(self.parts, np.split(states, self._starts[1:]), strict=True):
             part.set_states(rows)
-
-
-def processors() -> int:
-    """Number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

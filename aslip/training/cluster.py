@@ -62,7 +62,7 @@ from torchrl.collectors import BaseCollector, Collector
 from aslip.envs import StackEnv
 from aslip.errors import CollectorError, ConfigurationError
 from aslip.policy import add_memory, is_recurrent
-from aslip.sim.pool import processors
+from aslip.processes import end_with_parent, processors
 from aslip.training.collectors import TORCHRL_SETTINGS
 from aslip.training.environments import MakeEnv
 from aslip.training.settings import check_shares
@@ -275,15 +275,7 @@ def _follow_parent() -> None:
     """Ignore Ctrl-C, which the parent handles, and exit when the parent has ended."""
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
+    end_with_parent()
 
 
 def select_sent(data: TensorDictBase, keys: list[NestedKey]) -> TensorDictBase:

@@ -15,7 +15,7 @@ from torch import nn
 from torchrl.collectors import BaseCollector, Collector
 
 from aslip.errors import ConfigurationError
-from aslip.sim.pool import processors
+from aslip.processes import processors
 from aslip.training.cluster import ENDLESS, RemoteCollectors
 from aslip.training.environments import MakeEnv
 
