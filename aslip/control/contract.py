@@ -25,7 +25,7 @@ import numpy as np
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.robot import Robot
 
-CONTRACT_VERSION: Final = 1
+CONTRACT_VERSION: Final = 2
 """Version of the contract; files of other versions are refused."""
 
 TOLERANCE: Final = 1e-6

@@ -23,7 +23,7 @@ from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import StateEstimator, Tracking
 from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
-from aslip.policy import entry_names, load_policy, policy_library, read_card
+from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
@@ -114,8 +114,8 @@ class Controller:
 
     Raises:
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
-        ConfigurationError: the policy's action is not a delta that is added to angles; or the
-            robots shall stand, and the library has no stop and start.
+        ConfigurationError: the policy's action is not a delta that is added to angles; it was
+            trained on other gaits; or robots shall stand, and the library has no stop and start.
     """
 
     def __init__(
@@ -142,6 +142,7 @@ class Controller:
             command_rates = command_rates or card["command_rates"]
             stands = card["stands"] if stands is None else stands
             library = library or GaitLibrary.load(policy_library(policy))
+            check_policy_library(policy, library.sha256)
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
         self.library = library = library or GaitLibrary.load()

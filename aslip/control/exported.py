@@ -66,7 +66,7 @@ class ExportedController:
         path: file of an exported policy.
         robot: robot to control.
         library: gait library that the policy must have been exported with: name of a shipped one,
-            file (reading it needs PyTorch) or `GaitTable.sha256`; by default any, because the
+            file (reading it needs PyTorch) or `GaitLibrary.sha256`; by default any, because the
             exported policy contains its tables.
 
     Raises:

@@ -42,15 +42,13 @@ def open_policy(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession,
 
 
 def library_sha256(library: str, robot: Robot) -> str:
-    """SHA-256 of the table of a library by name, file or SHA-256."""
+    """SHA-256 of a library by name, file or SHA-256."""
     if len(library) == 64 and set(library) <= set("0123456789abcdef"):
         return library
     # imported late: it imports PyTorch
-    from aslip.files.assets import asset_path
-    from aslip.library.file import read_library
+    from aslip.library import GaitLibrary
 
-    file = Path(library) if Path(library).suffix else asset_path(f"{library}.npz")
-    return read_library(file, robot)[1].sha256
+    return GaitLibrary.load(library, robot).sha256
 
 
 def check_order(

@@ -20,7 +20,7 @@ from aslip.envs.stack_env import StackEnv
 from aslip.envs.stacks import STACKS, TURNING
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.policy import entry_names, observation_difference, read_card
+from aslip.policy import check_policy_library, entry_names, observation_difference, read_card
 from aslip.transforms import (
     ActionDelta,
     AssembleObservation,
@@ -44,6 +44,7 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
         "baseline": baseline_key(env),
         "command_rates": command_rates(env),
         "stands": stands(env),
+        "library_sha256": _gaits_sha256(env),
     }
 
 
@@ -64,7 +65,7 @@ def stack_name(env: StackEnv) -> str | None:
         possible = {"standing" if stands(env) else "directions"}
     for name in (name for name in STACKS if name in possible):
         make = STACKS[name]
-        # no library for all directions ships, so there is no motion to compare with
+        # walks in all directions may follow any library, whose hash is in the policy file
         stack = make(libraries[0]) if turning else make()
         named = [stack[part]() for part in ("observation", "action", "reference")]
         same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
@@ -104,7 +105,7 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
         AssetError: the policy does not exist.
         FileDamagedError: the file is truncated, altered or not a policy.
         ConfigurationError: the entries of the observation, their order, its size, the baseline of
-            the action or the rates of the command differ.
+            the action, the rates of the command or the gaits differ.
     """
     card = read_card(policy)
     shown, key = entry_names(observation_keys(env)), baseline_key(env)
@@ -130,6 +131,14 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
             f"the policy {str(policy)!r} does not fit the environment: its commands change at most"
             f" at the rates {card['command_rates']}, those of the environment at {rates}"
         )
+    if (gaits := _gaits_sha256(env)) is not None:
+        check_policy_library(policy, gaits)
+
+
+def _gaits_sha256(env: StackEnv) -> str | None:
+    """Hash of the gaits that the reference is looked up in; None for another reference."""
+    libraries = [t.library for t in env.transforms if isinstance(t, ReferenceInjection)]
+    return libraries[0].sha256 if libraries else None
 
 
 def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] | None:
@@ -222,7 +231,7 @@ def _text(value: Any) -> str:
     if isinstance(value, Mapping):
         return str({str(key): _text(item) for key, item in value.items()})
     if isinstance(value, GaitLibrary):
-        return f"{len(value.speeds)} motions from {value.speeds[0]:g} to {value.speeds[-1]:g} m/s"
+        return f"{len(value.table.strides)} motions, SHA-256 {value.sha256[:12]}"
     if isinstance(value, tuple | list):
         return f"({', '.join(map(_text, value))})"
     if isinstance(value, str | int | float | None) or is_dataclass(value):

@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -100,9 +101,9 @@ class GaitTable:
             return np.zeros(math.prod(self.grid), dtype=bool)
         return ~self.present.ravel()
 
-    @property
+    @cached_property
     def sha256(self) -> str:
-        """SHA-256 of all arrays, as hexadecimal digits; names the table in exported policies."""
+        """SHA-256 of all arrays, as hexadecimal digits."""
         arrays = {**{name: getattr(self, name) for name in ARRAYS}, "missing": self.missing}
         arrays |= {f"axis{i}": axis for i, axis in enumerate(self.axes)}
         return hash_arrays(arrays, f"{self.torque_jumps}")

@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from enum import IntEnum
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -95,7 +96,7 @@ class TransitionTable:
                 f"the left touchdown must have a phase between 0 and 0.5, got {self.touchdown}"
             )
 
-    @property
+    @cached_property
     def sha256(self) -> str:
         """SHA-256 of all arrays, as hexadecimal digits."""
         arrays = {name: getattr(self, name) for name in ("durations", *TRANSITION_ARRAYS)}

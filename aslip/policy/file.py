@@ -62,10 +62,11 @@ def save_policy(
     baseline: NestedKey | None = ("reference", "motor_target"),
     command_rates: Sequence[float] | None = None,
     stands: bool = False,
+    library_sha256: str | None = None,
 ) -> None:
     """Write a policy for `load_policy`: an archive of plain arrays and JSON.
 
-    `aslip.envs.policy_interface(env)` gives the last five arguments.
+    `aslip.envs.policy_interface(env)` gives the last six arguments.
 
     Args:
         path: path of the file; an existing one is replaced atomically.
@@ -79,6 +80,8 @@ def save_policy(
         command_rates: largest rates of the filtered command that the policy follows [m/s^2,
             rad/s^2], see `aslip.transforms.CommandFilter`; None if it follows the command.
         stands: True if its robots stand on a wish, see `aslip.transforms.StandClock`.
+        library_sha256: `GaitLibrary.sha256` of the gaits that it follows; None if they do not
+            matter.
 
     Raises:
         ConfigurationError: `network` makes an actor that differs from `actor`, or a weight is not
@@ -98,6 +101,7 @@ def save_policy(
         "baseline": None if baseline is None else entry_names([baseline])[0],
         "command_rates": None if command_rates is None else [*command_rates],
         "stands": stands,
+        "library_sha256": library_sha256,
         "made_by": dict(made_by or {}),
     }
     weights = {
@@ -286,6 +290,26 @@ def _known_observations() -> list[list[str]]:
     return [entry_names(table) for table in _TABLES]
 
 
+def check_policy_library(name_or_path: str | Path, sha256: str) -> None:
+    """Check that a policy was trained on given gaits; files of older versions do not tell.
+
+    Args:
+        name_or_path: name or path, as `load_policy` takes it.
+        sha256: `GaitLibrary.sha256` of the gaits.
+
+    Raises:
+        AssetError: there is no such policy.
+        FileDamagedError: the file is truncated, altered, or not a policy.
+        ConfigurationError: it was trained on others.
+    """
+    if (trained := read_card(name_or_path)["library_sha256"]) not in (None, sha256):
+        raise ConfigurationError(
+            f"the policy {str(name_or_path)!r} was trained on other gaits: the SHA-256 of its"
+            f" library begins with {trained[:12]}, that of the given one with {sha256[:12]}; give"
+            " the library of its training (programs take --library FILE)"
+        )
+
+
 def find_policy(name_or_path: str | Path) -> Path:
     """Path of a policy file, from a path, a run folder or the name of a shipped policy.
 
@@ -314,7 +338,8 @@ def read_card(name_or_path: str | Path) -> dict[str, Any]:
 
     Returns:
         The arguments of `save_policy`: `shape`, `made_by`, `stack`; `network`, `observation` and
-        `baseline` as text; in files without them, `command_rates` is None and `stands` False.
+        `baseline` as text; in files without them, `command_rates` and `library_sha256` are None and
+        `stands` is False.
 
     Raises:
         AssetError: there is no such policy.
@@ -332,7 +357,8 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
     """
     try:
         card = json.loads(entries[CARD])
-        shape, texts = card["shape"], (card["stack"], card["baseline"])
+        shape, gaits = card["shape"], card.get("library_sha256")
+        texts = card["stack"], card["baseline"], gaits
         rates, stands = card.get("command_rates"), card.get("stands", False)
         typed = all(isinstance(text, str | None) for text in texts)
         typed = typed and isinstance(card["network"], str) and isinstance(card["made_by"], dict)
@@ -346,6 +372,7 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
             "observation": [str(name) for name in card["observation"]],
             "command_rates": None if rates is None else checked_rates(rates),
             "stands": stands,
+            "library_sha256": gaits,
         }
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error

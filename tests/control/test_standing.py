@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache, partial
 from pathlib import Path
 
@@ -17,9 +18,10 @@ from aslip.control.steering import Steering
 from aslip.envs import StackEnv, check_policy_fits
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, WalkMode
-from aslip.policy import policy_stack
+from aslip.policy import policy_stack, read_card
 from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
+from aslip.walking import Walker
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_files, standing_library
 
@@ -131,10 +133,26 @@ def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) ->
     check_policy_fits(path, env)
     packets, controller = env.reset()["sensors"], Controller(path, standing_library())
     assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()
-    with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
-        Controller(path, symmetric_library())
     with pytest.raises(ConfigurationError, match="stop and start"):
         aslip.make_env(stack="standing", library=symmetric_library())
+
+
+def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> None:
+    """Others are refused, also if only stop and start differ."""
+    library = standing_library()
+    gaits, path = standing_files(tmp_path)
+    assert read_card(path)["library_sha256"] == library.sha256
+    Walker(path, library=GaitLibrary.load(gaits))
+    slower = dataclasses.replace(library.transitions, durations=2 * library.transitions.durations)
+    other = GaitLibrary(library.motions, library.table, transitions=slower)
+    words = f"other gaits: .*{library.sha256[:12]}, that of the given one with {other.sha256[:12]}"
+    with pytest.raises(ConfigurationError, match=words):
+        Walker(path, library=other)
+    with pytest.raises(ConfigurationError, match=words):
+        Controller(path, other)
+    with pytest.raises(ConfigurationError, match="trained on other gaits"):
+        Walker(path)  # on the shipped ones
+    Walker("aslip", library=library)  # its file is older than this check
 
 
 def test_wishes_that_cannot_be_met_are_refused(env: StackEnv) -> None:

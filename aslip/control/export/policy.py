@@ -164,7 +164,7 @@ def _about(controller: Controller, policy: str | Path | Controller) -> dict[str,
         "torch": torch.__version__,
         "robot": describe_robot(robot),
         "library": {
-            "sha256": library.table.sha256,
+            "sha256": library.sha256,
             "axes": [axis.tolist() for axis in library.table.axes],
             "made_by": library.made_by,
         },
