@@ -62,6 +62,7 @@ from benchmarks.common import (
     Interval,
     MakeEnv,
     Policy,
+    check_straight,
     constant_walks,
     load_subjects,
     policy_name,
@@ -85,10 +86,14 @@ def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None 
         config: the settings.
         policy: policy to measure in place of `config.policy`.
         make_env: function that makes the environment of `policy`, see `benchmarks.common`.
+
+    Raises:
+        ConfigurationError: a policy follows gaits in all directions.
     """
     policies: dict[str, list[Policy]] = {kind: [*getattr(config, kind)] for kind in COLUMNS}
     if policy is not None:
         policies["policy"] = [policy]
+    check_straight([one for ones in policies.values() for one in ones])
     values = measure(config, policy, make_env)
     rows = judged_rows(values)
     about = {kind: [describe(one) for one in ones] for kind, ones in policies.items()}

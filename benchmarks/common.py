@@ -34,8 +34,10 @@ from tqdm import tqdm
 
 import aslip
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits
+from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
-from aslip.policy import add_memory, policy_stack
+from aslip.log import read, read_walk
+from aslip.policy import add_memory, policy_library, policy_stack
 from aslip.robot import CASSIE, SIDES
 from aslip.rom import Gait
 from aslip.show.ghost import Footholds
@@ -53,11 +55,13 @@ __all__ = [
     "MakeEnv",
     "Policy",
     "Subject",
+    "check_straight",
     "checkpoint_times",
     "chosen_library",
     "constant_walks",
     "load_subjects",
     "load_with_library",
+    "logged_walk",
     "nearest_gait",
     "quiet",
     "record_subject",
@@ -211,6 +215,35 @@ def record_subject(config: Common, subject: Subject, command: np.ndarray) -> Wal
     """Record walks of one subject through commands (m, n) [m/s]."""
     with contextlib.closing(subject.walking_env(config, command.shape[1])) as env:
         return record_walks(subject.policy, env, command)
+
+
+def logged_walk(path: Path) -> Walks:
+    """Read the walk of a log, straight ahead.
+
+    Raises:
+        ConfigurationError: the walk is commanded sideways, or to turn.
+    """
+    walk = read_walk(read(path))
+    if walk.command.ndim == 3 and walk.command[..., 1:].any():
+        raise ConfigurationError(
+            f"{str(path)!r} is commanded sideways or to turn, and the benchmark measures walks"
+            ' straight ahead: record with recipes/walk.py --command "0:0.5,4:1.0"'
+        )
+    return walk
+
+
+def check_straight(policies: Sequence[Policy]) -> None:
+    """Check that policies follow the paper's gaits, straight ahead; modules count as such.
+
+    Raises:
+        ConfigurationError: one follows gaits in all directions.
+    """
+    for policy in policies:
+        if isinstance(policy, str | Path) and policy_library(policy) == "directions":
+            raise ConfigurationError(
+                f"the benchmark is about the paper's gaits, straight ahead, and {str(policy)!r}"
+                " follows gaits in all directions; --policy straight is measured by default"
+            )
 
 
 def walk_on(

@@ -67,7 +67,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aslip.library import Command, GaitLibrary
-from aslip.log import read, read_walk
 from aslip.robot import CASSIE, SIDES
 from aslip.show.ghost import Footholds
 from aslip.walking import Walks, markdown
@@ -78,6 +77,7 @@ from benchmarks.common import (
     Policy,
     constant_walks,
     load_with_library,
+    logged_walk,
     shortest_swing,
     write_report,
 )
@@ -96,10 +96,21 @@ def main(
         config: the settings.
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
+
+    Raises:
+        ConfigurationError: the log has several commanded speeds, or is of a walk that is not
+            straight ahead.
     """
     if config.log is not None:
-        speed, walk = logged_walk(config.log)
-        footholds = Footholds(GaitLibrary.load())
+        walk = logged_walk(config.log)
+        speeds = np.unique(walk.speed)
+        if len(speeds) != 1:
+            raise ConfigurationError(
+                f"{str(config.log)!r} has {len(speeds)} commanded speeds, the benchmark needs one:"
+                " record with recipes/walk.py --command 1.0"
+            )
+        speed = float(speeds[0])
+        footholds = Footholds(GaitLibrary.load("gaits" if walk.command.ndim == 2 else "directions"))
         found = {speed: [walk_placement(walk, 0, speed, footholds)]}
     else:
         subjects, library = load_with_library(config, policy, make_env)
@@ -112,22 +123,6 @@ def main(
     figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
     write_report(config, policy, "foot_placement", numbers(found), table(found), figure)
     return found
-
-
-def logged_walk(path: Path) -> tuple[float, Walks]:
-    """Read the commanded speed [m/s] and walk of a log.
-
-    Raises:
-        ConfigurationError: the log has several commanded speeds.
-    """
-    walk = read_walk(read(path))
-    speeds = np.unique(walk.command)
-    if len(speeds) != 1:
-        raise ConfigurationError(
-            f"{str(path)!r} has {len(speeds)} commanded speeds, the benchmark needs one: record"
-            " with recipes/walk.py --command 1.0"
-        )
-    return float(speeds[0]), walk
 
 
 def recorded_steps() -> int:

@@ -57,6 +57,7 @@ from benchmarks.common import (
     MakeEnv,
     Policy,
     Subject,
+    check_straight,
     load_subjects,
     nearest_gait,
     write_report,
@@ -98,7 +99,11 @@ def main(
         config: the settings.
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
+
+    Raises:
+        ConfigurationError: a policy follows gaits in all directions.
     """
+    check_straight([*(config.policy if policy is None else [policy]), *config.paper])
     library = GaitLibrary.load()
     rows: list[dict[str, Any]] = []
     curves: dict[tuple[str, float], list[Curve]] = {}

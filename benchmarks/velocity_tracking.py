@@ -15,11 +15,11 @@ from pathlib import Path
 
 from aslip.errors import one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Common
+from benchmarks.flags import WithLibrary
 
 
 @dataclass(frozen=True)
-class Config(Common):
+class Config(WithLibrary):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
@@ -40,8 +40,6 @@ from typing import Any, Final
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.library import GaitLibrary
-from aslip.log import read, read_walk
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.show.ghost import Footholds
 from aslip.walking import TRACKING_TOLERANCE, Walks, is_on_feet, markdown, tracks_command
@@ -59,7 +57,8 @@ from benchmarks.common import (
     Policy,
     Subject,
     constant_walks,
-    load_subjects,
+    load_with_library,
+    logged_walk,
     record_subject,
     write_report,
 )
@@ -96,21 +95,24 @@ def main(
         config: the settings.
         policy: policy to measure; by default as in the settings.
         make_env: function that makes the environment, see `benchmarks.common`.
+
+    Raises:
+        ConfigurationError: the log is of a walk that is not straight ahead.
     """
     if config.log is not None:
-        walks = [read_walk(read(config.log))]
+        walks = [logged_walk(config.log)]
         numbers: dict[str, Any] = {"schedule": schedule_rows(walks)}
         figure = picture(walks[0], [])
         write_report(config, policy, "velocity_tracking", numbers, schedule_table(numbers), figure)
         return numbers
-    subjects = load_subjects(config, policy, make_env)
+    subjects, library = load_with_library(config, policy, make_env)
     steps = round(_HOLD / CASSIE.policy_period)
     command = np.repeat(SCHEDULE, steps)[:, None]
     walks = [record_subject(config, subject, command) for subject in subjects]
     numbers = {
         "schedule": schedule_rows(walks),
         "map": map_rows(config, subjects),
-        "steps": step_rows(config, subjects, Footholds(GaitLibrary.load())),
+        "steps": step_rows(config, subjects, Footholds(library)),
         "spike": spike_numbers(walks),
     }
     tables = [schedule_table(numbers), map_table(numbers), step_table(numbers)]
@@ -124,7 +126,7 @@ def main(
 
 def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
     """Mean speeds of robot and model in each part of a schedule, without the transient."""
-    command = walks[0].command[:, 0]
+    command = walks[0].speed[:, 0]
     bounds = [0, *np.flatnonzero(np.diff(command)) + 1, len(command)]
     rows = []
     for start, stop in itertools.pairwise(bounds):
@@ -192,7 +194,7 @@ def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
     first = round(_SETTLE / CASSIE.policy_period)
     rows = []
     for i, speed in enumerate(config.speeds):
-        means = np.array([mean_velocity(walk.pelvis_position[first:, i, :2]) for walk in walks])
+        means = np.array([mean_velocity(walk.pelvis_place[first:, i]) for walk in walks])
         each = means[:, 0].tolist()
         drift = np.abs(means[:, 1]).mean()
         carried = [walk.ground_force[first:, i, :, 2].sum(1).mean() / _WEIGHT for walk in walks]
@@ -266,7 +268,7 @@ def step_rows(
 
 def walk_step_response(walk: Walks, index: int, change: int, footholds: Footholds) -> StepResponse:
     """Response of one walk to the change at a policy step; a fall never settles."""
-    old, new = walk.command[change - 1, index], walk.command[change, index]
+    old, new = walk.speed[change - 1, index], walk.speed[change, index]
     if not walk.survived[index]:
         return StepResponse(math.inf, math.nan, math.nan)
     speed = walk.pelvis_velocity[change:, index, 0]
@@ -303,7 +305,7 @@ def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Fig
     parts[0].plot(time, robot, color="tab:red", lw=1.2, label=name)
     smooth = stride_average(robot, 0.8, CASSIE.policy_period)
     parts[0].plot(time, smooth, color="tab:red", lw=3, alpha=0.3, label="stride average")
-    parts[0].step(time, walk.command[:, 0], "k--", where="pre", label="command")
+    parts[0].step(time, walk.speed[:, 0], "k--", where="pre", label="command")
     parts[0].set(xlabel="time [s]", ylabel="forward velocity [m/s]", xlim=(0, time[-1]))
     parts[0].legend(loc="upper right", fontsize=8)
     if mapped:

@@ -99,9 +99,20 @@ class Walks:
                 )
 
     @property
+    def speed(self) -> np.ndarray:
+        """(m, n) commanded forward speed during the step [m/s]."""
+        return self.command if self.command.ndim == 2 else self.command[..., 0]
+
+    @property
     def survived(self) -> np.ndarray:
         """(n,) true for walks without a fall."""
         return self.alive[-1]
+
+    @property
+    def pelvis_place(self) -> np.ndarray:
+        """(m, n, 2) pelvis along the ground, in a frame at rest as that of `foot_place` [m]."""
+        turned = rotate_level(self.pelvis_position[..., :2], self.frame[..., 2])
+        return turned + self.frame[..., :2]
 
     @property
     def foot_place(self) -> np.ndarray:

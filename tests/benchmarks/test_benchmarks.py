@@ -16,6 +16,7 @@ from aslip.robot import CASSIE
 from aslip.walking.metrics import Placement
 from benchmarks import (
     claim_values,
+    claims,
     foot_placement,
     ground_reaction,
     open_loop_force,
@@ -61,13 +62,14 @@ def test_foot_placement_of_a_policy(tmp_path: Path) -> None:
     assert all(0 < row["mean"] < 0.15 for row in rows)
 
 
-def test_foot_placement_of_a_log(tmp_path: Path) -> None:
+@pytest.mark.parametrize("policy", ["straight", "aslip"])
+def test_foot_placement_of_a_log(tmp_path: Path, policy: str) -> None:
     log = tmp_path / "walk.mcap"
-    walk.main(walk.Config("straight", command="0.5", duration=3.0, log=log))
+    walk.main(walk.Config(policy, command="0.5", duration=3.0, log=log))
     found = foot_placement.main(foot_placement.Config(out=tmp_path, log=log))
     assert list(found) == [0.5]
     varied = tmp_path / "varied.mcap"
-    walk.main(walk.Config("straight", command="0:0.5,0.2:0.6", duration=0.5, log=varied))
+    walk.main(walk.Config(policy, command="0:0.5,0.2:0.6", duration=0.5, log=varied))
     with pytest.raises(ConfigurationError, match="2 commanded speeds"):
         foot_placement.main(foot_placement.Config(out=tmp_path, log=varied))
 
@@ -78,8 +80,10 @@ def test_step_frequency(tmp_path: Path) -> None:
     assert written(tmp_path, "step_frequency")["rows"][0]["duty"] > 0.5
 
 
-def test_velocity_tracking(tmp_path: Path) -> None:
-    numbers = velocity_tracking.main(velocity_tracking.Config(**settings(tmp_path, 0.5)))
+@pytest.mark.parametrize("policy", ["straight", "aslip"])
+def test_velocity_tracking(tmp_path: Path, policy: str) -> None:
+    common = settings(tmp_path, 0.5)
+    numbers = velocity_tracking.main(velocity_tracking.Config(policy=(policy,), **common))
     commands = [row["command"] for row in numbers["schedule"]]
     assert commands == pytest.approx(velocity_tracking.SCHEDULE)
     assert abs(numbers["map"][0]["mean"] - 0.5) < 0.2
@@ -87,6 +91,24 @@ def test_velocity_tracking(tmp_path: Path) -> None:
     assert len(numbers["steps"]) == len(velocity_tracking.STEPS)
     assert numbers["spike"]["model"] > 0
     written(tmp_path, "velocity_tracking")
+
+
+def test_velocity_tracking_of_a_log_straight_ahead(tmp_path: Path) -> None:
+    log = tmp_path / "walk.mcap"
+    walk.main(walk.Config("aslip", command="0:0.5,0.3:0.6", duration=0.6, log=log))
+    numbers = velocity_tracking.main(velocity_tracking.Config(out=tmp_path, log=log))
+    assert [row["command"] for row in numbers["schedule"]] == pytest.approx([0.5, 0.6])
+    log.unlink()
+    walk.main(walk.Config("aslip", command="0.5 0 0.2", duration=0.3, log=log))
+    for module in (velocity_tracking, foot_placement):
+        with pytest.raises(ConfigurationError, match="commanded sideways or to turn"):
+            module.main(module.Config(out=tmp_path, log=log))
+
+
+def test_benchmarks_of_the_papers_gaits_refuse_other_policies(tmp_path: Path) -> None:
+    for module in (ground_reaction, claims):
+        with pytest.raises(ConfigurationError, match="'aslip' follows gaits in all directions"):
+            module.main(module.Config(policy=("straight", "aslip"), out=tmp_path))
 
 
 def test_mean_velocity_of_uniform_motion() -> None:
