@@ -20,7 +20,7 @@ from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
-from benchmarks.flags import Directions
+from benchmarks.flags import SWEEPS, Directions, Sweeps
 
 _ROBOTS = 50  # whose commands change
 
@@ -84,7 +84,7 @@ from benchmarks import (
 )
 from benchmarks import path as eight
 from benchmarks.claim_list import Claim
-from benchmarks.claims import describe, judge, value_text
+from benchmarks.claims import describe, judge, value_text, verdict
 from benchmarks.common import (
     MakeEnv,
     Policy,
@@ -212,7 +212,7 @@ def main(
         if len(found) > 1:
             about += f"\n\n{table_of_each(record)}"
     rows = [
-        {**vars(claim), "found": judge(claim, [values[claim.name] for values in found])}
+        {**vars(claim), "found": judged(config, claim, [values[claim.name] for values in found])}
         for claim in TARGETS
     ]
     text = f"{table(rows)}\n\n{falls_text(config, found)}{about}"
@@ -427,6 +427,31 @@ def perturbation_values(numbers: Mapping[str, Any]) -> dict[str, float]:
         ]
         found[name] = 100 * float(np.mean(counted))
     return found
+
+
+def judged(config: Config, claim: Claim, each: Sequence[float]) -> dict[str, Any]:
+    """Values of all seeds, their interval, and the verdict, as `benchmarks.claims.judge`.
+
+    Shares of walks get Wilson's interval of all walks where it is wider: Student's interval over
+    seeds has no width if they are equal.
+    """
+    found = judge(claim, each)
+    if claim.name not in _SWEPT or found["interval"] is None or len(each) < 2:
+        return found
+    parameter, low, high = _SWEPT[claim.name]
+    swept = getattr(Sweeps(), SWEEPS[parameter].flag)
+    trials = config.walks * sum(low <= value <= high for value in swept)
+    survived = sum(round(trials * share / 100) for share in each)
+    seeds, walks = (
+        Interval.of_row(found["interval"]),
+        Interval.of_share(survived, trials * len(each)),
+    )
+    wide = Interval(
+        seeds.mean,
+        max(0.0, min(seeds.low, 100 * walks.low)),
+        min(100.0, max(seeds.high, 100 * walks.high)),
+    )
+    return {**found, "interval": vars(wide), "verdict": verdict(claim, each, wide)}
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:
