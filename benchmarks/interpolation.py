@@ -54,7 +54,7 @@ def main(config: Config) -> np.ndarray:
             print(f"left out: {error}")
             continue
         rows.append([*command, *differences(library, gait, library.table.qpos.shape[-2])])
-    found = np.array(rows)
+    found = np.reshape(rows, (-1, 8))
     print(accuracy_table(found), "", _worst(found), sep="\n")
     return found
 

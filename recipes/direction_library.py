@@ -91,6 +91,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from aslip.errors import SpeedOutOfRangeError
@@ -247,22 +248,24 @@ def _accuracy(
     config: Config, library: GaitLibrary, gaits: Sequence[Gait], store: GaitFolder
 ) -> str:
     """Differences between look-ups and gaits solved at random commands, see `accuracy_table`."""
-    rows = []
+    rows, unsolved = [], []
     for command in tqdm(random_commands(library, config.checks), desc="checks", unit="gait"):
         nearest = min(gaits, key=lambda gait: np.linalg.norm(gait.command - command))
         gait = store.read(command) or store.solve(command, nearest)
         if isinstance(gait, Gait):
             rows.append([*command, *differences(library, gait, config.samples)])
-    return accuracy_table(np.array(rows))
+        else:
+            unsolved.append(f"not compared {tuple(command.tolist())}: {gait}")
+    return "\n".join([*unsolved, accuracy_table(rows)])
 
 
-def accuracy_table(rows: np.ndarray) -> str:
+def accuracy_table(rows: ArrayLike) -> str:
     """Table of the largest differences, and of the share of gaits within the limits.
 
     Args:
         rows: (n, 8) command and `differences` of each gait.
     """
-    cells = []
+    rows, cells = np.reshape(rows, (-1, 8)), []
     for name, part in (
         ("all", rows),
         (f"up to {_FAST} m/s forward", rows[rows[:, 0] <= _FAST]),

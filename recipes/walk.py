@@ -90,6 +90,11 @@ class Config:
             )
         if self.live and (self.viewer or self.video or self.push):
             raise ConfigurationError("--live cannot be combined with --viewer, --video or --push")
+        if self.live and self.command != Config.command and "," in self.command:
+            raise ConfigurationError(
+                "--live begins with one command, which the page changes, got the schedule"
+                f" {self.command!r}"
+            )
         for name in ("log", "video"):
             path = getattr(self, name)
             if path is not None and path.is_dir():

@@ -60,8 +60,8 @@ class DirectionGrid:
     """Grid of commands, equal to its mirror image, in a convex region.
 
     Raises:
-        ConfigurationError: an axis does not ascend, or `sideways` or `yaw_rates` does not begin
-            with 0.
+        ConfigurationError: an axis is empty, not finite or does not ascend, or `sideways` or
+            `yaw_rates` does not begin with 0.
     """
 
     forward: tuple[float, ...]
@@ -79,9 +79,10 @@ class DirectionGrid:
         """Check the axes."""
         for name in ("forward", "sideways", "yaw_rates"):
             values = getattr(self, name)
-            starts = name == "forward" or tuple(values[:1]) == (0.0,)
-            if not (len(values) and starts and np.isfinite(values).all()):
-                raise ConfigurationError(f"{name} must be finite and begin with 0, got {values}")
+            if not (len(values) and np.isfinite(values).all()):
+                raise ConfigurationError(f"{name} needs one finite value or more, got {values}")
+            if name != "forward" and values[0] != 0:
+                raise ConfigurationError(f"{name} must begin with 0, got {values}")
             if not (np.diff(values) > 0).all():
                 raise ConfigurationError(f"{name} must ascend, got {values}")
 

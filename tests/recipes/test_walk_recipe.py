@@ -106,6 +106,7 @@ def test_fall_ends_the_walk_with_a_complete_log(
             "1.05 s begins before.*1.14 s",
         ),
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
+        ({"live": True, "command": "0:0.5,4:stand"}, ConfigurationError, "got the schedule"),
         ({"steps_per_frame": 0}, ConfigurationError, "steps per frame.* 0"),
         ({"log": Path(".")}, ConfigurationError, "--log"),
         # reported with or without OpenGL
