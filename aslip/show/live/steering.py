@@ -42,7 +42,7 @@ _SCRIPT = """
     if (!input) return;
     const low = read('aria-valuemin'), high = read('aria-valuemax');
     wish = values.map((value, i) => Math.min(Math.max(value, low[i]), high[i]));
-    until = performance.now() + 400;
+    until = performance.now() + 1000;  // sliders follow later on a slow machine
     const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
     set.call(input, wish.map(value => value.toFixed(2)).join(', '));
     input.dispatchEvent(new Event('input', {bubbles: true}));
