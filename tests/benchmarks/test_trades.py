@@ -38,7 +38,7 @@ def test_policies_of_all_records_are_compared(
     assert [*found] == ["one", "two", "three"]
     header, _, *rows = capsys.readouterr().out.splitlines()
     assert "pushes, mean (≥ 45)" in header and "force (≤ 1.5)" in header
-    assert rows[1].startswith("| two | 40.000 | 40.00 | 40 | 40.0 |")
+    assert rows[1].startswith("| two | 40.000 | 40.00 | 40.0 | 40.0 |")
     assert (tmp_path / "trades.png").stat().st_size > 10_000
 
 

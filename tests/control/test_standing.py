@@ -143,6 +143,7 @@ def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> No
     gaits, path = standing_files(tmp_path)
     assert read_card(path)["library_sha256"] == library.sha256
     Walker(path, library=GaitLibrary.load(gaits))
+    assert library.transitions is not None
     slower = dataclasses.replace(library.transitions, durations=2 * library.transitions.durations)
     other = GaitLibrary(library.motions, library.table, transitions=slower)
     words = f"other gaits: .*{library.sha256[:12]}, that of the given one with {other.sha256[:12]}"

@@ -15,6 +15,7 @@ from ppo_directions import DirectionConfig
 
 import aslip
 from aslip.errors import AssetError, ConfigurationError
+from aslip.library import GaitLibrary
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from tests.library.standing import standing_library
 
@@ -58,10 +59,9 @@ def test_variants_train_and_walk(library: Path, tmp_path: Path, names: tuple[str
         nominal, drawn = (next(x for x in part if f"| {name} |" in x) for part in halves)
         assert nominal != drawn
     other = library.with_name("other.npz")
-    changed = standing_library()
-    changed.table.motor_torque.setflags(write=True)
-    changed.table.motor_torque[:] *= 2
-    changed.save(other)
+    usual = standing_library()
+    table = replace(usual.table, motor_torque=2 * usual.table.motor_torque)
+    GaitLibrary(usual.motions, table, transitions=usual.transitions).save(other)
     with pytest.raises(ConfigurationError, match=r"had gaits of .* choose another --out"):
         ablate_directions.main(replace(config, library=str(other)))
     with pytest.raises(AssetError, match="nowhere"):

@@ -9,7 +9,7 @@ import pytest
 
 import aslip
 from aslip.envs import directions_stack, policy_interface, shipped_library
-from aslip.errors import SpeedOutOfRangeError
+from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.log import Recording, read, replay
 from aslip.log.walk import read_walk
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
@@ -75,7 +75,9 @@ def test_the_table_has_three_speeds(
 
 
 def test_policies_for_all_directions_have_a_shipped_library(files: tuple[Path, Path]) -> None:
-    assert Walker(files[1]).library is shipped_library("directions")
+    assert Walker("aslip").library is shipped_library("directions")
+    with pytest.raises(ConfigurationError, match=r"trained on other gaits.* --library FILE"):
+        Walker(files[1])
     # the fixture's library is smaller
     with pytest.raises(SpeedOutOfRangeError, match="outside the gait library"):
         walk.main(_settings(files, command="0:0.4 0 0,3:0.4 0.5 0"))
