@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -142,7 +143,7 @@ class Controller:
             command_rates = command_rates or card["command_rates"]
             stands = card["stands"] if stands is None else stands
             library = library or GaitLibrary.load(policy_library(policy))
-            check_policy_library(policy, library.sha256)
+            check_policy_library(policy, card, partial(getattr, library, "sha256"))
             policy = cast("TensorDictModuleBase", load_policy(policy))
         self.policy = policy
         self.library = library = library or GaitLibrary.load()

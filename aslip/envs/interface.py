@@ -38,13 +38,14 @@ def policy_interface(env: StackEnv) -> dict[str, Any]:
     Raises:
         ConfigurationError: no `AssembleObservation` makes an observation.
     """
+    libraries = _reference_libraries(env.transforms)
     return {
         "stack": stack_name(env),
         "observation": observation_keys(env),
         "baseline": baseline_key(env),
         "command_rates": command_rates(env),
         "stands": stands(env),
-        "library_sha256": _gaits_sha256(env),
+        "library_sha256": libraries[0].sha256 if libraries else None,
     }
 
 
@@ -58,7 +59,7 @@ def stack_name(env: StackEnv) -> str | None:
     keys = _observation_keys(env.transforms), baseline_key(env)
     if None in keys:
         return None
-    libraries = [t.library for t in env.transforms if isinstance(t, ReferenceInjection)]
+    libraries = _reference_libraries(env.transforms)
     turning = any(library.command_size == 3 for library in libraries)
     possible = STACKS.keys() - {*TURNING}
     if turning:
@@ -131,14 +132,13 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
             f"the policy {str(policy)!r} does not fit the environment: its commands change at most"
             f" at the rates {card['command_rates']}, those of the environment at {rates}"
         )
-    if (gaits := _gaits_sha256(env)) is not None:
-        check_policy_library(policy, gaits)
+    for library in _reference_libraries(env.transforms):
+        check_policy_library(policy, card, partial(getattr, library, "sha256"))
 
 
-def _gaits_sha256(env: StackEnv) -> str | None:
-    """Hash of the gaits that the reference is looked up in; None for another reference."""
-    libraries = [t.library for t in env.transforms if isinstance(t, ReferenceInjection)]
-    return libraries[0].sha256 if libraries else None
+def _reference_libraries(transforms: Sequence[Transform]) -> list[GaitLibrary]:
+    """Gaits that the reference is looked up in, at most one; none for another reference."""
+    return [t.library for t in transforms if isinstance(t, ReferenceInjection)][:1]
 
 
 def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] | None:
@@ -261,7 +261,7 @@ def _only(env: StackEnv, *kinds: type[Kind]) -> Kind:
 
 def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
     """Samples of the reference motion over the stride, to compare motions."""
-    libraries = [t.library for t in transforms if isinstance(t, ReferenceInjection)]
+    libraries = _reference_libraries(transforms)
     if not libraries:
         return []
     library = libraries[0]

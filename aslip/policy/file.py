@@ -290,22 +290,25 @@ def _known_observations() -> list[list[str]]:
     return [entry_names(table) for table in _TABLES]
 
 
-def check_policy_library(name_or_path: str | Path, sha256: str) -> None:
+def check_policy_library(
+    name_or_path: str | Path, card: Mapping[str, Any], sha256: Callable[[], str]
+) -> None:
     """Check that a policy was trained on given gaits; files of older versions do not tell.
 
     Args:
-        name_or_path: name or path, as `load_policy` takes it.
-        sha256: `GaitLibrary.sha256` of the gaits.
+        name_or_path: name or path, for the message.
+        card: card of the policy, see `read_card`.
+        sha256: function that gives `GaitLibrary.sha256` of the gaits; called only if the card has
+            one, because it reads all arrays.
 
     Raises:
-        AssetError: there is no such policy.
-        FileDamagedError: the file is truncated, altered, or not a policy.
         ConfigurationError: it was trained on others.
     """
-    if (trained := read_card(name_or_path)["library_sha256"]) not in (None, sha256):
+    trained = card["library_sha256"]
+    if trained is not None and trained != (given := sha256()):
         raise ConfigurationError(
             f"the policy {str(name_or_path)!r} was trained on other gaits: the SHA-256 of its"
-            f" library begins with {trained[:12]}, that of the given one with {sha256[:12]}; give"
+            f" library begins with {trained[:12]}, that of the given one with {given[:12]}; give"
             " the library of its training (programs take --library FILE)"
         )
 

@@ -133,6 +133,8 @@ def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) ->
     check_policy_fits(path, env)
     packets, controller = env.reset()["sensors"], Controller(path, standing_library())
     assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()
+    with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
+        Controller("aslip", symmetric_library())
     with pytest.raises(ConfigurationError, match="stop and start"):
         aslip.make_env(stack="standing", library=symmetric_library())
 
