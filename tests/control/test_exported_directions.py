@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from tests.control.exports import (
     recurrent_controller,
     standing_packet,
 )
+from tests.library.standing import slower_library, standing_library
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +77,15 @@ def test_the_golden_trace_covers_stops_and_starts(
         assert ((modes[:-1] == before) & (modes[1:] == after)).any()
     errors = np.concatenate([step["path_error"] for step in entries])
     assert errors.std(axis=0).min() > 0.05
+
+
+def test_another_stop_and_start_are_refused(turning: ExportedController, tmp_path: Path) -> None:
+    """Also if the gaits are the same."""
+    standing_library().save(tmp_path / "gaits.npz")
+    ExportedController(turning.path, library=tmp_path / "gaits.npz")
+    slower_library().save(tmp_path / "slower.npz")
+    with pytest.raises(ConfigurationError, match=f"not {slower_library().sha256}"):
+        ExportedController(turning.path, library=tmp_path / "slower.npz")
 
 
 @pytest.mark.parametrize("mode", ["estimates", "packets"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from functools import cache, partial
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
 from aslip.walking import Walker
 from tests.library.bent import symmetric_library
-from tests.library.standing import standing_files, standing_library
+from tests.library.standing import slower_library, standing_files, standing_library
 
 
 @cache
@@ -145,9 +144,7 @@ def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> No
     gaits, path = standing_files(tmp_path)
     assert read_card(path)["library_sha256"] == library.sha256
     Walker(path, library=GaitLibrary.load(gaits))
-    assert library.transitions is not None
-    slower = dataclasses.replace(library.transitions, durations=2 * library.transitions.durations)
-    other = GaitLibrary(library.motions, library.table, transitions=slower)
+    other = slower_library()
     words = f"other gaits: .*{library.sha256[:12]}, that of the given one with {other.sha256[:12]}"
     with pytest.raises(ConfigurationError, match=words):
         Walker(path, library=other)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -20,6 +21,14 @@ def standing_library() -> GaitLibrary:
     motions = [Bent(gaits[i], 0.0, w) for i in (0, 5) for w in (-0.5, 0.0, 0.5)]
     transitions = tabulate_transitions(gaits[0], optimize_transitions(gaits[0]), samples=24)
     return GaitLibrary.from_motions(motions, samples=32, transitions=transitions)
+
+
+def slower_library() -> GaitLibrary:
+    """The library above with a stop and a start that take twice as long."""
+    library = standing_library()
+    assert library.transitions is not None
+    slower = replace(library.transitions, durations=2 * library.transitions.durations)
+    return GaitLibrary(library.motions, library.table, transitions=slower)
 
 
 def standing_files(folder: Path) -> tuple[Path, Path]:

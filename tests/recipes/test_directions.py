@@ -22,7 +22,7 @@ from recipes import ppo_directions
 from recipes.ppo_directions import DirectionConfig
 from tests.helpers import TINY
 from tests.library.bent import symmetric_library
-from tests.library.standing import standing_library
+from tests.library.standing import slower_library, standing_library
 
 
 @pytest.fixture(scope="module")
@@ -164,3 +164,6 @@ def test_robots_learn_to_stand_if_the_library_has_stop_and_start(
     assert aslip.make_env(stack=trained, num_envs=8, num_threads=1).reset()["stand"].all()
     with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
         ppo_directions.main(replace(config, stand=0.1))
+    slower_library().save(file)
+    with pytest.raises(ConfigurationError, match=f"reference was .*{slower_library().sha256[:12]}"):
+        ppo_directions.main(replace(stands, resume=True, total_steps=128))
