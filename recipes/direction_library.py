@@ -251,7 +251,7 @@ def _accuracy(
     rows, unsolved = [], []
     for command in tqdm(random_commands(library, config.checks), desc="checks", unit="gait"):
         nearest = min(gaits, key=lambda gait: np.linalg.norm(gait.command - command))
-        gait = store.read(command) or store.solve(command, nearest)
+        gait = store.read(command, nearest) or store.solve(command, nearest)
         if isinstance(gait, Gait):
             rows.append([*command, *differences(library, gait, config.samples)])
         else:

@@ -152,17 +152,19 @@ class GaitFolder:
     least_clearance: float = 0.02
     """Least distance between the robot's legs [m]."""
 
-    def file(self, command: np.ndarray) -> Path:
-        """File of a command; other settings have other files."""
+    def file(self, command: np.ndarray, guess: Gait | None) -> Path:
+        """File of a command; other settings and guesses, which may end elsewhere, have others."""
         digest = hashlib.sha256(self.robot.mjcf.read_bytes())
         poses = [self.samples, self.least_clearance]
         settings = [command.tolist(), asdict(self.model), self.objective, *poses]
         digest.update(json.dumps(settings).encode())
+        for array in guess.to_arrays().values() if guess else ():
+            digest.update(npy(array))
         return self.folder / f"{digest.hexdigest()[:32]}.npz"
 
-    def read(self, command: np.ndarray) -> Outcome | None:
-        """Stored outcome of a command; None if there is no intact file for it."""
-        file = self.file(command)
+    def read(self, command: np.ndarray, guess: Gait | None) -> Outcome | None:
+        """Stored outcome of a command and a guess; None if there is no intact file for them."""
+        file = self.file(command, guess)
         if not file.is_file():
             return None
         try:
@@ -188,7 +190,7 @@ class GaitFolder:
         else:
             entries = {_REASON: as_json(outcome)}
         self.folder.mkdir(parents=True, exist_ok=True)
-        _FORMAT.write(self.file(command), entries)
+        _FORMAT.write(self.file(command, guess), entries)
         return outcome
 
     def _attempt(self, command: np.ndarray, guess: Gait | None) -> Outcome:
@@ -270,7 +272,7 @@ def _outcomes(
         while ready:
             point, guess = ready.pop(0)
             command = grid.command(point)
-            outcome = store.read(command)
+            outcome = store.read(command, guess)
             stored = outcome is not None
             if outcome is None and pool:
                 running[pool.submit(store.solve, command, guess)] = point
@@ -295,12 +297,17 @@ def convex_gaits(
     rest; the one that costs the fewest gaits is taken.
 
     Raises:
-        ConfigurationError: the gaits that are left span no volume.
+        ConfigurationError: there is no gait, or the gaits that are left span no volume.
     """
+    if not outcomes:
+        raise ConfigurationError(f"no command of the grid is within the limits {grid.limits}")
     points = list(outcomes)
     wide = [i for i, axis in enumerate(grid.axes) if len(axis) > 1]
     commands = np.array([grid.command(point) for point in points])
     solved = np.array([isinstance(outcomes[point], Gait) for point in points])
+    if not solved.any():
+        why = f"at {grid.command(points[0]).tolist()}: {outcomes[points[0]]}"
+        raise ConfigurationError(f"there is no gait at any of the {len(points)} commands; {why}")
     kept = solved.copy()
     while not kept.all() and (holes := inside_hull(commands[:, wide], kept)).any():
         sizes = np.linalg.norm(commands / _extent(grid), axis=1)

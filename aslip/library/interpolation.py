@@ -85,7 +85,7 @@ class CommandGrid(nn.Module):
             dim=-1,
         )
         if self._cut:
-            centre = torch.zeros_like(axes[0][0]).repeat(self._count)
+            centre = torch.stack([axis[0] for axis in axes])  # of axes of one value
             centre[self._wide] = self.get_buffer("_centre")
             command = centre + (command - centre) / self.gauge(command).clamp(min=1.0)
         return command

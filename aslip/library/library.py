@@ -233,7 +233,7 @@ class GaitLibrary(nn.Module):
         if len(numbers) != len(axes):
             raise ShapeError(f"a command of this library has {len(axes)} numbers, got {command}")
         limits = zip(axes, numbers, strict=True)
-        if not all(axis[0] <= value <= axis[-1] for axis, value in limits):
+        if not all(axis[0] - _BORDER <= v <= axis[-1] + _BORDER for axis, v in limits):
             bounds = f"{axes[0][0]:g} to {axes[0][-1]:g} m/s" if len(axes) == 1 else describe(axes)
             raise SpeedOutOfRangeError(f"{_named(numbers)} is outside the gait library: {bounds}")
         found = torch.tensor(numbers, dtype=torch.float64)

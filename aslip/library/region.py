@@ -92,9 +92,11 @@ def _hull_planes(commands: np.ndarray) -> np.ndarray:
     """Normals and offsets (h, c + 1) of the facets of a convex hull."""
     from scipy.spatial import ConvexHull, QhullError  # slow to import
 
+    if commands.shape[1] == 1 and len(commands):
+        return np.array([[-1.0, commands.min()], [1.0, -commands.max()]])
     try:
         return np.unique(ConvexHull(commands).equations.round(12), axis=0)
-    except QhullError as error:
+    except (QhullError, ValueError) as error:
         raise ConfigurationError(
             f"commands of motions must span the grid, got {listed(commands.tolist())}"
         ) from error

@@ -51,6 +51,14 @@ def _gaits(outcomes: Mapping[Point, Outcome]) -> dict[tuple[float, ...], Gait]:
     return {tuple(gait.command.tolist()): gait for gait in gaits}
 
 
+def _guess(outcomes: Mapping[Point, Outcome], gait: Gait) -> Gait | None:
+    """Gait from which one of the grid `TURNS` is solved."""
+    point = next(p for p in outcomes if outcomes[p] is gait)
+    parent = TURNS.parent(point)
+    found = outcomes[parent] if parent else None
+    return found if isinstance(found, Gait) else None
+
+
 def test_interrupted_build_resumes_with_the_gaits_in_its_folder(built: Built) -> None:
     store, outcomes, seen = built
     assert seen == [(1, 4, True), (2, 4, True), (3, 4, False), (4, 4, False)]
@@ -58,8 +66,8 @@ def test_interrupted_build_resumes_with_the_gaits_in_its_folder(built: Built) ->
     assert len(outcomes) == 6
     for gait in _gaits(outcomes).values():
         assert gait.certificate.ok
-        kept = store.read(gait.command)
         if gait.command[2] >= 0:
+            kept = store.read(gait.command, _guess(outcomes, gait))
             assert isinstance(kept, Gait)
             for name, array in gait.to_arrays().items():
                 np.testing.assert_array_equal(kept.to_arrays()[name], array)
@@ -134,13 +142,17 @@ def test_commands_of_the_checks_without_a_gait_are_named(
 
 
 def test_damaged_file_is_no_gait(built: Built) -> None:
-    store = built[0]
-    file = store.file(np.array([1.0, 0.0, 0.4]))
+    store, outcomes, _ = built
+    gait = _gaits(outcomes)[1.0, 0.0, 0.4]
+    at = gait.command, _guess(outcomes, gait)
+    file = store.file(*at)
     whole = file.read_bytes()
     file.write_bytes(whole[:-30])
-    assert store.read(np.array([1.0, 0.0, 0.4])) is None
+    assert store.read(*at) is None
     file.write_bytes(whole)
-    assert GaitFolder(store.folder, samples=8).read(np.array([1.0, 0.0, 0.4])) is None
+    assert isinstance(store.read(*at), Gait)
+    assert store.read(gait.command, None) is None  # of another guess
+    assert GaitFolder(store.folder, samples=8).read(*at) is None
 
 
 # ------------------------------------------------------------------ without the solver
@@ -163,7 +175,7 @@ def test_failed_guess_is_followed_by_the_rough_one(
     assert outcome is library.gaits[5]
     assert store.solve(np.array([0.9, 0.0, 0.0]), library.gaits[4]) == "no gait found"
     assert guesses == [library.gaits[4], None] * 2
-    assert store.read(np.array([0.9, 0.0, 0.0])) == "no gait found"
+    assert store.read(np.array([0.9, 0.0, 0.0]), library.gaits[4]) == "no gait found"
 
 
 def test_pose_out_of_reach_is_a_reason(
@@ -176,7 +188,7 @@ def test_pose_out_of_reach_is_a_reason(
     monkeypatch.setattr(directions, "tabulate", refuse)
     store = GaitFolder(tmp_path)
     assert store.solve(np.zeros(3), None) == "the left foot misses its target"
-    assert store.read(np.zeros(3)) == "the left foot misses its target"
+    assert store.read(np.zeros(3), None) == "the left foot misses its target"
 
 
 def test_legs_too_close_to_each_other_are_a_reason(
@@ -192,12 +204,12 @@ def test_legs_too_close_to_each_other_are_a_reason(
     usual = GaitFolder(tmp_path, samples=8)
     assert usual.solve(np.zeros(3), None) is library.gaits[5]
     strict = GaitFolder(tmp_path, samples=8, least_clearance=0.5)
-    assert strict.read(np.zeros(3)) is None
+    assert strict.read(np.zeros(3), library.gaits[4]) is None
     reason = strict.solve(np.zeros(3), library.gaits[4])
     assert isinstance(reason, str)
     assert re.fullmatch("legs come within 1.. mm of each other, at least 500 mm are wanted", reason)
     assert solves == [None, library.gaits[4]]
-    assert strict.read(np.zeros(3)) == reason
+    assert strict.read(np.zeros(3), library.gaits[4]) == reason
 
 
 def test_half_of_the_points_and_their_images_are_all_points_parents_first() -> None:
@@ -232,6 +244,27 @@ def test_region_around_a_missing_gait_is_cut_convex_and_symmetric(
     kept = np.array([point not in left_out for point in WIDE.points])
     assert not directions.inside_hull(commands, kept).any()
     assert kept.sum() >= 0.5 * len(kept)
+
+
+def test_straight_gaits_are_cut_at_a_missing_one(library: GaitLibrary) -> None:
+    """A grid along one axis has a region, too."""
+    grid = DirectionGrid((0.0, 0.5, 1.0, 1.5), (0.0,), (0.0,))
+    outcomes: dict[Point, Outcome] = dict.fromkeys(grid.points, library.gaits[0])
+    outcomes[3, 0, 0] = "no gait"
+    assert set(convex_gaits(grid, outcomes)[1]) == {(3, 0, 0)}
+    outcomes[2, 0, 0] = "no gait"
+    outcomes[3, 0, 0] = library.gaits[0]
+    gaits, left_out = convex_gaits(grid, outcomes)
+    assert len(gaits) == 2
+    assert left_out[3, 0, 0] == "solved, but outside the convex region"
+
+
+def test_a_grid_without_gaits_is_an_error_with_the_first_reason() -> None:
+    limited = DirectionGrid((0.5, 1.0), (0.0,), (0.0,), ((1.0, 0.0, 0.0, 0.2),))
+    with pytest.raises(ConfigurationError, match="no command of the grid is within the limits"):
+        convex_gaits(limited, {})
+    with pytest.raises(ConfigurationError, match=r"any of the 6 commands; at .*: no gait found"):
+        convex_gaits(TURNS, dict.fromkeys(TURNS.points, "no gait found"))
 
 
 @pytest.mark.parametrize(

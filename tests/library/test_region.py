@@ -38,6 +38,17 @@ def test_commands_move_into_the_region_continuously() -> None:
     assert (inside - command).norm(dim=1).max() > 0.5
 
 
+def test_axes_of_one_value_keep_it() -> None:
+    """Commands of one forward speed move to rest sideways and in yaw only."""
+    one = (np.array([0.5]), *AXES[1:])
+    y, w = np.meshgrid(*AXES[1:], indexing="ij")
+    grid = CommandGrid(one, (np.abs(y) + np.abs(w) > 1.01).ravel())
+    inside = grid.clamp(_box(200))
+    assert (inside[:, 0] == 0.5).all()
+    assert inside[:, 1:].abs().amax() > 0.4
+    torch.testing.assert_close(grid.clamp(inside), inside, rtol=0, atol=1e-12)
+
+
 def test_commands_of_motions_stay_where_they_are() -> None:
     grid = CommandGrid(AXES, MISSING)
     command = torch.tensor(np.stack([X.ravel(), Y.ravel(), W.ravel()], axis=1))
