@@ -17,7 +17,7 @@ import pytest
 import torch
 
 from aslip.errors import AslipError, FileDamagedError
-from aslip.files.archive import SUMS
+from aslip.files.archive import SUMS, ArchiveFormat, npy
 from aslip.files.writing import commit, replacing
 from benchmarks.faults.archives import Program, forge_archive, programs, read_zip, write_zip
 from benchmarks.faults.files import damages
@@ -229,6 +229,14 @@ def test_decompression_bombs_are_refused(kind: Kind, path: Path) -> None:
             archive.writestr(name, content + bytes(10**7 if name == largest else 0))
     with pytest.raises(FileDamagedError, match="claims to hold"):
         kind.load(path)
+
+
+def test_what_compresses_well_is_read_again(tmp_path: Path) -> None:
+    """Robots that stand still: zeros compress a thousand times."""
+    still = ArchiveFormat("gaits", 1, compressed=True)
+    entries = {"qpos.npy": npy(np.zeros((2, 48, 35)))}
+    still.write(tmp_path / "gaits.npz", entries)
+    assert still.read(tmp_path / "gaits.npz") == entries
 
 
 @every_archive
