@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,6 +16,7 @@ from aslip.control.contract import TOLERANCE, damaged, wrong
 from aslip.control.exported_file import check_order, library_sha256, open_policy
 from aslip.control.own_estimate import (
     POSITION,
+    check_rows,
     is_estimate,
     join_estimate,
     split_estimate,
@@ -291,7 +293,9 @@ class ExportedController:
         steer = last.get("filtered_command")
         if steer is None or steer.shape[1] < 3:
             return before, before
-        return before, before + np.float32(self.robot.policy_period) * steer[:, 2:3]
+        ahead = before + np.float32(self.robot.policy_period) * steer[:, 2:3]
+        turns = np.round(ahead / math.tau)
+        return before, np.where(np.abs(ahead) > math.pi, ahead - math.tau * turns, ahead)
 
     def _origin(self, rows: np.ndarray, tracking: np.ndarray | None) -> np.ndarray:
         """Origin (1, 3) of the path of a robot that starts [m].
@@ -353,7 +357,7 @@ class ExportedController:
                 rows = join(named, self.robot)
         else:
             rows = np.asarray(packets, dtype=np.float64)
-        rows = rows[None, None] if rows.ndim == 1 else rows
+        rows = check_rows(rows[None, None] if rows.ndim == 1 else rows, self.robot)
         if len(rows) != 1:
             raise ShapeError(f"an exported policy controls one robot, got packets of {len(rows)}")
         return rows

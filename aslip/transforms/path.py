@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor
 
+from aslip.errors import ConfigurationError
 from aslip.library import WalkMode
 from aslip.robot import CASSIE
 from aslip.transforms.rotation import conjugate, heading_to_world, rotate_inverse
@@ -30,23 +32,40 @@ LEASH_TIME: Final = 1.0
 distance settles at `LEASH` + v x `LEASH_TIME`, and so still tells how large the error is."""
 
 
-class Leash(NamedTuple):
-    """Leash from the pelvis to the origin of the moving frame."""
+@dataclass(frozen=True)
+class Leash:
+    """Leash from the pelvis to the origin of the moving frame.
+
+    Raises:
+        ConfigurationError: the length is negative or the time is not positive.
+    """
 
     length: float = LEASH
     """Length of a slack leash [m]."""
     time: float = LEASH_TIME
     """Time constant with which a taut leash shortens [s]."""
 
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        if not (0 <= self.length < math.inf and 0 < self.time < math.inf):
+            raise ConfigurationError(
+                "a leash needs a length of 0 m or more and a time above 0 s, got"
+                f" {self.length:g} m and {self.time:g} s"
+            )
+
 
 DEFAULT_LEASH: Final = Leash()
 """Leash of trainings and walks."""
+
+_SMALL = 1e-9  # keeps a leash without length from dividing by 0 [m]
 
 
 def advance_heading(
     heading: Tensor, command: Tensor, period: float = CASSIE.policy_period
 ) -> Tensor:
-    """Yaw (*b, 1) of the moving frame a policy step later [rad].
+    """Yaw (*b, 1) of the moving frame a policy step later, from -pi to pi [rad].
+
+    Single precision loses small yaw rates at a yaw of many turns, hence the wrap.
 
     Args:
         heading: (*b, 1) yaw [rad].
@@ -55,7 +74,13 @@ def advance_heading(
     """
     if command.shape[-1] < 3:
         return heading
-    return heading + period * command[..., 2:3]
+    return wrap(heading + period * command[..., 2:3])
+
+
+def wrap(angle: Tensor) -> Tensor:
+    """Angles moved by whole turns to -pi to pi [rad]; others stay as they are, bit for bit."""
+    turns = (angle / (2 * math.pi)).round()
+    return torch.where(angle.abs() > math.pi, angle - 2 * math.pi * turns, angle)
 
 
 def advance_frame(
@@ -146,7 +171,7 @@ def dragged(
     """
     level = torch.nn.functional.pad(pelvis_position[..., :2], (0, 1))
     distance = torch.linalg.vector_norm(level, dim=-1, keepdim=True)
-    taut = 1 - leash.length / distance.clamp(min=leash.length)
+    taut = 1 - leash.length / distance.clamp(min=max(leash.length, _SMALL))
     way = level * taut * min(period / leash.time, 1.0)
     return way if mode is None else torch.where(mode == WalkMode.STOP, level, way)
 

@@ -369,9 +369,12 @@ def frame_poses(origin: np.ndarray, heading: np.ndarray) -> np.ndarray:
 
     Args:
         origin: (m, n, 3) origin [m, world].
-        heading: (m, n, 1) yaw [rad, world].
+        heading: (m, n, 1) yaw, -pi to pi [rad, world].
+
+    Returns:
+        The poses; their yaw counts whole turns.
     """
-    yaw = heading - heading[:1]
+    yaw = np.unwrap(heading, axis=0) - heading[:1]
     way = rotate_level((origin - origin[:1])[..., :2], -heading[:1, :, 0])
     return np.concatenate([way, yaw], axis=-1)
 

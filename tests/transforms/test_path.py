@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from aslip.errors import ConfigurationError
 from aslip.library import WalkMode
 from aslip.rom.arc import twist_pose
 from aslip.transforms.path import (
@@ -15,6 +16,7 @@ from aslip.transforms.path import (
     LEASH_TIME,
     Leash,
     advance_frame,
+    advance_heading,
     dragged,
     move_origin,
     place_in_path,
@@ -38,7 +40,19 @@ def test_origin_and_heading_follow_the_twist_of_the_command(
     expected = twist_pose(np.array(command), np.array([100 * PERIOD]))
     zero = np.zeros((1, 3))
     np.testing.assert_allclose(origin, expected.transform(zero), atol=1e-12)
-    np.testing.assert_allclose(heading[:, 0], expected.angle, atol=1e-12)
+    turned = np.angle(np.exp(1j * expected.angle))
+    np.testing.assert_allclose(heading[:, 0], turned, atol=1e-12)
+
+
+@pytest.mark.parametrize("heading", [-3.1, 0.0, 300.0])
+def test_slow_turns_add_up_in_single_precision(heading: float) -> None:
+    """Also after many turns: the heading stays within half a turn."""
+    angle, command = torch.tensor([[heading]]), torch.tensor([[0.0, 0.0, 0.02]])
+    for _ in range(1000):
+        angle = advance_heading(angle, command, PERIOD)
+    assert angle.abs() <= math.pi + 1e-6
+    turned = math.remainder(float(angle) - heading, math.tau)
+    assert turned == pytest.approx(1000 * PERIOD * 0.02, rel=1e-3)
 
 
 def test_a_pelvis_at_rest_in_the_frame_has_the_commanded_velocity() -> None:
@@ -108,6 +122,18 @@ def test_a_longer_leash_lets_the_origin_stay_behind_further() -> None:
         period=2 * PERIOD,
     )
     torch.testing.assert_close(found["path_error"], (place - 2 * way)[:, :2])
+
+
+def test_a_leash_without_length_pulls_at_any_distance() -> None:
+    place = torch.tensor([[0.0, 0.0, 0.9], [0.0, 0.3, 0.9]])
+    found = dragged(place, leash=Leash(0.0, 1.0))
+    torch.testing.assert_close(found, place * torch.tensor([1.0, PERIOD, 0.0]))
+
+
+@pytest.mark.parametrize(("length", "time"), [(-0.1, 1.0), (0.1, 0.0), (math.nan, 1.0)])
+def test_impossible_leashes_are_refused(length: float, time: float) -> None:
+    with pytest.raises(ConfigurationError, match=f"got {length:g} m and {time:g} s"):
+        Leash(length, time)
 
 
 def test_stops_bring_the_origin_below_the_pelvis() -> None:

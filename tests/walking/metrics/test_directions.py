@@ -1,0 +1,50 @@
+"""Mean velocities and yaw rates of walks in all directions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from aslip.robot import CASSIE
+from aslip.transforms.rotation import vertical_quaternion
+from aslip.walking.metrics.directions import mean_twist, tracking_errors
+from aslip.walking.record import frame_poses
+
+STEPS = 101
+TIME = np.arange(STEPS) * CASSIE.policy_period
+
+
+def test_mean_velocities_and_the_turn_in_the_frame_add_up_to_the_twist() -> None:
+    """Of a robot that turns in the frame past half a turn, and one that does not; a third falls."""
+    turn = np.array([1.3, 0.0, 0.5])
+    yaw = torch.from_numpy(2.5 + TIME[:, None] * turn)
+    orientation = vertical_quaternion(yaw[..., None]).numpy()
+    speeds = np.array([[0.5, -0.2, 0.1], [-0.3, 0.1, 0.0], [0.0, 0.0, 0.0]])
+    swing = np.sin(2 * np.pi * np.arange(STEPS) / STEPS)
+    velocity = speeds + 0.2 * swing[:, None, None]
+    velocity[60:, 2] = orientation[60:, 2] = np.nan
+    twist = mean_twist(velocity, orientation, np.array([-0.4, 0.7, 0.0]))
+    expected = [[0.5, -0.2, 0.9], [-0.3, 0.1, 0.7], [np.nan] * 3]
+    np.testing.assert_allclose(twist, expected, rtol=0, atol=1e-6)
+
+
+def test_errors_are_those_of_the_walks_that_did_not_fall() -> None:
+    command = np.zeros((3, 3))
+    twist = np.array([[0.03, -0.04, 0.02], [0.0, 0.1, -0.04], [np.nan] * 3])
+    found = tracking_errors(twist, command)
+    assert found["speed"] == pytest.approx(0.075)
+    assert found["speed_p95"] == pytest.approx(0.0975)
+    assert found["turn"] == pytest.approx(0.03)
+    assert found["turn_p95"] == pytest.approx(0.039)
+    assert np.isnan(list(tracking_errors(twist[2:], command[2:]).values())).all()
+
+
+def test_poses_of_a_frame_count_whole_turns() -> None:
+    """Headings are wrapped; the frame starts at 2 rad, and its poses are relative to that."""
+    turned = 1.2 * TIME
+    heading = np.angle(np.exp(1j * (2.0 + turned)))
+    way = np.outer(TIME, [np.cos(2.0), np.sin(2.0)])  # along the first heading
+    origin = np.column_stack([3.0 + way[:, 0], -1.0 + way[:, 1], 0 * TIME])
+    pose = frame_poses(origin[:, None], heading[:, None, None])[:, 0]
+    np.testing.assert_allclose(pose, np.column_stack([TIME, 0 * TIME, turned]), atol=1e-12)
