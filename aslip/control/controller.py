@@ -17,7 +17,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from aslip.control.own_estimate import is_estimate, join_estimate
+from aslip.control.own_estimate import check_rows, is_estimate, join_estimate
 from aslip.control.steering import Steering
 from aslip.control.turn import next_entries, start_entries
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
@@ -227,7 +227,7 @@ class Controller:
             ConfigurationError: an argument is not finite, or these robots cannot stand.
         """
         past, num = state.tensordict, len(state.tensordict)
-        rows = self._lost(past) if packets is None else self._rows(packets)
+        rows = self._lost(past) if packets is None else self._rows(packets, num)
         now = past["command"] if command is None else self._command(command, num)
         wish = past.get("stand", None) if stand is None else self._wish(stand, num)
         ahead = None if heading is None else _column("heading", heading, num)
@@ -335,16 +335,16 @@ class Controller:
         baseline, action = (cast("Tensor", present[key]) for key in (self.baseline, "action"))
         return ControllerState(present.set("motor_target", add_delta(baseline, action)))
 
-    def _rows(self, packets: Packets) -> np.ndarray:
-        """Packets (n, w, p) or estimates (n, e) from any accepted form."""
+    def _rows(self, packets: Packets, num: int | None = None) -> np.ndarray:
+        """Packets (n, w, p) or estimates (n, e) from any accepted form, of `num` robots."""
         robot = self.estimator.robot
         if isinstance(packets, TensorDictBase | Mapping):
             named = {str(name): np.asarray(value) for name, value in packets.items()}
             if is_estimate(named):
-                return join_estimate(named, robot)
+                return check_rows(join_estimate(named, robot), robot, num)
             packets = join(named, robot)
         rows = np.asarray(packets, dtype=np.float64)
-        return rows[None, None] if rows.ndim == 1 else rows
+        return check_rows(rows[None, None] if rows.ndim == 1 else rows, robot, num)
 
     def _lost(self, past: TensorDictBase) -> np.ndarray:
         """Array of NaN in place of the packets, or of the estimates, of all robots."""

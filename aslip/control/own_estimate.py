@@ -45,6 +45,29 @@ def join_estimate(entries: Mapping[str, ArrayLike], robot: Robot) -> np.ndarray:
     return np.concatenate(columns, axis=1)
 
 
+def check_rows(rows: np.ndarray, robot: Robot, num: int | None = None) -> np.ndarray:
+    """Check the shape of packets (n, w, p) or joined estimates (n, e), and return them.
+
+    Args:
+        rows: the array.
+        robot: robot that gives the sizes p and e.
+        num: number n of robots that are controlled already.
+
+    Raises:
+        ShapeError: the shape is neither, or of another number of robots.
+    """
+    packet, own = robot.packet_size, sum(robot.estimate_sizes.values())
+    # the estimator checks the width of packets
+    if rows.ndim != 3 and not (rows.ndim == 2 and rows.shape[1] in (own, own + 3)):
+        raise ShapeError(
+            f"packets must have shape (n, w, {packet}), or ({packet},) of one robot, and joined"
+            f" estimates (n, {own}), or (n, {own + 3}) with a position, got {rows.shape}"
+        )
+    if num is not None and len(rows) != num:
+        raise ShapeError(f"packets or estimates must come from {num} robots, got {len(rows)}")
+    return rows
+
+
 def split_estimate(rows: np.ndarray, robot: Robot) -> dict[str, np.ndarray]:
     """Split joined estimates (n, e) into entries (n, k)."""
     sizes = _sizes(robot, rows.shape[1] > sum(robot.estimate_sizes.values()))

@@ -11,6 +11,7 @@ import torch
 from tensordict import TensorDictBase
 
 from aslip.control import Controller, ControllerState
+from aslip.control.own_estimate import join_estimate
 from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import Estimate, StateEstimator
@@ -150,6 +151,13 @@ def test_wrong_estimates_are_named(controller: Controller, walk: list[Controller
         controller.start({**good, "velocity": np.zeros((2, 3))})
     with pytest.raises(ConfigurationError, match="must be finite"):
         controller.start({**good, "velocity": np.full((3, 3), np.nan)})
+    joined = join_estimate(good, controller.estimator.robot)
+    controller.start(joined)
+    for rows in (np.pad(joined, ((0, 0), (0, 20))), joined[:, :5], np.zeros((2, 42)), joined[0]):
+        with pytest.raises(ShapeError, match="packet"):
+            controller.start(rows)
+    with pytest.raises(ShapeError, match="must come from 3 robots, got 2"):
+        controller.step(controller.start(good), joined[:2])
 
 
 def test_positions_give_the_distance_from_the_path_that_packets_give() -> None:

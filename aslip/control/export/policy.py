@@ -37,7 +37,11 @@ _BATCH = 1000  # steps that PyTorch computes at once in a comparison
 
 
 def export_policy(
-    policy: str | Path | Controller, path: str | Path, library: GaitLibrary | None = None
+    policy: str | Path | Controller,
+    path: str | Path,
+    library: GaitLibrary | None = None,
+    *,
+    check: Callable[[ExportedController], None] | None = None,
 ) -> ExportedController:
     """Export a policy with everything that is needed to run it, and verify its golden trace.
 
@@ -49,6 +53,8 @@ def export_policy(
         policy: name of a shipped policy, a policy file, or a controller with a policy of your own.
         path: file to write; an existing one is replaced atomically.
         library: gaits; by default the shipped ones of the policy's stack. A controller has its own.
+        check: called with a controller from the verified file before that replaces an existing one,
+            which stays if the check raises.
 
     Returns:
         Controller from the file.
@@ -57,6 +63,7 @@ def export_policy(
         AssetError, FileDamagedError: the policy does not exist, or its file is damaged.
         ConfigurationError: the policy cannot be traced, observes entries that a robot does not
             estimate itself, or its action is not a delta that is added to angles.
+        FileDamagedError: the file does not repeat its golden trace; an existing one stays.
         OSError: the file cannot be written; an existing one stays intact.
     """
     name = policy if isinstance(policy, str | Path) else type(policy.policy).__name__
@@ -69,10 +76,16 @@ def export_policy(
         "aslip": json.dumps(_about(controller, policy)),
         "golden_trace": trace_text(golden_trace(controller)),
     }
-    write_model(model, metadata, Path(path))
-    exported = ExportedController(path, controller.estimator.robot)
-    exported.verify()
-    return exported
+    robot = controller.estimator.robot
+
+    def verify(file: Path) -> None:
+        exported = ExportedController(file, robot)
+        exported.verify()
+        if check is not None:
+            check(exported)
+
+    write_model(model, metadata, Path(path), verify)
+    return ExportedController(path, robot)
 
 
 def write_pipeline(exported: ExportedController, path: Path) -> None:
@@ -114,8 +127,19 @@ def mjlab_metadata(controller: Controller, run_path: str) -> dict[str, str]:
     }
 
 
-def write_model(model: onnx.ModelProto, metadata: Mapping[str, str], path: Path) -> None:
+def write_model(
+    model: onnx.ModelProto,
+    metadata: Mapping[str, str],
+    path: Path,
+    check: Callable[[Path], None] | None = None,
+) -> None:
     """Write a model with metadata and its hash to one file.
+
+    Args:
+        model: the model.
+        metadata: text by key.
+        path: file to write.
+        check: called with the complete temporary file; an existing file stays if it raises.
 
     Raises:
         ConfigurationError: the metadata contain the word by which ONNX points to other files.
@@ -131,6 +155,9 @@ def write_model(model: onnx.ModelProto, metadata: Mapping[str, str], path: Path)
         )
     with replacing(path) as file:
         file.write(seal(data))
+        if check is not None:
+            file.flush()
+            check(Path(file.name))
 
 
 def _interface(step: PolicyStep) -> dict[str, Any]:
