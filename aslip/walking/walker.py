@@ -62,7 +62,7 @@ class Walker:
         *,
         library: GaitLibrary | None = None,
         seed: int = 0,
-        speed: Command = 0.0,
+        speed: Command | Sequence[float] = 0.0,
         stand: bool = False,
     ) -> None:
         self.library = command_library(policy) if library is None else library
@@ -105,7 +105,7 @@ class Walker:
         return values[0] if len(values) == 1 else values
 
     @command.setter
-    def command(self, command: Command) -> None:
+    def command(self, command: Command | Sequence[float]) -> None:
         self.td["command"] = torch.tensor([self._checked(command)])
 
     @property
@@ -133,10 +133,10 @@ class Walker:
                 "the robot cannot stand on a wish; it needs a policy of the stack 'standing'"
             )
 
-    def _checked(self, command: Command) -> tuple[float, ...]:
+    def _checked(self, command: Command | Sequence[float]) -> tuple[float, ...]:
         size = self.library.command_size
-        if size > 1 and not isinstance(command, tuple):
-            command = (command, *(0.0,) * (size - 1))
+        if size > 1 and np.ndim(command) == 0:
+            command = (cast("float", command), *(0.0,) * (size - 1))
         return self.library.check_command(command)
 
     def push(self, force: Sequence[float], duration: float = 4 * CASSIE.policy_period) -> None:
@@ -156,7 +156,7 @@ class Walker:
             raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
         self._push, self._push_steps = vector[None], policy_steps(duration)
 
-    def reset(self, speed: Command | None = None, stand: bool = False) -> None:
+    def reset(self, speed: Command | Sequence[float] | None = None, stand: bool = False) -> None:
         """Start again on the reference at phase 0, or standing.
 
         Args:

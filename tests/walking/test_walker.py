@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,15 @@ def test_refuses_speed_outside_library(walker: Walker, speed: float) -> None:
     with pytest.raises(SpeedOutOfRangeError):
         walker.reset(speed)
     assert walker.command == 0.5
+
+
+@pytest.mark.parametrize("command", [[2.2, 0.0, 0.0], (0.3, 0.1, 0.2)])
+def test_commands_are_sequences_of_any_kind(command: Sequence[float]) -> None:
+    """Of three numbers; what is read can be assigned again, also at the border."""
+    walker = Walker("aslip", speed=command)
+    walker.command = read = walker.command
+    walker.reset(list(command))
+    assert walker.command == pytest.approx(tuple(command)) == read
 
 
 @pytest.mark.parametrize(
