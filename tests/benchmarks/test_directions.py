@@ -15,6 +15,7 @@ import torch
 from tensordict import TensorDict
 
 from aslip.errors import ConfigurationError
+from aslip.transforms.rotation import vertical_quaternion
 from aslip.walking import Substeps
 from benchmarks import direction_tracking, path, standing, transitions
 from tests.helpers import limp
@@ -96,6 +97,21 @@ def test_falls_are_reported_with_the_commands_around_them(
     _written(tmp_path, "transitions")
     with pytest.raises(ConfigurationError, match="robots must be from 1"):
         transitions.Config(changes=2, robots=3)
+
+
+def test_places_in_the_world_are_those_of_the_frame_along_the_path() -> None:
+    """Of a pelvis 0.5 m ahead of a frame that looks along 2 rad, and 0.2 m to its left."""
+    turned = vertical_quaternion(torch.tensor([[0.3]]))
+    odometry = TensorDict(
+        origin=torch.tensor([[3.0, -1.0, 0.0]]),
+        pelvis_position=torch.tensor([[0.5, 0.2, 0.9]]),
+        pelvis_orientation=turned,
+        batch_size=1,
+    )
+    td = TensorDict(heading=torch.tensor([[2.0]]), odometry=odometry, batch_size=1)
+    ahead, left = np.array([np.cos(2.0), np.sin(2.0)]), np.array([-np.sin(2.0), np.cos(2.0)])
+    place = np.array([3.0, -1.0]) + 0.5 * ahead + 0.2 * left
+    np.testing.assert_allclose(path.world_pose(td, "odometry"), [*place, 2.3], atol=1e-6)
 
 
 def test_a_path_is_walked_over_the_estimate(
