@@ -5,10 +5,13 @@
     python recipes/ablate_directions.py --list
 
 Works like `ablate.py`: variants have the same budget, finished work is kept, and the same command
-goes on. All policies walk the same 32 commands twice: on the nominal robot, and on robots, floors
-and sensors drawn from `aslip.transforms.WIDE_RANGES`, which are the same for each policy. Each has
-a table. Policies are compared by the reward of `aslip.transforms.rewards.DIRECTION_WEIGHTS`, to the
-gaits of the shipped library.
+goes on. All policies walk the same 32 commands of the shipped library twice: on the nominal robot,
+and on robots, floors and sensors drawn from `aslip.transforms.WIDE_RANGES`, which are the same for
+each policy. Each has a table. Policies are compared by the reward of
+`aslip.transforms.rewards.DIRECTION_WEIGHTS`, to the gaits of the shipped library; a walk whose
+reward falls below the limit of trainings does not survive. These walks hold one command, and
+nothing pushes them: what a variant does to sudden changes, pushes and standing shows in the
+episodes of its training only, of which the picture has the lengths.
 """
 
 from __future__ import annotations
@@ -202,7 +205,9 @@ class Variant:
 
 VARIANTS: Mapping[str, Variant] = {
     "default": Variant("everything"),
-    "no_randomise": Variant("nominal robots, floors and sensors", {"randomise": False}),
+    "no_randomise": Variant(
+        "nominal robots, floors, sensors and motor encoders", {"randomise": False}
+    ),
     "no_pushes": Variant("no pushes", {"push_impulse": 0.0}),
     "no_privileged": Variant("a critic that sees what the policy sees", {"privileged": False}),
     "no_curriculum": Variant("full ranges and pushes from the start", {"ramp": 0.0}),
@@ -218,12 +223,13 @@ VARIANTS: Mapping[str, Variant] = {
     ),
     "no_symmetry": Variant("networks without mirror symmetry", {"symmetric": False}),
     "memory": Variant(
-        "a recurrent policy (GRU), also without symmetry",
+        "a recurrent policy (GRU), trained on windows of 0.24 s, also without symmetry",
         {"symmetric": False},
         networks={"make_actor": make_recurrent_actor},
     ),
     "world_frame": Variant(
-        "orientation, velocity and the way of the path in the world, not along the path",
+        "orientation, velocity and the way of the path in the world, in which all episodes start"
+        " along x",
         make_stack=in_world_frame,
     ),
     "independent_gaits": Variant(

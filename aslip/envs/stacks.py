@@ -303,8 +303,9 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     """Copy of a stack for evaluation, with the same task and rewards for every experiment.
 
     Observation and action baseline are those of the given stack. Robot, start, rewards and ends of
-    episodes are those of `default_stack()`, or of `directions_stack(library)`; the rewards compare
-    with its gaits, even if the policy observes another motion. A stack that stands keeps standing.
+    episodes are those of `default_stack()`, or of `directions_stack(library)`, whose commands are
+    walked; the rewards compare with its gaits, even if the policy observes another motion. A stack
+    that stands keeps standing.
 
     Args:
         stack: the stack.
@@ -326,6 +327,7 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     seen = {name: ObservationNoise if make is RandomNoise else make for name, make in seen.items()}
     judging: dict[str, Any] = {"out_keys": ("judge", "goal")}
     if library is not None:
+        seen["command"] = common["command"]
         judging["in_keys"] = ["filtered_command", "phase"]
         judging["in_keys"] += ["mode", "stand"] if "stand" in stack else []
     goal = partial(ReferenceInjection, library or shipped_library("gaits"), **judging)

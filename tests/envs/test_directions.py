@@ -33,12 +33,14 @@ from aslip.transforms import (
     RandomPushes,
     RewardTerm,
     TrueState,
+    VelocityCommand,
     rewards,
 )
 from aslip.transforms.command import approach_command
 from aslip.transforms.path import Leash, advance_heading, arc
 from aslip.transforms.rewards import DIRECTION_WEIGHTS
 from tests.library.bent import symmetric_library
+from tests.library.standing import standing_library
 
 PERIOD = CASSIE.policy_period
 FLIP = torch.tensor([1.0, -1.0, -1.0])
@@ -144,6 +146,11 @@ def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> 
     assert "push" not in second
     assert torch.equal(first["reward"], second["reward"])
     assert torch.equal(first["observation"], second["observation"])
+    # commands are of the common library, whatever the policy was trained on
+    other = evaluation_stack(directions_stack(standing_library()), library)
+    command = other["command"]()
+    assert isinstance(command, VelocityCommand)
+    assert command.library is library
 
 
 def test_on_the_reference_the_terms_of_turns_are_near_one() -> None:
