@@ -2,10 +2,10 @@
 
     python -m benchmarks.lookup
 
-Cost is CPU time of the look-ups of reference and goal for all robots, in percent of a policy step
-of the same robots (policy, environment, and physics of 1 kHz as in training), all on one thread in
-one process; both are medians. Errors are the largest ones over three straight gaits, at random
-phases, against tables of 512 samples.
+Cost is CPU time of reference and goal for all robots (`aslip.transforms.ReferenceInjection`), in
+percent of a policy step of the same robots with the policy of that library (policy, environment,
+and physics of 1 kHz as in training), all on one thread in one process; both are medians. Errors are
+the largest ones over three straight gaits, at random phases, against tables of 512 samples.
 """
 
 from __future__ import annotations
@@ -33,16 +33,20 @@ if __name__ == "__main__":
 import statistics
 import time
 from collections.abc import Callable
+from contextlib import closing
 from functools import partial
+from typing import Any, cast
 
 import torch
+from tensordict.nn import TensorDictModuleBase
 
 import aslip
 from aslip.library import GaitLibrary, tabulate
+from aslip.policy import policy_stack
+from aslip.transforms.reference import reference_and_goal
 from aslip.walking import markdown
-from benchmarks.directions import random_commands
 
-_LIBRARIES = ("gaits", "directions")
+_POLICIES = {"gaits": "straight", "directions": "aslip"}
 _TIMESTEP = 1e-3
 _SAMPLES = (128, 64, 48, 32)
 _ERRORS = {
@@ -61,26 +65,49 @@ def main(config: Config) -> None:
 
 def _cost(config: Config) -> str:
     """Table of the libraries' costs and sizes."""
-    env = aslip.make_env(num_envs=config.num_envs, num_threads=1, seed=0, timestep=_TIMESTEP)
-    policy, states = aslip.load_policy("straight"), [env.reset()]
+    rows = []
+    for name, named in _POLICIES.items():
+        library, policy = GaitLibrary.load(name), aslip.load_policy(named)
+        size = sum(buffer.nbytes for buffer in library.buffers()) / 1e6
+        env = aslip.make_env(
+            num_envs=config.num_envs,
+            num_threads=1,
+            seed=0,
+            stack=policy_stack(named),
+            library=library,
+            timestep=_TIMESTEP,
+        )
+        with closing(env), torch.no_grad():
+            whole, seconds = _times(env, policy, library, config.rounds)
+        rows.append(
+            [
+                name,
+                str(len(library.table.commands)),
+                f"{size:.1f} MB",
+                f"{1e3 * whole:.0f} ms",
+                f"{1e3 * seconds:.2f} ms",
+                f"{100 * seconds / whole:.2f} %",
+            ]
+        )
+    header = ["library", "gaits", "memory", "policy step", "reference and goal", "share"]
+    return markdown(header, rows)
+
+
+def _times(
+    env: aslip.envs.StackEnv, policy: TensorDictModuleBase, library: GaitLibrary, rounds: int
+) -> tuple[float, float]:
+    """CPU times of a policy step, and of reference and goal in it [s]."""
+    states = [env.reset()]
 
     def step() -> None:
         states[0] = env.step_and_maybe_reset(policy(states[0]))[1]
 
-    rows = []
-    with torch.no_grad():
-        whole = _seconds(step, config.rounds)
-        for name in _LIBRARIES:
-            library = GaitLibrary.load(name)
-            command = torch.tensor(random_commands(library, config.num_envs, 0)).float()
-            command = command.expand(2, *command.shape)
-            phase = torch.rand(2, config.num_envs, 1)
-            seconds = _seconds(partial(library.lookup, phase, command), 50)
-            size = sum(buffer.nbytes for buffer in library.buffers()) / 1e6
-            share = f"{1e3 * seconds:.2f} ms, {100 * seconds / whole:.2f} %"
-            rows.append([name, str(len(library.table.commands)), f"{size:.1f} MB", share])
-    env.close()
-    return markdown(["library", "gaits", "memory", f"of {1e3 * whole:.0f} ms a step"], rows)
+    whole, td = _seconds(step, rounds), states[0]
+    key = "filtered_command" if library.command_size > 1 else "command"
+    command, phase = (cast("torch.Tensor", td[name]) for name in (key, "phase"))
+    standing: Any = (td["mode"], td["stand"]) if "stand" in td else None
+    work = partial(reference_and_goal, library, command, phase, standing=standing)
+    return whole, _seconds(work, 50)
 
 
 def _accuracy(library: GaitLibrary) -> str:
