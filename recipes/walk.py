@@ -16,12 +16,14 @@ PlotJuggler. Without a display, films need MUJOCO_GL=egl, or MUJOCO_GL=osmesa in
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
 from aslip.log import JointRate
+from aslip.show.places import RomPlace
 from aslip.training.command_line import command_line
 
 
@@ -63,8 +65,8 @@ class Config:
     """Width of the film [pixels]."""
     height: int = 480
     """Height of the film [pixels]."""
-    rom: bool = True
-    """Draw the reduced-order model in film and viewer."""
+    rom: RomPlace = "beside"
+    """Place of the reduced-order model in film and viewer: beside the robot, through it, hidden."""
     viewer: bool = False
     """Show the walk in MuJoCo's viewer, in real time."""
     live: bool = False
@@ -95,10 +97,17 @@ class Config:
                 "--live begins with one command, which the page changes, got the schedule"
                 f" {self.command!r}"
             )
+        page = [name for name in ("policies", "host", "port") if self._differs(name)]
+        if page and not self.live:
+            raise ConfigurationError(f"--{page[0]} is a setting of the page; add --live")
         for name in ("log", "video"):
             path = getattr(self, name)
             if path is not None and path.is_dir():
                 raise ConfigurationError(f"--{name} must be a file, {str(path)!r} is a folder")
+
+    def _differs(self, name: str) -> bool:
+        """True if a setting is not the default."""
+        return getattr(self, name) != getattr(Config, name)
 
 
 if __name__ == "__main__":
@@ -135,6 +144,7 @@ _LAST_SPEED = 4.0
 def main(config: Config) -> None:
     """Walk, and print a table."""
     check_policies(config)
+    before = {path: age(path) for path in (config.video, config.log) if path}
     schedule = Schedule.parse(config.command)
     pushes = [Push.parse(text) for text in config.push]
     check_pushes(pushes, duration(config, schedule))
@@ -147,13 +157,14 @@ def main(config: Config) -> None:
             if config.live:
                 serve(config, walker)
                 return
+            start = velocity(walker.td)
             rows = walk(config, walker, schedule, pushes)
     except (KeyboardInterrupt, SystemExit):
-        print(f"stopped after {walker.time:.2f} s; {written(config)}")
+        print(f"stopped after {walker.time:.2f} s; {written(config, before)}")
         raise
     print(table(schedule, rows))
-    print(outcome(walker, pushes, rows))
-    print(written(config))
+    print(outcome(walker, pushes, rows, start))
+    print(written(config, before))
 
 
 def serve(config: Config, walker: Walker) -> None:
@@ -164,15 +175,25 @@ def serve(config: Config, walker: Walker) -> None:
     LivePage(walker, {name: name for name in policies}, host=config.host, port=config.port).serve()
 
 
-def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) -> str:
-    """Sentences about the outcome of the walk and of each push."""
+def outcome(
+    walker: Walker, pushes: list[Push], rows: list[dict[str, float]], start: dict[str, float]
+) -> str:
+    """Sentences about the outcome of the walk and of each push.
+
+    Args:
+        walker: the robot after the walk.
+        pushes: the pushes.
+        rows: rows of `walk`.
+        start: `velocity` before the first policy step.
+    """
     lines = []
     for push in sorted(pushes, key=lambda push: push.time):
         first = policy_steps(push.time)
         last = min(first + policy_steps(push.duration), len(rows)) - 1
         if first >= len(rows):
             continue
-        change = [rows[last][name] - (rows[first - 1][name] if first else 0.0) for name in _AXES]
+        past = rows[first - 1] if first else start
+        change = [rows[last][name] - past[name] for name in _AXES]
         lines.append(
             f"push at {push.time:g} s of {push.force} N for"
             f" {policy_steps(push.duration) * CASSIE.policy_period:g} s: velocity changed by"
@@ -182,10 +203,21 @@ def outcome(walker: Walker, pushes: list[Push], rows: list[dict[str, float]]) ->
     return "\n".join([*lines, f"the robot {end} {walker.time:.2f} s"])
 
 
-def written(config: Config) -> str:
-    """Written files, and commands to open them."""
-    lines = [f"wrote {path}" for path in (config.video, config.log) if path and path.exists()]
-    if config.log is not None and config.log.exists():
+def age(path: Path) -> int | None:
+    """Time of the last change of a file [ns], None if there is no file."""
+    return path.stat().st_mtime_ns if path.exists() else None
+
+
+def written(config: Config, before: Mapping[Path, int | None]) -> str:
+    """Written files, and commands to open them.
+
+    Args:
+        config: the settings.
+        before: `age` of the files before the walk.
+    """
+    new = [path for path, old in before.items() if age(path) not in (None, old)]
+    lines = [f"wrote {path}" for path in new]
+    if config.log in new:
         lines += [
             f"  python -m aslip.log info {config.log}             # list its topics",
             f"  python -m aslip.log replay --verify {config.log}  # simulate it again",
@@ -281,7 +313,7 @@ def walk(
         if config.viewer:
             from aslip.show.viewer import open_viewer
 
-            show = stack.enter_context(open_viewer(ghost=config.rom))
+            show = stack.enter_context(open_viewer(rom=config.rom))
         for _ in tqdm(range(policy_steps(duration(config, schedule))), unit="step"):
             walker.command = schedule.at(walker.time)
             walker.stand = schedule.stand_at(walker.time)
@@ -306,7 +338,6 @@ def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
     """Numbers of a policy step."""
     after = cast("TensorDictBase", td["next"])
     speed = cast("torch.Tensor", after["true_odometry", "pelvis_velocity"])[0]
-    velocity = cast("torch.Tensor", after["truth", "pelvis_velocity"])[0]
     turns = [cast("torch.Tensor", t["truth", "pelvis_orientation"])[0] for t in (td, after)]
     turn = np.diff(yaw(torch.stack(turns).double().numpy()))[0]
     return {
@@ -314,10 +345,15 @@ def row(walker: Walker, td: TensorDictBase) -> dict[str, float]:
         "speed": float(speed[0]),
         "sideways": float(speed[1]),
         "yaw_rate": math.remainder(turn, math.tau) / CASSIE.policy_period,
-        "velocity_x": float(velocity[0]),
-        "velocity_y": float(velocity[1]),
+        **velocity(after),
         "reward": float(after["reward"]),
     }
+
+
+def velocity(td: TensorDictBase) -> dict[str, float]:
+    """Horizontal velocity of the pelvis in the world [m/s]."""
+    values = cast("torch.Tensor", td["truth", "pelvis_velocity"])[0, :2].tolist()
+    return dict(zip(_AXES, values, strict=True))
 
 
 def table(schedule: Schedule, rows: list[dict[str, float]]) -> str:

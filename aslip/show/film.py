@@ -5,6 +5,7 @@ OpenGL is loaded on the first drawing, not on import.
 
 from __future__ import annotations
 
+import copy
 import os
 import time
 from collections.abc import Iterable, Sequence
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
+import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDictBase
@@ -20,6 +22,10 @@ from tqdm import tqdm
 from aslip.errors import ConfigurationError
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
+from aslip.show.places import RomPlace
+
+# distance of the model from the robot in the picture [m], and factor of the camera's distance
+_BESIDE, _FARTHER = 1.05, 1.15
 
 
 @dataclass(frozen=True)
@@ -48,8 +54,9 @@ class Look:
     """Width [pixels]."""
     height: int
     """Height [pixels]."""
-    ghost: bool = True
-    """Draw the reduced-order model, too."""
+    rom: RomPlace = "beside"
+    """Place of the reduced-order model: to the left of the robot in the picture, in its place, or
+    hidden."""
 
 
 def seconds_per_frame(look: Look) -> float:
@@ -85,15 +92,32 @@ def make_film(path: Path, frames: Sequence[Frame], rate: float, look: Look) -> N
     """
     from aslip.show.render import render_frames
 
+    model, offset = camera_beside(look.camera) if look.rom == "beside" else (None, np.zeros(3))
     pictures = render_frames(
         np.stack([frame.qpos for frame in frames]),
         camera=look.camera,
         width=look.width,
         height=look.height,
-        ghosts=[frame.ghost for frame in frames] if look.ghost else None,
+        model=model,
+        ghosts=None if look.rom == "hidden" else [f.ghost.moved(offset) for f in frames],
     )
     shown = tqdm(pictures, total=len(frames), unit="frame")
     write_video(path, shown, rate, (look.width, look.height))
+
+
+def camera_beside(camera: str) -> tuple[mujoco.MjModel, np.ndarray]:
+    """Model whose camera shows the robot on the right, and the offset (3,) of what is left [m].
+
+    Args:
+        camera: camera that follows the robot without turning.
+    """
+    model = copy.deepcopy(load_model())
+    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
+    to_right = model.cam_mat0[index].reshape(3, 3)[:, 0].copy()
+    to_right[2] = 0.0
+    offset = -_BESIDE * to_right / np.linalg.norm(to_right)
+    model.cam_poscom0[index] = _FARTHER * model.cam_poscom0[index] + offset / 2
+    return model, offset
 
 
 def write_video(

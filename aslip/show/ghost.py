@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import cast
 
@@ -64,6 +64,11 @@ class Ghost:
     """True if the left leg is in stance."""
     right_stance: bool = True
     """True if the right leg is in stance."""
+
+    def moved(self, offset: np.ndarray) -> Ghost:
+        """Ghost moved by an offset (3,) [m, world]."""
+        places = {name: getattr(self, name) + offset for name in ("body", "left", "right")}
+        return replace(self, **places)
 
     @classmethod
     def of(cls, tensordict: TensorDictBase, robot: int = 0) -> Ghost:

@@ -9,23 +9,26 @@ from collections.abc import Callable, Iterator
 
 import mujoco
 import mujoco.viewer
+import numpy as np
 
 from aslip.errors import RenderingError
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.film import Frame
+from aslip.show.ghost import yaw_rotation
 from aslip.show.pacing import Pacer
+from aslip.show.places import BESIDE_STEPS, RomPlace
 from aslip.show.render import add_ghost
 
 
 @contextlib.contextmanager
-def open_viewer(*, ghost: bool = True) -> Iterator[Callable[[Frame], None]]:
+def open_viewer(*, rom: RomPlace = "beside") -> Iterator[Callable[[Frame], None]]:
     """Open a window; yield a function that shows a frame for the duration of a policy step.
 
     The function raises KeyboardInterrupt once the window is closed.
 
     Args:
-        ghost: draw the reduced-order model, too.
+        rom: place of the reduced-order model.
 
     Raises:
         RenderingError: there is no display.
@@ -34,7 +37,7 @@ def open_viewer(*, ghost: bool = True) -> Iterator[Callable[[Frame], None]]:
     if sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
         raise RenderingError("MuJoCo's viewer needs a display; without one use --video")
     model = load_model()
-    data = mujoco.MjData(model)
+    data, orientation = mujoco.MjData(model), CASSIE.indices.pelvis_orientation
     try:
         window = mujoco.viewer.launch_passive(model, data, show_left_ui=False, show_right_ui=False)
     except Exception as error:  # each platform has its own
@@ -52,9 +55,11 @@ def open_viewer(*, ghost: bool = True) -> Iterator[Callable[[Frame], None]]:
             with window.lock():
                 data.qpos[:] = frame.qpos
                 mujoco.mj_forward(model, data)
-                if ghost and window.user_scn is not None:
+                if rom != "hidden" and window.user_scn is not None:
                     window.user_scn.ngeom = 0
-                    add_ghost(window.user_scn, frame.ghost)
+                    beside = yaw_rotation(frame.qpos[orientation]) @ BESIDE_STEPS
+                    offset = beside if rom == "beside" else np.zeros(3)
+                    add_ghost(window.user_scn, frame.ghost.moved(offset))
             window.sync()
             pacer.wait()
 

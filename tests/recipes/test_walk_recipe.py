@@ -107,6 +107,8 @@ def test_fall_ends_the_walk_with_a_complete_log(
         ),
         ({"live": True, "viewer": True}, ConfigurationError, "--live"),
         ({"live": True, "command": "0:0.5,4:stand"}, ConfigurationError, "got the schedule"),
+        ({"policies": ("robust",)}, ConfigurationError, "--policies is a setting of the page"),
+        ({"port": 9000}, ConfigurationError, "--port is a setting of the page; add --live"),
         ({"steps_per_frame": 0}, ConfigurationError, "steps per frame.* 0"),
         ({"log": Path(".")}, ConfigurationError, "--log"),
         # reported with or without OpenGL
@@ -131,7 +133,21 @@ def test_a_walk_without_files_says_how_to_write_them(capsys: pytest.CaptureFixtu
     walk.main(_config(command="0.5", duration=0.3, push=("0:50,0,0",)))
     told = capsys.readouterr().out
     assert "push at 0 s of (50.0, 0.0, 0.0) N for 0.12 s" in told
+    # the robot starts at 0.5 m/s, and 6 N s change that of 31 kg by 0.2 m/s
+    change = re.search(r"velocity changed by \+(.*) m/s in x", told)
+    assert change is not None
+    assert float(change[1]) < 0.45
     assert "nothing was written; add --log" in told
+
+
+def test_files_of_earlier_walks_are_not_called_written(tmp_path: Path) -> None:
+    old, new = tmp_path / "old.mp4", tmp_path / "new.mcap"
+    old.write_bytes(b"film")
+    before = {path: walk.age(path) for path in (old, new)}
+    new.write_bytes(b"log")
+    told = walk.written(_config(video=old, log=new), before)
+    assert f"wrote {new}" in told
+    assert str(old) not in told
 
 
 @pytest.mark.slow

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError
-from aslip.show.film import write_video
+from aslip.robot.model import load_model
+from aslip.show.film import camera_beside, write_video
 
 
 def decoded_film(path: Path) -> tuple[dict, np.ndarray]:
@@ -46,6 +47,22 @@ def test_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.nda
     assert about["fps"] == pytest.approx(33.33, abs=0.01)
     np.testing.assert_allclose(decoded.mean(axis=(1, 2, 3)), 20 * np.arange(10), atol=6)
     assert [p.name for p in tmp_path.iterdir()] == ["film.mp4"]
+
+
+@pytest.mark.parametrize("camera", ["side", "follow", "front"])
+def test_the_model_is_beside_the_robot_in_the_picture(camera: str) -> None:
+    """To the left, on the ground, and as far from the middle of the picture as the robot."""
+    usual = load_model()
+    model, offset = camera_beside(camera)
+    index = usual.camera(camera).id
+    right, _, back = usual.cam_mat0[index].reshape(3, 3).T
+    assert offset @ right < -0.8
+    assert offset[2] == 0
+    # from the camera to the robot, and to the model
+    robot = -model.cam_poscom0[index]
+    assert robot @ right == pytest.approx(-(robot + offset) @ right, abs=0.1)
+    assert robot @ back < -2.5
+    assert not np.array_equal(model.cam_poscom0, usual.cam_poscom0)
 
 
 def test_failed_film_leaves_no_file(

@@ -16,9 +16,9 @@ import viser
 from aslip.library import Command
 from aslip.robot import CASSIE
 from aslip.show.live.pushes import PushControls
-from aslip.show.live.scene import ROM_PLACES, RomPlace
 from aslip.show.live.server import Check, guard, one_of, switch
 from aslip.show.live.steering import Steering
+from aslip.show.places import ROM_PLACES, RomPlace
 
 Click = Literal["pause", "step", "reset", "push", "stand"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal, cast, get_args
+from typing import cast
 
 import mujoco
 import numpy as np
@@ -26,16 +26,8 @@ from aslip.show.ghost import (
     yaw_rotation,
 )
 from aslip.show.live.robot import Color, RobotView, cylinder, sphere, to_color, tube
+from aslip.show.places import BESIDE, BESIDE_STEPS, RomPlace
 from aslip.show.render import spring_path
-
-RomPlace = Literal["beside", "through", "hidden"]
-ROM_PLACES: tuple[RomPlace, ...] = get_args(RomPlace)
-"""Places of the reduced-order model: beside the robot, in its place, or hidden."""
-
-_BESIDE = np.array([0.0, -0.7, 0.0])
-"""Offset of the reduced-order model beside the robot [m]: to the right."""
-_BESIDE_STEPS = np.array([0.0, -0.85, 0.0])
-"""Offset beside robots that sidestep, whose feet take more room [m]."""
 
 # radius and half thickness of a disc on the floor [m]
 _FOOTHOLD_RADIUS = 0.05
@@ -52,7 +44,7 @@ class RomView:
 
     def __init__(self, scene: viser.SceneApi, library: GaitLibrary) -> None:
         self._footholds = Footholds(library)
-        self._beside = _BESIDE if library.command_size == 1 else _BESIDE_STEPS
+        self._beside = BESIDE if library.command_size == 1 else BESIDE_STEPS
         self._root = scene.add_frame("/world/rom", show_axes=False)
         self._offset, self._turn = np.zeros(3), np.eye(3)
         self._body = scene.add_mesh_simple(
