@@ -230,8 +230,11 @@ def picture(walks: Sequence[dict[str, Any]], traces: Sequence[Any]) -> Figure:
             away.plot(time, 100 * trace[0], color=colour, lw=1)
             angle.plot(time, np.degrees(trace[1]), color=colour, lw=1)
     speed = "forward speed before the stop [m/s]"
-    planted.set(xlabel=speed, ylabel="time to planted feet [s]", ylim=(0, None))
-    power.set(xlabel=speed, ylabel="power in standing [W]", ylim=(0, None))
+    planted.set(xlabel=speed, ylabel="time to planted feet [s]")
+    power.set(xlabel=speed, ylabel="power in standing [W]")
+    for axes in (planted, power):
+        # a margin above the points, also if they differ little
+        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
     away.set(xlabel="time in standing [s]", ylabel="drift of the pelvis [cm]")
     angle.set(xlabel="time in standing [s]", ylabel="turn of the pelvis [deg]")
     for axes in (planted, power, away, angle):
