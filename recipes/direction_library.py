@@ -52,7 +52,7 @@ class Config:
     """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
     limits: tuple[tuple[float, float, float, float], ...] = LIMITS
     """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; by default the
-    reach of Cassie's hips and feet."""
+    region of the shipped library."""
     samples: int = 48
     """Samples of a stride."""
     model: SlipParameters = DIRECTION_MODEL
