@@ -209,6 +209,22 @@ def test_another_library_is_refused(file: Path, library: GaitLibrary) -> None:
         ExportedController(file, library="single_reference")
 
 
+def test_a_file_that_fails_its_check_replaces_nothing(
+    controller: Controller, tmp_path: Path
+) -> None:
+    path = tmp_path / "aslip.onnx"
+    path.write_bytes(b"good")
+
+    def fail(new: ExportedController) -> None:
+        assert new.verify() <= TOLERANCE
+        raise FileDamagedError("differs")
+
+    with pytest.raises(FileDamagedError, match="differs"):
+        export_policy(controller, path, check=fail)
+    assert path.read_bytes() == b"good"
+    assert [found.name for found in tmp_path.iterdir()] == ["aslip.onnx"]
+
+
 def test_a_wrong_order_of_the_observation_is_caught(file: Path, tmp_path: Path) -> None:
     names = ExportedController(file).contract.observation
     swapped = [names[0], names[2], names[1], *names[3:]]

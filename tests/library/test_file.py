@@ -76,6 +76,12 @@ def test_shipped_library_is_the_default(library: GaitLibrary) -> None:
     assert table.qvel.shape == (21, 128, 32)
 
 
+def test_the_library_of_all_directions_is_small() -> None:
+    library = GaitLibrary.load("directions")
+    assert len(library.table.commands) > 2000
+    assert sum(buffer.nbytes for buffer in library.buffers()) <= 100e6
+
+
 def test_numpy_reads_the_file(file: Path, small: GaitLibrary) -> None:
     with np.load(file) as archive:
         np.testing.assert_array_equal(archive["table/qpos"], small.table.qpos)
