@@ -100,7 +100,7 @@ def test_falls_are_reported_with_the_commands_around_them(
 
 
 def test_places_in_the_world_are_those_of_the_frame_along_the_path() -> None:
-    """Of a pelvis 0.5 m ahead of a frame that looks along 2 rad, and 0.2 m to its left."""
+    """The frame has a heading of 2 rad; the pelvis is 0.5 m ahead of it and 0.2 m to its left."""
     turned = vertical_quaternion(torch.tensor([[0.3]]))
     odometry = TensorDict(
         origin=torch.tensor([[3.0, -1.0, 0.0]]),

@@ -232,7 +232,7 @@ def test_decompression_bombs_are_refused(kind: Kind, path: Path) -> None:
 
 
 def test_what_compresses_well_is_read_again(tmp_path: Path) -> None:
-    """Robots that stand still: zeros compress a thousand times."""
+    """Motions of robots that stand still are zeros, which compress a hundred times and more."""
     still = ArchiveFormat("gaits", 1, compressed=True)
     entries = {"qpos.npy": npy(np.zeros((2, 48, 35)))}
     still.write(tmp_path / "gaits.npz", entries)

@@ -80,7 +80,7 @@ def test_the_golden_trace_covers_stops_and_starts(
 
 
 def test_another_stop_and_start_are_refused(turning: ExportedController, tmp_path: Path) -> None:
-    """Also if the gaits are the same."""
+    """A library is refused if only its stop and start differ."""
     standing_library().save(tmp_path / "gaits.npz")
     ExportedController(turning.path, library=tmp_path / "gaits.npz")
     slower_library().save(tmp_path / "slower.npz")

@@ -24,7 +24,7 @@ def standing_library() -> GaitLibrary:
 
 
 def slower_library() -> GaitLibrary:
-    """The library above with a stop and a start that take twice as long."""
+    """Library of `standing_library` with a stop and a start that take twice as long."""
     library = standing_library()
     assert library.transitions is not None
     slower = replace(library.transitions, durations=2 * library.transitions.durations)

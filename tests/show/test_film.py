@@ -51,7 +51,7 @@ def test_film_has_its_frames(tmp_path: Path, frames: Callable[[int], list[np.nda
 
 @pytest.mark.parametrize("camera", ["side", "follow", "front"])
 def test_the_model_is_beside_the_robot_in_the_picture(camera: str) -> None:
-    """To the left, on the ground, and as far from the middle of the picture as the robot."""
+    """The model is on the left, as far from the middle of the picture as the robot on the right."""
     usual = load_model()
     model, offset = camera_beside(camera)
     index = usual.camera(camera).id

@@ -46,7 +46,7 @@ def test_origin_and_heading_follow_the_twist_of_the_command(
 
 @pytest.mark.parametrize("heading", [-3.1, 0.0, 300.0])
 def test_slow_turns_add_up_in_single_precision(heading: float) -> None:
-    """Also after many turns: the heading stays within half a turn."""
+    """The heading stays within half a turn, so that slow turns count after many turns, too."""
     angle, command = torch.tensor([[heading]]), torch.tensor([[0.0, 0.0, 0.02]])
     for _ in range(1000):
         angle = advance_heading(angle, command, PERIOD)

@@ -106,7 +106,7 @@ def test_refuses_speed_outside_library(walker: Walker, speed: float) -> None:
 
 @pytest.mark.parametrize("command", [[2.2, 0.0, 0.0], (0.3, 0.1, 0.2)])
 def test_commands_are_sequences_of_any_kind(command: Sequence[float]) -> None:
-    """Of three numbers; what is read can be assigned again, also at the border."""
+    """Lists and tuples of three numbers are commands; one at the border can be assigned again."""
     walker = Walker("aslip", speed=command)
     walker.command = read = walker.command
     walker.reset(list(command))

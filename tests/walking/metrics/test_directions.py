@@ -16,7 +16,7 @@ TIME = np.arange(STEPS) * CASSIE.policy_period
 
 
 def test_mean_velocities_and_the_turn_in_the_frame_add_up_to_the_twist() -> None:
-    """Of a robot that turns in the frame past half a turn, and one that does not; a third falls."""
+    """One robot turns in the frame past half a turn, one keeps its yaw, and a third falls."""
     turn = np.array([1.3, 0.0, 0.5])
     yaw = torch.from_numpy(2.5 + TIME[:, None] * turn)
     orientation = vertical_quaternion(yaw[..., None]).numpy()
@@ -41,7 +41,7 @@ def test_errors_are_those_of_the_walks_that_did_not_fall() -> None:
 
 
 def test_poses_of_a_frame_count_whole_turns() -> None:
-    """Headings are wrapped; the frame starts at 2 rad, and its poses are relative to that."""
+    """The frame starts at a heading of 2 rad, and turns past half a turn, where headings wrap."""
     turned = 1.2 * TIME
     heading = np.angle(np.exp(1j * (2.0 + turned)))
     way = np.outer(TIME, [np.cos(2.0), np.sin(2.0)])  # along the first heading
