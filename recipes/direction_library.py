@@ -1,6 +1,6 @@
 r"""Build a library of gaits in all directions from an empty folder, or go on with a build.
 
-python recipes/direction_library.py                        # 2194 gaits, in runs/directions
+python recipes/direction_library.py                        # 2581 gaits, in runs/directions
 python recipes/direction_library.py --out runs/small --forward 0 0.5 1 --sideways 0 0.2 \
     --yaw-rates 0 0.5 --limits --checks 0
 
@@ -26,12 +26,10 @@ from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 from aslip.training.command_line import command_line
 
 LIMITS = (
-    (1.0, 1.6, 1.6, 2.8),
-    (1.0, 1.6, -1.6, 2.8),
-    (1.0, 0.4, 0.4, 2.2),
-    (1.0, 0.4, -0.4, 2.2),
-    (-1.0, 1.0, -1.0, 2.0),
-    (0.0, 1.0, -1.0, 1.44),
+    (1.0, 1.6, -2.1, 3.85),
+    (1.0, 0.8, 2.35, 3.95),
+    (-1.0, 2.3, -0.9, 2.6),
+    (0.0, 0.86, -0.32, 0.745),
 )
 
 
@@ -42,8 +40,8 @@ class Config:
     out: Path = Path("runs/directions")
     """Folder of the library."""
     forward: tuple[float, ...] = (
-        *(-0.8, -0.6, -0.4, 0.0, 0.4, 0.55, 0.7, 0.85, 1.0, 1.125, 1.25, 1.375),
-        *(1.5, 1.6, 1.7, 1.775, 1.85, 1.925, 2.0, 2.05, 2.1, 2.2),
+        *(-0.8, -0.53, -0.27, 0.0, 0.35, 0.7, 0.85, 1.0, 1.15, 1.275, 1.4, 1.5),
+        *(1.6, 1.7, 1.8, 1.9, 2.0, 2.1, 2.2),
     )
     """Ascending forward speeds [m/s]."""
     sideways: tuple[float, ...] = (0.0, 0.08, 0.16, 0.24, 0.32, 0.41, 0.5)
