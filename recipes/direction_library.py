@@ -49,8 +49,8 @@ class Config:
     yaw_rates: tuple[float, ...] = (0.0, 0.17, 0.34, 0.5, 0.67, 0.84, 1.0)
     """Yaw rates to the left, from 0 [rad/s]; those to the right are their mirror images."""
     limits: tuple[tuple[float, float, float, float], ...] = LIMITS
-    """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; by default the
-    region of the shipped library."""
+    """Half-spaces a v_x + b v_y + c w <= d, each for a command and its mirror image; the default
+    ones hold the commands that Cassie reaches."""
     samples: int = 48
     """Samples of a stride."""
     model: SlipParameters = DIRECTION_MODEL
