@@ -136,6 +136,22 @@ class SeededTransform(Transform):
         return TensorDict(batch_size=parent.batch_size)
 
 
+def reset_rows(request: TensorDictBase) -> torch.Tensor | None:
+    """Mask (*b,) of the robots that a partial reset resets; None if all robots are reset."""
+    mask = request.get("_reset", None)
+    return None if mask is None or mask.all() else mask.reshape(request.batch_size)
+
+
+def spread(value: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+    """Values (m, k) of the m rows in a mask (*b,), in (*b, k).
+
+    Each other row holds the values of a row in the mask, so that it is valid for transforms that
+    compute with all rows.
+    """
+    nearest = (rows.flatten().cumsum(0) - 1).clamp(min=0)
+    return value[nearest].unflatten(0, rows.shape)
+
+
 def check_number(
     name: str, value: Any, low: float = -math.inf, high: float = math.inf, what: str = ""
 ) -> float:

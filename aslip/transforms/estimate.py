@@ -21,7 +21,7 @@ from aslip.estimation import (
     tracking_size,
 )
 from aslip.robot import CASSIE, SIDES
-from aslip.transforms.base import SeededTransform, extend_spec, require_keys
+from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
 from aslip.transforms.path import DEFAULT_LEASH, Leash, advance_frame, place_in_path
 from aslip.transforms.rotation import rotate_about_vertical
 
@@ -183,24 +183,22 @@ class EstimatedState(_Estimator):
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
         # TorchRL uses only the rows of reset robots, so the others are not started
-        mask = tensordict.get("_reset", None)
-        rows = torch.ones(tensordict_reset.batch_size, dtype=torch.bool)
-        if mask is not None:
-            rows = mask.reshape(-1)
-        packets = self._packets(tensordict_reset)[rows.numpy()]
+        rows = reset_rows(tensordict)
+        packets = self._packets(tensordict_reset)
         heading = tensordict_reset.get(self._heading_key, None)
+        if rows is not None:
+            packets = packets[rows.numpy()]
+            heading = None if heading is None else heading[rows]
         if heading is not None:
-            heading = heading[rows].double().numpy()
+            heading = heading.double().numpy()
         origin = torch.zeros(len(packets), 3) if self._path else None
         begun = self.estimator.start(packets, heading)
         period = self._robot.policy_period
         started = self._grouped(estimate_entries(*begun, origin, leash=self.leash, period=period))
-        if rows.all():
+        if rows is None:
             return tensordict_reset.update(started)
         for key, value in started.items(True, True):
-            full = torch.zeros(len(rows), *value.shape[1:], dtype=value.dtype)
-            full[rows] = value
-            tensordict_reset.set(key, full)
+            tensordict_reset.set(key, spread(value, rows))
         return tensordict_reset
 
     def _grouped(self, entries: Mapping[str, Mapping[str, torch.Tensor]]) -> TensorDict:

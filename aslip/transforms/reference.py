@@ -17,7 +17,14 @@ from torchrl.data import Composite
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
-from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import (
+    SeededTransform,
+    check_number,
+    extend_spec,
+    require_keys,
+    reset_rows,
+    spread,
+)
 from aslip.transforms.standing import advance_mode
 
 _MOTORS = tuple(field.name for field in fields(Reference) if field.name.startswith("motor"))
@@ -88,6 +95,20 @@ class ReferenceInjection(SeededTransform):
         for key, entries in zip(self.out_keys, found, strict=True):
             next_tensordict.set(key, TensorDict(entries, next_tensordict.batch_size))
         return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        # TorchRL uses only the rows of reset robots, so the others are not looked up
+        rows = reset_rows(tensordict)
+        if rows is None:
+            return self._call(tensordict_reset)
+        found = self._call(tensordict_reset.select(*self.in_keys)[rows])
+        for key in self.out_keys:
+            group = cast("TensorDictBase", found[key])
+            whole = {name: spread(entry, rows) for name, entry in group.items()}
+            tensordict_reset.set(key, TensorDict(whole, tensordict_reset.batch_size))
+        return tensordict_reset
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the fields of reference and goal."""
@@ -298,7 +319,12 @@ class ReferenceStart(SeededTransform):
                 " write the entries in `_reset_env_preprocess`"
             )
         command, phase, *mode = (cast("Tensor", tensordict[key]) for key in self.in_keys)
-        qpos, qvel = self.library.initial_state(phase, command, *mode)
+        rows = reset_rows(tensordict)
+        if rows is None:
+            qpos, qvel = self.library.initial_state(phase, command, *mode)
+        else:
+            at = (entry[rows] for entry in (phase, command, *mode))
+            qpos, qvel = (spread(part, rows) for part in self.library.initial_state(*at))
         if self.velocity == "rest":
             qvel = torch.zeros_like(qvel)
         tensordict = self._draw_into_reset(tensordict, ("initial", "qpos"), qpos)

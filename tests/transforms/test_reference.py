@@ -23,7 +23,7 @@ from aslip.transforms import (
 from tests.helpers import MakeEnv
 
 
-@pytest.mark.parametrize("when", ["reset", "step"])
+@pytest.mark.parametrize("when", ["reset", "step", "partial reset"])
 @pytest.mark.parametrize("lead", [1.0, 0.0, 0.5])
 def test_the_reference_is_that_of_the_library(
     make: MakeEnv, library: GaitLibrary, when: str, lead: float
@@ -31,8 +31,10 @@ def test_the_reference_is_that_of_the_library(
     """Body and feet are at the current phase, motor angles at the end of the policy step."""
     env = make(num_envs=16, replace={"reference": ReferenceInjection(library, motor_lead=lead)})
     td = env.reset()
-    if when == "step":
+    if when != "reset":
         td = env.step(td.set("action", torch.zeros(16, 10)))["next"]
+    if when == "partial reset":
+        td = env.reset(td.set("_reset", torch.arange(16)[:, None] % 3 == 1))
     present = library.lookup(td["phase"], td["command"])
     later = td["phase"] + lead * CASSIE.policy_period / library.stride(td["command"])
     ahead = library.lookup(later, td["command"])
@@ -83,6 +85,18 @@ def test_episodes_start_on_the_reference(make: MakeEnv, library: GaitLibrary) ->
     torch.testing.assert_close(td["truth", "qpos"], qpos, rtol=0, atol=0)
     torch.testing.assert_close(td["truth", "qvel"], qvel, rtol=0, atol=0)
     assert (qvel != 0).any(dim=1).all()
+
+
+def test_a_partial_reset_puts_some_robots_on_the_reference(
+    make: MakeEnv, library: GaitLibrary
+) -> None:
+    env = make(num_envs=8)
+    before = env.step(env.reset().set("action", torch.zeros(8, 10)))["next"]
+    rows = torch.arange(8) % 3 == 1
+    td = env.reset(before.clone().set("_reset", rows[:, None]))
+    qpos, _ = library.initial_state(td["phase"], td["command"])
+    assert torch.equal(td["truth", "qpos"][rows], qpos[rows])
+    assert torch.equal(td["truth", "qpos"][~rows], before["truth", "qpos"][~rows])
 
 
 def test_episodes_may_start_at_rest(make: MakeEnv, library: GaitLibrary) -> None:
