@@ -9,6 +9,7 @@ from typing import Any, Self
 from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
 
+from aslip.training.collectors import LocalCollector
 from aslip.training.progress import Progress, check_rewards
 from aslip.training.run import TrainingRun
 
@@ -97,6 +98,7 @@ def training_loop(
     progress = Progress(settings.total_steps, settings.samples, kept)
     title = f"preset {settings.preset}, seed {settings.seed}, {settings.num_envs} robots"
     print(run.announcement(title, progress), flush=True)
-    batches = progress.watch(collector, actor, settings.num_envs)
+    here = isinstance(collector, LocalCollector)
+    batches = progress.watch(collector, actor if here else None, settings.num_envs)
     with progress, collector, run.saving(components, settings.checkpoint_minutes) as keep:
         yield TrainingLoop(run, progress, batches, keep, settings.eval_interval)

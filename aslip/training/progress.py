@@ -7,7 +7,9 @@ import math
 import os
 import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -69,13 +71,14 @@ class Progress:
         }
 
     def watch(
-        self, batches: Iterable[TensorDict], actor: nn.Module, robots: int
+        self, batches: Iterable[TensorDict], actor: nn.Module | None, robots: int
     ) -> Iterator[TensorDict]:
-        """Yield batches; with robots in this process, the bar moves at each policy step.
+        """Yield batches; with an actor, the bar moves at each of its policy steps.
 
         Args:
             batches: the collector.
-            actor: the policy.
+            actor: the policy; None if it acts in other processes, to which a policy with a hook
+                cannot be sent.
             robots: number of robots.
         """
         bar = tqdm(total=self.total, initial=self.step, unit="step", dynamic_ncols=True)
@@ -83,11 +86,8 @@ class Progress:
         iterator = iter(batches)
         while True:
             bar.set_description("collecting", refresh=False)
-            hook = actor.register_forward_hook(lambda *_: _ignore(bar.update(robots)))
-            try:
+            with _hook(actor, partial(bar.update, robots)):
                 data = next(iterator, None)
-            finally:
-                hook.remove()
             if data is None:
                 return
             # only simulated robots can diverge
@@ -136,8 +136,16 @@ class Progress:
             self._bar.close()
 
 
-def _ignore(_: object) -> None:
-    """Return None: the hook must not change the outputs."""
+@contextmanager
+def _hook(module: nn.Module | None, function: Callable[[], object]) -> Iterator[None]:
+    """Context in which a module, if there is one, calls a function after each forward pass."""
+
+    def call(*_: object) -> None:  # a result would replace the module's outputs
+        function()
+
+    handle = module.register_forward_hook(call) if module is not None else nullcontext()
+    with handle:
+        yield
 
 
 def check_rewards(data: TensorDict) -> None:

@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import multiprocessing
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -291,6 +292,33 @@ def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:
 
 
 # ---------------------------------------------------------------------- settings
+
+
+class Sender:
+    """Collector that sends its policy away before each batch."""
+
+    def __init__(self, make_env: Any, actor: torch.nn.Module, **settings: Any) -> None:
+        self._local, self._actor = LocalCollector(make_env, actor, **settings), actor
+
+    def __iter__(self) -> Iterator[TensorDict]:
+        batches = iter(self._local)
+        while True:
+            pickle.dumps(self._actor)
+            yield next(batches)
+
+    def __enter__(self) -> Sender:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._local.shutdown()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._local, name)
+
+
+def test_a_training_can_send_its_policy_to_other_processes(tmp_path: Path) -> None:
+    ppo_aslip.main(replace(TINY, out=tmp_path / "run"), make_collector=Sender)
+    assert read_progress(tmp_path / "run")["step"] == [64, 128]
 
 
 @pytest.mark.parametrize(
