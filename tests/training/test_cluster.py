@@ -232,17 +232,14 @@ def test_a_training_with_ray_leaves_nothing_running(tmp_path: Path) -> None:
 
 _TRAINING = """
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-from recipes import ppo_aslip
-from recipes.ppo_cluster import ClusterConfig
-from recipes.ppo_cluster import main as train_on_cluster
+from recipes.ppo_cluster import ClusterConfig, main
 from tests.helpers import TINY
 
 if __name__ == "__main__":
-    config = replace(TINY, out=Path(sys.argv[1]), collector=sys.argv[2], total_steps=10**6)
-    ppo_aslip.main(replace(config, eval_interval=10**6))
+    settings = dict(out=Path(sys.argv[1]), total_steps=10**6, eval_interval=10**6)
+    main(ClusterConfig(**{**vars(TINY), "backend": sys.argv[2], **settings}))
 """
 
 
