@@ -50,7 +50,7 @@ class Config(AblationConfig):
     """Library of gaits: the shipped one, or a file."""
     unloaded: Path = Path("runs/unloaded/gaits.npz")
     """Library of the variant `no_minimum_force`, from `python recipes/direction_library.py --out
-    runs/unloaded --model.min-stance-force 0`."""
+    runs/unloaded --model.min-stance-force 0`, with the grid and limits of `library`."""
 
 
 if __name__ == "__main__":

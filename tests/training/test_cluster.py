@@ -288,9 +288,6 @@ def _wait(over: Callable[[], bool], seconds: float = 150.0) -> None:
         time.sleep(0.2)
 
 
-# ---------------------------------------------------------------------- settings
-
-
 class Sender:
     """Collector that sends its policy away before each batch."""
 
@@ -316,6 +313,9 @@ class Sender:
 def test_a_training_can_send_its_policy_to_other_processes(tmp_path: Path) -> None:
     ppo_aslip.main(replace(TINY, out=tmp_path / "run"), make_collector=Sender)
     assert read_progress(tmp_path / "run")["step"] == [64, 128]
+
+
+# ---------------------------------------------------------------------- settings
 
 
 @pytest.mark.parametrize(
