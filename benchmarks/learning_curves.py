@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from aslip.errors import ConfigurationError, FileDamagedError, one_line_errors
+from aslip.errors import AssetError, ConfigurationError, FileDamagedError, one_line_errors
 from aslip.training.command_line import command_line
 
 Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline", "directions"]
@@ -77,6 +77,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from aslip.library import GaitLibrary
 from aslip.policy import POLICY_FILE, read_card
 from aslip.show.plots import compare_learning, save_figure
 from aslip.training.command_line import preset_command_line
@@ -173,13 +174,23 @@ def _check_settings(folder: Path, variant: str, seed: int) -> None:
     other = {
         name: kept[name]
         for name, value in wanted.items()
-        if name not in _FREE and name in kept and kept[name] != value
+        if name not in _FREE and name in kept and not _same(name, kept[name], value)
     }
     if other:
         raise ConfigurationError(
             f"the run in {str(folder)!r} is not {variant!r} with seed {seed}, it has {other};"
             f" {variant!r} has { ({name: wanted[name] for name in other}) }"
         )
+
+
+def _same(name: str, kept: Any, value: Any) -> bool:
+    """Whether two values of a setting train the same policy; libraries may differ in path."""
+    if kept == value or name != "library":
+        return kept == value
+    try:
+        return GaitLibrary.load(kept).sha256 == GaitLibrary.load(value).sha256
+    except AssetError:
+        return False  # built on another machine, perhaps
 
 
 def _settings(variant: str, seed: int) -> dict[str, Any]:

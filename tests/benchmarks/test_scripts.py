@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from aslip.errors import (
     SpeedOutOfRangeError,
     one_line_errors,
 )
+from aslip.files.assets import asset_path
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.training.progress import steps_done
 from benchmarks import (
@@ -283,6 +285,14 @@ def test_walks_in_all_directions_have_their_own_recipe(
     path.write_text(json.dumps({**settings, "randomise_share": 1.0}, default=str))
     with pytest.raises(ConfigurationError, match=r"not 'directions' with seed 0.*randomise_share"):
         learning_curves.main(config)
+    # the same library elsewhere, another one, and none
+    same = shutil.copy(asset_path("directions.npz"), tmp_path / "same.npz")
+    path.write_text(json.dumps({**settings, "library": same}, default=str))
+    learning_curves.main(config)
+    for other in ("gaits", "built/elsewhere.npz"):
+        path.write_text(json.dumps({**settings, "library": other}, default=str))
+        with pytest.raises(ConfigurationError, match=rf"with seed 0.*{other}"):
+            learning_curves.main(config)
     commands: list[list[str]] = []
     monkeypatch.setattr(
         learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)
