@@ -185,6 +185,7 @@ _SWEPT: Final[Mapping[str, tuple[str, float, float]]] = {
 _SPEEDS: Final = (0.0, 0.5, 1.0, 1.5, 2.0)
 _ONE, _TWO = 2, 4  # places of 1 and 2 m/s
 _STOPS: Final = 8  # stops at 1 m/s, each at another phase
+_NOT_RECORDED: Final = ("policy", "out", "record", "library")  # a hash tells the library
 
 
 def main(
@@ -314,9 +315,9 @@ def open_record(config: Config, path: Path) -> TargetRecord:
         FileDamagedError: the file is no record.
         ConfigurationError: its policies were measured with other settings, or for other targets.
     """
-    settings = {k: v for k, v in asdict(config).items() if k not in ("policy", "out", "record")}
-    if (library := chosen_library(config)) is not None:
-        settings["library_sha256"] = library.sha256
+    settings = {k: v for k, v in asdict(config).items() if k not in _NOT_RECORDED}
+    library = chosen_library(config)
+    settings["library_sha256"] = None if library is None else library.sha256
     return read_record(path, settings)
 
 

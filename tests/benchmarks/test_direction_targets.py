@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.files.assets import asset_path
 from aslip.policy import find_policy, read_card
 from benchmarks import (
     direction_targets,
@@ -187,6 +188,11 @@ def test_every_target_has_a_value_from_its_benchmark(
     assert f"robust (seed {trained[str(file)]}, " in (text := capsys.readouterr().out)
     assert "| target | limit | robust | straight |\n" in text
     assert "\n| velocity | ≤ 0.03 | 0.020 | 0.020 |\n" in text
+    # of the library the content counts, not the path
+    elsewhere = str(asset_path("directions.npz"))
+    direction_targets.main(dataclasses.replace(again, library=elsewhere))
+    with pytest.raises(ConfigurationError, match=r"library_sha256 '[0-9a-f]+', not .* None;"):
+        direction_targets.main(dataclasses.replace(again, library=None))
     with pytest.raises(ConfigurationError, match="measured with commands 200, not commands 10;"):
         direction_targets.main(dataclasses.replace(kept, commands=10))
     changed = file.parent.with_name("straight") / file.name  # weights of robust
