@@ -139,7 +139,7 @@ def training_section(about: dict[str, Any]) -> str:
     versions = ", ".join(f"{k} {v}" for k, v in made.get("versions", {}).items() if v)
     minutes = made.get("seconds", float("nan")) / 60
     rows = [
-        ["command", f"`{made.get('command', 'not recorded')}`"],
+        ["command", f"`{made.get('command') or 'not recorded'}`"],
         ["commit", str(made.get("commit") or "not recorded")],
         ["seed", str(settings.get("seed", "not recorded"))],
         ["policy steps", f"{made.get('steps', 'not recorded')}"],
@@ -329,7 +329,7 @@ def _ship(config: Config, run: Path, target: Path, curve: Path) -> None:
     entries = POLICY_FORMAT.read(source)
     card = json.loads(entries[CARD])
     made = card["made_by"]
-    if "command" in made:
+    if made.get("command"):
         made["command"] = re.sub(_OWN, "", made["command"])
     POLICY_FORMAT.write(target, {**entries, CARD: as_json(card)})
     curve.unlink(missing_ok=True)

@@ -6,7 +6,6 @@ import contextlib
 import math
 import platform
 import re
-import shlex
 import subprocess
 import sys
 from collections.abc import Iterable
@@ -14,6 +13,8 @@ from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
+
+from aslip.training.command_line import this_command
 
 try:
     import resource
@@ -30,7 +31,7 @@ _NAMED_PACKAGES = ("aslip", "mujoco", "numpy", "tensordict", "torch", "torchrl")
 def provenance() -> dict[str, Any]:
     """Provenance of a file: command line, commit of the checkout if there is one, and versions."""
     return {
-        "command": shlex.join(["python", *sys.argv]),
+        "command": this_command(),
         "commit": commit(),
         "versions": versions(_NAMED_PACKAGES),
     }

@@ -1,6 +1,6 @@
 """Folder of a training run: settings, logs, checkpoints to resume from.
 
-    config.json         settings (fields of the recipe's dataclass) and transforms
+    config.json         settings (fields of the recipe's dataclass), transforms and first command
     progress.csv        one row per update
     tensorboard/        the same numbers for TensorBoard
     checkpoints/        the last three, each a ZIP archive without pickle
@@ -39,9 +39,15 @@ from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.files.writing import replacing
 from aslip.policy import POLICY_FILE
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
+from aslip.training.command_line import this_command
 from aslip.training.progress import Progress, ProgressLog, read_progress
 from aslip.training.provenance import peak_memory, provenance
-from aslip.training.settings import SETTINGS_FILE, read_settings, settings_text
+from aslip.training.settings import (
+    SETTINGS_FILE,
+    read_first_command,
+    read_settings,
+    settings_text,
+)
 
 _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
@@ -90,6 +96,9 @@ class TrainingRun:
         self.go_on = go_on
         self.changes: list[str] = []
         """Settings changed by resuming, such as `total_steps 100 -> 200`."""
+        self.command: str | None = this_command()
+        """Command that started the run; None if it was started by a version that did not record
+        it."""
         self._log = ProgressLog(self.folder, logger)
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint
@@ -221,7 +230,10 @@ class TrainingRun:
         return f"{about}\nCtrl-C saves and stops; to continue: {self.go_on}"
 
     def about(self, progress: Progress) -> dict[str, Any]:
-        """Settings, transforms, length and provenance of the training, for the policy's card."""
+        """Settings, transforms, length and provenance of the training, for the policy's card.
+
+        The command is the one that started the run, also after it was resumed.
+        """
         settings = {k: v for k, v in self.settings.items() if k not in ("out", "resume")}
         return {
             "settings": settings,
@@ -229,6 +241,7 @@ class TrainingRun:
             "steps": progress.step,
             "seconds": round(progress.elapsed),
             **provenance(),
+            "command": self.command,
         }
 
     def finish(self, table: str, progress: Progress) -> None:
@@ -260,8 +273,9 @@ class TrainingRun:
             )
         if resume:
             self._check_settings()
+            self.command = read_first_command(self.folder)
         self._checkpoint_folder.mkdir(parents=True, exist_ok=True)
-        write_text(settings_file, settings_text(self.settings, self.transforms))
+        write_text(settings_file, settings_text(self.settings, self.transforms, self.command))
         # temporary files of a killed process
         for unfinished in self._checkpoint_folder.glob(".checkpoint-*"):
             shutil.rmtree(unfinished) if unfinished.is_dir() else unfinished.unlink()

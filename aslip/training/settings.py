@@ -15,7 +15,7 @@ from aslip.errors import ConfigurationError, FileDamagedError
 SETTINGS_FILE = "config.json"
 """File of a run's settings, in its folder."""
 
-_TRANSFORMS = "transforms"
+_TRANSFORMS, _COMMAND = "transforms", "first_command"  # beside the settings
 
 
 def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
@@ -25,6 +25,34 @@ def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
         ConfigurationError: the folder holds no run.
         FileDamagedError: the file cannot be read.
     """
+    settings = _read(folder)
+    try:
+        transforms = dict(settings.pop(_TRANSFORMS, {}))
+    except (ValueError, TypeError) as error:
+        raise _damaged(folder, error) from error
+    settings.pop(_COMMAND, None)
+    return settings, transforms
+
+
+def read_first_command(folder: Path) -> str | None:
+    """Command that started the run in a folder; None if its version did not record it.
+
+    Raises:
+        ConfigurationError: the folder holds no run.
+        FileDamagedError: the file cannot be read.
+    """
+    command = _read(folder).get(_COMMAND)
+    return None if command is None else str(command)
+
+
+def settings_text(settings: dict[str, Any], transforms: dict[str, str], command: str | None) -> str:
+    """Content of the file that `read_settings` and `read_first_command` read."""
+    about = settings | ({_TRANSFORMS: transforms} if transforms else {})
+    return json.dumps(about | ({_COMMAND: command} if command else {}), indent=1) + "\n"
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    """All entries of a run's file; raises as `read_settings`."""
     path = folder / SETTINGS_FILE
     if not path.exists():
         raise ConfigurationError(
@@ -32,17 +60,13 @@ def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
             " folder of a run with --out"
         )
     try:
-        settings = dict(json.loads(path.read_text()))
-        transforms = dict(settings.pop(_TRANSFORMS, {}))
+        return dict(json.loads(path.read_text()))
     except (ValueError, TypeError) as error:
-        raise FileDamagedError(f"{str(path)!r} is damaged ({error})") from error
-    return settings, transforms
+        raise _damaged(folder, error) from error
 
 
-def settings_text(settings: dict[str, Any], transforms: dict[str, str]) -> str:
-    """Content of the file that `read_settings` reads."""
-    about = settings | ({_TRANSFORMS: transforms} if transforms else {})
-    return json.dumps(about, indent=1) + "\n"
+def _damaged(folder: Path, error: Exception) -> FileDamagedError:
+    return FileDamagedError(f"{str(folder / SETTINGS_FILE)!r} is damaged ({error})")
 
 
 def check_types(config: Any) -> None:

@@ -9,7 +9,9 @@ import pytest
 
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.training import run as run_module
+from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
+from aslip.training.settings import read_settings
 from benchmarks.common import quiet
 from tests.training.run_folder import (
     Settings,
@@ -21,8 +23,8 @@ from tests.training.run_folder import (
 
 def test_settings_are_kept(settings: Settings) -> None:
     run = open_run(settings)
-    stored = json.loads((settings.out / "config.json").read_text())
-    assert stored == run.settings
+    stored, transforms = read_settings(settings.out)
+    assert (stored, transforms) == (run.settings, {})
     assert stored["learning_rate"] == 1e-4
     assert run.policy_file == settings.out / "policy.zip"
 
@@ -114,6 +116,23 @@ def test_a_moved_run_can_resume_with_more_steps(settings: Settings) -> None:
     settings.out.rename(moved.out)
     assert open_run(moved, resume=True).changes == ["total_steps 100 -> 500"]
     assert open_run(moved, resume=True).changes == []
+
+
+def test_the_card_of_a_resumed_run_has_the_command_that_started_it(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.argv", ["recipe.py", "--seed", "4"])
+    first = open_run(settings).about(Progress(10, 1))["command"]
+    assert first.endswith("--seed 4")
+    monkeypatch.setattr("sys.argv", ["recipe.py", "--resume"])
+    for _ in range(2):
+        assert open_run(settings, resume=True).about(Progress(10, 1))["command"] == first
+    # a run of an earlier version
+    file = settings.out / "config.json"
+    kept = json.loads(file.read_text())
+    del kept["first_command"]
+    file.write_text(json.dumps(kept))
+    assert open_run(settings, resume=True).about(Progress(10, 1))["command"] is None
 
 
 def test_an_error_lists_some_differences_and_a_remedy(settings: Settings) -> None:
