@@ -1,6 +1,6 @@
 """Foot-placement error against the reduced-order model, as in the paper's figure (Sec. V-A).
 
-    python -m benchmarks.foot_placement                                   # the shipped policy
+    python -m benchmarks.foot_placement                                   # the policy `straight`
     python -m benchmarks.foot_placement --policy runs/seed0 runs/seed1 runs/seed2
     python -m benchmarks.foot_placement --log walk.mcap                   # a log at one speed
 

@@ -1,6 +1,6 @@
 """Vertical ground force over a stride: robot, reduced-order model and baseline.
 
-    python -m benchmarks.ground_reaction                                    # the shipped policy
+    python -m benchmarks.ground_reaction                                    # the policy `straight`
     python -m benchmarks.ground_reaction --paper runs/paper0 runs/paper1 --baseline runs/baseline0
 
 The paper's figure has 0, 1 and 2 m/s. Forces are sampled by the physics at 2 kHz. Spring-mass

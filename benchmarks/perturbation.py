@@ -1,6 +1,6 @@
 """Robustness of a policy: pushes by direction and phase, changes of robot and floor.
 
-    python -m benchmarks.perturbation                                       # the shipped policy
+    python -m benchmarks.perturbation                                       # the policy `straight`
     python -m benchmarks.perturbation --policy runs/seed0 runs/seed1 runs/seed2
     python -m benchmarks.perturbation --policy runs/mine --library runs/directions/gaits.npz
 

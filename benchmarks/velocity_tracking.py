@@ -1,6 +1,6 @@
 """Velocity tracking: through a schedule, at constant speeds, and after step changes.
 
-    python -m benchmarks.velocity_tracking                                 # the shipped policy
+    python -m benchmarks.velocity_tracking                                 # the policy `straight`
     python -m benchmarks.velocity_tracking --policy runs/seed0 runs/seed1 runs/seed2
     python -m benchmarks.velocity_tracking --log walk.mcap                 # a logged walk
 
