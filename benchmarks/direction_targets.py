@@ -199,17 +199,24 @@ def main(
         make_env: function that makes the environment, see `benchmarks.common`.
 
     Raises:
-        ConfigurationError: a setting is invalid, two policies have the same name, or the library
-            has no stop and start.
+        ConfigurationError: a setting is invalid, two policies have the same name, the library has
+            no stop and start or no gaits up to 2 m/s, or there is a record and a policy or an
+            environment of the caller, which it cannot name.
     """
     policies: list[Policy] = [*config.policy] if policy is None else [policy]
     _check(config, policies)
-    about = ""
-    if policy is not None or config.record is None:
+    about, names = "", {}
+    if config.record is None:
         found = [measure(config, one, make_env) for one in policies]
+    elif policy is not None or make_env is not None:
+        raise ConfigurationError(
+            f"the record {str(config.record)!r} holds policies of files in their own environments;"
+            " leave out record, or policy and make_env"
+        )
     else:
         record = recorded(config, config.record)
         found, about = record.values(), f"\n\n{trainings_text(record)}"
+        names = {"policies": [one["name"] for one in record.policies]}
         if len(found) > 1:
             about += f"\n\n{table_of_each(record)}"
     rows = [
@@ -217,7 +224,7 @@ def main(
         for claim in TARGETS
     ]
     text = f"{table(rows)}\n\n{falls_text(config, found)}{about}"
-    write_report(config, policy, "direction_targets", {"rows": rows}, text)
+    write_report(config, policy, "direction_targets", {**names, "rows": rows}, text)
     return rows
 
 
@@ -231,6 +238,8 @@ def _check(config: Config, policies: Sequence[Policy]) -> None:
     library = chosen_library(config)
     if library is not None:
         transitions_of(library)
+        for speed in _SPEEDS:
+            library.check_command((speed, 0.0, 0.0))
 
 
 def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
@@ -261,7 +270,9 @@ def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
 def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> dict[str, float]:
     """Value of each target for one policy; NaN where falls leave nothing to measure.
 
-    Falls have targets of their own. The other values are over the walks without a fall.
+    Falls at random commands, in changes and in stops have targets of their own, and the other
+    values are over the walks without a fall. The largest values of straight walks, and forces, are
+    NaN after any fall in these.
     """
     settings, of = benchmarks_of(config, policy), (policy, make_env)
     (errors,) = direction_tracking.main(settings["tracking"], *of)
@@ -500,8 +511,11 @@ def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:
 
 def trainings_text(record: TargetRecord) -> str:
     """Sentence on a record's policies, whose trainings should differ in their seed only."""
-    made = [f"{one['name']} (seed {one['seed']}, {one['commit']})" for one in record.policies]
-    at = ", ".join(sorted({one["measured_at"] for one in record.policies}))
+    made = [
+        f"{one['name']} (seed {one['seed']}, {one['commit'] or 'no commit'})"
+        for one in record.policies
+    ]
+    at = ", ".join(sorted({one["measured_at"] or "no commit" for one in record.policies}))
     return (
         f"Policies, with seed and commit of their trainings: {', '.join(made)}. Measured at {at}."
     )

@@ -1,6 +1,6 @@
 """Film strip of a stride: the reduced-order model above the robot at the same phases.
 
-    python -m benchmarks.film_strip --speed 1.0                # the policy `straight`, as in the paper
+    python -m benchmarks.film_strip --speed 1.0                # `straight`, as in the paper
     python -m benchmarks.film_strip --policy runs/ppo_aslip --overlay
     python -m benchmarks.film_strip --reference --out docs/images/reference.png
 

@@ -38,6 +38,10 @@ class Config(Directions):
         for name in ("radius", "speed", "duration"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.video is not None and self.video.suffix != ".mp4":
+            raise ConfigurationError(
+                f"the name of a film must end in .mp4, got {str(self.video)!r}"
+            )
 
 
 if __name__ == "__main__":
@@ -59,6 +63,7 @@ from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film
 from aslip.walking import markdown, next_start, policy_steps, reset_walks, take_step
+from aslip.walking.record import commands_kept
 from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
 
 _POINTS = 500  # number of points of the drawn path
@@ -80,9 +85,6 @@ def main(
     follower = PathFollower(Eight(config.radius), config.speed)
     found = [walk_path(config, subject, library, follower) for subject in subjects]
     rows = [row for row, _, _ in found]
-    if config.video is not None:
-        rate = 1 / (_STEPS_PER_FRAME * CASSIE.policy_period)
-        make_film(config.video, found[0][2], rate, _LOOK)
     lines = [
         [
             row["policy"],
@@ -97,6 +99,9 @@ def main(
     ]  # fmt: skip
     figure = picture(follower, found[0][1])
     write_report(config, policy, "path", {"rows": rows}, markdown(header, lines), figure)
+    if config.video is not None:
+        rate = 1 / (_STEPS_PER_FRAME * CASSIE.policy_period)
+        make_film(config.video, found[0][2], rate, _LOOK)
     return rows
 
 
@@ -106,12 +111,12 @@ def walk_path(
     """Walk one robot along the path.
 
     Returns:
-        Numbers of the walk; positions (m, 2, 2), estimated and true, after each policy step [m];
+        Numbers of the walk; positions (m, 2, 2), estimated and true, before each policy step [m];
         and frames of the film, none without one.
     """
     start, way, true_way = (config.speed, 0.0, 0.0), 0.0, 0.0
     places, distances, frames, fell = [], [], [], False
-    with contextlib.closing(subject.walking_env(config, 1)) as env:
+    with contextlib.closing(subject.walking_env(config, 1)) as env, commands_kept(env):
         td: TensorDictBase = reset_walks(env, library.nearest(torch.tensor([start])).numpy())
         for _ in tqdm(range(policy_steps(config.duration)), unit="step", leave=False):
             heading = float(cast("torch.Tensor", td["heading"]))

@@ -88,11 +88,17 @@ class TargetRecord:
                 )
 
     def add(self, policy: str | Path, values: Mapping[str, float]) -> None:
-        """Add the values of a policy in place of older ones of it, and write the file."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._read()  # another process may have added some since
+        """Add the values of a policy in place of older ones of it, and write the file.
+
+        Raises:
+            FileDamagedError: the file is no record any more.
+            ConfigurationError: another process has added other weights under the policy's name.
+        """
         about = {**describe(policy), "sha256": _digest(policy)}
         about |= {"measured_at": provenance()["commit"], "values": without_nan(values)}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self._read()  # another process may have added some since
+        self.check(policy)
         others = [one for one in self.policies if one["sha256"] != about["sha256"]]
         self.policies = [*others, about]
         kept = {"settings": dict(self.settings), "policies": self.policies}

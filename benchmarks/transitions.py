@@ -89,7 +89,7 @@ def fall_row(config: Config, subject: Subject, library: GaitLibrary) -> dict[str
     """Number of changes, and for each fall the commands before and after the change."""
     each = math.ceil(config.changes / config.robots)
     drawn = random_commands(library, (each + 1) * config.robots, config.seed)
-    commands = drawn.reshape(each + 1, config.robots, 3)
+    commands = drawn.reshape(each + 1, config.robots, library.command_size)
     env = subject.walking_env(config, config.robots)
     with contextlib.closing(env), commands_kept(env):
         fallen = walk_changes(subject, env, commands, hold_steps(config, each))

@@ -24,6 +24,7 @@ from aslip.errors import (
     ConfigurationError,
     FileDamagedError,
     GaitOptimizationError,
+    SpeedOutOfRangeError,
     UnreachablePoseError,
 )
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
@@ -158,8 +159,9 @@ class GaitFolder:
         poses = [self.samples, self.least_clearance]
         settings = [command.tolist(), asdict(self.model), self.objective, *poses]
         digest.update(json.dumps(settings).encode())
-        for array in guess.to_arrays().values() if guess else ():
-            digest.update(npy(array))
+        for name, array in guess.to_arrays().items() if guess else ():
+            if name != "certificate":  # it has the time of the solve, which varies
+                digest.update(npy(array))
         return self.folder / f"{digest.hexdigest()[:32]}.npz"
 
     def read(self, command: np.ndarray, guess: Gait | None) -> Outcome | None:
@@ -201,7 +203,7 @@ class GaitFolder:
                     command, parameters=self.model, guess=start, objective=self.objective
                 )
                 poses = tabulate([gait], self.robot, samples=self.samples).qpos[0]
-            except UnreachablePoseError as error:
+            except (SpeedOutOfRangeError, UnreachablePoseError) as error:
                 return str(error)
             except GaitOptimizationError as error:
                 reason = str(error)

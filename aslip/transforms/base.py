@@ -137,9 +137,14 @@ class SeededTransform(Transform):
 
 
 def reset_rows(request: TensorDictBase) -> torch.Tensor | None:
-    """Mask (*b,) of the robots that a partial reset resets; None if all robots are reset."""
+    """Mask (*b,) of the robots that a partial reset resets; None if all robots are reset, or none.
+
+    Without a robot to reset, values of all robots are computed, and TorchRL uses none of them.
+    """
     mask = request.get("_reset", None)
-    return None if mask is None or mask.all() else mask.reshape(request.batch_size)
+    if mask is None or mask.all() or not mask.any():
+        return None
+    return mask.reshape(request.batch_size)
 
 
 def spread(value: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.envs import make_env
+from aslip.errors import ConfigurationError, FileDamagedError, SpeedOutOfRangeError
 from aslip.files.assets import asset_path
 from aslip.policy import find_policy, read_card
 from benchmarks import (
@@ -21,6 +22,7 @@ from benchmarks import (
     foot_placement,
     perturbation,
     standing,
+    target_record,
     transitions,
     walking_quality,
 )
@@ -227,6 +229,35 @@ def test_every_target_has_a_value_from_its_benchmark(
     found = {row["name"]: row["found"] for row in direction_targets.main(config)}
     assert found["falls, walks"]["each"] == [5.0, 5.0]
     assert found["falls, walks"]["verdict"] == "FAIL"
+
+
+def test_a_record_names_all_of_its_policies_also_without_a_commit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = {claim.name: 1.0 for claim in TARGETS}
+    monkeypatch.setattr(direction_targets, "measure", lambda *_: values)
+    monkeypatch.setattr(target_record, "provenance", lambda: {"commit": None})
+    config = Config(policy=("robust",), record=tmp_path / "record.json", out=tmp_path)
+    direction_targets.main(config)
+    direction_targets.main(dataclasses.replace(config, policy=("straight",)))
+    assert "Measured at no commit." in capsys.readouterr().out
+    written = json.loads((tmp_path / "direction_targets.json").read_text())
+    assert written["policies"] == ["robust", "straight"]
+
+
+def test_a_record_is_of_policies_in_files_in_their_own_environments(tmp_path: Path) -> None:
+    config = Config(policy=("straight",), record=tmp_path / "record.json", out=tmp_path)
+    for policy, made in ((limp(), None), (None, make_env)):
+        with pytest.raises(ConfigurationError, match="leave out record, or policy and make_env"):
+            direction_targets.main(config, policy, made)
+    assert not [*tmp_path.iterdir()]
+
+
+def test_a_library_of_slow_gaits_is_refused_before_any_walk(tmp_path: Path) -> None:
+    standing_library().save(tmp_path / "gaits.npz")
+    config = Config(library=str(tmp_path / "gaits.npz"), out=tmp_path / "out")
+    with pytest.raises(SpeedOutOfRangeError, match="forward"):
+        direction_targets.main(config, limp())
 
 
 @pytest.mark.slow

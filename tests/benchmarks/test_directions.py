@@ -132,6 +132,18 @@ def test_a_path_is_walked_over_the_estimate(
     _written(tmp_path, "path")
 
 
+def test_a_film_that_fails_leaves_the_measurement(
+    library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(path, "make_film", Mock(side_effect=ConfigurationError("no OpenGL")))
+    config = path.Config(library=library, duration=0.06, out=tmp_path, video=Path("eight.mp4"))
+    with pytest.raises(ConfigurationError, match="no OpenGL"):
+        path.main(config, limp())
+    _written(tmp_path, "path")
+    with pytest.raises(ConfigurationError, match=r"must end in \.mp4, got 'eight\.gif'"):
+        path.Config(video=Path("eight.gif"))
+
+
 def test_stops_standing_and_starts_are_measured(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -152,6 +153,10 @@ def test_damaged_file_is_no_gait(built: Built) -> None:
     file.write_bytes(whole)
     assert isinstance(store.read(*at), Gait)
     assert store.read(gait.command, None) is None  # of another guess
+    guess = at[1]
+    assert guess is not None
+    solved_later = replace(guess, certificate=replace(guess.certificate, solve_time=99.0))
+    assert store.file(gait.command, solved_later) == file
     assert GaitFolder(store.folder, samples=8).read(*at) is None
 
 
@@ -176,6 +181,14 @@ def test_failed_guess_is_followed_by_the_rough_one(
     assert store.solve(np.array([0.9, 0.0, 0.0]), library.gaits[4]) == "no gait found"
     assert guesses == [library.gaits[4], None] * 2
     assert store.read(np.array([0.9, 0.0, 0.0]), library.gaits[4]) == "no gait found"
+
+
+def test_command_beyond_the_model_is_a_reason(tmp_path: Path) -> None:
+    store = GaitFolder(tmp_path)
+    command = np.array([0.0, 0.0, 1.6])
+    reason = store.solve(command, None)
+    assert reason == "yaw rate must be between -1.5 and 1.5 rad/s, got 1.6"
+    assert store.read(command, None) == reason
 
 
 def test_pose_out_of_reach_is_a_reason(

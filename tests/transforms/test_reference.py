@@ -99,6 +99,14 @@ def test_a_partial_reset_puts_some_robots_on_the_reference(
     assert torch.equal(td["truth", "qpos"][~rows], before["truth", "qpos"][~rows])
 
 
+def test_a_reset_of_no_robot_changes_none(make: MakeEnv) -> None:
+    env = make(num_envs=3)
+    before = env.step(env.reset().set("action", torch.zeros(3, 10)))["next"]
+    td = env.reset(before.clone().set("_reset", torch.zeros(3, 1, dtype=torch.bool)))
+    for key in (("truth", "qpos"), ("estimate", "height"), ("reference", "body_position"), "phase"):
+        assert torch.equal(td[key], before[key]), key
+
+
 def test_episodes_may_start_at_rest(make: MakeEnv, library: GaitLibrary) -> None:
     td = make(num_envs=8, replace={"start": ReferenceStart(library, "rest")}).reset()
     qpos, _ = library.initial_state(td["phase"], td["command"])
