@@ -29,6 +29,7 @@ from aslip.errors import ConfigurationError, NetworkError, one_line_errors
 from aslip.library import Schedule
 from aslip.training.command_line import command_line
 from aslip.wire import CLIENT, LOOPBACK, SIMULATOR, Address, Endpoint, Link
+from aslip.wire.endpoint import check_port
 
 if TYPE_CHECKING:
     from aslip.control.runner.record import RunLog
@@ -111,7 +112,7 @@ def main(config: Config) -> None:
             drive(run, endpoint, patience=config.patience)
         counts = {name: number for name, number in asdict(link.counters).items() if number}
         _say("\n".join([*run.tally.lines(), f"datagrams: {counts}"]))
-    if "operator" not in supervisor.reason:
+    if not supervisor.by_operator:
         raise SystemExit(1)
 
 
@@ -161,8 +162,10 @@ def local_address(robot: Address, port: int) -> tuple[Address, bool]:
         port: local port.
 
     Raises:
+        ConfigurationError: there is no such port.
         NetworkError: there is no route to the robot.
     """
+    check_port(robot.port)
     if _is_loopback(robot.host):
         return Address(LOOPBACK, port), False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

@@ -53,7 +53,8 @@ class Contract:
     metadata: Mapping[str, str]
     """Metadata of the file: all entries but the hash."""
     about: Mapping[str, Any]
-    """Entry `aslip`: `contract`, `aslip`, `robot`, `library`, `policy`, `baseline`, `rates`."""
+    """Entry `aslip`: `contract`, `aslip`, `robot`, `library`, `policy`, `baseline`,
+    `policy_period`, `motor_lead`, `command_rates`."""
     interface: Mapping[str, Any]
     """Entry `leapp`: `models`, with inputs and outputs of the graph, and `pipeline`."""
 

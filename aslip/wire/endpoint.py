@@ -225,13 +225,22 @@ def _check(address: Address, beyond_loopback: bool) -> None:
         raise ConfigurationError(
             f"an IPv4 address such as {LOOPBACK} is needed, got {address.host!r}"
         ) from None
-    if not 0 <= address.port < 2**16:
-        raise ConfigurationError(f"a port is between 0 and 65535, got {address.port}")
+    check_port(address.port)
     if not (host.is_loopback or beyond_loopback):
         raise ConfigurationError(
             f"{address.host} is beyond this machine, and whoever reaches the port can move the"
             f" robot; use {LOOPBACK}, or allow it with beyond_loopback"
         )
+
+
+def check_port(port: int) -> None:
+    """Check that a port exists; 0 stands for any.
+
+    Raises:
+        ConfigurationError: it is not between 0 and 65535.
+    """
+    if not 0 <= port < 2**16:
+        raise ConfigurationError(f"a port is between 0 and 65535, got {port}")
 
 
 def _bound(local: Address) -> socket.socket:

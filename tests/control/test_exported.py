@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
+from unittest.mock import Mock
 
 import numpy as np
 import onnx
@@ -106,6 +107,14 @@ def test_motor_targets_are_those_of_the_controller(
 ) -> None:
     assert exported.verify() <= TOLERANCE
     assert compare(exported, controller, 50) <= TOLERANCE
+
+
+def test_a_difference_of_nan_is_not_lost(
+    controller: Controller, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outputs = [{"motor_target": np.full(10, value)} for value in (0.0, np.nan, 0.0)]
+    broken = Mock(outputs=Mock(side_effect=outputs))
+    assert np.isnan(compare(broken, controller, 3))
 
 
 @pytest.mark.slow

@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from aslip.control import Controller
 from aslip.control.contract import TOLERANCE
 from aslip.control.export import compare, export_policy
+from aslip.control.export.graph import _output
 from aslip.control.exported import ExportedController
 from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.robot import CASSIE
 from tests.control.exports import (
     estimate,
     recurrent_controller,
@@ -45,6 +48,29 @@ def test_hidden_states_and_filtered_commands_are_part_of_the_graph(
         _, remembered = turning.step(state, row)
         _, forgotten = turning.step(replace(state, entries=forgetful), row)
         assert np.abs(remembered - forgotten).max() > 1e-4, name
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "elements", "unit"),
+    [
+        (
+            "observed/filtered_command",
+            3,
+            ("forward_speed", "sideways_speed", "yaw_rate"),
+            "m/s, rad/s",
+        ),
+        ("observed/last_action", 10, CASSIE.motor_names, "rad"),
+        ("reference/motor_velocity", 10, CASSIE.motor_names, "rad/s"),
+        ("reference/motor_position", 10, CASSIE.motor_names, "rad"),
+        ("reference/body_position", 3, ("x", "y", "z"), "m"),
+        ("clock/sin", 1, (), ""),
+    ],
+)
+def test_entries_of_the_observation_have_names_and_units(
+    name: str, size: int, elements: tuple[str, ...], unit: str
+) -> None:
+    entry = _output(name, torch.zeros(1, size), CASSIE)
+    assert (entry.elements, entry.unit) == (elements, unit)
 
 
 @pytest.mark.parametrize("mode", ["estimates", "packets"])

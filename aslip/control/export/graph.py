@@ -50,6 +50,7 @@ _AXES = {1: ("z",), 3: ("x", "y", "z"), 4: ("w", "x", "y", "z")}
 _UNITS = {"position": "m", "velocity": "m/s", "heading": "rad", "target": "rad", "error": "m"} | {
     "origin": "m"
 }
+_MOTOR_UNITS = {"position": "rad", "velocity": "rad/s", "target": "rad"}
 _MODES = "0 walks, 1 stops, 2 stands, 3 starts"
 # opset that onnxruntime supports since 1.17
 _OPSET = 18
@@ -303,10 +304,16 @@ def _output(name: str, value: Tensor, robot: Robot) -> Entry:
     }
     if name in known:
         return known[name]
-    unit = _UNITS.get(name.split("_")[-1], "")
+    seen = name.removeprefix("observed/")
+    if seen == "last_action":
+        return Entry(name, value, None, motors, "rad")
+    if seen in ("command", "filtered_command"):
+        return Entry(name, value, None, _axes(value.shape[-1]), "m/s, rad/s")
+    last = name.split("_")[-1]
     if name.startswith("reference/motor"):
-        return Entry(name, value, None, motors, unit)
-    return Entry(name, value, None, _AXES.get(value.shape[-1], ()), unit, _frame(name))
+        return Entry(name, value, None, motors, _MOTOR_UNITS[last])
+    elements = () if name.startswith("clock/") else _AXES.get(value.shape[-1], ())
+    return Entry(name, value, None, elements, _UNITS.get(last, ""), _frame(name))
 
 
 def _frame(name: str) -> str:

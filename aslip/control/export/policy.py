@@ -225,7 +225,7 @@ def compare(
         progress: wrapper of the loop over batches, such as `tqdm.tqdm`.
 
     Returns:
-        Largest difference of a motor target [rad].
+        Largest difference of a motor target [rad]; NaN if a target is.
     """
     step, generator = PolicyStep(controller), np.random.default_rng(seed)
     names = [entry.name for entry in step.outputs]
@@ -240,7 +240,8 @@ def compare(
                 for entry, value in zip(step.inputs, values, strict=True)
             }
             found = exported.outputs(feed)["motor_target"]
-            largest = max(largest, float(np.abs(found - row).max()))
+            # unlike Python's max, it keeps NaN
+            largest = float(np.maximum(largest, np.abs(found - row).max()))
     return largest
 
 

@@ -18,6 +18,7 @@ from aslip.control.runner.supervisor import Request
 from aslip.errors import ConfigurationError, NetworkError
 from aslip.library import Schedule, numbers
 from aslip.wire import LOOPBACK
+from aslip.wire.endpoint import check_port
 
 # silence of the other program after which the robot steps in place [s]
 _STOP_AFTER = 1.0
@@ -129,11 +130,15 @@ class Keyboard:
             termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._settings)
 
     def request(self, time: float, walking: float) -> Request:
-        """Request after all keys pressed so far."""
+        """Request after all keys pressed so far.
+
+        Raises:
+            OSError: the terminal is closed.
+        """
         while select.select([self._terminal], [], [], 0)[0]:
             pressed = os.read(self._terminal, 64).decode(errors="ignore")
             if not pressed:
-                break
+                raise OSError("the terminal is closed")
             for key in pressed:
                 self._request = press(self._request, key)
         return self._request
@@ -162,17 +167,20 @@ class Datagrams:
 
     A datagram is an object with any of `forward`, `sideways` [m/s], `yaw_rate` [rad/s], `walk`,
     `stand`, `stop` (booleans) and `damp` (text, the reason). Missing numbers are zero, and `walk`
-    is true by default. After one second without a datagram the robot steps in place.
+    is true by default. A stop or damping counts even if a newer datagram follows at once. After one
+    second without a datagram the robot steps in place.
 
     Args:
         port: port on loopback; 0 lets the system choose one.
         say: function that prints why a datagram was refused.
 
     Raises:
+        ConfigurationError: there is no such port.
         NetworkError: the port is in use.
     """
 
     def __init__(self, port: int, say: Callable[[str], None] = print) -> None:
+        check_port(port)
         self._say, self._request, self._heard = say, Request(walk=False), -math.inf
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -194,16 +202,21 @@ class Datagrams:
         self._socket.close()
 
     def request(self, time: float, walking: float) -> Request:
-        """Request of the newest datagram."""
+        """Request of the newest datagram, with the stop or damping of those before it."""
+        heard: list[Request] = []
         for _ in range(64):
             try:
                 text = self._socket.recv(4096)
             except BlockingIOError:
                 break
             try:
-                self._request, self._heard = parse_request(text), time
+                heard.append(parse_request(text))
             except ConfigurationError as error:
                 self._say(f"command refused: {error}")
+        if heard:
+            damp = next((f"operator: {one.damp}" for one in heard if one.damp), "")
+            stop = any(one.stop for one in heard)
+            self._request, self._heard = heard[-1]._replace(stop=stop, damp=damp), time
         if time - self._heard > _STOP_AFTER:
             return self._request._replace(forward=0.0, sideways=0.0, yaw_rate=0.0)
         return self._request

@@ -178,8 +178,8 @@ class Run:
         """Print and log the beginning of a stage."""
         stage, now = self.supervisor.stage, time_ns / _NS
         text = f"{stage.value}: {self.supervisor.reason}"
-        if stage is Stage.WALK:
-            self._walk_began = now
+        if stage is not Stage.STOP:
+            self._walk_began = now if stage is Stage.WALK else float("inf")
         self._say(f"{now:7.2f} s  {text}")
         if self._log is not None:
             self._log.note(time_ns, text)

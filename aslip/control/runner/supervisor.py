@@ -24,6 +24,7 @@ SWITCH_CHANNEL: Final = 9
 
 # value of the switch's channel beyond which it is thrown
 _THROWN = 0.5
+_STOPPED = "stopped by the operator"
 # tolerance of durations [s]: policy steps add up to 0.8999999 s
 _ROUNDING = 1e-9
 
@@ -196,6 +197,11 @@ class Supervisor:
                 self._enter(Stage.DAMPING, now, why)
         return self._still(now)
 
+    @property
+    def by_operator(self) -> bool:
+        """Whether the operator is the reason of the present stage."""
+        return self.reason == _STOPPED or self.reason.startswith("operator: ")
+
     def is_over(self, now: float) -> bool:
         """Whether the motors have been damped for the time that ends a run."""
         return self.stage is Stage.DAMPING and now - self.since >= self.limits.damping
@@ -233,6 +239,8 @@ class Supervisor:
         released = reading.channels[SWITCH_CHANNEL] > _THROWN
         if released and self.stage is not Stage.RELEASED:
             self._enter(Stage.RELEASED, now, f"radio channel {SWITCH_CHANNEL}")
+        elif request.stop and self.stage is Stage.RELEASED:
+            self._enter(Stage.DAMPING, now, _STOPPED)
         elif not released and self.stage in (Stage.CONNECT, Stage.RELEASED):
             self._hold = np.array(reading.estimate["motor_position"], dtype=np.float64)
             self._enter(Stage.HOLD if self.limits.ramp else Stage.WALK, now, "packets arrive")
@@ -244,10 +252,10 @@ class Supervisor:
         stage, ramped = self.stage, elapsed >= self.limits.ramp
         if stage is Stage.STOP:
             over = elapsed >= self.limits.settle
-            return (Stage.DAMPING, "stopped by the operator") if over else None
+            return (Stage.DAMPING, _STOPPED) if over else None
         if request.stop:
             walking = stage is Stage.WALK
-            return (Stage.STOP if walking else Stage.DAMPING, "stopped by the operator")
+            return (Stage.STOP if walking else Stage.DAMPING, _STOPPED)
         if stage is Stage.HOLD and ramped:
             return Stage.POSE, "gains are full"
         if stage is Stage.POSE and ramped:

@@ -255,7 +255,7 @@ class LivePage:
             self._drawn = td
         if self._turns % _TURNS_PER_READOUT == 0:
             status = self._status()
-            if status != self._last_status:
+            if status != self._last_status or self._readouts.redrawing:
                 self._readouts.show(status)
                 self._last_status = status
         self._turns += 1

@@ -133,6 +133,11 @@ class Readouts:
         """
         self._redraws = _REDRAWS
 
+    @property
+    def redrawing(self) -> bool:
+        """Whether redraws of `redraw` are left."""
+        return self._redraws > 0
+
     def show(self, status: Status) -> None:
         """Update lines, plot and bars; meant for a few calls per second."""
         self._lines.content = _lines(status, self._mean_speed())

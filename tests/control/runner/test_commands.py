@@ -73,6 +73,19 @@ def test_the_keyboard_reads_without_waiting_and_restores_the_terminal() -> None:
         os.close(theirs)
 
 
+def test_a_closed_terminal_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = os.openpty()
+    try:
+        with Keyboard(theirs) as keyboard:
+            os.write(ours, b"w")
+            monkeypatch.setattr(os, "read", lambda *_: b"")
+            with pytest.raises(OSError, match="the terminal is closed"):
+                keyboard.request(0.0, 0.0)
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
 def test_the_keyboard_needs_a_terminal() -> None:
     read, write = os.pipe()
     with pytest.raises(ConfigurationError, match="--command"):
@@ -98,6 +111,25 @@ def test_the_newest_datagram_counts_until_it_is_old() -> None:
         assert source.request(5.9, 0.0) == Request(0.5, yaw_rate=0.1)
         assert source.request(6.1, 0.0) == Request()
     assert said == ["command refused: forward must be float, got 'fast'"]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('{"damp": "red button"}', Request(0.5, damp="operator: red button")),
+        ('{"stop": true}', Request(0.5, stop=True)),
+    ],
+)
+def test_a_stop_or_damping_counts_before_a_newer_datagram(text: str, expected: Request) -> None:
+    with Datagrams(0) as source, socket.socket(type=socket.SOCK_DGRAM) as sender:
+        for sent in (text, '{"forward": 0.5}'):
+            sender.sendto(sent.encode(), ("127.0.0.1", source.port))
+        assert source.request(0.0, 0.0) == expected
+
+
+def test_a_port_that_does_not_exist_is_named() -> None:
+    with pytest.raises(ConfigurationError, match="between 0 and 65535, got 70000"):
+        Datagrams(70000)
 
 
 def test_a_port_in_use_for_commands_is_named() -> None:

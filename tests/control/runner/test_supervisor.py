@@ -228,6 +228,26 @@ def test_the_switch_releases_the_motors_and_starts_anew() -> None:
     assert controller.calls[-1][0] == "start"
 
 
+def test_a_stop_counts_while_the_motors_are_released() -> None:
+    supervisor, _ = walking()
+    supervisor.tick(0.06, standing(0.06, channels={9: 1.0}), Request(0.5))
+    supervisor.tick(0.09, standing(0.09, channels={9: 1.0}), Request(0.5, stop=True))
+    assert (supervisor.stage, supervisor.by_operator) == (Stage.DAMPING, True)
+
+
+@pytest.mark.parametrize(
+    ("reason", "by_operator"),
+    [
+        ("operator: red button", True),
+        ("the policy failed: RuntimeError: no operator aten::x", False),
+    ],
+)
+def test_the_operator_is_told_from_other_reasons(reason: str, by_operator: bool) -> None:
+    supervisor, _ = walking()
+    supervisor.tick(0.06, standing(0.06), Request(damp=reason))
+    assert supervisor.by_operator is by_operator
+
+
 def test_tilt_is_the_angle_to_the_vertical_in_any_direction() -> None:
     assert tilt(np.array([1.0, 0, 0, 0])) == 0.0
     assert tilt(TILTED) == pytest.approx(1.0)

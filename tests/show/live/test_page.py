@@ -9,6 +9,7 @@ import torch
 from aslip.errors import AssetError, ConfigurationError
 from aslip.robot import CASSIE
 from aslip.show.live import LivePage
+from aslip.show.live.readouts import _REDRAWS
 from aslip.walking import Walker
 from recipes.walk import Config
 from tests.helpers import limp
@@ -162,6 +163,17 @@ def test_plot_is_redrawn_when_a_visitor_connects(open_page, monkeypatch):
     with visit(page):
         wait_for(lambda: redrawn)
     assert redrawn == [1]
+
+
+def test_a_paused_page_is_redrawn_until_it_is_laid_out(open_page, monkeypatch):
+    page, shown = open_page(), []
+    click(page.controls.pause)
+    walk(page, 12)
+    show = page._readouts.show
+    monkeypatch.setattr(page._readouts, "show", lambda status: shown.append(show(status)))
+    page._readouts.redraw()
+    walk(page, 400)
+    assert len(shown) == _REDRAWS
 
 
 @pytest.mark.parametrize(("degrees", "ahead", "left"), [(0, 1, 0), (90, 0, 1), (-135, -1, -1)])
