@@ -27,7 +27,7 @@ from aslip.policy.networks import (
     update_normalizers,
 )
 from aslip.policy.privileged import make_privileged_critic, privileged_table
-from aslip.policy.recurrent import add_memory, is_recurrent, make_recurrent_actor
+from aslip.policy.recurrent import add_memory, forget, is_recurrent, make_recurrent_actor
 from aslip.policy.symmetry import action_mirror, observation_mirror
 
 __all__ = [
@@ -44,6 +44,7 @@ __all__ = [
     "check_policy_library",
     "entry_names",
     "find_policy",
+    "forget",
     "gaussian_actor",
     "is_recurrent",
     "load_policy",

@@ -84,14 +84,19 @@ def save_policy(
             matter.
 
     Raises:
-        ConfigurationError: `network` makes an actor that differs from `actor`, or a weight is not
-            finite. Nothing is written.
+        ConfigurationError: `network` makes an actor that differs from `actor`, a weight is not
+            finite, or no named stack has this observation. Nothing is written.
         OSError: the file cannot be written; an existing one stays intact.
     """
     if odd := _actor_differences(actor, network, shape, observation):
         raise ConfigurationError(
             f"the actor differs from the one that {_network_name(network)!r} makes from {shape}:"
             f" {'; '.join(odd[:4])}; give the function that made it, network=..."
+        )
+    if stack is not None and entry_names(observation) not in _known_observations():
+        raise ConfigurationError(
+            f"no stack named {stack!r} gives this observation:"
+            f" {_nearest_difference(entry_names(observation))}; give stack=None"
         )
     card = {
         "network": _network_name(network),
@@ -182,7 +187,7 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     if card["stack"] is not None and names not in _known_observations():
         raise ConfigurationError(
             f"the policy {str(path)!r} has another observation than this version of aslip gives:"
-            f" {observation_difference(names, _known_observations()[0])}"
+            f" {_nearest_difference(names)}"
         )
     if network is None and card["network"] not in _NETWORKS:
         raise ConfigurationError(
@@ -269,7 +274,7 @@ def policy_library(name_or_path: str | Path) -> str:
 def _stack_difference(card: Mapping[str, Any]) -> str:
     """Difference between a policy's stack and the named ones, in words."""
     if card["observation"] not in _known_observations():
-        return observation_difference(card["observation"], _known_observations()[0])
+        return _nearest_difference(card["observation"])
     if card["baseline"] is None:
         return "its action is not, or not only, an `ActionDelta`"
     if card["baseline"] not in _KNOWN_BASELINES:
@@ -284,6 +289,12 @@ def observation_difference(has: Sequence[str], expected: Sequence[str]) -> str:
     parts = [f"its observation lacks {lacks}"] if lacks else []
     parts += [f"its observation also has {more}"] if more else []
     return " and ".join(parts) or f"its observation has another order, {list(has)}"
+
+
+def _nearest_difference(has: Sequence[str]) -> str:
+    """Difference between an observation and the most similar one of the named stacks, in words."""
+    nearest = min(_known_observations(), key=lambda known: len({*known} ^ {*has}))
+    return observation_difference(has, nearest)
 
 
 def _known_observations() -> list[list[str]]:

@@ -10,11 +10,14 @@ environment sets it to zero when the robot is reset.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
+import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from tensordict.utils import NestedKey
 from torch import nn
+from torchrl.data import Composite
 from torchrl.envs import TransformedEnv
 from torchrl.envs.transforms import Compose, InitTracker, TensorDictPrimer
 from torchrl.modules import GRUModule, ProbabilisticActor
@@ -91,16 +94,54 @@ def add_memory(env: Env, policy: Callable[..., Any]) -> Env:
 
     Returns:
         The same environment.
+
+    Raises:
+        ConfigurationError: the environment has the hidden state of a policy with other sizes.
     """
     if not is_recurrent(policy):
         return env
-    has = set(env.observation_spec.keys(True, True))
+    spec = env.observation_spec
+    has = set(spec.keys(True, True))
+    for key, shape in _memory_shapes(policy).items():
+        kept = spec[key].shape[len(env.batch_size) :] if key in has else shape
+        if kept != shape:
+            raise ConfigurationError(
+                f"the policy's hidden state {key!r} has shape {tuple(shape)}, and the environment"
+                f" has that of another policy, {tuple(kept)}; make a new environment"
+            )
     if "is_init" not in has:
         env.append_transform(InitTracker())
-    primers = get_primers_from_module(policy)
-    for primer in primers if isinstance(primers, Compose) else [primers]:
-        assert isinstance(primer, TensorDictPrimer)
+    for primer in _primers(policy):
         assert primer.primers is not None
         if not set(primer.primers.keys()) <= has:
             env.append_transform(primer)
     return env
+
+
+def forget(td: TensorDictBase, policy: Callable[..., Any]) -> TensorDictBase:
+    """Set the hidden state of a recurrent policy to zero, as at a first policy step, in place.
+
+    Args:
+        td: the environment's tensordict before a policy step; returned.
+        policy: the policy; one without a hidden state changes nothing.
+    """
+    if is_recurrent(policy):
+        td["is_init"] = torch.ones(*td.batch_size, 1, dtype=torch.bool)
+    for key, shape in _memory_shapes(policy).items():
+        td[key] = torch.zeros(*td.batch_size, *shape)
+    return td
+
+
+def _primers(policy: Callable[..., Any]) -> list[TensorDictPrimer]:
+    """Transforms that hold the hidden state of a policy."""
+    if not is_recurrent(policy):
+        return []
+    primers = get_primers_from_module(policy)
+    listed = [*primers] if isinstance(primers, Compose) else [primers]
+    return [primer for primer in listed if isinstance(primer, TensorDictPrimer)]
+
+
+def _memory_shapes(policy: Callable[..., Any]) -> dict[NestedKey, torch.Size]:
+    """Shape of each entry of a policy's hidden state, of one robot."""
+    specs = [cast("Composite", primer.primers) for primer in _primers(policy)]
+    return {key: spec[key].shape for spec in specs for key in spec.keys(True, True)}

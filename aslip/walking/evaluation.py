@@ -16,6 +16,7 @@ from tensordict.utils import NestedKey
 from aslip.envs import MAX_EPISODE_STEPS, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.transforms.path import wrap
 from aslip.transforms.rotation import conjugate, multiply, yaw
 from aslip.walking.record import record
 from aslip.walking.tables import markdown
@@ -30,7 +31,13 @@ _POSITION = ("true_odometry", "pelvis_position")
 _FORCE = ("truth", "ground_force")
 _VELOCITY = ("true_odometry", "pelvis_velocity")
 _ORIENTATION = ("true_odometry", "pelvis_orientation")
-_POSES: Final[list[NestedKey]] = [("next", *_VELOCITY), _ORIENTATION, ("next", *_ORIENTATION)]
+_POSES: Final[list[NestedKey]] = [
+    ("next", *_VELOCITY),
+    _ORIENTATION,
+    ("next", *_ORIENTATION),
+    "heading",
+    ("next", "heading"),
+]
 _RECORDED: Final[list[NestedKey]] = [
     _POSITION,
     ("next", *_POSITION),
@@ -201,15 +208,17 @@ def _turned(
     results: Sequence[WalkResult], rows: TensorDict, command: np.ndarray
 ) -> list[WalkResult]:
     """Results with the mean velocities of walks (m, n) along the paths of commands (n, 3)."""
-    keys = (_ORIENTATION, ("next", *_ORIENTATION), ("next", *_VELOCITY))
-    before, after, speeds = (cast("torch.Tensor", rows[key]) for key in keys)
-    turns = yaw(multiply(after, conjugate(before)))[..., 0].double().numpy()
-    velocity = speeds.double().numpy()
+    speeds, before, after, heading, next_heading = (
+        cast("torch.Tensor", rows[key]).double() for key in _POSES
+    )
+    # the frame turns, and the pelvis turns in the frame
+    in_frame = yaw(multiply(after, conjugate(before)))
+    turns = (in_frame + wrap(next_heading - heading))[..., 0].numpy()
+    velocity = speeds.numpy()
     turned = []
     for i, result in enumerate(results):
         forward, sideways, _ = velocity[: result.steps, i].mean(axis=0)
-        # the frame turns at the commanded rate, the pelvis turns in the frame
-        rate = command[i, 2] + turns[: result.steps, i].mean() / CASSIE.policy_period
+        rate = turns[: result.steps, i].mean() / CASSIE.policy_period
         turned.append(
             replace(
                 result,

@@ -15,7 +15,7 @@ from tensordict.nn import TensorDictModuleBase
 from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env, shipped_library
 from aslip.errors import ConfigurationError
 from aslip.library import Command, GaitLibrary, numbers
-from aslip.policy import add_memory, load_policy, policy_library, policy_stack
+from aslip.policy import add_memory, forget, load_policy, policy_library, policy_stack
 from aslip.robot import CASSIE
 from aslip.walking.push import policy_steps
 from aslip.walking.record import next_start, reset_walks, take_step
@@ -83,7 +83,7 @@ class Walker:
 
     @property
     def policy(self) -> TensorDictModuleBase:
-        """Current policy; assign a module, name or path at any time."""
+        """Current policy; assign a module, name or path at any time. It begins without memory."""
         return self._policy
 
     @policy.setter
@@ -92,6 +92,8 @@ class Walker:
             check_policy_fits(policy, self.env)
             policy = load_policy(policy)
         add_memory(self.env, policy)
+        if hasattr(self, "_policy"):
+            self.td = forget(self.td, policy)
         self._policy = policy
 
     @property

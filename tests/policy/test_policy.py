@@ -25,6 +25,7 @@ from aslip.policy import (
     RunningNormalizer,
     action_layers,
     action_scale,
+    entry_names,
     gaussian_actor,
     make_actor,
     make_critic,
@@ -33,6 +34,7 @@ from aslip.policy import (
     read_card,
     save_policy,
 )
+from aslip.transforms import DIRECTION_TABLE
 from benchmarks.faults.archives import forge_archive, read_zip
 from tests.helpers import MakeEnv
 from tests.policy.inputs import random_observations
@@ -254,6 +256,20 @@ def test_refuses_to_save_unloadable_actor(
     with pytest.raises(ConfigurationError, match=message):
         save_policy(file, make_one(), shape)
     assert file.read_bytes() == before
+
+
+def test_refuses_to_save_an_observation_of_no_named_stack(file: Path) -> None:
+    before = file.read_bytes()
+    own = [*DIRECTION_TABLE[:-1], ("truth", "time")]
+    shape = PolicyShape(7)
+    actor = make_recurrent_actor(RunningNormalizer(7), shape)
+    given: dict[str, Any] = {"network": make_recurrent_actor, "observation": own}
+    (last,) = entry_names(DIRECTION_TABLE[-1:])
+    told = rf"lacks \['{last}'\] and its observation also has \['truth/time'\]; give stack=None"
+    with pytest.raises(ConfigurationError, match=told):
+        save_policy(file, actor, shape, **given)
+    assert file.read_bytes() == before
+    save_policy(file, actor, shape, stack=None, **given)
 
 
 def test_saving_draws_no_random_numbers(actor: ProbabilisticActor, tmp_path: Path) -> None:

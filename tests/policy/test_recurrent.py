@@ -70,6 +70,29 @@ def test_recurrent_policy_walks_and_evaluates(make: MakeEnv, file: Path) -> None
     assert result.steps == 4
 
 
+def test_a_walk_goes_on_with_a_recurrent_policy_without_memory(file: Path) -> None:
+    walker = Walker("straight")
+    walker.step()
+    walker.policy = file
+    first = walker.td.clone()
+    assert not first["memory"].any()
+    assert first["is_init"].all()
+    action = walker.step()["action"].clone()
+    walker.step()
+    walker.td, walker.policy = first, file
+    torch.testing.assert_close(walker.step()["action"], action, rtol=0, atol=0)
+
+
+def test_add_memory_refuses_the_memory_of_another_policy(make: MakeEnv) -> None:
+    small, large = (
+        make_recurrent_actor(RunningNormalizer(64), PolicyShape(hidden=hidden))
+        for hidden in ((8,), (16,))
+    )
+    env = add_memory(make(), small)
+    with pytest.raises(ConfigurationError, match=r"'memory' has shape \(1, 16\).*\(1, 8\)"):
+        add_memory(env, large)
+
+
 def test_add_memory_ignores_feedforward_policy(make: MakeEnv) -> None:
     env = make()
     names = env.transform_names

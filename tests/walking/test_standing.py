@@ -81,8 +81,9 @@ def test_robots_of_other_stacks_cannot_stand() -> None:
 
 def test_evaluations_and_substeps_take_wishes(library: GaitLibrary) -> None:
     env = make(library, 2)
-    results = evaluate(limp(), env, [[0.3, 0.0, 0.0]] * 2, 3, stand=[True, False])
+    results = evaluate(limp(), env, [[0.3, 0.0, 0.4]] * 2, 3, stand=[True, False])
     assert results[0].mean_speed < 0.05 < results[1].mean_speed
+    assert abs(results[0].mean_yaw_rate) < 0.05
     walk = record_substeps(limp(), make(library), np.zeros((2, 3)), np.ones(2))
     assert np.ptp(walk.pelvis_position, axis=0).max() < 0.01
 
