@@ -10,7 +10,7 @@ whole interval misses it or a seed has no value (it fell), and is undecided othe
 demand the limit of each seed. Training costs are read from run folders.
 
 The exit status is 1 if a row that passes in the record (`docs/claims.json`, replaced by `--record`)
-is now measured and does not pass.
+now fails or is undecided; one that a single seed misses is not counted.
 """
 
 from __future__ import annotations

@@ -67,6 +67,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from aslip.library import Command, GaitLibrary
+from aslip.log import read
 from aslip.robot import CASSIE, SIDES
 from aslip.show.ghost import Footholds
 from aslip.walking import Walks, markdown
@@ -98,9 +99,10 @@ def main(
         make_env: function that makes the environment, see `benchmarks.common`.
 
     Raises:
-        ConfigurationError: the log has several commanded speeds, or is of a walk that is not
-            straight ahead.
+        ConfigurationError: the log has several commanded speeds, is of a walk that is not straight
+            ahead, is too short, or its robot followed other gaits.
     """
+    source: dict[str, Any] = {}
     if config.log is not None:
         walk = logged_walk(config.log)
         speeds = np.unique(walk.speed)
@@ -110,8 +112,14 @@ def main(
                 " record with recipes/walk.py --command 1.0"
             )
         speed = float(speeds[0])
-        footholds = Footholds(GaitLibrary.load("gaits" if walk.command.ndim == 2 else "directions"))
+        source = {"policies": [], "log": str(config.log)}
+        footholds = Footholds(_logged_library(config, config.log, walk))
         found = {speed: [walk_placement(walk, 0, speed, footholds)]}
+        if not len(found[speed][0].error):
+            raise ConfigurationError(
+                f"{str(config.log)!r} lasts {len(walk.speed) * CASSIE.policy_period:.1f} s, and"
+                f" footsteps count after {_SETTLE:g} s; record {_SETTLE + _WALK:g} s"
+            )
     else:
         subjects, library = load_with_library(config, policy, make_env)
         footholds = Footholds(library)
@@ -121,8 +129,28 @@ def main(
             for i, speed in enumerate(config.speeds)
         }
     figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
-    write_report(config, policy, "foot_placement", numbers(found), table(found), figure)
+    write_report(
+        config, policy, "foot_placement", {**source, **numbers(found)}, table(found), figure
+    )
     return found
+
+
+def _logged_library(config: Config, log: Path, walk: Walks) -> GaitLibrary:
+    """Gaits that a logged robot followed.
+
+    Raises:
+        ConfigurationError: the log tells that it followed others.
+    """
+    named = config.library or ("gaits" if walk.command.ndim == 2 else "directions")
+    library = GaitLibrary.load(named)
+    hashes = library.sha256, GaitLibrary.load("single_reference").sha256
+    followed = read(log).metadata.get("gaits_sha256")
+    if followed and followed not in hashes:
+        raise ConfigurationError(
+            f"the robot of {str(log)!r} followed gaits with the hash {followed[:12]}, those of"
+            f" {named!r} have {library.sha256[:12]}; give their file with --library"
+        )
+    return library
 
 
 def recorded_steps() -> int:

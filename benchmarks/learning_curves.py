@@ -124,6 +124,7 @@ def main(config: Config) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     for variant, seed in _wanted(config):
         _check_settings(_folder(config, variant, seed), variant, seed)
+        _check_schedule(config, _folder(config, variant, seed))
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
@@ -180,6 +181,24 @@ def _check_settings(folder: Path, variant: str, seed: int) -> None:
         raise ConfigurationError(
             f"the run in {str(folder)!r} is not {variant!r} with seed {seed}, it has {other};"
             f" {variant!r} has { ({name: wanted[name] for name in other}) }"
+        )
+
+
+def _check_schedule(config: Config, folder: Path) -> None:
+    """Check that learning rate and standard deviation of a run have the schedule of the others.
+
+    Raises:
+        ConfigurationError: they have another one.
+    """
+    if not (folder / SETTINGS_FILE).exists():
+        return
+    kept, _ = read_settings(folder)
+    wanted = config.schedule_steps or config.total_steps
+    given = kept.get("schedule_steps") or kept.get("total_steps") or wanted
+    if given != wanted:
+        raise ConfigurationError(
+            f"the schedule of the run in {str(folder)!r} ends after {given} policy steps, not after"
+            f" {wanted}; give --schedule-steps {given}, or move the run away"
         )
 
 

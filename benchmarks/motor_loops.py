@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.errors import ConfigurationError, one_line_errors
+from aslip.errors import AslipError, ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
 
 
@@ -68,11 +68,14 @@ def main(config: Config) -> np.ndarray:
 
 
 def swing(delays: np.ndarray, steps: int) -> np.ndarray:
-    """Largest speed of each motor in each policy step (delays, steps, motors) [rad/s].
+    """Speed of each motor at the end of each policy step (delays, steps, motors) [rad/s].
 
     Args:
         delays: (n,) torque delays [s].
         steps: policy steps after the targets have stepped back.
+
+    Raises:
+        AslipError: a simulation diverged.
     """
     ids, num = np.arange(len(delays)), len(delays)
     model = with_longer_memory(load_model(visual=False), float(delays.max()), visual=False)
@@ -87,7 +90,8 @@ def swing(delays: np.ndarray, steps: int) -> np.ndarray:
     simulations.advance(standing + _STEP)
     found = np.empty((num, steps, len(CASSIE.motor_names)))
     for step in range(steps):
-        simulations.advance(standing)
+        if (diverged := simulations.advance(standing)).any():
+            raise AslipError(f"the simulation diverged with delays of {delays[diverged]} s")
         found[:, step] = np.abs(simulations.qvel[:, at.motor_qvel])
     return found
 

@@ -121,11 +121,27 @@ def main(
         "pushes": push_rows(config, pushes),
         "sweeps": sweep_rows(config, sweeps),
     }
-    tables = [push_table(numbers), sweep_table(numbers["sweeps"])]
+    tables = [
+        push_table(numbers),
+        censored_text(config, np.array(pushes)),
+        sweep_table(numbers["sweeps"]),
+    ]
     text = "\n\n".join(table for table in tables if table)
     figure = picture(numbers, SIDES, SWEEPS)
     write_report(config, policy, "perturbation", numbers, text, figure)
     return numbers
+
+
+def censored_text(config: Config, survived: np.ndarray) -> str:
+    """Sentence on impulses [N s] that no push exceeded; empty if there are none."""
+    most = config.largest * (1 - 0.5**config.bisections)
+    count = int(np.sum(survived > most - 1e-9)) if config.phases else 0
+    if not count:
+        return ""
+    return (
+        f"{count} of {survived.size} robots survived all pushes, up to {most:.1f} N s, so means are"
+        f" too small; `--largest {2 * config.largest:g}` tries larger ones."
+    )
 
 
 def count_robot_steps(config: Config) -> int:

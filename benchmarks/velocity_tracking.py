@@ -101,7 +101,8 @@ def main(
     """
     if config.log is not None:
         walks = [logged_walk(config.log)]
-        numbers: dict[str, Any] = {"schedule": schedule_rows(walks)}
+        numbers: dict[str, Any] = {"policies": [], "log": str(config.log)}
+        numbers["schedule"] = schedule_rows(walks)
         figure = picture(walks[0], [])
         write_report(config, policy, "velocity_tracking", numbers, schedule_table(numbers), figure)
         return numbers

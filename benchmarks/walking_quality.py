@@ -206,7 +206,7 @@ def quantities(walk: Substeps, weight: float, command: float, swing: float) -> d
         "largest": largest_force(force, weight),
         "friction": friction_limit_share(walk.ground_force, _FRICTION),
         "power": power,
-        "cost": cost_of_transport(power, weight, speed) if command > 0 else float("nan"),
+        "cost": cost_of_transport(power, weight, speed) if command else float("nan"),
     }
 
 

@@ -66,6 +66,10 @@ def run(config: AblationConfig, experiment: Experiment) -> Found:
     jobs = [(seed, name) for seed in config.seeds for name in config.variants]
     found: Found = {}
     durations: list[float] = []
+    for seed, name in jobs:  # before hours of training
+        folder = config.out / f"{name}-{seed}"
+        if read_results(folder, config, experiment.origin(name)) is None:
+            is_begun(folder, config)
     print(announcement(config, experiment), flush=True)
     for i, (seed, name) in enumerate(jobs):
         folder = config.out / f"{name}-{seed}"

@@ -200,7 +200,7 @@ def update(
             optimizer.step()
             reports.append(terms.detach())
     means = torch.stack(reports).mean(0)
-    if not torch.isfinite(means.get("loss_objective")):
+    if not all(torch.isfinite(means.get(key)) for key in ("loss_objective", "loss_critic")):
         raise FloatingPointError("the PPO loss is not finite; lower --learning-rate")
     return {key: float(means.get(key)) for key in ("loss_critic", "kl_approx", "clip_fraction")}
 

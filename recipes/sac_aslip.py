@@ -15,7 +15,7 @@ Gaussian policy. The replay buffer stores only the entries that the loss reads, 
 from dataclasses import dataclass
 from pathlib import Path
 
-from aslip.errors import one_line_errors
+from aslip.errors import ConfigurationError, one_line_errors
 from aslip.training.command_line import command_line
 
 
@@ -106,6 +106,9 @@ def mirrored(transitions: TensorDict) -> TensorDict:
 
 def main(config: Config) -> None:
     """Train and save a policy."""
+    for name in ("policy.zip", "progress.csv", "config.json"):
+        if (config.out / name).exists():
+            raise ConfigurationError(f"{str(config.out)!r} holds a run; give another --out")
     config.out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     bounded = {"action": partial(ActionDelta, ("reference", "motor_target"), limit=_LIMIT)}

@@ -243,7 +243,7 @@ def randomise_stack(
 ) -> Stack:
     """Copy of a stack with domain randomisation.
 
-    Each reset draws the dynamics and, if the stack has sensor noise, its level.
+    Each reset draws the dynamics and, if the stack has `ObservationNoise`, a factor on its level.
 
     Args:
         stack: the stack.
@@ -255,7 +255,18 @@ def randomise_stack(
         UnknownNameError: the stack has no transform `start`.
     """
     stack = insert_before(stack, "start", dynamics=partial(RandomDynamics, ranges))
-    return {name: RandomNoise if name == "noise" else make for name, make in stack.items()}
+    return _replace_makers(stack, ObservationNoise, RandomNoise)
+
+
+def _replace_makers(stack: Stack, old: type[Transform], new: type[Transform]) -> Stack:
+    """Copy of a stack with one class in place of another, with the same arguments."""
+
+    def other(make: Callable[[], Transform]) -> Callable[[], Transform]:
+        if isinstance(make, partial) and make.func is old:
+            return partial(new, *make.args, **make.keywords)
+        return new if make is old else make
+
+    return {name: other(make) for name, make in stack.items()}
 
 
 def robot_stack(stack: Stack | None = None) -> Stack:
@@ -302,10 +313,10 @@ def needs_simulation(transform: Transform) -> bool:
 def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     """Copy of a stack for evaluation, with the same task and rewards for every experiment.
 
-    Observation and action baseline are those of the given stack. Robot, start, rewards and ends of
-    episodes are those of `default_stack()`, or of `directions_stack(library)`, whose commands are
-    walked; the rewards compare with its gaits, even if the policy observes another motion. A stack
-    that stands keeps standing.
+    Observation and action baseline are those of the given stack, whose own reward terms are left
+    out. Robot, start, rewards and ends of episodes are those of `default_stack()`, or of
+    `directions_stack(library)`, whose commands are walked; the rewards compare with its gaits, even
+    if the policy observes another motion. A stack that stands keeps standing.
 
     Args:
         stack: the stack.
@@ -324,7 +335,8 @@ def evaluation_stack(stack: Stack, library: GaitLibrary | None = None) -> Stack:
     trained = {"difficulty", "dynamics", "encoders", "pushes", "privileged"}
     seen = {name: make for name, make in stack.items() if name not in trained | {*evaluation}}
     # the noise of a nominal robot
-    seen = {name: ObservationNoise if make is RandomNoise else make for name, make in seen.items()}
+    seen = _replace_makers(seen, RandomNoise, ObservationNoise)
+    seen = {name: make for name, make in seen.items() if not isinstance(make(), RewardTerm)}
     judging: dict[str, Any] = {"out_keys": ("judge", "goal")}
     if library is not None:
         seen["command"] = common["command"]

@@ -63,11 +63,25 @@ def test_foot_placement_of_a_policy(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("policy", ["straight", "aslip"])
-def test_foot_placement_of_a_log(tmp_path: Path, policy: str) -> None:
+def test_foot_placement_of_a_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str
+) -> None:
     log = tmp_path / "walk.mcap"
-    walk.main(walk.Config(policy, command="0.5", duration=3.0, log=log))
+    walk.main(walk.Config(policy, command="0.5", duration=5.4, log=log))
     found = foot_placement.main(foot_placement.Config(out=tmp_path, log=log))
     assert list(found) == [0.5]
+    assert 0 < found[0.5][0].error.max() < 0.1
+    about = written(tmp_path, "foot_placement")
+    assert (about["policies"], about["log"]) == ([], str(log))
+    other = foot_placement.Config(out=tmp_path, log=log, library="single_reference")
+    monkeypatch.setattr(foot_placement.GaitLibrary, "sha256", "0" * 64)
+    with pytest.raises(ConfigurationError, match=r"followed gaits with the hash .* --library"):
+        foot_placement.main(other)
+    monkeypatch.undo()
+    short = tmp_path / "short.mcap"
+    walk.main(walk.Config(policy, command="0.5", duration=0.6, log=short))
+    with pytest.raises(ConfigurationError, match=r"lasts 0\.6 s, .*; record 16 s"):
+        foot_placement.main(foot_placement.Config(out=tmp_path, log=short))
     varied = tmp_path / "varied.mcap"
     walk.main(walk.Config(policy, command="0:0.5,0.2:0.6", duration=0.5, log=varied))
     with pytest.raises(ConfigurationError, match="2 commanded speeds"):

@@ -63,6 +63,10 @@ def test_bisection_converges_from_below() -> None:
     config = _config(bisections=3, largest=1.6, after=0.3)
     survived = measure_pushes(config, SHIPPED, BAR)
     np.testing.assert_allclose(survived, 1.4)
+    told = perturbation.censored_text(config, survived)
+    assert told.startswith(f"{survived.size} of {survived.size} robots survived all pushes, up to")
+    assert "`--largest 3.2`" in told
+    assert not perturbation.censored_text(config, survived - 0.2)
 
 
 def _measured(

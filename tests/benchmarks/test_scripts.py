@@ -293,6 +293,9 @@ def test_walks_in_all_directions_have_their_own_recipe(
         path.write_text(json.dumps({**settings, "library": other}, default=str))
         with pytest.raises(ConfigurationError, match=rf"with seed 0.*{other}"):
             learning_curves.main(config)
+    path.write_text(json.dumps({**settings, "schedule_steps": 90_000}, default=str))
+    with pytest.raises(ConfigurationError, match="ends after 90000 policy steps, not after 600000"):
+        learning_curves.main(config)
     commands: list[list[str]] = []
     monkeypatch.setattr(
         learning_curves.subprocess, "Popen", lambda command, **_: commands.append(command)

@@ -135,6 +135,8 @@ def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> 
     stack = directions_stack(library)
     trained = insert_before(randomise_stack(stack), "command", pushes=RandomPushes)
     trained["path_diff"] = partial(RewardTerm, "path_diff", torch.zeros_like, ["phase"])
+    own = partial(RewardTerm, "own", torch.zeros_like, ["phase"])
+    trained = insert_before(trained, "reward", own=own)
     assert evaluation_stack(trained, library)["noise"] is stack["noise"]
     drop = (*EPISODE_ENDS, "noise", "fall")
     envs = [

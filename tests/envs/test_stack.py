@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -262,6 +263,9 @@ def test_transforms_without_effect_at_their_place_are_refused(library: GaitLibra
 def test_randomise_stack_adds_no_noise(library: GaitLibrary) -> None:
     stack = default_stack(library)
     assert randomise_stack(stack)["noise"] is RandomNoise
+    own = randomise_stack({**stack, "noise": partial(ObservationNoise, scale=2.0)})["noise"]
+    assert isinstance(own, partial)
+    assert (own.func, own.keywords) == (RandomNoise, {"scale": 2.0})
     del stack["noise"]
     assert "noise" not in randomise_stack(stack)
     with pytest.raises(ConfigurationError, match="not the name 'straight'"):

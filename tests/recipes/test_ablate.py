@@ -175,6 +175,9 @@ def test_an_interrupted_training_gives_no_result(
     other = ablate.replace(config, total_steps=64)
     with pytest.raises(ConfigurationError, match=r"default-0.*total_steps.*--out"):
         ablate.main(other)
+    # also before trainings of variants that come first
+    with pytest.raises(ConfigurationError, match=r"default-0.*total_steps.*--out"):
+        ablate.main(ablate.replace(other, variants=("no_symmetry", "default")))
     assert not list(tmp_path.glob("*/judged.json"))
     assert not (tmp_path / "no_symmetry-0").exists()
     found = ablate.main(config)

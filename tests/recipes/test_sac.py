@@ -41,6 +41,8 @@ def test_sac_trains_a_policy_that_loads_with_its_network(tmp_path: Path) -> None
     sac_aslip.main(config)
     progress = read_progress(folder)
     assert progress["step"] == [16, 32, 48]
+    with pytest.raises(ConfigurationError, match="holds a run; give another --out"):
+        sac_aslip.main(config)
     assert all(0 < reward <= 1 for reward in progress["reward"])
     with pytest.raises(ConfigurationError, match=r"made by 'recipes\.sac_aslip\.make_actor'"):
         aslip.load_policy(folder)
