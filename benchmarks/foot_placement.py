@@ -66,6 +66,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from aslip.envs import shipped_library
 from aslip.library import Command, GaitLibrary
 from aslip.log import read
 from aslip.robot import CASSIE, SIDES
@@ -143,9 +144,9 @@ def _logged_library(config: Config, log: Path, walk: Walks) -> GaitLibrary:
     """
     named = config.library or ("gaits" if walk.command.ndim == 2 else "directions")
     library = GaitLibrary.load(named)
-    hashes = library.sha256, GaitLibrary.load("single_reference").sha256
-    followed = read(log).metadata.get("gaits_sha256")
-    if followed and followed not in hashes:
+    followed = read(log).metadata.get("gaits_sha256") or library.sha256
+    # the paper's baseline has a library of its own
+    if followed not in (library.sha256, shipped_library("single_reference").sha256):
         raise ConfigurationError(
             f"the robot of {str(log)!r} followed gaits with the hash {followed[:12]}, those of"
             f" {named!r} have {library.sha256[:12]}; give their file with --library"
