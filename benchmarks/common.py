@@ -33,9 +33,10 @@ from torchrl import torchrl_logger
 from tqdm import tqdm
 
 import aslip
-from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits
+from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits, shipped_library
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.library.library import SHIPPED
 from aslip.log import read, read_walk
 from aslip.policy import add_memory, policy_library, policy_stack
 from aslip.robot import CASSIE, SIDES
@@ -186,8 +187,11 @@ def load_with_library(
 
 
 def chosen_library(config: WithLibrary) -> GaitLibrary | None:
-    """Library of the flag, if it is given."""
-    return None if config.library is None else GaitLibrary.load(config.library)
+    """Library of the flag, if it is given; a shipped one is read once."""
+    if config.library is None:
+        return None
+    load = shipped_library if config.library in SHIPPED else GaitLibrary.load
+    return load(config.library)
 
 
 def policy_name(policy: Policy) -> str:
