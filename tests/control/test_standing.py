@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import cache, partial
 from pathlib import Path
 
@@ -16,8 +17,9 @@ from aslip.control.runner.supervisor import Limits
 from aslip.control.steering import Steering
 from aslip.envs import StackEnv, check_policy_fits
 from aslip.errors import ConfigurationError
+from aslip.files.archive import as_json
 from aslip.library import GaitLibrary, WalkMode
-from aslip.policy import policy_stack, read_card
+from aslip.policy import CARD, POLICY_FORMAT, policy_stack, read_card
 from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
 from aslip.walking import Walker
@@ -33,6 +35,15 @@ def _policy() -> TensorDictModule:
     return TensorDictModule(
         lambda seen: 0.02 * net(seen), in_keys=["observation"], out_keys=["action"]
     )
+
+
+def _earlier_file(path: Path) -> Path:
+    """Copy of a policy's file from before files named their gaits."""
+    entries, copy = POLICY_FORMAT.read(path), path.with_stem("earlier")
+    card = json.loads(entries[CARD])
+    del card["library_sha256"]
+    POLICY_FORMAT.write(copy, {**entries, CARD: as_json(card)})
+    return copy
 
 
 def _controller(stands: bool = True) -> Controller:
@@ -133,7 +144,7 @@ def test_policy_files_name_the_stack_and_stand(env: StackEnv, tmp_path: Path) ->
     packets, controller = env.reset()["sensors"], Controller(path, standing_library())
     assert (controller.start(packets, stand=1.0).tensordict["mode"] == WalkMode.STAND).all()
     with pytest.raises(ConfigurationError, match="needs a library with stop and start"):
-        Controller("aslip", symmetric_library())
+        Controller(_earlier_file(path), symmetric_library())
     with pytest.raises(ConfigurationError, match="stop and start"):
         aslip.make_env(stack="standing", library=symmetric_library())
 
@@ -152,7 +163,7 @@ def test_policies_walk_on_the_gaits_of_their_training_only(tmp_path: Path) -> No
         Controller(path, other)
     with pytest.raises(ConfigurationError, match="trained on other gaits"):
         Walker(path)  # on the shipped ones
-    Walker("aslip", library=library)  # its file is older than this check
+    Walker(_earlier_file(path), library=other)
 
 
 def test_wishes_that_cannot_be_met_are_refused(env: StackEnv) -> None:
