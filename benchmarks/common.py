@@ -60,6 +60,7 @@ __all__ = [
     "checkpoint_times",
     "chosen_library",
     "constant_walks",
+    "load_library",
     "load_subjects",
     "load_with_library",
     "logged_walk",
@@ -187,11 +188,13 @@ def load_with_library(
 
 
 def chosen_library(config: WithLibrary) -> GaitLibrary | None:
-    """Library of the flag, if it is given; a shipped one is read once."""
-    if config.library is None:
-        return None
-    load = shipped_library if config.library in SHIPPED else GaitLibrary.load
-    return load(config.library)
+    """Library of the flag, if it is given."""
+    return None if config.library is None else load_library(config.library)
+
+
+def load_library(path: str) -> GaitLibrary:
+    """Library by name or file, as `GaitLibrary.load`; a shipped one is read once."""
+    return shipped_library(path) if path in SHIPPED else GaitLibrary.load(path)
 
 
 def policy_name(policy: Policy) -> str:

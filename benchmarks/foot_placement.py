@@ -78,6 +78,7 @@ from benchmarks.common import (
     MakeEnv,
     Policy,
     constant_walks,
+    load_library,
     load_with_library,
     logged_walk,
     shortest_swing,
@@ -143,7 +144,7 @@ def _logged_library(config: Config, log: Path, walk: Walks) -> GaitLibrary:
         ConfigurationError: the log tells that it followed others.
     """
     named = config.library or ("gaits" if walk.command.ndim == 2 else "directions")
-    library = GaitLibrary.load(named)
+    library = load_library(named)
     followed = read(log).metadata.get("gaits_sha256") or library.sha256
     # the paper's baseline has a library of its own
     if followed not in (library.sha256, shipped_library("single_reference").sha256):
