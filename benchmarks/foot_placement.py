@@ -66,7 +66,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from aslip.envs import shipped_library
 from aslip.library import Command, GaitLibrary
 from aslip.log import read
 from aslip.robot import CASSIE, SIDES
@@ -147,7 +146,7 @@ def _logged_library(config: Config, log: Path, walk: Walks) -> GaitLibrary:
     library = load_library(named)
     followed = read(log).metadata.get("gaits_sha256") or library.sha256
     # the paper's baseline has a library of its own
-    if followed not in (library.sha256, shipped_library("single_reference").sha256):
+    if followed not in (library.sha256, load_library("single_reference").sha256):
         raise ConfigurationError(
             f"the robot of {str(log)!r} followed gaits with the hash {followed[:12]}, those of"
             f" {named!r} have {library.sha256[:12]}; give their file with --library"

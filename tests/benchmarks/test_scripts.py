@@ -423,8 +423,8 @@ def test_a_film_strip_of_a_fall_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_learning_curves_train_missing_runs_and_resume(tmp_path: Path) -> None:
-    settings = {"out": tmp_path, "seeds": (0,), "jobs": 2, "picture": tmp_path / "curves.png"}
-    settings["schedule_steps"] = 8192
+    settings = {"out": tmp_path, "seeds": (0,), "schedule_steps": 8192, "jobs": 2}
+    settings["picture"] = tmp_path / "curves.png"
     for steps in (4096, 8192):
         learning_curves.main(learning_curves.Config(total_steps=steps, **settings))
         for variant in ("truth", "default"):
