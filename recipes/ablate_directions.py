@@ -174,7 +174,7 @@ def with_independent_gaits(library: GaitLibrary) -> Stack:
     stack = insert_before(
         standing_stack(library), "clock", nearest_gait=partial(NearestGait, library)
     )
-    clock = partial(StandClock, library, in_keys=["gait_command", "stand"])
+    clock = partial(StandClock, library, in_keys=["gait_command", "stand", "estimate"])
     keys: list[NestedKey] = ["gait_command", "phase", "mode", "stand"]
     return {
         **stack,

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.transforms.balance import find_balance
 from aslip.transforms.clock import advance_phase
 from aslip.transforms.command import approach_command
 from aslip.transforms.reference import reference_and_goal
@@ -85,7 +86,8 @@ class Steering:
         """Entries (n, k) a policy step later.
 
         Args:
-            past: `phase`, and `filtered_command` and `mode` where `begin` returned them.
+            past: `phase`, and `filtered_command` and `mode` where `begin` returned them; for robots
+                that stand the `estimate`, too.
             command: (n, c) command during the step.
             stand: (n, 1) wish to stand during the step; None for robots that only walk.
 
@@ -99,7 +101,10 @@ class Steering:
             phase = advance_phase(self.library, phase, steer, self.period)
         else:
             mode = past["mode"]
-            phase, mode = advance_mode(self.library, phase, mode, steer, stand, self.period)
+            balance = find_balance(past["estimate"])
+            phase, mode = advance_mode(
+                self.library, phase, mode, steer, stand, self.period, balance
+            )
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
             aim, rates = command, self.rates

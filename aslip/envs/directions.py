@@ -120,7 +120,7 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
     stack = directions_stack(library, reward_on) | {
         "start": lambda: ReferenceStart(library, in_keys=["command", "phase", "mode"]),
         "command_filter": StandFilter,
-        "clock": lambda: StandClock(library, in_keys=[_STEER, "stand"]),
+        "clock": lambda: StandClock(library),
         "reference": lambda: ReferenceInjection(library, in_keys=steered),
         "heading": lambda: HeadingFrame(command_key=_STEER, mode_key="mode"),
         "estimator": lambda: EstimatedState(command_key=_STEER, mode_key="mode"),

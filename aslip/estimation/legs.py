@@ -57,12 +57,7 @@ class LegKinematics:
     """
 
     def __init__(self, robot: Robot = CASSIE) -> None:
-        for names, parts in ((robot.motor_names, _MOTORS), (robot.joint_names, _JOINTS)):
-            if names != tuple(f"{side}_{part}" for side in SIDES for part in parts):
-                raise ConfigurationError(
-                    f"legs need {parts} on both sides in this order, but {robot} has {names}"
-                )
-        self._left, self._right = (_chain(robot, side) for side in SIDES)
+        self._left, self._right = leg_chains(robot)
         self.sole_radius, self.half_length, *_ = robot.skeleton.geoms["left_foot"].size
         """Radius of the soles' contact capsules, and half the length of their axes [m]."""
 
@@ -85,7 +80,7 @@ class LegKinematics:
         return vectors
 
 
-class _Chain(NamedTuple):
+class Chain(NamedTuple):
     """Constants of one leg."""
 
     offset: np.ndarray
@@ -122,7 +117,7 @@ class _Chain(NamedTuple):
 
 @compiled
 def _legs(
-    motors: np.ndarray, joints: np.ndarray, left: _Chain, right: _Chain, out: np.ndarray
+    motors: np.ndarray, joints: np.ndarray, left: Chain, right: Chain, out: np.ndarray
 ) -> None:
     for i in range(motors.shape[0]):
         _leg(motors[i, 0], joints[i, 0], left, out[i, 0])
@@ -130,7 +125,7 @@ def _legs(
 
 
 @compiled
-def _leg(motors: np.ndarray, joints: np.ndarray, at: _Chain, out: np.ndarray) -> None:
+def _leg(motors: np.ndarray, joints: np.ndarray, at: Chain, out: np.ndarray) -> None:
     angle = motors[2] + at.offset[0]
     knee = _unit(angle) * at.links[0]
     angle += motors[3] + at.offset[1]
@@ -154,7 +149,7 @@ def _leg(motors: np.ndarray, joints: np.ndarray, at: _Chain, out: np.ndarray) ->
 
 @compiled
 def _to_pelvis(
-    at: _Chain,
+    at: Chain,
     roll: complex,
     yaw: complex,
     plane: complex,
@@ -178,7 +173,7 @@ def _to_pelvis(
 
 @compiled
 def _force(
-    at: _Chain, spring: float, turn: complex, shin: complex, tarsus: complex, sole: complex
+    at: Chain, spring: float, turn: complex, shin: complex, tarsus: complex, sole: complex
 ) -> complex:
     """Force on the foot in the plane of the leg [N]."""
     # the end of the Achilles rod at the heel spring, relative to its end at the hip
@@ -212,7 +207,21 @@ def _plane(vector: np.ndarray) -> np.ndarray:
     return vector[..., 0] + 1j * vector[..., 1]
 
 
-def _chain(robot: Robot, side: Side) -> _Chain:
+def leg_chains(robot: Robot) -> tuple[Chain, Chain]:
+    """Constants of the left and the right leg.
+
+    Raises:
+        ConfigurationError: see `LegKinematics`.
+    """
+    for names, parts in ((robot.motor_names, _MOTORS), (robot.joint_names, _JOINTS)):
+        if names != tuple(f"{side}_{part}" for side in SIDES for part in parts):
+            raise ConfigurationError(
+                f"legs need {parts} on both sides in this order, but {robot} has {names}"
+            )
+    return _chain(robot, "left"), _chain(robot, "right")
+
+
+def _chain(robot: Robot, side: Side) -> Chain:
     skeleton = robot.skeleton
     joints = {name: skeleton.joints[f"{side}_{name}"] for name in (*_PLANAR, *_HIPS, "heel_spring")}
     bodies = {name: skeleton.bodies[joint.body] for name, joint in joints.items()}
@@ -234,7 +243,7 @@ def _chain(robot: Robot, side: Side) -> _Chain:
     heel = rotations["heel_spring"]
     tip = positions["heel_spring"] + heel @ tip_end
     slope = np.cross(heel[:, 2], heel @ tip_end)
-    return _Chain(
+    return Chain(
         offset=np.array(turned) - [zero[name] for name in _PLANAR],
         links=_plane(links),
         ends=_plane(ends),
@@ -254,7 +263,7 @@ def _chain(robot: Robot, side: Side) -> _Chain:
 
 
 def _sole(robot: Robot, side: Side) -> tuple[np.ndarray, float]:
-    """(2, 3) heel and toe ends of the sole's axis in the foot [m], and `_Chain.left`."""
+    """(2, 3) heel and toe ends of the sole's axis in the foot [m], and `Chain.left`."""
     capsule = robot.skeleton.geoms[f"{side}_foot"]
     to_foot = _matrix(robot.skeleton.sites[robot.foot_sites[SIDES.index(side)]].quaternion)
     half = _matrix(capsule.quaternion)[:, 2] * capsule.size[1]

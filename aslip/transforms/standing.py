@@ -26,6 +26,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.library.transitions import HALF
 from aslip.robot import CASSIE
+from aslip.transforms.balance import Balance, find_balance
 from aslip.transforms.base import (
     SeededTransform,
     check_interval,
@@ -50,12 +51,15 @@ def advance_mode(
     command: Tensor,
     stand: Tensor,
     period: float = CASSIE.policy_period,
+    balance: Balance | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Stride fraction (*b, 1) and mode (*b, 1) some time later; see `aslip.library.transitions`.
 
-    A stop begins at a touchdown, if the robot shall stand and steps in place by then. It ends in
-    standing, which lasts as long as the robot shall stand; then a start leads back to the gait in
-    place. A stop or start that has begun is finished. Changes of mode within the time are exact.
+    A stop begins at a touchdown, if the robot shall stand, steps in place and is steady by then. It
+    ends in standing, which lasts as long as the robot shall stand; then a start leads back to the
+    gait in place. A stop or start that has begun is finished. Changes of mode within the time are
+    exact. A robot that stands and is not steady any more walks on at once, with a step of the foot
+    that it does not lean to.
 
     Args:
         library: gaits with transitions.
@@ -64,6 +68,7 @@ def advance_mode(
         command: (*b, c) one value per axis of the library, that clock and reference follow.
         stand: (*b, 1) 1 to stand, 0 to walk.
         period: time, shorter than a single stance, a stop and a start [s].
+        balance: whether robots are steady; they are by default.
 
     Raises:
         ConfigurationError: the library has no transitions.
@@ -72,6 +77,12 @@ def advance_mode(
     within = phase.double() % 1.0
     half = torch.where(within >= HALF, HALF, 0.0)
     within, stays = within - half, stand > 0.5
+    if balance is not None:
+        tips = (mode == WalkMode.STAND) & ~balance.steady
+        mode = torch.where(tips, WalkMode.WALK, mode)
+        # the left foot lifts off at phase 0, the right one half a stride later
+        half = torch.where(tips, torch.where(balance.leans_left, HALF, 0.0), half)
+        within, stays = torch.where(tips, 0.0, within), stays & balance.steady
     mode = torch.where((mode == WalkMode.STAND) & ~stays, WalkMode.START, mode)
     walking = 1 / library.stride(command).double()
     in_place = (command == 0).all(-1, keepdim=True)
@@ -248,8 +259,9 @@ class StandClock(SeededTransform):
 
     Args:
         library: gaits with transitions.
-        in_keys: keys of the command (n, c) that clock and reference follow, and of the wish to
-            stand (n, 1).
+        in_keys: keys of the command (n, c) that clock and reference follow, of the wish to stand
+            (n, 1), and of the estimate that tells whether robots are steady (`find_balance`); in a
+            stack without an estimator they always are.
         out_keys: keys of phase (n, 1) and mode (n, 1), values of `WalkMode` in single precision.
         period: duration of a policy step [s].
 
@@ -257,14 +269,14 @@ class StandClock(SeededTransform):
         ConfigurationError: the library has no transitions.
     """
 
-    num_in_keys, num_out_keys = 2, 2
+    num_in_keys, num_out_keys = 3, 2
     needs_env = "it draws phases at resets"
 
     def __init__(
         self,
         library: GaitLibrary,
         *,
-        in_keys: Sequence[NestedKey] = ("filtered_command", "stand"),
+        in_keys: Sequence[NestedKey] = ("filtered_command", "stand", "estimate"),
         out_keys: Sequence[NestedKey] = ("phase", "mode"),
         period: float = CASSIE.policy_period,
     ) -> None:
@@ -292,7 +304,9 @@ class StandClock(SeededTransform):
         command = checked_column(tensordict, self.in_keys[0], self.library.command_size)
         stand = checked_column(tensordict, self.in_keys[1])
         phase, mode = (checked_column(tensordict, key) for key in self.out_keys)
-        found = advance_mode(self.library, phase, mode, command, stand, self._period)
+        estimate = tensordict.get(self.in_keys[2], None)
+        balance = None if estimate is None else find_balance(estimate)
+        found = advance_mode(self.library, phase, mode, command, stand, self._period, balance)
         for key, value in zip(self.out_keys, found, strict=True):
             next_tensordict.set(key, value)
         return next_tensordict

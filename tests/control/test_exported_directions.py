@@ -129,6 +129,7 @@ def test_motor_targets_are_those_of_the_controller(
     both: list[Any] = [
         one.start(rows[0], [0.1, 0.0, 0.3], heading=0.2) for one in (recurrent, turning)
     ]
+    modes = set()
     for i, row in enumerate(rows[1:]):
         given: dict[str, Any] = {"stand": wishes.get(i), "heading": 1.0 if i == 9 else None}
         got = None if i == 12 else row
@@ -141,8 +142,10 @@ def test_motor_targets_are_those_of_the_controller(
         np.testing.assert_allclose(found, expected.numpy(), rtol=0, atol=2e-6)
         error = theirs.tensordict["odometry", "path_error"].numpy()
         np.testing.assert_allclose(ours.entries["path_error"], error, rtol=0, atol=1e-6)
+        assert ours.entries["mode"].item() == theirs.tensordict["mode"].item()
         both = [theirs, ours]
-    assert both[1].entries["mode"].item() == 2
+        modes.add(ours.entries["mode"].item())
+    assert 2 in modes
 
 
 def test_places_that_an_estimate_lacks_are_named(

@@ -80,7 +80,7 @@ def make_env(seed: int = 0) -> StackEnv:
         stand_clock=partial(
             transforms.StandClock,
             library_that_stands(),
-            in_keys=["led_command", "stand"],
+            in_keys=["led_command", "stand", "estimate"],
             out_keys=["standing_phase", "mode"],
         ),
         stand=partial(transforms.StandCommand, 0.5),

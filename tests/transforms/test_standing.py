@@ -12,8 +12,10 @@ from aslip.control.steering import Steering
 from aslip.envs import EPISODE_ENDS, StackEnv, standing_stack
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary, TransitionTable, WalkMode
+from aslip.library.transitions import HALF
 from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, StandClock, StandCommand, StandFilter, advance_mode
+from aslip.transforms.balance import Balance
 from aslip.transforms.standing import STOP_RATES, led_rates
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
@@ -101,6 +103,37 @@ def test_stop_that_has_begun_is_finished(walking: GaitLibrary) -> None:
     _, modes = _run(walking, 0.35, [(1.0, 0.09), (0.0, 1.5)])
     changes = modes[torch.cat([torch.tensor([True]), modes.diff() != 0])]
     assert changes.tolist() == [0.0, 1.0, 2.0, 3.0, 0.0]
+
+
+def test_stop_waits_until_the_robot_is_steady(walking: GaitLibrary, table: TransitionTable) -> None:
+    """At the first touchdown it is not, at the second it is."""
+    at = torch.tensor([[0.2]]), torch.zeros(1, 1)
+    rest, stand = torch.zeros(1, 3), torch.ones(1, 1)
+    modes, phases = [], []
+    for _ in range(60):
+        steady = torch.tensor([[at[0].item() > HALF]])
+        balance = Balance(steady, torch.zeros(1, 1, dtype=torch.bool))
+        at = advance_mode(walking, *at, rest, stand, balance=balance)
+        phases.append(at[0].item())
+        modes.append(at[1].item())
+    first = modes.index(WalkMode.STOP)
+    assert phases[first] > HALF + table.touchdown
+    assert modes[-1] == WalkMode.STAND
+
+
+@pytest.mark.parametrize(("leans_left", "lift_off"), [(True, 0.5), (False, 0.0)])
+def test_robot_that_tips_lifts_the_foot_that_it_does_not_lean_to(
+    walking: GaitLibrary, table: TransitionTable, leans_left: bool, lift_off: float
+) -> None:
+    """At once, whatever foot would leave next in a start."""
+    rest, wish = torch.zeros(1, 3), torch.ones(1, 1)
+    balance = Balance(torch.tensor([[False]]), torch.tensor([[leans_left]]))
+    stride = float(walking.stride(rest))
+    for half in (0.0, 0.5):
+        standing = torch.tensor([[half + table.standing]]), torch.tensor([[2.0]])
+        phase, mode = advance_mode(walking, *standing, rest, wish, balance=balance)
+        assert mode.item() == WalkMode.WALK
+        assert phase.item() == pytest.approx(lift_off + PERIOD / stride, abs=1e-6)
 
 
 @pytest.mark.parametrize(("stand", "command"), [(0.0, 0.0), (1.0, 0.1)])

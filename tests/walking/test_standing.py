@@ -10,9 +10,10 @@ import aslip
 from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.library import GaitLibrary, WalkMode
+from aslip.robot import CASSIE
 from aslip.transforms import StandCommand
 from aslip.walking import Walker, evaluate, record_substeps, record_walks
-from aslip.walking.record import record
+from aslip.walking.record import commands_kept, next_start, record, reset_walks, walk
 from tests.helpers import limp
 from tests.library.standing import standing_library
 
@@ -95,3 +96,20 @@ def test_wishes_need_a_stack_that_stands() -> None:
         record_walks(limp(), env, np.zeros((2, 1)), np.array([[0], [1]]))
     with pytest.raises(ConfigurationError, match="standing_stack"):
         record_substeps(limp(), env, np.zeros(2), np.ones(2))
+
+
+def test_standing_robots_step_when_they_are_pushed_and_stand_again() -> None:
+    """By 12 N s, forward, back and to the right; without a step they fall."""
+    env = aslip.make_env(num_envs=3, seed=7, stack="standing", drop=EPISODE_ENDS, num_threads=1)
+    policy, still = aslip.load_policy("aslip"), np.zeros((3, 3))
+    push = 12 / (7 * CASSIE.policy_period) * np.array([[1, 0, 0], [-1, 0, 0], [0, -1, 0]])
+    with commands_kept(env):
+        td, modes = reset_walks(env, still, stand=1.0), []
+        for steps, force in ((20, None), (7, push), (120, None)):
+            for step in walk(policy, env, td, steps, push=force):
+                assert not step["next", "terminated"].any()
+                modes.append(step["next", "mode"][:, 0].numpy())
+            td = next_start(step)
+    assert (modes[19] == WalkMode.STAND).all()
+    assert (np.array(modes) == WalkMode.WALK).any(axis=0).all()
+    assert (modes[-1] == WalkMode.STAND).all()

@@ -139,15 +139,13 @@ class PolicyStep(nn.Module):
         given = dict(zip((entry.name for entry in self.inputs), values, strict=True))
         first = given["first"]
         sizes = self._robot.estimate_sizes
-        last = given["last_estimate"].split(list(sizes.values()), dim=-1)
-        steered = self._steered(given)
+        parts = given["last_estimate"].split(list(sizes.values()), dim=-1)
+        last = dict(zip(sizes, parts, strict=True))
+        steered = self._steered(given, last)
+        estimate = {name: given[name] for name in sizes}
         present: dict[str, Any] = {
             **steered,
-            "estimate": hold_estimate(
-                {name: given[name] for name in sizes},
-                given["heading"],
-                dict(zip(sizes, last, strict=True)),
-            ),
+            "estimate": hold_estimate(estimate, given["heading"], last),
             "last_action": torch.where(first, 0.0, given["last_action"]),
             # hidden states of first steps are set to zero here
             "is_init": torch.tensor([[False]] * len(first)),
@@ -160,14 +158,16 @@ class PolicyStep(nn.Module):
         acting = TensorDict(present, batch_size=[len(first)])
         return self._results(self._controller.act(acting).tensordict)
 
-    def _steered(self, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Command, phase, and what else follows from command and wish."""
+    def _steered(
+        self, given: Mapping[str, Tensor], last: Mapping[str, Tensor]
+    ) -> dict[str, Tensor]:
+        """Command, phase, and what else follows from command, wish and last estimate."""
         steering, first = self._controller.steering, given["first"]
         command, stand = self.library.nearest(given["command"]), given.get("stand")
         begun = steering.begin(command, given["last_phase"], stand)
         names = ("phase", "filtered_command", "mode")
         past = {name: given[f"last_{name}"] for name in names if f"last_{name}" in given}
-        following = steering.advance(past, command, stand)
+        following = steering.advance({**past, "estimate": last}, command, stand)
         now = {name: torch.where(first, begun[name], following[name]) for name in past}
         return {**following, **now}
 
