@@ -1,13 +1,15 @@
-"""Processes beside this one, which end with it."""
+"""Processes beside this one, which end with it, and signals that end this one."""
 
 from __future__ import annotations
 
 import os
+import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
+from types import FrameType
 
 
 def processors() -> int:
@@ -45,3 +47,37 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def signals_raised() -> Iterator[None]:
+    """Context that raises what a signal handler raised within, such as KeyboardInterrupt.
+
+    Libraries in C++ that call handlers may turn an interrupt into an error of their own, or lose
+    it.
+    """
+    raised: list[BaseException] = []
+
+    def kept(handler: Callable[[int, FrameType | None], object]) -> Callable[..., None]:
+        def handle(number: int, frame: FrameType | None) -> None:
+            try:
+                handler(number, frame)
+            except BaseException as error:
+                raised.append(error)
+                raise
+
+        return handle
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
+        before = {number: h for number, h in handlers.items() if callable(h)}
+    try:
+        for number, handler in before.items():
+            signal.signal(number, kept(handler))
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if raised:
+            raise raised[0] from None

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import asdict, dataclass
@@ -41,6 +42,7 @@ from aslip.rom import (
     mirror,
     optimize_gait,
 )
+from aslip.rom.optimize import ABOUT_THE_PROBLEM
 
 Point = tuple[int, int, int]
 """Place on a grid along forward speed, sideways speed and yaw rate."""
@@ -172,7 +174,10 @@ class GaitFolder:
         try:
             entries = _FORMAT.read(file)
             if _REASON in entries:
-                return str(json.loads(entries[_REASON]))
+                reason = str(json.loads(entries[_REASON]))
+                # earlier versions also kept interrupted solves
+                status = re.search(r"IPOPT stopped with (\w+)", reason)
+                return None if status and status[1] not in ABOUT_THE_PROBLEM else reason
             arrays = {name.removesuffix(".npy"): from_npy(data) for name, data in entries.items()}
             return Gait.from_arrays(arrays)
         except (FileDamagedError, ValueError):
@@ -184,6 +189,7 @@ class GaitFolder:
         The solver starts from the guess, and from the rough one if it fails.
 
         Raises:
+            SolverError: the solver failed by an accident; nothing is stored.
             OSError: the file cannot be written.
         """
         outcome = self._attempt(command, guess)

@@ -9,6 +9,7 @@ from typing import IO
 
 from mcap.records import Channel, McapRecord, Message
 
+from aslip.errors import machine_failed
 from aslip.log.reader import Content, check_metadata, counts_differ, hash_problems
 from aslip.log.records import Records, begins_as_mcap, open_log, read_summary
 from aslip.log.writer import METADATA
@@ -38,6 +39,8 @@ def check(path: str | Path) -> list[str]:
             try:
                 content.add(record)
             except Exception as error:  # any error of a decoder
+                if machine_failed(error):
+                    raise
                 order.problems.append(str(error))
             order.add(record)
         problems = _summary_problems(file, content, path)

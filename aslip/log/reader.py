@@ -19,7 +19,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
-from aslip.errors import FileDamagedError, UnknownNameError
+from aslip.errors import FileDamagedError, UnknownNameError, machine_failed
 from aslip.log import messages
 from aslip.log.records import METADATA_HASH, Records, begins_as_mcap, open_log, read_summary
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA
@@ -305,6 +305,8 @@ def _explained(path: Path) -> Iterator[None]:
     except FormatError as error:
         raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
     except Exception as error:  # a damaged file causes many kinds of exceptions
+        if machine_failed(error):
+            raise
         # messages of a parser need their type to be understood
         reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
         raise FileDamagedError(

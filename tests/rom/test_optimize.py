@@ -1,10 +1,13 @@
+import signal
 from operator import attrgetter
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from aslip.errors import GaitOptimizationError, ShapeError, SpeedOutOfRangeError
-from aslip.rom import Mode, SlipParameters, optimize_gait, optimize_gaits
+from aslip.errors import GaitOptimizationError, ShapeError, SolverError, SpeedOutOfRangeError
+from aslip.processes import signals_raised
+from aslip.rom import Mode, SlipParameters, optimize, optimize_gait, optimize_gaits
 
 from .test_gait import ARRAYS
 
@@ -48,6 +51,44 @@ def test_failed_optimisation_names_speed_status_and_worst_constraint():
     impossible = SlipParameters(max_leg_length=0.8)
     with pytest.raises(GaitOptimizationError, match=r"at 1 m/s: IPOPT .* worst constraint: \w+"):
         optimize_gait(1.0, parameters=impossible)
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
+def test_an_interrupted_solve_raises_the_interrupt(monkeypatch, kind):
+    """CasADi turns what a signal handler raises into a RuntimeError of its own."""
+
+    def interrupt(number, frame):
+        raise kind
+
+    optimize_gait(1.0)  # the problem is built
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with pytest.raises(kind):
+            signal.setitimer(signal.ITIMER_REAL, 0.03)
+            optimize_gait(1.0)
+        assert signal.getsignal(signal.SIGALRM) is interrupt
+        with pytest.raises(kind), signals_raised():
+            try:
+                signal.raise_signal(signal.SIGALRM)
+            except BaseException as error:
+                raise RuntimeError("of a library") from error
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("status", ["Insufficient_Memory", "NonIpopt_Exception_Thrown", None])
+def test_a_status_that_says_nothing_about_the_problem_is_no_missing_gait(status):
+    """None: the error came before the solver's end, and the status is of an earlier solve."""
+
+    def stats():
+        if status is None:
+            raise RuntimeError("not solved")
+        return {"return_status": status}
+
+    problem = SimpleNamespace(opti=SimpleNamespace(stats=stats), title=lambda _: "the gait")
+    error = optimize._failure(problem, np.zeros(1), RuntimeError("in CasADi:\nstd::bad_alloc"))
+    assert isinstance(error, SolverError)
+    assert f"stopped with {status or 'std::bad_alloc'}" in str(error)
 
 
 def test_guess_with_another_number_of_points_is_refused(gait):

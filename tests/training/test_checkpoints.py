@@ -200,6 +200,23 @@ def test_a_damaged_newest_checkpoint_falls_back_to_the_previous_one(
     assert said == []
 
 
+@pytest.mark.parametrize("error", [MemoryError(), PermissionError(13, "Permission denied")])
+def test_a_checkpoint_that_the_machine_cannot_read_now_is_not_damaged(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """No older one is taken instead of it, and rows of the logs stay."""
+    save_steps(open_run(settings), 10, 20)
+
+    def fail(*_: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr("aslip.files.archive._entries", fail)
+        with pytest.raises(type(error)):
+            open_run(settings, resume=True).restore({"net": constant_network(0.0)})
+    assert saved_steps(settings) == [10, 20]
+
+
 @pytest.mark.parametrize("how", DAMAGES)
 def test_a_run_with_only_damaged_checkpoints_cannot_resume(settings: Settings, how: str) -> None:
     """The error names all, and none is changed: another version may be able to read them."""
