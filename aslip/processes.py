@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from types import FrameType
+from typing import Final
+
+ENDINGS: Final = tuple(
+    getattr(signal, name)
+    for name in ("SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
+    if hasattr(signal, name)
+)
+"""Signals that end a program: by SIGTERM, a closed terminal, and schedulers before a time limit."""
 
 
 def processors() -> int:
@@ -47,6 +56,39 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def endings() -> list[int]:
+    """Signals of `ENDINGS` that would end this process now, in its main thread.
+
+    Others are ignored, as SIGHUP under nohup, or have a handler.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return []
+    return [number for number in ENDINGS if signal.getsignal(number) is signal.SIG_DFL]
+
+
+@contextmanager
+def signals_exit() -> Iterator[None]:
+    """Context in which `endings` raise SystemExit, with exit status 128 + number.
+
+    After the first one all of them are ignored until the context ends: shells and systemd send
+    several at once, and the second must not disturb the saving.
+    """
+    taken = endings()
+
+    def leave(number: int, _: FrameType | None) -> None:
+        for other in taken:
+            signal.signal(other, signal.SIG_IGN)
+        sys.exit(128 + number)
+
+    try:
+        for number in taken:
+            signal.signal(number, leave)
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
 
 
 @contextmanager

@@ -79,6 +79,7 @@ from tqdm import tqdm
 
 from aslip.library import GaitLibrary
 from aslip.policy import POLICY_FILE, read_card
+from aslip.processes import signals_exit
 from aslip.show.plots import compare_learning, save_figure
 from aslip.training.command_line import preset_command_line
 from aslip.training.progress import read_progress, steps_done
@@ -232,7 +233,8 @@ def _train(config: Config, recorded: Runs) -> None:
     waiting = [run for run in wanted if steps_done(_folder(config, *run)) < config.total_steps]
     running: dict[int, subprocess.Popen[bytes]] = {}
     done = sum(steps_done(_folder(config, *run)) for run in wanted)
-    with tqdm(total=total, initial=done, unit="step", dynamic_ncols=True) as bar:
+    bar = tqdm(total=total, initial=done, unit="step", dynamic_ncols=True)
+    with bar, signals_exit():
         try:
             while waiting or running:
                 for slot in range(config.jobs):

@@ -129,10 +129,10 @@ from aslip.library import Schedule, numbers
 from aslip.library.schedule import STAND
 from aslip.log import Recorder
 from aslip.policy import policy_stack
+from aslip.processes import signals_exit
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film, seconds_per_frame
-from aslip.training.run import sigterm_exits
 from aslip.walking import Push, Walker, command_library, markdown, policy_steps
 
 # columns of the pelvis velocity in a row [world]
@@ -153,7 +153,7 @@ def main(config: Config) -> None:
     walker = make_walker(config, schedule)
     schedule = schedule.of_size(walker.library.command_size)
     try:
-        with sigterm_exits(), contextlib.closing(walker.env):
+        with signals_exit(), contextlib.closing(walker.env):
             if config.live:
                 serve(config, walker)
                 return

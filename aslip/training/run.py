@@ -19,13 +19,12 @@ fall back when the newest file is damaged, and read files that may hold pickles.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
 import shutil
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -38,6 +37,7 @@ from torchrl.record.loggers import Logger
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.files.writing import replacing
 from aslip.policy import POLICY_FILE
+from aslip.processes import signals_exit
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.command_line import this_command
 from aslip.training.progress import Progress, ProgressLog, read_progress
@@ -132,9 +132,10 @@ class TrainingRun:
         """Context that saves checkpoints during a training and at its end, even after an error.
 
         It yields a function `keep(step, metadata)`. Call it after each update: it copies the states
-        of the components, and writes them if a checkpoint is due. If Ctrl-C, SIGTERM or an error
-        interrupts an update, the last copy is written. After Ctrl-C and SIGTERM, a message on
-        standard error tells which checkpoint is saved and how to resume.
+        of the components, and writes them if a checkpoint is due. If Ctrl-C, a signal that ends
+        programs (`aslip.processes.ENDINGS`) or an error interrupts an update, the last copy is
+        written. After Ctrl-C and signals, a message on standard error tells which checkpoint is
+        saved and how to resume.
 
         Args:
             components: objects with `state_dict` and `load_state_dict`, by name.
@@ -142,7 +143,8 @@ class TrainingRun:
 
         Raises:
             KeyboardInterrupt: on Ctrl-C, after the last checkpoint is written.
-            SystemExit: on SIGTERM, after the last checkpoint is written; exit status 143.
+            SystemExit: on a signal, after the last checkpoint is written; exit status 128 + number,
+                143 for SIGTERM.
             TrainingStoppedError: the body raised an error, or the last checkpoint could not be
                 written.
         """
@@ -159,20 +161,20 @@ class TrainingRun:
         cause: Exception | None = None
         unsaved: OSError | None = None
         stopping = False
-        try:
-            with sigterm_exits():
+        with signals_exit():
+            try:
                 yield keep
-        except (KeyboardInterrupt, SystemExit):
-            stopping = True
-            _say(f"stopping: saving the run in {str(self.folder)!r}")
-            raise
-        except Exception as error:
-            torchrl_logger.error("training stopped", exc_info=error)
-            cause = error
-        finally:
-            unsaved = self._save()
-            if stopping:
-                _say(self._interrupted(unsaved))
+            except (KeyboardInterrupt, SystemExit):
+                stopping = True
+                _say(f"stopping: saving the run in {str(self.folder)!r}")
+                raise
+            except Exception as error:
+                torchrl_logger.error("training stopped", exc_info=error)
+                cause = error
+            finally:
+                unsaved = self._save()
+                if stopping:
+                    _say(self._interrupted(unsaved))
         if cause or unsaved:
             raise TrainingStoppedError(self._stopped_by(cause, unsaved)) from cause or unsaved
 
@@ -386,21 +388,9 @@ def _unsaved(step: int, error: OSError) -> str:
 
 
 def _say(message: str) -> None:
-    """Print to standard error, below the progress bar if there is one."""
-    print(f"\n{message}", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def sigterm_exits() -> Iterator[None]:
-    """Context in which SIGTERM, which clusters send before they end a job, raises SystemExit."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    """Print to standard error, below the progress bar if there is one, unless it is closed."""
+    with contextlib.suppress(OSError):
+        print(f"\n{message}", file=sys.stderr, flush=True)
 
 
 def write_text(path: Path, text: str) -> None:
