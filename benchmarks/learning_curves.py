@@ -69,6 +69,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Any, Final
@@ -77,6 +78,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from aslip.files.writing import claimed
 from aslip.library import GaitLibrary
 from aslip.policy import POLICY_FILE, read_card
 from aslip.processes import signals_exit
@@ -129,12 +131,13 @@ def main(config: Config) -> None:
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
+    with claimed(config.record, wait=True) if config.record else nullcontext():
         # another process may have extended it during the training
         recorded = read_record(config.record) if config.record else {}
-    found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
-    done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
-    if config.record and done:
-        write_record(config.record, {**recorded, **done})
+        found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
+        done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
+        if config.record and done:
+            write_record(config.record, {**recorded, **done})
     found = {**recorded, **found}
     wanted = [key for key in _wanted(config) if key in found]
     runs = [found[key].until(config.total_steps) for key in wanted]

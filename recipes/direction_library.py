@@ -93,7 +93,7 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from aslip.errors import SpeedOutOfRangeError
-from aslip.files.writing import replacing
+from aslip.files.writing import claimed, replacing
 from aslip.library import (
     DirectionGrid,
     GaitFolder,
@@ -117,7 +117,17 @@ _HEADER = (
 
 
 def main(config: Config) -> GaitLibrary:
-    """Solve gaits, tabulate, store, draw and check; returns the library."""
+    """Solve gaits, tabulate, store, draw and check; returns the library.
+
+    Raises:
+        ConfigurationError: another process works in the folder.
+    """
+    config.out.mkdir(parents=True, exist_ok=True)
+    with claimed(config.out):
+        return _build(config)
+
+
+def _build(config: Config) -> GaitLibrary:
     start = time.perf_counter()
     grid = DirectionGrid(config.forward, config.sideways, config.yaw_rates, config.limits)
     store = GaitFolder(

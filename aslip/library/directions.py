@@ -29,6 +29,7 @@ from aslip.errors import (
     UnreachablePoseError,
 )
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.files.writing import claimed
 from aslip.ik import Kinematics, LegClearance
 from aslip.library.region import inside_hull
 from aslip.library.tabulate import tabulate
@@ -248,11 +249,17 @@ def solve_directions(
         progress: called after each solved or read gait.
 
     Raises:
+        ConfigurationError: another process solves gaits in the folder.
+        SolverError: as in `GaitFolder.solve`.
         OSError: a file cannot be written.
     """
     half = grid.half
     found: dict[Point, Outcome] = {}
-    with worker_pool(processors() if workers is None else workers) as pool:
+    store.folder.mkdir(parents=True, exist_ok=True)
+    with (
+        claimed(store.folder),
+        worker_pool(processors() if workers is None else workers) as pool,
+    ):
         for point, outcome, stored in _outcomes(grid, half, store, pool):
             found[point] = outcome
             if progress:

@@ -35,7 +35,7 @@ from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
 
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
-from aslip.files.writing import replacing
+from aslip.files.writing import claimed, replacing
 from aslip.policy import POLICY_FILE
 from aslip.processes import signals_exit
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
@@ -76,7 +76,8 @@ class TrainingRun:
 
     Raises:
         ConfigurationError: the folder already has a run, and `resume` is not set; it has no run to
-            resume; settings or transforms differ from those of the run; or it is not writable.
+            resume; settings or transforms differ from those of the run; it is not writable; or
+            another process trains in it.
         FileDamagedError: the settings of the run in the folder cannot be read.
     """
 
@@ -102,7 +103,12 @@ class TrainingRun:
         self._log = ProgressLog(self.folder, logger)
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint
+        self._claim = contextlib.ExitStack()
         try:
+            if not resume:
+                self.folder.mkdir(parents=True, exist_ok=True)
+            if self.folder.is_dir():
+                self._claim.enter_context(claimed(self.folder))
             self._open(self.folder / SETTINGS_FILE, resume)
         except OSError as error:
             raise ConfigurationError(
@@ -175,6 +181,8 @@ class TrainingRun:
                 unsaved = self._save()
                 if stopping:
                     _say(self._interrupted(unsaved))
+                if stopping or cause or unsaved:
+                    self._claim.close()
         if cause or unsaved:
             raise TrainingStoppedError(self._stopped_by(cause, unsaved)) from cause or unsaved
 
@@ -262,8 +270,9 @@ class TrainingRun:
         self.close()
 
     def close(self) -> None:
-        """Close the logs."""
+        """Close the logs, and let other processes use the folder."""
         self._log.close()
+        self._claim.close()
 
     # ---------------------------------------------------------------- private
 
