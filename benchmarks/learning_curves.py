@@ -24,13 +24,14 @@ from pathlib import Path
 from typing import Literal
 
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline", "directions"]
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     out: Path = Path("runs/learning_curves")
@@ -55,6 +56,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check the settings."""
+        super().__post_init__()
         if self.jobs < 1:
             raise ConfigurationError(f"jobs must be 1 or more, got {self.jobs}")
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.files.assets import UserPaths
 from aslip.files.writing import claimed
 from aslip.policy import CARD, POLICY_FORMAT, find_policy
 from aslip.training.provenance import provenance
@@ -22,7 +23,7 @@ _KEYS = {"name", "sha256", "seed", "commit", "measured_at", "values"}
 
 
 @dataclass
-class TargetRecord:
+class TargetRecord(UserPaths):
     """Measured values of policies, by the hash of their weights.
 
     Args:
@@ -41,6 +42,7 @@ class TargetRecord:
     measurement, and values."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._read()
 
     def _read(self) -> None:

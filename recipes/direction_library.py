@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 from aslip.training.command_line import command_line
 
@@ -34,7 +35,7 @@ LIMITS = (
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the library."""
 
     out: Path = Path("runs/directions")
@@ -71,6 +72,7 @@ class Config:
         Raises:
             ConfigurationError: one of them is invalid.
         """
+        super().__post_init__()
         if self.checks < 0 or (self.workers is not None and self.workers < 1):
             raise ConfigurationError(
                 "checks must be 0 or more and workers 1 or more, got"

@@ -22,13 +22,14 @@ from pathlib import Path
 
 from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.log import JointRate
 from aslip.show.places import RomPlace
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the walk."""
 
     policy: str = "aslip"
@@ -84,6 +85,7 @@ class Config:
         Raises:
             ConfigurationError: a setting is invalid.
         """
+        super().__post_init__()
         if self.duration is not None and not 0 < self.duration < math.inf:
             raise ConfigurationError(f"duration must be a positive time [s], got {self.duration}")
         if self.steps_per_frame < 1:

@@ -26,6 +26,7 @@ from aslip.control.runner.loop import Run, run_lockstep, run_real_time, take_pri
 from aslip.control.runner.readings import Readings, SensorReadings, StateReadings
 from aslip.control.runner.supervisor import Limits, Supervisor
 from aslip.errors import ConfigurationError, NetworkError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.library import Schedule
 from aslip.processes import endings
 from aslip.training.command_line import command_line
@@ -40,7 +41,7 @@ _GANTRY_RAMP = 2.0
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the runner."""
 
     policy: str = "aslip"

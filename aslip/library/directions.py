@@ -29,6 +29,7 @@ from aslip.errors import (
     UnreachablePoseError,
 )
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.files.assets import UserPaths
 from aslip.files.writing import claimed
 from aslip.ik import Kinematics, LegClearance
 from aslip.library.region import inside_hull
@@ -140,7 +141,7 @@ class DirectionGrid:
 
 
 @dataclass(frozen=True)
-class GaitFolder:
+class GaitFolder(UserPaths):
     """Folder of solved gaits, one file each, and the settings of their optimisation."""
 
     folder: Path

@@ -35,6 +35,7 @@ from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
 
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.files.assets import user_path
 from aslip.files.writing import claimed, replacing
 from aslip.policy import POLICY_FILE
 from aslip.processes import signals_exit
@@ -91,7 +92,7 @@ class TrainingRun:
         go_on: str = "resume=True",
         logger: Logger | None = None,
     ) -> None:
-        self.folder = Path(folder)
+        self.folder = user_path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         self.transforms = dict(transforms or {})
         self.go_on = go_on
