@@ -110,16 +110,18 @@ def signals_raised() -> Iterator[None]:
 
         return handle
 
-    before = {}
+    handlers = {}
     if threading.current_thread() is threading.main_thread():
-        handlers = {number: signal.getsignal(number) for number in signal.valid_signals()}
-        before = {number: h for number, h in handlers.items() if callable(h)}
+        found = {number: signal.getsignal(number) for number in signal.valid_signals()}
+        handlers = {number: (kept(h), h) for number, h in found.items() if callable(h)}
     try:
-        for number, handler in before.items():
-            signal.signal(number, kept(handler))
+        for number, (new, _) in handlers.items():
+            signal.signal(number, new)
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, (new, old) in handlers.items():
+            # a handler may have set another, such as to ignore the signal
+            if signal.getsignal(number) is new:
+                signal.signal(number, old)
         if raised:
             raise raised[0] from None

@@ -104,8 +104,9 @@ def claimed(path: Path, *, wait: bool = False) -> Iterator[None]:
             claim = _CLAIMS[key]
             claim[1] -= 1
             if not claim[1]:
-                if _is_at(claim[0], name):  # a folder may have been moved
-                    name.unlink()
+                with contextlib.suppress(OSError):  # it may be another user's
+                    if _is_at(claim[0], name):  # a folder may have been moved
+                        name.unlink()
                 os.close(_CLAIMS.pop(key)[0])
 
 

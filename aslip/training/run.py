@@ -104,13 +104,14 @@ class TrainingRun:
         self._log = ProgressLog(self.folder, logger)
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint
-        self._claim = contextlib.ExitStack()
         try:
-            if not resume:
-                self.folder.mkdir(parents=True, exist_ok=True)
-            if self.folder.is_dir():
-                self._claim.enter_context(claimed(self.folder))
-            self._open(self.folder / SETTINGS_FILE, resume)
+            with contextlib.ExitStack() as claim:
+                if not resume:
+                    self.folder.mkdir(parents=True, exist_ok=True)
+                if self.folder.is_dir():
+                    claim.enter_context(claimed(self.folder))
+                self._open(self.folder / SETTINGS_FILE, resume)
+                self._claim = claim.pop_all()
         except OSError as error:
             raise ConfigurationError(
                 f"{str(self.folder)!r} cannot be written to ({error}); give another folder with"

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import ablate
 import pytest
 
 from aslip.errors import ConfigurationError
@@ -129,13 +130,14 @@ def test_a_run_folder_in_use_is_refused(tmp_path: Path, resume: bool) -> None:
     assert [p for p in sorted(tmp_path.rglob("*")) if p.name != ".lock"] == before
 
 
-def test_a_folder_of_gaits_in_use_is_refused(tmp_path: Path) -> None:
+def test_a_folder_of_gaits_or_ablations_in_use_is_refused(tmp_path: Path) -> None:
     grid = DirectionGrid((0.0,), (0.0,), (0.0,))
     config = replace(direction_library.Config(), out=tmp_path, forward=(0.0,))
     with owned(tmp_path):
         for work in (
             lambda: solve_directions(grid, GaitFolder(tmp_path), workers=1),
             lambda: direction_library.main(config),
+            lambda: ablate.main(ablate.Config(("default",), (0,), out=tmp_path)),
         ):
             with pytest.raises(ConfigurationError, match=OWNER):
                 work()

@@ -1,6 +1,7 @@
 import signal
 from operator import attrgetter
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,6 +68,9 @@ def test_an_interrupted_solve_raises_the_interrupt(monkeypatch, kind):
             signal.setitimer(signal.ITIMER_REAL, 0.03)
             optimize_gait(1.0)
         assert signal.getsignal(signal.SIGALRM) is interrupt
+        with signals_raised():
+            signal.signal(signal.SIGALRM, signal.SIG_IGN)
+        assert signal.signal(signal.SIGALRM, interrupt) is signal.SIG_IGN
         with pytest.raises(kind), signals_raised():
             try:
                 signal.raise_signal(signal.SIGALRM)
@@ -85,7 +89,7 @@ def test_a_status_that_says_nothing_about_the_problem_is_no_missing_gait(status)
             raise RuntimeError("not solved")
         return {"return_status": status}
 
-    problem = SimpleNamespace(opti=SimpleNamespace(stats=stats), title=lambda _: "the gait")
+    problem: Any = SimpleNamespace(opti=SimpleNamespace(stats=stats), title=lambda _: "the gait")
     error = optimize._failure(problem, np.zeros(1), RuntimeError("in CasADi:\nstd::bad_alloc"))
     assert isinstance(error, SolverError)
     assert f"stopped with {status or 'std::bad_alloc'}" in str(error)
