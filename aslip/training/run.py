@@ -140,10 +140,9 @@ class TrainingRun:
         """Context that saves checkpoints during a training and at its end, even after an error.
 
         It yields a function `keep(step, metadata)`. Call it after each update: it copies the states
-        of the components, and writes them if a checkpoint is due. If Ctrl-C, a signal that ends
-        programs (`aslip.processes.ENDINGS`) or an error interrupts an update, the last copy is
-        written. After Ctrl-C and signals, a message on standard error tells which checkpoint is
-        saved and how to resume.
+        of the components, and writes them if a checkpoint is due. If Ctrl-C, one of
+        `aslip.processes.ENDINGS` or an error interrupts an update, the last copy is written. After
+        Ctrl-C and signals, standard error tells which checkpoint is saved and how to resume.
 
         Args:
             components: objects with `state_dict` and `load_state_dict`, by name.
@@ -151,10 +150,8 @@ class TrainingRun:
 
         Raises:
             KeyboardInterrupt: on Ctrl-C, after the last checkpoint is written.
-            SystemExit: on a signal, after the last checkpoint is written; exit status 128 + number,
-                143 for SIGTERM.
-            TrainingStoppedError: the body raised an error, or the last checkpoint could not be
-                written.
+            SystemExit: on a signal, after the last checkpoint is written; status 128 + number.
+            TrainingStoppedError: the body raised an error, or the last checkpoint is not written.
         """
         last = -math.inf
 
