@@ -7,6 +7,7 @@ exception that a caller would expect, so `except ValueError` works, too.
 from __future__ import annotations
 
 import difflib
+import errno
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
@@ -29,6 +30,10 @@ class SpeedOutOfRangeError(AslipError, ValueError):
 
 class GaitOptimizationError(AslipError, RuntimeError):
     """Gait optimisation without a certified optimum."""
+
+
+class SolverError(AslipError, RuntimeError):
+    """Solver that ended by an accident, which says nothing about its problem."""
 
 
 class UnreachablePoseError(AslipError, ValueError):
@@ -69,6 +74,12 @@ class CollectorError(AslipError, RuntimeError):
 
 class NetworkError(AslipError, OSError):
     """Port in use, or a robot or controller that does not answer."""
+
+
+def machine_failed(error: BaseException) -> bool:
+    """True for an error that says nothing about a file: no memory, no permission, no handle."""
+    codes = errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EACCES, errno.EPERM, errno.ESTALE
+    return isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno in codes)
 
 
 @contextmanager

@@ -1,13 +1,24 @@
-"""Processes beside this one, which end with it."""
+"""Processes beside this one, which end with it, and signals that end this one."""
 
 from __future__ import annotations
 
 import os
+import signal
+import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
+from types import FrameType
+from typing import Final
+
+ENDINGS: Final = tuple(
+    getattr(signal, name)
+    for name in ("SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
+    if hasattr(signal, name)
+)
+"""Signals that end a program: by SIGTERM, a closed terminal, and schedulers before a time limit."""
 
 
 def processors() -> int:
@@ -45,3 +56,72 @@ def end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+def endings() -> list[int]:
+    """Signals of `ENDINGS` that would end this process now, in its main thread.
+
+    Others are ignored, as SIGHUP under nohup, or have a handler.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return []
+    return [number for number in ENDINGS if signal.getsignal(number) is signal.SIG_DFL]
+
+
+@contextmanager
+def signals_exit() -> Iterator[None]:
+    """Context in which `endings` raise SystemExit, with exit status 128 + number.
+
+    After the first one all of them are ignored until the context ends: shells and systemd send
+    several at once, and the second must not disturb the saving.
+    """
+    taken = endings()
+
+    def leave(number: int, _: FrameType | None) -> None:
+        for other in taken:
+            signal.signal(other, signal.SIG_IGN)
+        sys.exit(128 + number)
+
+    try:
+        for number in taken:
+            signal.signal(number, leave)
+        yield
+    finally:
+        for number in taken:
+            signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def signals_raised() -> Iterator[None]:
+    """Context that raises what a signal handler raised within, such as KeyboardInterrupt.
+
+    Libraries in C++ that call handlers may turn an interrupt into an error of their own, or lose
+    it.
+    """
+    raised: list[BaseException] = []
+
+    def kept(handler: Callable[[int, FrameType | None], object]) -> Callable[..., None]:
+        def handle(number: int, frame: FrameType | None) -> None:
+            try:
+                handler(number, frame)
+            except BaseException as error:
+                raised.append(error)
+                raise
+
+        return handle
+
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        found = {number: signal.getsignal(number) for number in signal.valid_signals()}
+        handlers = {number: (kept(h), h) for number, h in found.items() if callable(h)}
+    try:
+        for number, (new, _) in handlers.items():
+            signal.signal(number, new)
+        yield
+    finally:
+        for number, (new, old) in handlers.items():
+            # a handler may have set another, such as to ignore the signal
+            if signal.getsignal(number) is new:
+                signal.signal(number, old)
+        if raised:
+            raise raised[0] from None

@@ -17,12 +17,13 @@ from typing import Literal
 import numpy as np
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.sim.drake import Contact
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     policy: tuple[str, ...] = ("straight", "robust")
@@ -42,6 +43,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check the numbers, and that there is something to walk."""
+        super().__post_init__()
         for name in ("policy", "engine", "speeds"):
             if not getattr(self, name):
                 raise ConfigurationError(f"{name} must name at least one")

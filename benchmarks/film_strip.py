@@ -17,11 +17,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the picture."""
 
     policy: str = "straight"
@@ -47,6 +48,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check the settings."""
+        super().__post_init__()
         if self.frames < 1:
             raise ConfigurationError(f"frames must be 1 or more, got {self.frames}")
         if not 0 <= self.settle <= 10:

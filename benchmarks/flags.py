@@ -9,10 +9,11 @@ from types import MappingProxyType
 from typing import Final
 
 from aslip.errors import ConfigurationError
+from aslip.files.assets import UserPaths
 
 
 @dataclass(frozen=True)
-class Common:
+class Common(UserPaths):
     """Flags of every benchmark of a policy."""
 
     policy: tuple[str, ...] = ("straight",)
@@ -26,6 +27,7 @@ class Common:
 
     def __post_init__(self) -> None:
         """Check that there is a policy."""
+        super().__post_init__()
         if not self.policy:
             raise ConfigurationError("name at least one policy")
 
@@ -41,6 +43,7 @@ class Compared(Common):
 
     def __post_init__(self) -> None:
         """Check that there is a policy of any kind."""
+        UserPaths.__post_init__(self)  # not that of `Common`, which needs `policy`
         if not (self.policy or self.paper or self.baseline):
             raise ConfigurationError("name at least one policy")
 

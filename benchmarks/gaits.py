@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 from aslip.training.command_line import command_line
 
@@ -27,7 +28,7 @@ DIRECTIONS = (
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     commands: tuple[tuple[float, float, float], ...] = DIRECTIONS

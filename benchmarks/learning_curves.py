@@ -24,13 +24,14 @@ from pathlib import Path
 from typing import Literal
 
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 Variant = Literal["truth", "default", "fine", "robust", "paper", "baseline", "directions"]
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     out: Path = Path("runs/learning_curves")
@@ -55,6 +56,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check the settings."""
+        super().__post_init__()
         if self.jobs < 1:
             raise ConfigurationError(f"jobs must be 1 or more, got {self.jobs}")
 
@@ -69,6 +71,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Any, Final
@@ -77,8 +80,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from aslip.files.writing import claimed
 from aslip.library import GaitLibrary
 from aslip.policy import POLICY_FILE, read_card
+from aslip.processes import signals_exit
 from aslip.show.plots import compare_learning, save_figure
 from aslip.training.command_line import preset_command_line
 from aslip.training.progress import read_progress, steps_done
@@ -128,12 +133,13 @@ def main(config: Config) -> None:
     recorded = read_record(config.record) if config.record else {}
     if config.train:
         _train(config, recorded)
+    with claimed(config.record, wait=True) if config.record else nullcontext():
         # another process may have extended it during the training
         recorded = read_record(config.record) if config.record else {}
-    found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
-    done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
-    if config.record and done:
-        write_record(config.record, {**recorded, **done})
+        found = {key: run for key, run in _found(config).items() if _longer(run, recorded.get(key))}
+        done = {k: run.thinned() for k, run in found.items() if run.steps >= config.total_steps}
+        if config.record and done:
+            write_record(config.record, {**recorded, **done})
     found = {**recorded, **found}
     wanted = [key for key in _wanted(config) if key in found]
     runs = [found[key].until(config.total_steps) for key in wanted]
@@ -232,7 +238,8 @@ def _train(config: Config, recorded: Runs) -> None:
     waiting = [run for run in wanted if steps_done(_folder(config, *run)) < config.total_steps]
     running: dict[int, subprocess.Popen[bytes]] = {}
     done = sum(steps_done(_folder(config, *run)) for run in wanted)
-    with tqdm(total=total, initial=done, unit="step", dynamic_ncols=True) as bar:
+    bar = tqdm(total=total, initial=done, unit="step", dynamic_ncols=True)
+    with bar, signals_exit():
         try:
             while waiting or running:
                 for slot in range(config.jobs):

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import AslipError, ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     delays: tuple[float, ...] = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 9.0)
@@ -29,6 +30,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check that there is a delay, and that something is left to count."""
+        super().__post_init__()
         if not self.delays:
             raise ConfigurationError("name at least one delay in ms")
         if not self.duration > _COUNTED:

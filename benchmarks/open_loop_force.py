@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     speeds: tuple[float, ...] = (0.0, 1.0)
@@ -33,6 +34,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check the numbers."""
+        super().__post_init__()
         if self.phases < 1 or self.steps < 1:
             raise ConfigurationError(
                 f"phases and steps must be 1 or more, got {self.phases} and {self.steps}"

@@ -14,11 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     name: str
@@ -36,6 +37,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check the name."""
+        super().__post_init__()
         if not self.name.isidentifier():
             raise ConfigurationError(f"a policy's name must be an identifier, got {self.name!r}")
 

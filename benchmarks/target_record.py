@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.files.assets import UserPaths
+from aslip.files.writing import claimed
 from aslip.policy import CARD, POLICY_FORMAT, find_policy
 from aslip.training.provenance import provenance
 from aslip.training.run import write_text
@@ -21,7 +23,7 @@ _KEYS = {"name", "sha256", "seed", "commit", "measured_at", "values"}
 
 
 @dataclass
-class TargetRecord:
+class TargetRecord(UserPaths):
     """Measured values of policies, by the hash of their weights.
 
     Args:
@@ -40,6 +42,7 @@ class TargetRecord:
     measurement, and values."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         self._read()
 
     def _read(self) -> None:
@@ -97,12 +100,13 @@ class TargetRecord:
         about = {**describe(policy), "sha256": _digest(policy)}
         about |= {"measured_at": provenance()["commit"], "values": without_nan(values)}
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self._read()  # another process may have added some since
-        self.check(policy)
-        others = [one for one in self.policies if one["sha256"] != about["sha256"]]
-        self.policies = [*others, about]
-        kept = {"settings": dict(self.settings), "policies": self.policies}
-        write_text(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
+        with claimed(self.path, wait=True):
+            self._read()  # another process may have added some since
+            self.check(policy)
+            others = [one for one in self.policies if one["sha256"] != about["sha256"]]
+            self.policies = [*others, about]
+            kept = {"settings": dict(self.settings), "policies": self.policies}
+            write_text(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
 
     def values(self) -> list[dict[str, float]]:
         """Values of each policy; NaN where a fall prevented one."""

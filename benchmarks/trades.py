@@ -13,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the benchmark."""
 
     records: tuple[Path, ...] = (Path("docs/directions.json"),)
@@ -27,6 +28,7 @@ class Config:
 
     def __post_init__(self) -> None:
         """Check that there is a record."""
+        super().__post_init__()
         if not self.records:
             raise ConfigurationError("name at least one record")
         if missing := [str(path) for path in self.records if not path.is_file()]:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import ClassVar
 
 from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.files.assets import UserPaths
 
 
 @dataclass(frozen=True)
-class AblationConfig:
+class AblationConfig(UserPaths):
     """Settings of ablations.
 
     Raises:
@@ -35,6 +36,7 @@ class AblationConfig:
 
     def __post_init__(self) -> None:
         """Check variants and seeds."""
+        super().__post_init__()
         for name in self.variants:
             if name not in self.names:
                 raise UnknownNameError.among("variant", name, self.names)

@@ -15,6 +15,7 @@ from ablate_settings import AblationConfig
 
 from aslip.envs import MAX_EPISODE_STEPS
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.files.writing import claimed
 from aslip.show.plots import compare_learning, save_figure
 from aslip.training.progress import read_progress
 from aslip.training.run import write_text
@@ -57,12 +58,20 @@ def run(config: AblationConfig, experiment: Experiment) -> Found:
         experiment: the variants.
 
     Raises:
-        ConfigurationError: a training in the folder had another budget.
+        ConfigurationError: a training in the folder had another budget, or another process works
+            in the folder.
         FileDamagedError: results in the folder cannot be read.
     """
     if config.list:
         print("\n".join(f"{name:24s}{text}" for name, text in experiment.questions.items()))
         return {}
+    config.out.mkdir(parents=True, exist_ok=True)
+    with claimed(config.out):
+        return _run(config, experiment)
+
+
+def _run(config: AblationConfig, experiment: Experiment) -> Found:
+    """Train, and write table and picture; see `run`."""
     jobs = [(seed, name) for seed in config.seeds for name in config.variants]
     found: Found = {}
     durations: list[float] = []

@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
 from aslip.training.command_line import command_line
 
@@ -34,7 +35,7 @@ LIMITS = (
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the library."""
 
     out: Path = Path("runs/directions")
@@ -71,6 +72,7 @@ class Config:
         Raises:
             ConfigurationError: one of them is invalid.
         """
+        super().__post_init__()
         if self.checks < 0 or (self.workers is not None and self.workers < 1):
             raise ConfigurationError(
                 "checks must be 0 or more and workers 1 or more, got"
@@ -93,7 +95,7 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from aslip.errors import SpeedOutOfRangeError
-from aslip.files.writing import replacing
+from aslip.files.writing import claimed, replacing
 from aslip.library import (
     DirectionGrid,
     GaitFolder,
@@ -117,7 +119,17 @@ _HEADER = (
 
 
 def main(config: Config) -> GaitLibrary:
-    """Solve gaits, tabulate, store, draw and check; returns the library."""
+    """Solve gaits, tabulate, store, draw and check; returns the library.
+
+    Raises:
+        ConfigurationError: another process works in the folder.
+    """
+    config.out.mkdir(parents=True, exist_ok=True)
+    with claimed(config.out):
+        return _build(config)
+
+
+def _build(config: Config) -> GaitLibrary:
     start = time.perf_counter()
     grid = DirectionGrid(config.forward, config.sideways, config.yaw_rates, config.limits)
     store = GaitFolder(

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.library import PAPER_SPEEDS
 from aslip.rom import PHASE_SAMPLES, Objective, SlipParameters
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the library."""
 
     out: Path = Path("assets/gaits.npz")
@@ -42,6 +43,7 @@ class Config:
         Raises:
             ConfigurationError: the settings would do so.
         """
+        super().__post_init__()
         usual = Config.speeds, Config.samples, SlipParameters(), Config.objective
         if self.out == Config.out and usual != (
             self.speeds, self.samples, self.model, self.objective

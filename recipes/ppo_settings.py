@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import tyro
 
 from aslip.errors import AslipError, ConfigurationError
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import preset_command_line, program, usage_error
 from aslip.training.settings import check_positive, check_shares, check_types, read_settings
 
@@ -34,7 +35,7 @@ TIMESTEPS = (0.0005, 0.001)
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of learning; "Table II" is the paper's table of PPO hyper-parameters."""
 
     preset: tyro.conf.Suppress[tyro.conf.Fixed[str]] = "default"
@@ -104,6 +105,7 @@ class Config:
         Raises:
             ConfigurationError: a setting has the wrong type or is out of range.
         """
+        super().__post_init__()
         check_types(self)
         if self.preset not in DESCRIPTIONS:
             raise ConfigurationError(

@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of learning."""
 
     out: Path = Path("runs/sac_aslip")

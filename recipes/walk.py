@@ -22,13 +22,14 @@ from pathlib import Path
 
 from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.log import JointRate
 from aslip.show.places import RomPlace
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the walk."""
 
     policy: str = "aslip"
@@ -84,6 +85,7 @@ class Config:
         Raises:
             ConfigurationError: a setting is invalid.
         """
+        super().__post_init__()
         if self.duration is not None and not 0 < self.duration < math.inf:
             raise ConfigurationError(f"duration must be a positive time [s], got {self.duration}")
         if self.steps_per_frame < 1:
@@ -129,10 +131,10 @@ from aslip.library import Schedule, numbers
 from aslip.library.schedule import STAND
 from aslip.log import Recorder
 from aslip.policy import policy_stack
+from aslip.processes import signals_exit
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film, seconds_per_frame
-from aslip.training.run import sigterm_exits
 from aslip.walking import Push, Walker, command_library, markdown, policy_steps
 
 # columns of the pelvis velocity in a row [world]
@@ -153,7 +155,7 @@ def main(config: Config) -> None:
     walker = make_walker(config, schedule)
     schedule = schedule.of_size(walker.library.command_size)
     try:
-        with sigterm_exits(), contextlib.closing(walker.env):
+        with signals_exit(), contextlib.closing(walker.env):
             if config.live:
                 serve(config, walker)
                 return

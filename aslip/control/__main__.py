@@ -26,7 +26,9 @@ from aslip.control.runner.loop import Run, run_lockstep, run_real_time, take_pri
 from aslip.control.runner.readings import Readings, SensorReadings, StateReadings
 from aslip.control.runner.supervisor import Limits, Supervisor
 from aslip.errors import ConfigurationError, NetworkError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.library import Schedule
+from aslip.processes import endings
 from aslip.training.command_line import command_line
 from aslip.wire import CLIENT, LOOPBACK, SIMULATOR, Address, Endpoint, Link
 from aslip.wire.endpoint import check_port
@@ -39,7 +41,7 @@ _GANTRY_RAMP = 2.0
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of the runner."""
 
     policy: str = "aslip"
@@ -106,7 +108,7 @@ def main(config: Config) -> None:
         _say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
         log = _open_log(config, loaded, readings, limits)
         run = Run(supervisor, readings, source, log=log, say=_say)
-        with contextlib.closing(run), damping_signals(run):
+        with damping_signals(run), contextlib.closing(run):
             take_priority(config.priority)
             drive = run_lockstep if config.lockstep else run_real_time
             drive(run, endpoint, patience=config.patience)
@@ -198,14 +200,17 @@ def replay_log(path: Path) -> None:
 
 @contextlib.contextmanager
 def damping_signals(run: Run) -> Iterator[None]:
-    """Damp the motors on Ctrl-C and SIGTERM; a second signal ends at once."""
+    """Damp the motors on Ctrl-C and `aslip.processes.ENDINGS`; a second Ctrl-C ends at once.
+
+    So does a second SIGTERM. A closed terminal may send SIGHUP twice, and one is enough.
+    """
 
     def damp(number: int, frame: object) -> None:
-        if run.interrupted:
+        if run.interrupted and number in (signal.SIGINT, signal.SIGTERM):
             raise KeyboardInterrupt
-        run.interrupted = f"operator: {signal.Signals(number).name}"
+        run.interrupted = run.interrupted or f"operator: {signal.Signals(number).name}"
 
-    before = {n: signal.signal(n, damp) for n in (signal.SIGINT, signal.SIGTERM)}
+    before = {n: signal.signal(n, damp) for n in (signal.SIGINT, *endings())}
     try:
         yield
     finally:
@@ -243,8 +248,9 @@ def _is_loopback(host: str) -> bool:
 
 
 def _say(text: str) -> None:
-    """Print a line at once."""
-    print(text, flush=True)
+    """Print a line at once; a closed terminal must not end the run."""
+    with contextlib.suppress(OSError):
+        print(text, flush=True)
 
 
 if __name__ == "__main__":

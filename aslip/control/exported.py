@@ -23,6 +23,7 @@ from aslip.control.own_estimate import (
     start_heading,
 )
 from aslip.errors import AssetError, ConfigurationError, ShapeError
+from aslip.files.assets import user_path
 from aslip.robot import CASSIE, Robot
 
 if TYPE_CHECKING:
@@ -82,7 +83,7 @@ class ExportedController:
     def __init__(
         self, path: str | Path, robot: Robot = CASSIE, *, library: str | Path | None = None
     ) -> None:
-        self.path, self.robot = Path(path), robot
+        self.path, self.robot = user_path(path), robot
         if not self.path.is_file():
             raise AssetError(
                 f"there is no exported policy {str(path)!r}; python -m aslip.control.export makes"

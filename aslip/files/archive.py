@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 
-from aslip.errors import FileDamagedError
+from aslip.errors import FileDamagedError, machine_failed
 from aslip.files.writing import replacing
 
 SUMS = "SHA256SUMS"
@@ -73,8 +73,8 @@ class ArchiveFormat:
         """Read an archive and check all hashes.
 
         Raises:
-            FileDamagedError: the file is truncated, altered, of another kind or version, or
-                unreadable.
+            FileDamagedError: the file is truncated, altered, or of another kind or version.
+            OSError: there is no permission, or no handle, to read it.
         """
         try:
             with zipfile.ZipFile(path) as archive:
@@ -88,7 +88,9 @@ class ArchiveFormat:
         return entries
 
     def damaged(self, path: Path, why: str | Exception) -> FileDamagedError:
-        """Build the error of a damaged file."""
+        """Build the error of a damaged file; an error of the machine is raised as it is."""
+        if isinstance(why, Exception) and machine_failed(why):
+            raise why
         if isinstance(why, Exception):
             why = str(why) if type(why) is ValueError else f"{type(why).__name__}: {why}"
         advice = f"; {self.advice}" if self.advice else ""

@@ -13,6 +13,7 @@ import numpy as np
 
 from aslip.errors import FileDamagedError
 from aslip.files.archive import ArchiveFormat, from_npy, npy
+from aslip.files.assets import user_path
 from aslip.ik import Kinematics
 from aslip.library.rows import FramedMotion, Rows
 from aslip.processes import processors, worker_pool
@@ -58,6 +59,7 @@ def build_rows(
         UnreachablePoseError: the robot cannot take a pose of a motion.
         OSError: a file cannot be written.
     """
+    folder = user_path(folder) if folder else None
     chunks = [
         _Chunk(motions[i : i + _CHUNK], robot, phase, leg_dynamics, folder)
         for i in range(0, len(motions), _CHUNK)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import asdict, dataclass
@@ -28,6 +29,8 @@ from aslip.errors import (
     UnreachablePoseError,
 )
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.files.assets import UserPaths
+from aslip.files.writing import claimed
 from aslip.ik import Kinematics, LegClearance
 from aslip.library.region import inside_hull
 from aslip.library.tabulate import tabulate
@@ -41,6 +44,7 @@ from aslip.rom import (
     mirror,
     optimize_gait,
 )
+from aslip.rom.optimize import ABOUT_THE_PROBLEM
 
 Point = tuple[int, int, int]
 """Place on a grid along forward speed, sideways speed and yaw rate."""
@@ -137,7 +141,7 @@ class DirectionGrid:
 
 
 @dataclass(frozen=True)
-class GaitFolder:
+class GaitFolder(UserPaths):
     """Folder of solved gaits, one file each, and the settings of their optimisation."""
 
     folder: Path
@@ -172,7 +176,10 @@ class GaitFolder:
         try:
             entries = _FORMAT.read(file)
             if _REASON in entries:
-                return str(json.loads(entries[_REASON]))
+                reason = str(json.loads(entries[_REASON]))
+                # earlier versions also kept interrupted solves
+                status = re.search(r"IPOPT stopped with (\w+)", reason)
+                return None if status and status[1] not in ABOUT_THE_PROBLEM else reason
             arrays = {name.removesuffix(".npy"): from_npy(data) for name, data in entries.items()}
             return Gait.from_arrays(arrays)
         except (FileDamagedError, ValueError):
@@ -184,6 +191,7 @@ class GaitFolder:
         The solver starts from the guess, and from the rough one if it fails.
 
         Raises:
+            SolverError: the solver failed by an accident; nothing is stored.
             OSError: the file cannot be written.
         """
         outcome = self._attempt(command, guess)
@@ -242,11 +250,17 @@ def solve_directions(
         progress: called after each solved or read gait.
 
     Raises:
+        ConfigurationError: another process solves gaits in the folder.
+        SolverError: as in `GaitFolder.solve`.
         OSError: a file cannot be written.
     """
     half = grid.half
     found: dict[Point, Outcome] = {}
-    with worker_pool(processors() if workers is None else workers) as pool:
+    store.folder.mkdir(parents=True, exist_ok=True)
+    with (
+        claimed(store.folder),
+        worker_pool(processors() if workers is None else workers) as pool,
+    ):
         for point, outcome, stored in _outcomes(grid, half, store, pool):
             found[point] = outcome
             if progress:

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
-from aslip.files.assets import asset_path
+from aslip.files.assets import asset_path, user_path
 from aslip.library.file import read_library, write_library
 from aslip.library.interpolation import CommandGrid, LocalTable, PeriodicTable, multilinear
 from aslip.library.reference import COLUMNS, Reference
@@ -147,7 +147,7 @@ class GaitLibrary(nn.Module):
             AssetError: there is no such file.
             FileDamagedError: the file is truncated, altered, or no gait library.
         """
-        file = asset_path(f"{path}.npz") if path in SHIPPED else Path(path)
+        file = asset_path(f"{path}.npz") if path in SHIPPED else user_path(path)
         motions, table, made_by, transitions = read_library(file, robot)
         return cls(motions or None, table, made_by=made_by, transitions=transitions)
 
@@ -162,7 +162,7 @@ class GaitLibrary(nn.Module):
         Raises:
             OSError: the file cannot be written; an existing one is unchanged.
         """
-        write_library(Path(path), self.motions, self.table, self.made_by, self.transitions)
+        write_library(user_path(path), self.motions, self.table, self.made_by, self.transitions)
 
     @property
     def sha256(self) -> str:

@@ -10,6 +10,7 @@ from typing import NoReturn
 
 from aslip import log
 from aslip.errors import AslipError
+from aslip.files.assets import user_path
 from aslip.training.command_line import usage_error
 from aslip.walking import markdown
 
@@ -38,7 +39,7 @@ def _parser() -> argparse.ArgumentParser:
 
     def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=text, description=text)
-        added.add_argument("log", type=Path, help="MCAP file")
+        added.add_argument("log", type=user_path, help="MCAP file")
         added.set_defaults(run=run)
         return added
 

@@ -9,6 +9,8 @@ from typing import IO
 
 from mcap.records import Channel, McapRecord, Message
 
+from aslip.errors import machine_failed
+from aslip.files.assets import user_path
 from aslip.log.reader import Content, check_metadata, counts_differ, hash_problems
 from aslip.log.records import Records, begins_as_mcap, open_log, read_summary
 from aslip.log.writer import METADATA
@@ -29,7 +31,7 @@ def check(path: str | Path) -> list[str]:
     Raises:
         AssetError: there is no such file.
     """
-    path = Path(path)
+    path = user_path(path)
     with open_log(path) as file:
         if not begins_as_mcap(file):
             return ["not an MCAP file: wrong magic bytes"]
@@ -38,6 +40,8 @@ def check(path: str | Path) -> list[str]:
             try:
                 content.add(record)
             except Exception as error:  # any error of a decoder
+                if machine_failed(error):
+                    raise
                 order.problems.append(str(error))
             order.add(record)
         problems = _summary_problems(file, content, path)

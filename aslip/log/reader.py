@@ -19,7 +19,8 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
-from aslip.errors import FileDamagedError, UnknownNameError
+from aslip.errors import FileDamagedError, UnknownNameError, machine_failed
+from aslip.files.assets import user_path
 from aslip.log import messages
 from aslip.log.records import METADATA_HASH, Records, begins_as_mcap, open_log, read_summary
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA
@@ -165,7 +166,7 @@ def read(path: str | Path, topics: Collection[str] | None = None) -> Recording:
         AssetError: there is no such file.
         FileDamagedError: the file is not a log, unfinished, damaged, or of another format.
     """
-    path = Path(path)
+    path = user_path(path)
     with open_log(path) as file:
         if not begins_as_mcap(file):
             raise FileDamagedError(f"{str(path)!r} is not an MCAP file: wrong magic bytes")
@@ -305,6 +306,8 @@ def _explained(path: Path) -> Iterator[None]:
     except FormatError as error:
         raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
     except Exception as error:  # a damaged file causes many kinds of exceptions
+        if machine_failed(error):
+            raise
         # messages of a parser need their type to be understood
         reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
         raise FileDamagedError(

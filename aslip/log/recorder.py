@@ -26,6 +26,7 @@ from aslip.envs import (
     observation_keys,
 )
 from aslip.errors import AslipError, ConfigurationError
+from aslip.files.assets import user_path
 from aslip.library import GaitLibrary
 from aslip.log import JointRate, messages
 from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
@@ -92,7 +93,7 @@ class Recorder(Transform):
             raise ConfigurationError(
                 f'joint_rate must be "policy" or "physics", got {joint_rate!r}'
             )
-        self.path = Path(path)
+        self.path = user_path(path)
         refuse_existing(self.path, overwrite=overwrite)
         self._overwrite = overwrite
         self._robot = robot

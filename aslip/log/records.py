@@ -35,7 +35,7 @@ from mcap.records import (
 )
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from aslip.errors import AssetError
+from aslip.errors import AssetError, machine_failed
 
 LARGEST_CHUNK: Final = 2**24
 """Size above which a chunk counts as damaged [bytes]; ours have a quarter of a megabyte."""
@@ -154,6 +154,8 @@ class Records:
             try:
                 yield from self._intact(opcode, content)
             except Exception as error:  # any error of a parser
+                if machine_failed(error):
+                    raise
                 self._skip(opcode, offset, error)
 
     def _intact(self, opcode: int, content: bytes) -> list[McapRecord]:

@@ -12,6 +12,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.writer import Writer
 
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.files.assets import user_path
 from aslip.log import messages
 from aslip.log.records import METADATA_HASH, Records, open_log, read_summary
 from aslip.log.writer import (
@@ -62,9 +63,9 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
         ConfigurationError: `out` is the damaged file itself, or exists.
         FileDamagedError: no message can be read, or the log has another format.
     """
-    path = Path(path)
+    path = user_path(path)
     out = path.with_name(path.name.split(".mcap")[0] + ".recovered.mcap") if out is None else out
-    out = Path(out)
+    out = user_path(out)
     if out.exists():
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
     # the damaged log itself may have a name that ends in ".part"

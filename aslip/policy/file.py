@@ -22,7 +22,7 @@ from torchrl.modules import ProbabilisticActor
 
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.files.assets import asset_path
+from aslip.files.assets import asset_path, user_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
@@ -113,7 +113,7 @@ def save_policy(
         f"{_WEIGHTS}{name}.npy": npy(value.detach().cpu().numpy())
         for name, value in actor.state_dict().items()
     }
-    POLICY_FORMAT.write(Path(path), {CARD: as_json(card), **weights})
+    POLICY_FORMAT.write(user_path(path), {CARD: as_json(card), **weights})
 
 
 def _network_name(network: MakeActor) -> str:
@@ -330,7 +330,7 @@ def find_policy(name_or_path: str | Path) -> Path:
     Raises:
         AssetError: there is no such policy.
     """
-    path = Path(name_or_path)
+    path = user_path(name_or_path)
     if path.is_file():
         return path
     if (path / POLICY_FILE).is_file():

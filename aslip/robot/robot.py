@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from aslip.files.assets import asset_path
+from aslip.files.assets import asset_path, user_path
 from aslip.robot.names import SIDES
 from aslip.robot.noise import NoiseLevel
 from aslip.robot.skeleton import Skeleton, read_skeleton
@@ -97,7 +97,7 @@ class Robot:
             AssetError: the package ships no file of that name.
         """
         file = self.model_file
-        return file if isinstance(file, Path) else asset_path(file)
+        return user_path(file) if isinstance(file, Path) else asset_path(file)
 
     @property
     def policy_period(self) -> float:

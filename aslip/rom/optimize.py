@@ -7,12 +7,13 @@ between calls, so call from one thread at a time.
 
 import time
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aslip.errors import GaitOptimizationError, ShapeError, SpeedOutOfRangeError
+from aslip.errors import GaitOptimizationError, ShapeError, SolverError, SpeedOutOfRangeError
+from aslip.processes import signals_raised
 from aslip.rom.certificate import Certificate
 from aslip.rom.certify import certify, slacks
 from aslip.rom.gait import Gait
@@ -26,9 +27,21 @@ from aslip.rom.transitions import ends_of_gait, transitions_of
 from aslip.rom.turn import gait_of_stride, stride_of_gait
 from aslip.rom.unfold import fold, unfold
 
+ABOUT_THE_PROBLEM: Final = frozenset(
+    {
+        *("Infeasible_Problem_Detected", "Restoration_Failed", "Maximum_Iterations_Exceeded"),
+        *("Diverging_Iterates", "Search_Direction_Becomes_Too_Small", "Invalid_Number_Detected"),
+        *("Error_In_Step_Computation", "Not_Enough_Degrees_Of_Freedom", "Feasible_Point_Found"),
+        "Solved_To_Acceptable_Level",
+    }
+)
+"""Statuses of IPOPT that say that it finds no gait. After any other, such as
+`NonIpopt_Exception_Thrown` or `Insufficient_Memory`, the next attempt may find one."""
+
 _Solution = TypeVar("_Solution", HalfStride, WholeStride, StopAndStart)
 
 
+@signals_raised()
 def optimize_gait(
     command: ArrayLike,
     *,
@@ -66,6 +79,8 @@ def optimize_gait(
             collocation points than the optimiser.
         SpeedOutOfRangeError: a number is not finite or out of range.
         GaitOptimizationError: the solver found no gait, or a check of its certificate failed.
+        SolverError: the solver failed for another reason, such as a lack of memory. An exception
+            of a signal handler, such as KeyboardInterrupt, is raised as it is.
     """
     p = parameters or SlipParameters()
     numbers = _checked(command, p)
@@ -100,6 +115,7 @@ def optimize_gaits(
         ShapeError: a command has neither one number nor three; raised before any solve.
         SpeedOutOfRangeError: a number is not finite or out of range; raised before any solve.
         GaitOptimizationError: as in `optimize_gait`.
+        SolverError: as in `optimize_gait`.
     """
     checked = [_checked(command, parameters or SlipParameters()) for command in commands]
     gaits: list[Gait] = []
@@ -112,6 +128,7 @@ def optimize_gaits(
     return gaits
 
 
+@signals_raised()
 def optimize_transitions(gait: Gait) -> tuple[Transition, Transition]:
     """Optimise the stop of a gait in place after its left touchdown, and the start from that rest.
 
@@ -129,6 +146,7 @@ def optimize_transitions(gait: Gait) -> tuple[Transition, Transition]:
         ConfigurationError: the gait does not step in place.
         ShapeError: its number of collocation points is not the optimiser's.
         GaitOptimizationError: the solver found no solution, or a check failed.
+        SolverError: as in `optimize_gait`.
     """
     problem, ends = rest_problem(gait.parameters), ends_of_gait(gait)
     solution, _, certificate = _solve(problem, ends, problem.rough_guess(ends))
@@ -178,8 +196,8 @@ def _solve(
     began = time.perf_counter()
     try:
         opti.solve()
-    except RuntimeError:
-        raise GaitOptimizationError(_failure(problem, command)) from None
+    except RuntimeError as error:
+        raise _failure(problem, command, error) from None
     seconds = time.perf_counter() - began
     solution = problem.solution()
     certificate = certify(problem, solution, command, seconds)
@@ -190,16 +208,23 @@ def _solve(
     return solution, command, certificate
 
 
-def _failure(problem: GaitProgram, command: np.ndarray) -> str:
-    """Error message from the solver's last iterate."""
+def _failure(
+    problem: GaitProgram, command: np.ndarray, error: RuntimeError
+) -> GaitOptimizationError | SolverError:
+    """Error from the solver's status and last iterate, after CasADi raised an error."""
     opti = problem.opti
+    try:
+        status = opti.stats()["return_status"]
+    except RuntimeError:  # an error before the solver's end
+        status = str(error).rpartition("\n")[2]
+    told = f"no solution for {problem.title(command)}: IPOPT stopped with {status}"
+    if status not in ABOUT_THE_PROBLEM:
+        return SolverError(f"{told}, which does not mean that there is none; try again")
     x, lam = opti.debug.value(opti.x), np.zeros(opti.ng)
     _, g, lower, upper = (v.full().ravel() for v in problem.optimality(x, lam, command))
     nearest = slacks(problem, g, lower, upper)
     worst = min(nearest, key=lambda name: nearest[name])
-    return (
-        f"no solution for {problem.title(command)}: IPOPT stopped with"
-        f" {opti.stats()['return_status']}"
-        f" after {opti.stats()['iter_count']} iterations; worst constraint: {worst}, "
-        f"violated by {max(-nearest[worst], 0.0):.2e}"
+    return GaitOptimizationError(
+        f"{told} after {opti.stats()['iter_count']} iterations; worst constraint: {worst},"
+        f" violated by {max(-nearest[worst], 0.0):.2e}"
     )

@@ -20,6 +20,7 @@ from tensordict import TensorDictBase
 from tqdm import tqdm
 
 from aslip.errors import ConfigurationError
+from aslip.files.assets import user_path
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.places import RomPlace
@@ -135,6 +136,7 @@ def write_video(
         ConfigurationError: the path does not end in .mp4, the size is odd, or imageio-ffmpeg is not
             installed.
     """
+    path = user_path(path)
     if path.suffix != ".mp4":
         raise ConfigurationError(f"the name of a film must end in .mp4, got {str(path)!r}")
     if any(length % 2 for length in size):

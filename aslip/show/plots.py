@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from aslip.errors import ConfigurationError
+from aslip.files.assets import user_path
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, RIGHT
 
@@ -184,6 +185,7 @@ def _draw_seeds(axes: Axes, label: str, color: str, column: str, runs: Sequence[
 
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure."""
+    path = user_path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 

@@ -62,7 +62,7 @@ from torchrl.collectors import BaseCollector, Collector
 from aslip.envs import StackEnv
 from aslip.errors import CollectorError, ConfigurationError
 from aslip.policy import add_memory, is_recurrent
-from aslip.processes import end_with_parent, processors
+from aslip.processes import ENDINGS, end_with_parent, processors
 from aslip.training.collectors import TORCHRL_SETTINGS
 from aslip.training.environments import MakeEnv
 from aslip.training.settings import check_shares
@@ -272,9 +272,13 @@ def _make_with_memory(make_env: MakeEnv, actor: nn.Module, **settings: Any) -> S
 
 
 def _follow_parent() -> None:
-    """Ignore Ctrl-C, which the parent handles, and exit when the parent has ended."""
+    """Ignore signals to all processes of a terminal or job, and exit when the parent has ended.
+
+    The parent handles them, and sends SIGTERM.
+    """
     if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        for number in {signal.SIGINT, *ENDINGS} - {signal.SIGTERM}:
+            signal.signal(number, signal.SIG_IGN)
     end_with_parent()
 
 

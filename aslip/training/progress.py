@@ -22,6 +22,7 @@ from torchrl.record.loggers import Logger
 from tqdm import tqdm
 
 from aslip.errors import FileDamagedError
+from aslip.files.assets import user_path
 from aslip.files.writing import replacing
 
 _PROGRESS_FILE = "progress.csv"
@@ -256,7 +257,7 @@ def read_progress(folder: Path) -> dict[str, list[float]]:
     Raises:
         FileDamagedError: a line does not consist of numbers.
     """
-    path = folder / _PROGRESS_FILE
+    path = user_path(folder) / _PROGRESS_FILE
     if not path.exists():
         return {}
     lines = path.read_text(errors="replace").splitlines(keepends=True)

@@ -19,13 +19,12 @@ fall back when the newest file is damaged, and read files that may hold pickles.
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import math
 import shutil
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -36,8 +35,10 @@ from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
 
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
-from aslip.files.writing import replacing
+from aslip.files.assets import user_path
+from aslip.files.writing import claimed, replacing
 from aslip.policy import POLICY_FILE
+from aslip.processes import signals_exit
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.command_line import this_command
 from aslip.training.progress import Progress, ProgressLog, read_progress
@@ -76,7 +77,8 @@ class TrainingRun:
 
     Raises:
         ConfigurationError: the folder already has a run, and `resume` is not set; it has no run to
-            resume; settings or transforms differ from those of the run; or it is not writable.
+            resume; settings or transforms differ from those of the run; it is not writable; or
+            another process trains in it.
         FileDamagedError: the settings of the run in the folder cannot be read.
     """
 
@@ -90,7 +92,7 @@ class TrainingRun:
         go_on: str = "resume=True",
         logger: Logger | None = None,
     ) -> None:
-        self.folder = Path(folder)
+        self.folder = user_path(folder)
         self.settings = json.loads(json.dumps(dataclasses.asdict(config), default=str))
         self.transforms = dict(transforms or {})
         self.go_on = go_on
@@ -103,7 +105,13 @@ class TrainingRun:
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint
         try:
-            self._open(self.folder / SETTINGS_FILE, resume)
+            with contextlib.ExitStack() as claim:
+                if not resume:
+                    self.folder.mkdir(parents=True, exist_ok=True)
+                if self.folder.is_dir():
+                    claim.enter_context(claimed(self.folder))
+                self._open(self.folder / SETTINGS_FILE, resume)
+                self._claim = claim.pop_all()
         except OSError as error:
             raise ConfigurationError(
                 f"{str(self.folder)!r} cannot be written to ({error}); give another folder with"
@@ -132,9 +140,9 @@ class TrainingRun:
         """Context that saves checkpoints during a training and at its end, even after an error.
 
         It yields a function `keep(step, metadata)`. Call it after each update: it copies the states
-        of the components, and writes them if a checkpoint is due. If Ctrl-C, SIGTERM or an error
-        interrupts an update, the last copy is written. After Ctrl-C and SIGTERM, a message on
-        standard error tells which checkpoint is saved and how to resume.
+        of the components, and writes them if a checkpoint is due. If Ctrl-C, one of
+        `aslip.processes.ENDINGS` or an error interrupts an update, the last copy is written. After
+        Ctrl-C and signals, standard error tells which checkpoint is saved and how to resume.
 
         Args:
             components: objects with `state_dict` and `load_state_dict`, by name.
@@ -142,9 +150,8 @@ class TrainingRun:
 
         Raises:
             KeyboardInterrupt: on Ctrl-C, after the last checkpoint is written.
-            SystemExit: on SIGTERM, after the last checkpoint is written; exit status 143.
-            TrainingStoppedError: the body raised an error, or the last checkpoint could not be
-                written.
+            SystemExit: on a signal, after the last checkpoint is written; status 128 + number.
+            TrainingStoppedError: the body raised an error, or the last checkpoint is not written.
         """
         last = -math.inf
 
@@ -159,20 +166,22 @@ class TrainingRun:
         cause: Exception | None = None
         unsaved: OSError | None = None
         stopping = False
-        try:
-            with sigterm_exits():
+        with signals_exit():
+            try:
                 yield keep
-        except (KeyboardInterrupt, SystemExit):
-            stopping = True
-            _say(f"stopping: saving the run in {str(self.folder)!r}")
-            raise
-        except Exception as error:
-            torchrl_logger.error("training stopped", exc_info=error)
-            cause = error
-        finally:
-            unsaved = self._save()
-            if stopping:
-                _say(self._interrupted(unsaved))
+            except (KeyboardInterrupt, SystemExit):
+                stopping = True
+                _say(f"stopping: saving the run in {str(self.folder)!r}")
+                raise
+            except Exception as error:
+                torchrl_logger.error("training stopped", exc_info=error)
+                cause = error
+            finally:
+                unsaved = self._save()
+                if stopping:
+                    _say(self._interrupted(unsaved))
+                if stopping or cause or unsaved:
+                    self._claim.close()
         if cause or unsaved:
             raise TrainingStoppedError(self._stopped_by(cause, unsaved)) from cause or unsaved
 
@@ -260,8 +269,9 @@ class TrainingRun:
         self.close()
 
     def close(self) -> None:
-        """Close the logs."""
+        """Close the logs, and let other processes use the folder."""
         self._log.close()
+        self._claim.close()
 
     # ---------------------------------------------------------------- private
 
@@ -386,21 +396,9 @@ def _unsaved(step: int, error: OSError) -> str:
 
 
 def _say(message: str) -> None:
-    """Print to standard error, below the progress bar if there is one."""
-    print(f"\n{message}", file=sys.stderr, flush=True)
-
-
-@contextmanager
-def sigterm_exits() -> Iterator[None]:
-    """Context in which SIGTERM, which clusters send before they end a job, raises SystemExit."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    """Print to standard error, below the progress bar if there is one, unless it is closed."""
+    with contextlib.suppress(OSError):
+        print(f"\n{message}", file=sys.stderr, flush=True)
 
 
 def write_text(path: Path, text: str) -> None:

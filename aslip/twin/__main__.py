@@ -1,4 +1,4 @@
-"""Simulate Cassie behind the robot's network protocol, until Ctrl-C.
+"""Simulate Cassie behind the robot's network protocol, until Ctrl-C or SIGTERM.
 
     python -m aslip.twin                                 # PD mode in lockstep, 127.0.0.1:25000
     python -m aslip.twin --real-time                     # at 2 kHz, as the robot
@@ -14,10 +14,12 @@ printed.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Literal
 
 from aslip.errors import one_line_errors
+from aslip.processes import signals_exit
 from aslip.training.command_line import command_line
 from aslip.wire import CASSIE_OUT, PD_IN, SIMULATOR, STATE_OUT, USER_IN, Address, Endpoint, Link
 
@@ -71,11 +73,11 @@ def main(config: Config) -> None:
             read_radio(robot)
         page = TwinPage(robot, config.address, config.page_port) if config.live else None
         try:
-            serve(config, robot, endpoint, page)
-        except KeyboardInterrupt:
-            counts = {name: number for name, number in asdict(link.counters).items() if number}
-            print(f"{robot.divergences} divergences, datagrams: {counts}")
+            with contextlib.suppress(KeyboardInterrupt), signals_exit():
+                serve(config, robot, endpoint, page)
         finally:
+            counts = {name: number for name, number in asdict(link.counters).items() if number}
+            say(f"{robot.divergences} divergences, datagrams: {counts}")
             if page is not None:
                 page.close()
 
@@ -114,8 +116,9 @@ def lines(robot: TwinRobot, endpoint: Endpoint, server: RealTimeServer | None) -
 
 
 def say(text: str) -> None:
-    """Print a line at once."""
-    print(text, flush=True)
+    """Print a line at once; a closed terminal must not end the twin in between."""
+    with contextlib.suppress(OSError):
+        print(text, flush=True)
 
 
 if __name__ == "__main__":

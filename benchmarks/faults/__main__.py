@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aslip.errors import one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Number of faults of each kind; 0 skips a kind."""
 
     bad_numbers: int = 600

@@ -195,10 +195,9 @@ def outcome(kind: Kind, path: Path, whole: Any) -> str:
     try:
         content = kind.load(path)
         found = "same content" if kind.identical(content, whole) else "other content"
-    except AslipError as error:
-        found = "too much memory" if _out_of_memory(error) else "refused"
     except Exception as error:
-        found = f"{type(error).__name__}"
+        found = "refused" if isinstance(error, AslipError) else type(error).__name__
+        found = "too much memory" if _out_of_memory(error) else found
     return "too much memory" if (peak_memory() - before) * 2**30 > MEMORY else found
 
 

@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.errors import ConfigurationError, GaitOptimizationError, UnreachablePoseError
+from aslip.errors import (
+    ConfigurationError,
+    GaitOptimizationError,
+    SolverError,
+    UnreachablePoseError,
+)
 from aslip.library import (
     DirectionGrid,
     GaitFolder,
@@ -181,6 +186,28 @@ def test_failed_guess_is_followed_by_the_rough_one(
     assert store.solve(np.array([0.9, 0.0, 0.0]), library.gaits[4]) == "no gait found"
     assert guesses == [library.gaits[4], None] * 2
     assert store.read(np.array([0.9, 0.0, 0.0]), library.gaits[4]) == "no gait found"
+
+
+@pytest.mark.parametrize("accident", [KeyboardInterrupt, SystemExit, MemoryError, SolverError])
+def test_an_accident_is_no_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, accident: type[BaseException]
+) -> None:
+    """Nothing is stored, and what earlier versions stored after an interrupt does not count."""
+    reason = "no solution for the gait: IPOPT stopped with {} after 9 iterations"
+    known, lost = map(reason.format, ("Restoration_Failed", "NonIpopt_Exception_Thrown"))
+    raised = [accident, GaitOptimizationError(known), GaitOptimizationError(lost)]
+
+    def optimize(*_: Any, **__: Any) -> Gait:
+        raise raised.pop(0)
+
+    monkeypatch.setattr(directions, "optimize_gait", optimize)
+    store, command = GaitFolder(tmp_path), np.zeros(3)
+    with pytest.raises(accident):
+        store.solve(command, None)
+    assert not [*tmp_path.iterdir()]
+    assert store.solve(command, None) == store.read(command, None) == known
+    assert store.solve(command, None) == lost
+    assert store.read(command, None) is None
 
 
 def test_command_beyond_the_model_is_a_reason(tmp_path: Path) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -140,6 +142,16 @@ def test_flipped_byte_in_a_message_is_reported(
     assert any("checksum" in problem for problem in check(path))
     with pytest.raises(FileDamagedError, match="recover"):
         read(path)
+
+
+@pytest.mark.parametrize("function", [check, read, recover])
+def test_a_lack_of_memory_is_no_damage(
+    log: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, function: Callable[..., object]
+) -> None:
+    """Recovery would leave out intact chunks."""
+    monkeypatch.setattr("zstandard.decompress", Mock(side_effect=MemoryError))
+    with pytest.raises(MemoryError):
+        function(log, *([tmp_path / "saved.mcap"] if function is recover else []))
 
 
 def test_unfinished_log_is_reported(

@@ -171,7 +171,7 @@ def test_stopped_walk_of_another_process_leaves_a_complete_log(
     assert log_main(["check", str(path)]) == 0
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGHUP, 129)])
 def test_walk_stopped_by_a_signal_leaves_a_complete_log(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

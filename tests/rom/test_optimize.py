@@ -1,10 +1,14 @@
+import signal
 from operator import attrgetter
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from aslip.errors import GaitOptimizationError, ShapeError, SpeedOutOfRangeError
-from aslip.rom import Mode, SlipParameters, optimize_gait, optimize_gaits
+from aslip.errors import GaitOptimizationError, ShapeError, SolverError, SpeedOutOfRangeError
+from aslip.processes import signals_raised
+from aslip.rom import Mode, SlipParameters, optimize, optimize_gait, optimize_gaits
 
 from .test_gait import ARRAYS
 
@@ -43,11 +47,55 @@ def test_bad_speed_in_a_range_is_refused_before_any_work():
     assert not seen
 
 
-def test_failed_optimisation_names_speed_status_and_worst_constraint():
+def test_failed_optimisation_names_speed_status_and_worst_constraint(capfd):
+    """Neither a solve that fails nor one that succeeds prints anything."""
+    optimize_gait(0.7)
     # legs at most as long as the body is high, over feet 0.1 m to the side
     impossible = SlipParameters(max_leg_length=0.8)
     with pytest.raises(GaitOptimizationError, match=r"at 1 m/s: IPOPT .* worst constraint: \w+"):
         optimize_gait(1.0, parameters=impossible)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("kind", [KeyboardInterrupt, SystemExit])
+def test_an_interrupted_solve_raises_the_interrupt(monkeypatch, kind):
+    """CasADi turns what a signal handler raises into a RuntimeError of its own."""
+
+    def interrupt(number, frame):
+        raise kind
+
+    optimize_gait(1.0)  # the problem is built
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        with pytest.raises(kind):
+            signal.setitimer(signal.ITIMER_REAL, 0.03)
+            optimize_gait(1.0)
+        assert signal.getsignal(signal.SIGALRM) is interrupt
+        with signals_raised():
+            signal.signal(signal.SIGALRM, signal.SIG_IGN)
+        assert signal.signal(signal.SIGALRM, interrupt) is signal.SIG_IGN
+        with pytest.raises(kind), signals_raised():
+            try:
+                signal.raise_signal(signal.SIGALRM)
+            except BaseException as error:
+                raise RuntimeError("of a library") from error
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize("status", ["Insufficient_Memory", "NonIpopt_Exception_Thrown", None])
+def test_a_status_that_says_nothing_about_the_problem_is_no_missing_gait(status):
+    """None: the error came before the solver's end, and the status is of an earlier solve."""
+
+    def stats():
+        if status is None:
+            raise RuntimeError("not solved")
+        return {"return_status": status}
+
+    problem: Any = SimpleNamespace(opti=SimpleNamespace(stats=stats), title=lambda _: "the gait")
+    error = optimize._failure(problem, np.zeros(1), RuntimeError("in CasADi:\nstd::bad_alloc"))
+    assert isinstance(error, SolverError)
+    assert f"stopped with {status or 'std::bad_alloc'}" in str(error)
 
 
 def test_guess_with_another_number_of_points_is_refused(gait):
@@ -87,13 +135,6 @@ def test_least_stance_force_keeps_the_standing_leg_loaded(gait):
     more_effort = loaded.certificate.cost / gait.certificate.cost - 1.0
     assert more_effort == pytest.approx(0.033, abs=2e-3)
     assert loaded.leg_force.max() / gait.leg_force.max() == pytest.approx(0.942, abs=2e-3)
-
-
-def test_solver_is_silent(capfd):
-    optimize_gait(0.7)
-    with pytest.raises(GaitOptimizationError):
-        optimize_gait(1.0, parameters=SlipParameters(max_leg_length=0.8))
-    assert capfd.readouterr() == ("", "")
 
 
 def test_progress_sees_every_gait():

@@ -6,11 +6,14 @@ import os
 import signal
 import zipfile
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import torch
 
 from aslip.errors import FileDamagedError
+from aslip.processes import ENDINGS
 from aslip.training import run as run_module
 from aslip.training.run import TrainingRun, TrainingStoppedError
 from benchmarks.common import quiet
@@ -144,17 +147,48 @@ def test_an_error_before_the_first_update_leaves_no_checkpoint(settings: Setting
     assert checkpoints(settings) == []
 
 
-def test_sigterm_saves_and_exits(settings: Settings) -> None:
-    before = signal.getsignal(signal.SIGTERM)
+@pytest.mark.parametrize("number", ENDINGS)
+def test_signals_save_and_exit(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, number: signal.Signals
+) -> None:
+    """Further ones, sent by a shell or systemd, and a closed terminal do not disturb the saving."""
+    save = run_module.save_checkpoint
+
+    def disturbed(path: Path, *args: Any) -> None:
+        if path.stem.endswith("20"):
+            for other in ENDINGS:
+                os.kill(os.getpid(), other)
+        save(path, *args)
+
+    monkeypatch.setattr(run_module, "save_checkpoint", disturbed)
+    monkeypatch.setattr("sys.stderr", Mock(write=fail_on_full_disk))
     run = open_run(settings)
     with pytest.raises(SystemExit) as info, run.saving({"net": constant_network(1.0)}, 1e9) as keep:
         for step in (10, 20):
             keep(step, {})
-        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), number)
         pytest.fail("not reached")
-    assert info.value.code == 128 + signal.SIGTERM
+    assert info.value.code == 128 + number
     assert saved_steps(settings) == [10, 20]
-    assert signal.getsignal(signal.SIGTERM) is before
+    assert all(signal.getsignal(other) is signal.SIG_DFL for other in ENDINGS)
+
+
+def test_signals_that_are_ignored_or_handled_do_not_end_a_training(settings: Settings) -> None:
+    """SIGHUP is ignored under nohup, and a user's program may use SIGUSR1 for its own purpose."""
+    heard: list[int] = []
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal.signal(signal.SIGUSR1, lambda number, _: heard.append(number))
+    try:
+        with open_run(settings).saving({"net": constant_network(1.0)}, 1e9) as keep:
+            keep(10, {})
+            os.kill(os.getpid(), signal.SIGHUP)
+            os.kill(os.getpid(), signal.SIGUSR1)
+            keep(20, {})
+    finally:
+        for number in (signal.SIGHUP, signal.SIGUSR1):
+            signal.signal(number, signal.SIG_DFL)
+    assert heard == [signal.SIGUSR1]
+    assert saved_steps(settings) == [10, 20]
 
 
 def _damage(path: Path, how: str) -> None:
@@ -198,6 +232,23 @@ def test_a_damaged_newest_checkpoint_falls_back_to_the_previous_one(
             "elapsed_s": 22.5,
         }
     assert said == []
+
+
+@pytest.mark.parametrize("error", [MemoryError(), PermissionError(13, "Permission denied")])
+def test_a_checkpoint_that_the_machine_cannot_read_now_is_not_damaged(
+    settings: Settings, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """No older one is taken instead of it, and rows of the logs stay."""
+    save_steps(open_run(settings), 10, 20)
+
+    def fail(*_: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr("aslip.files.archive._entries", fail)
+        with pytest.raises(type(error)):
+            open_run(settings, resume=True).restore({"net": constant_network(0.0)})
+    assert saved_steps(settings) == [10, 20]
 
 
 @pytest.mark.parametrize("how", DAMAGES)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aslip.errors import ConfigurationError, one_line_errors
+from aslip.files.assets import UserPaths
 from aslip.training.command_line import command_line
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(UserPaths):
     """Settings of an export."""
 
     policy: str = "aslip"
@@ -42,6 +43,7 @@ class Config:
         Raises:
             ConfigurationError: a setting does not go with another one, or is out of range.
         """
+        super().__post_init__()
         if self.network and self.leapp:
             raise ConfigurationError(
                 "leapp describes a whole policy, and network exports a part of one: choose one"

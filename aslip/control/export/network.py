@@ -13,6 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from aslip.control.controller import Controller
 from aslip.control.export.graph import Entry, standing_estimate, trace_graph
 from aslip.control.export.policy import mjlab_metadata, write_model
+from aslip.files.assets import user_path
 from aslip.library import GaitLibrary
 
 
@@ -40,7 +41,7 @@ def export_network(
         policy = Controller(policy, library)
     network = _Network(policy)
     model = trace_graph(network, network.inputs, network.outputs)
-    write_model(model, mjlab_metadata(policy, str(name)), Path(path))
+    write_model(model, mjlab_metadata(policy, str(name)), user_path(path))
 
 
 class _Network(nn.Module):

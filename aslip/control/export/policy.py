@@ -29,6 +29,7 @@ from aslip.control.exported import ExportedController
 from aslip.control.own_estimate import split_estimate
 from aslip.errors import ConfigurationError
 from aslip.files.archive import as_json
+from aslip.files.assets import user_path
 from aslip.files.writing import replacing
 from aslip.library import GaitLibrary, WalkMode
 from aslip.policy import entry_names, find_policy, read_card
@@ -84,7 +85,7 @@ def export_policy(
         if check is not None:
             check(exported)
 
-    write_model(model, metadata, Path(path), verify)
+    write_model(model, metadata, user_path(path), verify)
     return ExportedController(path, robot)
 
 
@@ -103,7 +104,7 @@ def write_pipeline(exported: ExportedController, path: Path) -> None:
         "sha256sum": hashlib.sha256(data).hexdigest(),
     }
     models = {NODE: {**interface["models"][NODE], "parameters": parameters}}
-    with replacing(path) as file:
+    with replacing(user_path(path)) as file:
         file.write(as_json({**interface, "models": models, "system information": {}}))
 
 

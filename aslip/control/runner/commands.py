@@ -5,6 +5,7 @@ The runner asks a source at every policy step, so a source never waits.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -127,7 +128,8 @@ class Keyboard:
         import termios
 
         if self._settings is not None:
-            termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._settings)
+            with contextlib.suppress(termios.error):  # the terminal is closed
+                termios.tcsetattr(self._terminal, termios.TCSADRAIN, self._settings)
 
     def request(self, time: float, walking: float) -> Request:
         """Request after all keys pressed so far.

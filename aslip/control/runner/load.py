@@ -10,6 +10,7 @@ import numpy as np
 from aslip.control.own_estimate import POSITION
 from aslip.control.runner.supervisor import MotorController
 from aslip.errors import AslipError, ConfigurationError
+from aslip.files.assets import asset_path, user_path
 from aslip.robot import CASSIE, Robot
 from aslip.wire import STATE_OUT, state_out_to_estimate
 
@@ -47,7 +48,7 @@ def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
         ConfigurationError: policy and library, or policy and robot, do not fit.
     """
     exported = Path(policy).suffix == ".onnx"
-    loaded = _of_export(Path(policy), library) if exported else _of_torch(policy, library)
+    loaded = _of_export(user_path(policy), library) if exported else _of_torch(policy, library)
     try:
         warm_up(loaded.controller)
     except Exception as error:  # networks fail in many ways
@@ -109,7 +110,6 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
     import torch
 
     from aslip.control.controller import Controller
-    from aslip.files.assets import asset_path
     from aslip.library import GaitLibrary
     from aslip.library.library import SHIPPED
     from aslip.policy import find_policy, policy_library
@@ -123,7 +123,7 @@ def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
         raise ConfigurationError(
             f"the policy {str(policy)!r} needs the library {needed!r}, got {library!r}"
         )
-    file = asset_path(f"{library}.npz") if library in SHIPPED else Path(library)
+    file = asset_path(f"{library}.npz") if library in SHIPPED else user_path(library)
     gaits = GaitLibrary.load(library)
     controller = Controller(path, gaits)
     pose = controller.steering.pose().double().numpy()

@@ -128,7 +128,8 @@ class Run:
         try:
             request = self.source.request(now, now - self._walk_began)
         except Exception as error:  # whatever fails in a source, the robot must be damped
-            self.interrupted = f"no commands: {type(error).__name__}: {error}"
+            no_commands = f"no commands: {type(error).__name__}: {error}"
+            self.interrupted = self.interrupted or no_commands
         if self.interrupted:
             request = request._replace(damp=self.interrupted)
         self._request, self._reading = request, self.readings.newest()
