@@ -182,16 +182,17 @@ def verdict(claim: Claim, each: Sequence[float], interval: Interval | None) -> s
     Args:
         claim: the claim.
         each: value of each seed.
-        interval: their mean and interval; None if a seed has no value.
+        interval: their mean and interval, of one seed over its walks; None if a seed has no value.
     """
     if not each:
         return "not measured"
     if interval is None:
         return "FAIL"
-    if len(each) == 1:
-        return f"{'met' if claim.is_met(each[0]) else 'missed'} by one seed"
     ends = each if claim.every_seed else (interval.low, interval.high)
     met = [claim.is_met(value) for value in ends]
+    if len(each) == 1:
+        word = "met" if all(met) else "undecided" if any(met) else "missed"
+        return f"{word} by one seed"
     if all(met):
         return "PASS"
     # a limit is one-sided: an interval with both ends outside misses it as a whole
@@ -267,6 +268,9 @@ def target_table(rows: Sequence[dict[str, Any]]) -> str:
     return markdown(header, cells, [*["---"] * 2, *["---:"] * 4, "---"])
 
 
+_OF_ONE_SEED = ("met by one seed", "missed by one seed", "undecided by one seed")
+
+
 def value_text(row: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     """Mean over seeds as text, with the interval or, if each seed counts, with the extremes."""
     each, digits = found["each"], row["digits"]
@@ -274,7 +278,7 @@ def value_text(row: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         return ""
     if found["interval"] is None:
         return f"no value for {np.count_nonzero(~np.isfinite(each))} of {len(each)} seeds"
-    if row["every_seed"]:
+    if row["every_seed"] and len(each) > 1:
         low, high = (f"{value:.{digits}f}" for value in (min(each), max(each)))
         return low if low == high else f"{np.mean(each):.{digits}f} ({low} to {high})"
     return Interval.of_row(found["interval"]).text(digits)
@@ -284,7 +288,7 @@ def count_text(rows: Sequence[Mapping[str, Any]], kind: str) -> str:
     """Number of rows of each verdict on one kind of policies."""
     verdicts = [row["found"][kind]["verdict"] for row in rows if kind in row["found"]]
     count = Counter(verdicts)
-    order = ("PASS", "FAIL", "undecided", "met by one seed", "missed by one seed", "not measured")
+    order = ("PASS", "FAIL", "undecided", *_OF_ONE_SEED, "not measured")
     return ", ".join(f"{count[name]} {name}" for name in order if count[name])
 
 

@@ -4,7 +4,8 @@
     python -m benchmarks.direction_targets --policy runs/seed1 runs/seed2 --record seeds.json
 
 Several policies count as seeds of one method: values are means with 95 % intervals over seeds, and
-a target is met if the whole interval meets it. Each policy walks at commands of its own, drawn from
+a target is met if the whole interval meets it. A policy alone has intervals over its commands and
+walks. Each policy walks at commands of its own, drawn from
 the seed of its training, so that with the default sizes five policies walk at 1000 commands and
 through 10 000 changes. Tables and pictures of the benchmarks are written to a folder for each
 policy.
@@ -39,6 +40,8 @@ class Config(Directions):
     """Number of random commands at which the foot placement is measured."""
     stops: int = 12
     """Number of walks that stop, stand and start."""
+    pushes: int = 16
+    """Directions of pushes, evenly around the robot."""
     walks: int = 16
     """Walks at each value of a parameter of robot or floor."""
     stand: float = 60.0
@@ -261,14 +264,16 @@ def benchmarks_of(config: Config, policy: Policy) -> dict[str, Any]:
         "stops": standing.Config(**{**common, **ahead}),
         "path": eight.Config(**common, duration=config.path),
         "quality": walking_quality.Config(**common, speeds=_SPEEDS),
-        "perturbation": perturbation.Config(**common, walks=config.walks),
+        "perturbation": perturbation.Config(**common, walks=config.walks, directions=config.pushes),
         "straight": foot_placement.Config(**common, speeds=_SPEEDS),
         "turns": foot_placement.Config(**common),
     }
 
 
-def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> dict[str, float]:
+def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> dict[str, Interval]:
     """Value of each target for one policy; NaN where falls leave nothing to measure.
+
+    Intervals are over commands or walks; where there are none, both ends are the value.
 
     Falls at random commands, in changes and in stops have targets of their own, and the other
     values are over the walks without a fall. The largest values of straight walks, and forces, are
@@ -282,19 +287,24 @@ def measure(config: Config, policy: Policy, make_env: MakeEnv | None = None) -> 
     (walked,) = eight.main(settings["path"], *of)
     quality = walking_quality.main(settings["quality"], *of)
     survived = perturbation.main(settings["perturbation"], *of)
-    return {
+    falls, changes = len(changed["falls"]), changed["changes"]
+    values: dict[str, float | Interval] = {
         **training_values(policy),
-        "falls, walks": 1e3 * errors["falls"] / config.commands,
-        "velocity": errors["speed"],
-        "velocity, 95 %": errors["speed_p95"],
-        "yaw rate": errors["turn"],
-        "yaw rate, 95 %": errors["turn_p95"],
-        "falls, changes": 1e4 * len(changed["falls"]) / changed["changes"],
+        "falls, walks": Interval.of_share(errors["falls"], config.commands).scaled(1e3),
+        "velocity": Interval.of_row(errors["speed"]),
+        "velocity, 95 %": Interval.of_row(errors["speed_p95"]),
+        "yaw rate": Interval.of_row(errors["turn"]),
+        "yaw rate, 95 %": Interval.of_row(errors["turn_p95"]),
+        "falls, changes": Interval.of_share(falls, changes).scaled(1e4),
         **standing_values(stood, stopped),
         **foot_values(config, settings, *of),
         **quality_values(quality),
-        **perturbation_values(survived),
+        **perturbation_values(config, survived),
         "path": math.nan if walked["fell"] else 100 * walked["truth"],
+    }
+    return {
+        name: one if isinstance(one, Interval) else Interval(one, one, one)
+        for name, one in values.items()
     }
 
 
@@ -357,7 +367,9 @@ def training_values(policy: Policy) -> dict[str, float]:
     }
 
 
-def standing_values(row: Mapping[str, Any], stopped: Mapping[str, Any]) -> dict[str, float]:
+def standing_values(
+    row: Mapping[str, Any], stopped: Mapping[str, Any]
+) -> dict[str, float | Interval]:
     """Values of stops and of standing; NaN if no robot stood to the end.
 
     Args:
@@ -368,8 +380,8 @@ def standing_values(row: Mapping[str, Any], stopped: Mapping[str, Any]) -> dict[
     count = row["count"] + stopped["count"]
     falls = [*row["falls"].values(), *stopped["falls"].values()]
     return {
-        "falls, stops": 100 * sum(falls) / count,
-        "unplanted": 100 * (row["unplanted"] + stopped["unplanted"]) / count,
+        "falls, stops": Interval.of_share(sum(falls), count).scaled(100),
+        "unplanted": Interval.of_share(row["unplanted"] + stopped["unplanted"], count).scaled(100),
         "stop": stopped["planted"],
         "drift": 100 * row["drift_most"],
         "turn": math.degrees(row["turn_most"]),
@@ -380,7 +392,7 @@ def standing_values(row: Mapping[str, Any], stopped: Mapping[str, Any]) -> dict[
 
 def foot_values(
     config: Config, settings: Mapping[str, Any], policy: Policy, make_env: MakeEnv | None
-) -> dict[str, float]:
+) -> dict[str, float | Interval]:
     """Foot placement errors of straight walks, and of walks at random commands [cm].
 
     Args:
@@ -402,11 +414,11 @@ def foot_values(
             for i, one in enumerate(command.tolist())
         ]
     )
-    steps_at = np.isfinite(turns)
+    none = int((~np.isfinite(turns)).sum())
     return {
         "feet, straight": 100 * float(np.max(straight)),
-        "feet, turns": 100 * float(np.mean(turns[steps_at])) if steps_at.any() else math.nan,
-        "no footsteps": 100 * float(np.mean(~steps_at)),
+        "feet, turns": Interval.of([turns]).scaled(100),
+        "no footsteps": Interval.of_share(none, len(turns)).scaled(100),
     }
 
 
@@ -427,28 +439,38 @@ def quality_values(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     }
 
 
-def perturbation_values(numbers: Mapping[str, Any]) -> dict[str, float]:
+def perturbation_values(config: Config, numbers: Mapping[str, Any]) -> dict[str, float | Interval]:
     """Values of `benchmarks.perturbation`."""
     impulses = [cell["mean"] for row in numbers["pushes"] for cell in row["phases"]]
-    found = {"pushes, least": float(np.min(impulses)), "pushes, mean": float(np.mean(impulses))}
+    found: dict[str, float | Interval] = {
+        "pushes, least": float(np.min(impulses)),
+        "pushes, mean": float(np.mean(impulses)),
+    }
     for name, (parameter, low, high) in _SWEPT.items():
         counted = [
             row["mean"]
             for row in numbers["sweeps"]
             if row["parameter"] == parameter and low <= row["value"] <= high
         ]
-        found[name] = 100 * float(np.mean(counted))
+        survived = sum(round(config.walks * share) for share in counted)
+        found[name] = Interval.of_share(survived, config.walks * len(counted)).scaled(100)
     return found
 
 
-def judged(config: Config, claim: Claim, each: Sequence[float]) -> dict[str, Any]:
+def judged(config: Config, claim: Claim, values: Sequence[Interval]) -> dict[str, Any]:
     """Values of all seeds, their interval, and the verdict, as `benchmarks.claims.judge`.
 
-    Shares of walks get Wilson's interval of all walks where it is wider: Student's interval over
-    seeds has no width if they are equal.
+    One seed has the interval over its walks. Shares of walks of several get Wilson's interval of
+    all walks where it is wider: Student's interval over seeds has no width if they are equal.
     """
+    each = [value.mean for value in values]
     found = judge(claim, each)
-    if claim.name not in _SWEPT or found["interval"] is None or len(each) < 2:
+    if found["interval"] is None:
+        return found
+    if len(values) == 1:
+        (own,) = values
+        return {**found, "interval": vars(own), "verdict": verdict(claim, each, own)}
+    if claim.name not in _SWEPT:
         return found
     parameter, low, high = _SWEPT[claim.name]
     swept = getattr(Sweeps(), SWEEPS[parameter].flag)
@@ -483,7 +505,7 @@ def table_of_each(record: TargetRecord) -> str:
     """Table of targets: limit, and value of each policy of a record, "-" where it has none."""
     values = record.values()
     rows = [
-        [claim.name, claim.limit, *(cell(claim, each[claim.name]) for each in values)]
+        [claim.name, claim.limit, *(cell(claim, each[claim.name].mean) for each in values)]
         for claim in TARGETS
     ]
     names = [one["name"] for one in record.policies]
@@ -495,7 +517,7 @@ def cell(claim: Claim, value: float) -> str:
     return f"{value:.{claim.digits}f}" if math.isfinite(value) else "-"
 
 
-def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:
+def falls_text(config: Config, found: Sequence[Mapping[str, Interval]]) -> str:
     """Sentence on the falls that were counted, and how many more are likely."""
     counted = {
         "walks at random commands": ("falls, walks", 1e3, config.commands),
@@ -503,7 +525,10 @@ def falls_text(config: Config, found: Sequence[Mapping[str, float]]) -> str:
     }
     parts = []
     for what, (name, per, each) in counted.items():
-        falls, trials = sum(round(values[name] * each / per) for values in found), each * len(found)
+        falls, trials = (
+            sum(round(values[name].mean * each / per) for values in found),
+            each * len(found),
+        )
         most = Interval.of_share(falls, trials).high
         parts.append(f"{falls} in {trials} {what} (at most {per * most:.1f} in {per:g})")
     return f"Falls, with upper 95 % limits: {', '.join(parts)}."

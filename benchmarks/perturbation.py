@@ -37,7 +37,7 @@ class Config(Sweeps):
 
     speed: float = 1.0
     """Commanded speed of pushed walks [m/s]."""
-    directions: int = 8
+    directions: int = 16
     """Number of push directions, evenly around the robot."""
     phases: int = 8
     """Number of stride phases at which a push begins; 0 skips pushes."""

@@ -47,6 +47,7 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import json
+import math
 import re
 from contextlib import closing
 from functools import partial
@@ -63,7 +64,7 @@ from aslip.training.environments import make_evaluation_env
 from aslip.training.provenance import provenance
 from aslip.training.run import write_text
 from aslip.transforms import ActionDelta
-from aslip.walking import evaluate, markdown, walk_table
+from aslip.walking import Interval, evaluate, markdown, walk_table
 from benchmarks import (
     direction_targets,
     foot_placement,
@@ -241,7 +242,9 @@ def direction_sections(config: Config, policy: str, about: dict[str, Any]) -> li
         record.check(policy)
     rows = direction_targets.main(settings)
     if record and policy not in record:
-        record.add(policy, {row["name"]: row["found"]["each"][0] for row in rows})
+        none = {"mean": math.nan, "low": math.nan, "high": math.nan}
+        found = {row["name"]: row["found"]["interval"] or none for row in rows}
+        record.add(policy, {name: Interval.of_row(one) for name, one in found.items()})
     folder = direction_targets.results_folder(out, policy)
     titles = {
         "Velocity": "direction_tracking",

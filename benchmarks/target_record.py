@@ -16,6 +16,7 @@ from aslip.files.writing import claimed
 from aslip.policy import CARD, POLICY_FORMAT, find_policy
 from aslip.training.provenance import provenance
 from aslip.training.run import write_text
+from aslip.walking import Interval
 from benchmarks.claims import describe
 from benchmarks.common import without_nan
 
@@ -39,7 +40,7 @@ class TargetRecord(UserPaths):
     settings: Mapping[str, Any]
     policies: list[dict[str, Any]] = field(init=False, default_factory=list)
     """Name, hash of the weights, seed, commit and policy steps of each policy; commit of the
-    measurement, and values."""
+    measurement, values, and ends of the intervals over walks where there are any."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -90,7 +91,7 @@ class TargetRecord(UserPaths):
                     f" commit {one['commit']}; use another record, or another name"
                 )
 
-    def add(self, policy: str | Path, values: Mapping[str, float]) -> None:
+    def add(self, policy: str | Path, values: Mapping[str, Interval]) -> None:
         """Add the values of a policy in place of older ones of it, and write the file.
 
         Raises:
@@ -98,7 +99,11 @@ class TargetRecord(UserPaths):
             ConfigurationError: another process has added other weights under the policy's name.
         """
         about = {**describe(policy), "sha256": _digest(policy)}
-        about |= {"measured_at": provenance()["commit"], "values": without_nan(values)}
+        means = {name: one.mean for name, one in values.items()}
+        about |= {"measured_at": provenance()["commit"], "values": without_nan(means)}
+        about["intervals"] = {
+            name: [one.low, one.high] for name, one in values.items() if one.low < one.high
+        }
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with claimed(self.path, wait=True):
             self._read()  # another process may have added some since
@@ -108,10 +113,14 @@ class TargetRecord(UserPaths):
             kept = {"settings": dict(self.settings), "policies": self.policies}
             write_text(self.path, json.dumps(kept, indent=1, allow_nan=False) + "\n")
 
-    def values(self) -> list[dict[str, float]]:
-        """Values of each policy; NaN where a fall prevented one."""
+    def values(self) -> list[dict[str, Interval]]:
+        """Values of each policy, with their intervals; NaN where a fall prevented one."""
         return [
-            {name: math.nan if x is None else float(x) for name, x in one["values"].items()}
+            {
+                name: Interval(x, *one.get("intervals", {}).get(name, (x, x)))
+                for name, value in one["values"].items()
+                for x in [math.nan if value is None else float(value)]
+            }
             for one in self.policies
         ]
 

@@ -79,7 +79,7 @@ def main(config: Config) -> dict[str, Values]:
             name = about["name"]
             if name in found:
                 raise ConfigurationError(f"two policies of the records have the name {name!r}")
-            found[name] = values
+            found[name] = {target: one.mean for target, one in values.items()}
     print(table(found))
     if config.picture is not None:
         save_figure(picture(found), config.picture)

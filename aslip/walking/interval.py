@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -46,12 +46,15 @@ class Interval:
 
             half = stats.t.ppf(0.5 + CONFIDENCE / 2, len(means) - 1) * stats.sem(means)
             return cls(mean, mean - float(half), mean + float(half))
-        if len(values) < _LEAST_VALUES:
-            return cls(mean, mean, mean)
-        rng = np.random.default_rng(0)
-        drawn = rng.choice(values, (_RESAMPLES, len(values))).mean(axis=1)
-        low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
-        return cls(mean, float(low), float(high))
+        return cls(mean, *_resampled(values, lambda drawn: drawn.mean(axis=1)))
+
+    @classmethod
+    def of_quantile(cls, values: np.ndarray, share: float) -> Interval:
+        """Quantile of finite values in place of the mean, with a bootstrap interval."""
+        if not len(values):
+            return cls(np.nan, np.nan, np.nan)
+        ends = _resampled(values, lambda drawn: np.quantile(drawn, share, axis=1))
+        return cls(float(np.quantile(values, share)), *ends)
 
     @classmethod
     def of_share(cls, successes: int, trials: int) -> Interval:
@@ -62,6 +65,10 @@ class Interval:
         interval = found.proportion_ci(CONFIDENCE, method="wilson")
         return cls(successes / trials, float(interval.low), float(interval.high))
 
+    def scaled(self, factor: float) -> Interval:
+        """Interval in another unit."""
+        return Interval(factor * self.mean, factor * self.low, factor * self.high)
+
     @classmethod
     def of_row(cls, row: Mapping[str, Any]) -> Interval:
         """Interval from a row with its fields."""
@@ -71,3 +78,21 @@ class Interval:
         """Mean times `scale`, with the interval if it is not empty."""
         mean, low, high = (f"{scale * v:.{digits}f}" for v in (self.mean, self.low, self.high))
         return mean if self.low == self.high else f"{mean} [{low}, {high}]"
+
+
+def _resampled(
+    values: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray]
+) -> tuple[float, float]:
+    """Ends of a bootstrap interval; with fewer than ten values it is empty.
+
+    Args:
+        values: (n,) values.
+        statistic: function of resamples (m, n) that returns (m,).
+    """
+    if len(values) < _LEAST_VALUES:
+        (value,) = statistic(values[None])
+        return float(value), float(value)
+    rng = np.random.default_rng(0)
+    drawn = statistic(rng.choice(values, (_RESAMPLES, len(values))))
+    low, high = np.quantile(drawn, [0.5 - CONFIDENCE / 2, 0.5 + CONFIDENCE / 2])
+    return float(low), float(high)

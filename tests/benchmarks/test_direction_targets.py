@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from shutil import copyfile
 from typing import Any
@@ -16,6 +17,7 @@ from aslip.envs import make_env
 from aslip.errors import ConfigurationError, FileDamagedError, SpeedOutOfRangeError
 from aslip.files.assets import asset_path
 from aslip.policy import find_policy, read_card
+from aslip.walking import Interval
 from benchmarks import (
     direction_targets,
     direction_tracking,
@@ -43,6 +45,11 @@ from tests.helpers import limp
 from tests.library.standing import standing_library
 
 
+def plain(values: Mapping[str, float | Interval]) -> dict[str, float]:
+    """Values without their intervals."""
+    return {k: one.mean if isinstance(one, Interval) else one for k, one in values.items()}
+
+
 def test_values_of_standing_are_the_worst_of_all_walks_that_stood() -> None:
     walk = {"planted": 0.4, "lifted": 0}
     row: dict[str, Any] = {
@@ -57,17 +64,17 @@ def test_values_of_standing_are_the_worst_of_all_walks_that_stood() -> None:
     expected = {"drift": 2.0, "turn": 0.3, "lifted feet": 1.0, "power, standing": 30.0}
     stopped = {"falls": {"stop": 0}, "count": 2, "unplanted": 0, "planted": 0.9}
     expected["stop"] = 0.9
-    found = standing_values(row, stopped)
+    found = plain(standing_values(row, stopped))
     assert found == pytest.approx({**expected, "falls, stops": 0.0, "unplanted": 25.0})
     fallen = {**walk, "lifted": math.nan}
     row |= {"falls": {"walk": 0, "stop": 1}, "walks": [*row["walks"], fallen], "count": 3}
     expected |= {"falls, stops": 20.0, "unplanted": 20.0}
-    assert standing_values(row, stopped) == pytest.approx(expected)
+    assert plain(standing_values(row, stopped)) == pytest.approx(expected)
     # falls of the stops at 1 m/s count, too
     stopped |= {"falls": {"walk": 1, "stop": 1}, "unplanted": 1}
     expected |= {"falls, stops": 60.0, "unplanted": 40.0}
-    assert standing_values(row, stopped) == pytest.approx(expected)
-    none = standing_values({**row, "walks": [fallen]}, stopped)
+    assert plain(standing_values(row, stopped)) == pytest.approx(expected)
+    none = plain(standing_values({**row, "walks": [fallen]}, stopped))
     assert math.isnan(none["lifted feet"])
 
 
@@ -81,9 +88,11 @@ def test_sweeps_count_within_the_ranges_of_the_targets() -> None:
         {"parameter": "floor_friction", "value": 0.2, "mean": 0.0},
     ]
     pushes = [{"phases": [{"mean": 20.0}, {"mean": 40.0}]}, {"phases": [{"mean": 30.0}] * 2}]
-    found = perturbation_values({"pushes": pushes, "sweeps": sweeps})
+    found = perturbation_values(Config(), {"pushes": pushes, "sweeps": sweeps})
+    assert (found.pop("pushes, least"), found.pop("pushes, mean")) == (20.0, 30.0)
     sweeps = {**dict.fromkeys(["friction", "slope", "delay", "motors"], 100.0), "payload": 75.0}
-    assert found == {"pushes, least": 20.0, "pushes, mean": 30.0, **sweeps}
+    assert {name: one.mean for name, one in found.items()} == sweeps  # pyright: ignore
+    assert found["payload"] == Interval.of_share(24, 32).scaled(100)
 
 
 def test_force_and_power_are_those_of_walks_ahead() -> None:
@@ -114,17 +123,36 @@ def test_table_has_a_limit_and_a_verdict_for_each_target() -> None:
 def test_shares_of_walks_have_an_interval_if_all_seeds_are_equal() -> None:
     """Wilson's lower limit is 97.7 % if 160 of 160 walks survive, and above 98 % for 400 of 400."""
     claim = next(claim for claim in TARGETS if claim.name == "motors")
-    few, many = (judged(Config(), claim, [100.0] * seeds) for seeds in (2, 5))
+    all_walks = Interval(100.0, 100.0, 100.0)
+    few, many = (judged(Config(), claim, [all_walks] * seeds) for seeds in (2, 5))
     assert few["interval"]["low"] == pytest.approx(97.66, abs=0.01)
     assert few["interval"]["high"] == few["interval"]["mean"] == 100.0
     assert [few["verdict"], many["verdict"]] == ["undecided", "PASS"]
-    spread = judged(Config(), claim, [100.0, 96.25])["interval"]  # Student's is wider
+    less = Interval(96.25, 96.25, 96.25)
+    spread = judged(Config(), claim, [all_walks, less])["interval"]  # Student's is wider
     assert (spread["low"], spread["high"]) == (pytest.approx(74.3, abs=0.1), 100.0)
 
 
 def test_a_target_without_a_value_has_a_dash() -> None:
     claim = next(claim for claim in TARGETS if claim.name == "path")
     assert [cell(claim, value) for value in (4.04, math.nan)] == ["4.0", "-"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "shown", "word"),
+    [
+        ("velocity, 95 %", Interval(0.053, 0.042, 0.07), "0.053 [0.042, 0.070]", "undecided"),
+        ("velocity, 95 %", Interval(0.04, 0.03, 0.05), "0.040 [0.030, 0.050]", "met"),
+        ("falls, walks", Interval(0.0, 0.0, 18.8), "0 [0, 19]", "met"),
+        ("drift", Interval(1.4, 1.4, 1.4), "1.40", "missed"),
+    ],
+)
+def test_one_seed_has_the_interval_of_its_walks(
+    name: str, value: Interval, shown: str, word: str
+) -> None:
+    claim = next(claim for claim in TARGETS if claim.name == name)
+    row = {**vars(claim), "found": judged(Config(), claim, [value])}
+    assert table([row]).endswith(f"| {claim.limit} | {shown} | {word} by one seed |")
 
 
 def test_every_target_has_a_value_from_its_benchmark(
@@ -141,7 +169,9 @@ def test_every_target_has_a_value_from_its_benchmark(
 
         return main
 
-    errors = {"falls": 0, "speed": 0.02, "speed_p95": 0.05, "turn": 0.01, "turn_p95": 0.02}
+    errors: dict[str, Any] = {"falls": 0}
+    for name, value in {"speed": 0.02, "speed_p95": 0.05, "turn": 0.01, "turn_p95": 0.02}.items():
+        errors[name] = vars(Interval(value, 0.8 * value, 1.6 * value))
     walk = {"planted": 0.8, "lifted": 0}
     stood = {"falls": {"stop": 0}, "walks": [walk], "planted": 0.8, "unplanted": 0}
     stood |= {"count": 1, "drift_most": 0.0, "turn_most": 0.0, "power": 30.0}
@@ -190,6 +220,8 @@ def test_every_target_has_a_value_from_its_benchmark(
     assert f"robust (seed {trained[str(file)]}, " in (text := capsys.readouterr().out)
     assert "| target | limit | robust | straight |\n" in text
     assert "\n| velocity | ≤ 0.03 | 0.020 | 0.020 |\n" in text
+    kept_values = json.loads(record.read_text())["policies"][0]
+    assert kept_values["intervals"]["velocity"] == pytest.approx([0.016, 0.032])
     # of the library the content counts, not the path
     elsewhere = str(asset_path("directions.npz"))
     direction_targets.main(dataclasses.replace(again, library=elsewhere))
@@ -234,7 +266,7 @@ def test_every_target_has_a_value_from_its_benchmark(
 def test_a_record_names_all_of_its_policies_also_without_a_commit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    values = {claim.name: 1.0 for claim in TARGETS}
+    values = {claim.name: Interval(1.0, 0.5, 1.5) for claim in TARGETS}
     monkeypatch.setattr(direction_targets, "measure", lambda *_: values)
     monkeypatch.setattr(target_record, "provenance", lambda: {"commit": None})
     config = Config(policy=("robust",), record=tmp_path / "record.json", out=tmp_path)

@@ -48,7 +48,7 @@ def test_errors_are_mapped_over_the_region(
     command, twist = np.array(numbers["command"]), np.array(numbers["twist"][0])
     assert command.shape == twist.shape == (6, 3)
     assert np.ptp(command, axis=0).min() > 0.1
-    assert row["speed"] == pytest.approx(
+    assert row["speed"]["mean"] == pytest.approx(
         np.linalg.norm((twist - command)[:, :2], axis=1).mean(), abs=1e-9
     )
     with pytest.raises(ConfigurationError, match="commands must be 1 or more"):

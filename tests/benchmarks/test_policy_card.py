@@ -188,7 +188,7 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
             (folder / f"{name}.md").write_text(f"table of {name}")
         (folder / "perturbation.json").write_text(json.dumps(limits))
         (config.out / "direction_targets.md").write_text("table of targets")
-        return [{"name": "drift", "found": {"each": [0.5]}}]
+        return [{"name": "drift", "found": {"interval": {"mean": 0.5, "low": 0.4, "high": 0.6}}}]
 
     monkeypatch.setattr(policy_card.direction_targets, "main", measured)
     made = {"transforms": {"training/dynamics": "RandomDynamics()"}}
@@ -199,6 +199,7 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     text = "\n".join(policy_card.benchmark_sections(config, str(tmp_path / "mine.zip"), about))
     (kept,) = json.loads(record.read_text())["policies"]
     assert (kept["name"], kept["values"]) == ("mine", {"drift": 0.5})
+    assert kept["intervals"] == {"drift": [0.4, 0.6]}
     for name in (*names, "walking_quality", "perturbation", "targets"):
         assert f"table of {name}" in text
     assert text.count("python -m benchmarks.direction_targets --policy mine") == 1

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
+from aslip.walking.interval import Interval
 
 
 def mean_twist(velocity: np.ndarray, orientation: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:
@@ -23,8 +22,8 @@ def mean_twist(velocity: np.ndarray, orientation: np.ndarray, yaw_rate: np.ndarr
     return np.concatenate([velocity.mean(axis=0)[:, :2], (yaw_rate + turn)[:, None]], axis=1)
 
 
-def tracking_errors(twist: np.ndarray, command: np.ndarray) -> dict[str, float]:
-    """Mean and 95th percentile of the errors of walks that did not fall.
+def tracking_errors(twist: np.ndarray, command: np.ndarray) -> dict[str, Interval]:
+    """Mean and 95th percentile of the errors of walks that did not fall, with their intervals.
 
     Args:
         twist: (n, 3) mean forward, sideways speed [m/s] and yaw rate [rad/s].
@@ -32,15 +31,13 @@ def tracking_errors(twist: np.ndarray, command: np.ndarray) -> dict[str, float]:
 
     Returns:
         "speed" and "speed_p95": length of the error of the velocity [m/s]; "turn" and "turn_p95":
-        error of the yaw rate [rad/s]; NaN without walks.
+        error of the yaw rate [rad/s]; NaN without walks. Intervals are over commands.
     """
     off = (twist - command)[np.isfinite(twist).all(axis=1)]
-    if not len(off):
-        return dict.fromkeys(("speed", "speed_p95", "turn", "turn_p95"), math.nan)
     speed, turn = np.linalg.norm(off[:, :2], axis=1), np.abs(off[:, 2])
     return {
-        "speed": float(speed.mean()),
-        "speed_p95": float(np.quantile(speed, 0.95)),
-        "turn": float(turn.mean()),
-        "turn_p95": float(np.quantile(turn, 0.95)),
+        "speed": Interval.of([speed]),
+        "speed_p95": Interval.of_quantile(speed, 0.95),
+        "turn": Interval.of([turn]),
+        "turn_p95": Interval.of_quantile(turn, 0.95),
     }

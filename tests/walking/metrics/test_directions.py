@@ -32,12 +32,22 @@ def test_mean_velocities_and_the_turn_in_the_frame_add_up_to_the_twist() -> None
 def test_errors_are_those_of_the_walks_that_did_not_fall() -> None:
     command = np.zeros((3, 3))
     twist = np.array([[0.03, -0.04, 0.02], [0.0, 0.1, -0.04], [np.nan] * 3])
-    found = tracking_errors(twist, command)
-    assert found["speed"] == pytest.approx(0.075)
-    assert found["speed_p95"] == pytest.approx(0.0975)
-    assert found["turn"] == pytest.approx(0.03)
-    assert found["turn_p95"] == pytest.approx(0.039)
-    assert np.isnan(list(tracking_errors(twist[2:], command[2:]).values())).all()
+    found = {name: one.mean for name, one in tracking_errors(twist, command).items()}
+    assert found == pytest.approx(
+        {"speed": 0.075, "speed_p95": 0.0975, "turn": 0.03, "turn_p95": 0.039}
+    )
+    none = tracking_errors(twist[2:], command[2:])
+    assert np.isnan([one.mean for one in none.values()]).all()
+
+
+def test_intervals_of_the_errors_are_over_commands() -> None:
+    errors = np.random.default_rng(0).exponential(0.02, 200)
+    twist = np.stack([errors, 0 * errors, -errors], axis=1)
+    for name, one in tracking_errors(twist, np.zeros_like(twist)).items():
+        middle = np.quantile(errors, 0.95) if name.endswith("p95") else errors.mean()
+        assert one.mean == pytest.approx(middle)
+        assert one.low < one.mean < one.high
+        assert one.high - one.low < 0.6 * one.mean
 
 
 def test_poses_of_a_frame_count_whole_turns() -> None:
