@@ -17,7 +17,7 @@ with warnings.catch_warnings():
 from aslip.errors import ShapeError
 from aslip.files.assets import asset_path
 from aslip.robot import CASSIE, SIDES, Side
-from aslip.robot.model import DEFAULT_FLOOR_FRICTION, set_floor_friction
+from aslip.robot.model import DEFAULT_FLOOR_FRICTION, limit_warnings, set_floor_friction
 from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse
 from aslip.sim import PD, Drive, MakeDrive, Sensors, Snapshot
 from aslip.sim.checks import check_states
@@ -25,6 +25,9 @@ from aslip.sim.simulations import watched_size
 from aslip.sim.truth import positive_power, true_state
 
 _INTEGRATION = mj.mjtState.mjSTATE_INTEGRATION
+
+# dm_control has set its own handler on import
+limit_warnings()
 
 
 class BipedPhysics(mujoco.Physics):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from types import FunctionType
 from typing import Any, Final
 
 import mujoco
@@ -20,6 +22,30 @@ _KINDS = ("free", "ball", "slide", "hinge")
 
 APPEARANCE_GROUP: Final = 1
 """Group of the robot's visual geoms."""
+
+_log = logging.getLogger(__name__)
+_warned = False
+
+
+def _warn_once(message: str) -> None:
+    """Log MuJoCo's first warning in this process; an exception here would abort the process."""
+    global _warned
+    if not _warned:
+        _warned = True
+        _log.warning("MuJoCo: %s Further warnings of MuJoCo are not shown.", message)
+
+
+def limit_warnings() -> None:
+    """Show one of MuJoCo's warnings only, such as those of each simulation that diverges.
+
+    MuJoCo appends each to the file MUJOCO_LOG.TXT in the working directory, and dm_control, whose
+    import sets its own handler, logs it. A handler in Python that a user has set stays.
+    """
+    if not isinstance(mujoco.get_mju_user_warning(), FunctionType):
+        mujoco.set_mju_user_warning(_warn_once)
+
+
+limit_warnings()
 
 
 def load_model(
@@ -46,6 +72,7 @@ def load_model(
     """
     timestep = robot.physics_timestep if timestep is None else timestep
     check_timestep(timestep, robot)
+    limit_warnings()
     spec = mujoco.MjSpec.from_file(str(robot.mjcf))
     spec.compiler.discardvisual = not visual
     spec.option.timestep = timestep

@@ -6,12 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from dm_control.rl.control import PhysicsError
 
-from aslip.sim import Simulations
+from aslip.envs import BipedPhysics
+from aslip.robot import model
+from aslip.sim import SimulationPool, Simulations
 from tests.sim.batches import assert_rows_equal, random_targets
 
 Break = Callable[[Simulations, np.ndarray], None]
@@ -95,3 +99,24 @@ def test_all_simulations_may_diverge_at_once() -> None:
     assert simulations.divergences == 2
     standing = simulations.model.key("standing").qpos
     np.testing.assert_array_equal(simulations.snapshot().qpos, [standing] * 2)
+
+
+def test_simulations_that_diverge_write_one_warning_and_no_file(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    """Also in threads, and in dm_control, which has a handler of its own."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(model, "_warned", False)
+    simulations = SimulationPool(4, num_threads=2)
+    assert all(simulations.advance(np.full((4, 10), np.nan)).all() for _ in range(2))
+    physics = BipedPhysics.load()
+    physics.data.qvel[:] = np.nan
+    with pytest.raises(PhysicsError):
+        physics.step()
+    (record,) = caplog.records
+    assert "The simulation is unstable" in record.message
+    assert not list(tmp_path.iterdir())
+    assert "WARNING" not in capfd.readouterr().err
