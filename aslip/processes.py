@@ -9,8 +9,9 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context, parent_process
-from types import FrameType
+from multiprocessing import parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import FrameType, ModuleType
 from typing import Final
 
 ENDINGS: Final = tuple(
@@ -28,17 +29,36 @@ def processors() -> int:
     return os.cpu_count() or 1
 
 
+class _Process(SpawnProcess):
+    """Process that does not run the main script again, which so needs no main guard."""
+
+    @staticmethod
+    def _Popen(process_obj: SpawnProcess) -> object:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            return SpawnProcess._Popen(process_obj)  # pyright: ignore
+        finally:
+            sys.modules["__main__"] = main
+
+
+class Spawned(SpawnContext):
+    """Context of `multiprocessing` whose processes know nothing of the main script."""
+
+    Process = _Process
+
+
 @contextmanager
 def worker_pool(workers: int) -> Iterator[Executor | None]:
     """Pool of processes, which end with this one, even if it is killed; None for one worker.
 
-    Processes are spawned: a script must start under `if __name__ == "__main__":`.
+    The processes do not run the main script: its functions and classes cannot be sent to them.
     """
     if workers <= 1:
         yield None
         return
     # threads would wait for each other, and forks of a process with threads may hang
-    with ProcessPoolExecutor(workers, get_context("spawn"), initializer=end_with_parent) as pool:
+    with ProcessPoolExecutor(workers, Spawned(), initializer=end_with_parent) as pool:
         try:
             yield pool
         finally:

@@ -12,6 +12,7 @@ import pytest
 
 from aslip.processes import worker_pool
 
+# without `if __name__ == "__main__":`
 _SCRIPT = """
 import os, time
 from aslip.processes import worker_pool
@@ -29,8 +30,10 @@ def test_one_worker_needs_no_pool() -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")
-def test_workers_end_when_their_parent_is_killed() -> None:
-    with subprocess.Popen([sys.executable, "-c", _SCRIPT], stdout=subprocess.PIPE) as parent:
+def test_workers_of_any_script_end_when_it_is_killed(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(_SCRIPT)
+    command = [sys.executable, str(tmp_path / "script.py")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as parent:
         assert parent.stdout is not None
         workers = [int(word) for word in parent.stdout.readline().split()]
         assert workers and all(map(_runs, workers))

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import pickle
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -44,12 +45,11 @@ def build_rows(
     """Rows of a table for each motion, in order.
 
     Args:
-        motions: motions; several processes need motions that can be pickled.
+        motions: motions.
         robot: robot that they are mapped to.
         phase: (m,) phases of the samples.
         leg_dynamics: see `aslip.library.tabulate`.
         workers: number of processes; by default all cores for more than `ONE_PROCESS` motions.
-            Processes are spawned: a script must start under `if __name__ == "__main__":`.
         progress: called whenever motions are finished.
         folder: folder that keeps finished rows, one file for 16 motions. An interrupted build
             resumes from there; files of other motions or robots are not used.
@@ -78,15 +78,30 @@ def build_rows(
 class _Chunk:
     """Motions that one process works on."""
 
-    motions: Sequence[Motion]
+    motions: Sequence[Motion | FramedMotion]
     robot: Robot
     phase: np.ndarray
     leg_dynamics: bool
     folder: Path | None
 
+    def portable(self) -> _Chunk:
+        """Chunk that can be sent; motions of classes that other processes lack are sampled here."""
+        try:
+            if b"__main__" not in pickle.dumps(self.motions):
+                return self
+        except Exception:  # pickling raises errors of any kind
+            pass
+        return replace(self, motions=self._framed())
+
+    def _framed(self) -> list[FramedMotion]:
+        return [
+            motion if isinstance(motion, FramedMotion) else FramedMotion.of(motion, self.phase)
+            for motion in self.motions
+        ]
+
     def rows(self) -> list[Rows]:
         """Rows of the motions, from their file if there is one."""
-        framed = [FramedMotion.of(motion, self.phase) for motion in self.motions]
+        framed = self._framed()
         file = self.folder and self.folder / f"{_digest(framed, self.robot, self.leg_dynamics)}.npz"
         rows = _read(file) if file else None
         if rows is None:
@@ -103,7 +118,7 @@ def _worked(chunks: Sequence[_Chunk], workers: int) -> Iterator[tuple[int, list[
         if pool is None:
             yield from ((i, chunk.rows()) for i, chunk in enumerate(chunks))
             return
-        tasks = {pool.submit(_Chunk.rows, chunk): i for i, chunk in enumerate(chunks)}
+        tasks = {pool.submit(_Chunk.rows, chunk.portable()): i for i, chunk in enumerate(chunks)}
         for task in as_completed(tasks):
             yield tasks[task], task.result()
 

@@ -245,8 +245,7 @@ def solve_directions(
     Args:
         grid: commands.
         store: folder and settings of the gaits.
-        workers: number of processes, all cores by default. Processes are spawned: a script must
-            start under `if __name__ == "__main__":`.
+        workers: number of processes, all cores by default.
         progress: called after each solved or read gait.
 
     Raises:

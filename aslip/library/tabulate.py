@@ -25,8 +25,7 @@ class BuildOptions(TypedDict, total=False):
     """Options of `tabulate` that do not change what it returns."""
 
     workers: int | None
-    """Number of processes; by default all cores for more than 128 motions. Processes are spawned: a
-    script must start under `if __name__ == "__main__":`."""
+    """Number of processes; by default all cores for more than 128 motions."""
     progress: Progress | None
     """Function called with the numbers of finished motions and of all motions."""
     folder: Path | None

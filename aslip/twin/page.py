@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 import signal
 import time
 from collections.abc import Callable, Mapping
@@ -13,6 +12,7 @@ from multiprocessing.connection import Connection
 import numpy as np
 
 from aslip.errors import ConfigurationError
+from aslip.processes import Spawned
 from aslip.robot import CASSIE
 from aslip.twin.robot import TwinRobot
 from aslip.wire import STOP_CHANNEL
@@ -41,7 +41,7 @@ class TwinPage:
     def __init__(self, robot: TwinRobot, host: str = "127.0.0.1", port: int = 8080) -> None:
         self._robot = robot
         # spawned: a forked process would share the twin's socket
-        context = multiprocessing.get_context("spawn")
+        context = Spawned()
         self._pipe, other = context.Pipe()
         self._process = context.Process(target=_serve, args=(other, host, port), daemon=True)
         self._process.start()

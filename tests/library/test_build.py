@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +11,10 @@ import pytest
 import torch
 
 from aslip.library import GaitLibrary, tabulate
+from aslip.library.build import _Chunk
 from aslip.library.rows import FramedMotion, Rows
 from aslip.library.table import ARRAYS, GaitTable
+from aslip.robot import CASSIE
 
 from .bent import Bent
 
@@ -33,11 +37,30 @@ def _assert_equal(found: GaitTable, expected: GaitTable) -> None:
 
 
 def test_number_of_processes_changes_no_bit(motions: list[Bent], table: GaitTable) -> None:
+    """Nor a class that only this process has."""
+
+    class Local(Bent):
+        pass
+
     seen: list[tuple[int, int]] = []
+    motions = [Local(motions[0].gait, *motions[0].command[1:]), *motions[1:]]
     found = tabulate(motions, samples=4, workers=2, progress=lambda *at: seen.append(at))
     _assert_equal(found, table)
     assert [count for _, count in seen] == [24, 24]
     assert seen[-1] == (24, 24)
+
+
+def test_motions_of_the_main_script_are_sampled_before_they_are_sent(
+    motions: list[Bent], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chunk = _Chunk(motions[:1], CASSIE, np.arange(4) / 4, False, None)
+    assert chunk.portable() is chunk
+    monkeypatch.setattr(sys.modules["__main__"], "Bent", Bent, raising=False)
+    monkeypatch.setattr(Bent, "__module__", "__main__")
+    sent = pickle.loads(pickle.dumps(chunk.portable()))
+    assert [type(motion) for motion in sent.motions] == [FramedMotion]
+    for name, rows in sent.rows()[0].items():
+        np.testing.assert_array_equal(rows, chunk.rows()[0][name])
 
 
 def test_interrupted_build_resumes(

@@ -60,7 +60,7 @@ def in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
         return Thread(target=target, args=(pipe, *args[1:]), daemon=daemon)
 
     context = SimpleNamespace(Pipe=multiprocessing.Pipe, Process=process)
-    monkeypatch.setattr(multiprocessing, "get_context", lambda kind: context)
+    monkeypatch.setattr(twin_page, "Spawned", lambda: context)
     monkeypatch.setattr(twin_page.signal, "signal", lambda *_: None)
     live, pushes = ModuleType("aslip.show.live"), ModuleType("aslip.show.live.pushes")
     monkeypatch.setitem(sys.modules, live.__name__, live)
