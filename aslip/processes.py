@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import signal
 import sys
@@ -11,6 +13,7 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
+from pathlib import Path
 from types import FrameType, ModuleType
 from typing import Final
 
@@ -21,12 +24,33 @@ ENDINGS: Final = tuple(
 )
 """Signals that end a program: by SIGTERM, a closed terminal, and schedulers before a time limit."""
 
+_GROUPS, _LIMITS = Path("/proc/self/cgroup"), Path("/sys/fs/cgroup")
+
 
 def processors() -> int:
-    """Number of processors that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    """Number of processors that this process may use: by its affinity, or its container's quota."""
+    affinity = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return max(1, math.ceil(min(affinity or 1, _quota())))
+
+
+def _quota() -> float:
+    """Processors that the control groups of this process, versions 1 and 2, let it use."""
+    quotas = [math.inf]
+    for line in _GROUPS.read_text().splitlines() if _GROUPS.exists() else ():
+        _, controllers, path = line.split(":", 2)
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        files = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if controllers else ("cpu.max",)
+        # a container may see its own group as the root, under the path that the host knows
+        for group in (Path(path), *Path(path).parents):
+            folder = _LIMITS / ("cpu" if controllers else "") / str(group).lstrip("/")
+            # no file, or "max": no limit here
+            with contextlib.suppress(OSError, ValueError):
+                quota, period = map(
+                    float, " ".join((folder / f).read_text() for f in files).split()
+                )
+                quotas += [quota / period] if quota > 0 else []
+    return min(quotas)
 
 
 class _Process(SpawnProcess):

@@ -1,4 +1,4 @@
-"""Processes that end with their parent."""
+"""Number of processors, and processes that end with their parent."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from aslip.processes import worker_pool
+from aslip import processes
+from aslip.processes import processors, worker_pool
 
 # without `if __name__ == "__main__":`
 _SCRIPT = """
@@ -22,6 +23,39 @@ with worker_pool(2) as pool:
     print(*{task.result() for task in tasks}, flush=True)
     time.sleep(600)
 """
+
+
+@pytest.mark.parametrize(
+    ("groups", "limits", "expected"),
+    [
+        ("0::/", {"cpu.max": "250000 100000"}, 3),
+        ("0::/a/b", {"a/cpu.max": "200000 100000", "a/b/cpu.max": "max 100000"}, 2),
+        ("0::/a\n1:cpu:/", {"a/cpu.max": "900000 100000", "cpu/cpu.cfs_quota_us": "-1"}, 5),
+        ("0::/", {"cpu.max": "5000 100000"}, 1),
+        # a container, whose group is elsewhere for the host
+        (
+            "3:cpuset:/\n2:cpu,cpuacct:/docker/1",
+            {"cpu/cpu.cfs_quota_us": "400000", "cpu/cpu.cfs_period_us": "100000"},
+            4,
+        ),
+        ("", {}, 5),
+    ],
+)
+def test_the_quota_of_a_container_limits_the_processors(
+    groups: str,
+    limits: dict[str, str],
+    expected: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(5)))
+    monkeypatch.setattr(processes, "_GROUPS", tmp_path / "cgroup")
+    monkeypatch.setattr(processes, "_LIMITS", tmp_path)
+    (tmp_path / "cgroup").write_text(groups)
+    for name, text in limits.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text + "\n")
+    assert processors() == expected
 
 
 def test_one_worker_needs_no_pool() -> None:

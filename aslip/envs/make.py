@@ -60,7 +60,8 @@ def make_env(
             small; action, reward, flags of ends and `command` always stay. See `KeepKeys`.
         base: `RobotEnv` instead of a simulator, or function of `num_envs` that makes it; see
             `robot_stack` for real robots and replayed logs.
-        num_threads: physics threads of the batch backend, 0 for all processors.
+        num_threads: physics threads of the batch backend, 0 for all processors that this process
+            may use, by its affinity and the quota of its container.
         floor_friction: sliding friction of the floor.
         timestep: physics timestep of the batch backend [s], 0.0005 or the faster 0.001.
 

@@ -6,9 +6,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, Self
 
+import torch
 from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
 
+from aslip.processes import processors
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import Progress, check_rewards
 from aslip.training.run import TrainingRun
@@ -92,6 +94,8 @@ def training_loop(
         TrainingStoppedError: as in `TrainingRun.saving`.
         FileDamagedError: as in `TrainingRun.restore`.
     """
+    # PyTorch counts the processors of the machine, not those of a container's quota
+    torch.set_num_threads(min(torch.get_num_threads(), processors()))
     components = {**components, "rng": GlobalRNGState()}
     collector, actor = components["collector"], components["actor"]
     kept = run.restore(components) if settings.resume else None

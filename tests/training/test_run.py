@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+import torch
 
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.training import loop
 from aslip.training import run as run_module
+from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
 from aslip.training.settings import read_settings
@@ -149,3 +154,20 @@ def test_an_error_lists_some_differences_and_a_remedy(settings: Settings) -> Non
     assert "part 4" not in message
     assert "and 5 more; resume it with its own settings, or start another run" in message
     assert len(message) < 1000
+
+
+def test_pytorch_has_no_more_threads_than_a_container_has_processors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    threads: list[int] = []
+    monkeypatch.setattr(loop, "processors", lambda: 2)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 64)
+    monkeypatch.setattr(torch, "set_num_threads", threads.append)
+    run: Any = SimpleNamespace(restore=lambda parts: 1 / 0)
+    settings = SimpleNamespace(resume=True)
+    with (
+        pytest.raises(ZeroDivisionError),
+        training_loop(run, {"collector": None, "actor": None}, settings),
+    ):
+        pass
+    assert threads == [2]
