@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.training.command_line import command_line, program
+from aslip.training.command_line import command_line, forgive_output, program
 from aslip.training.run import TrainingRun
 from aslip.training.settings import SETTINGS_FILE
 from recipes.ppo_settings import (
@@ -173,7 +174,7 @@ _HEAVY = ("torch", "torchrl", "tensordict", "dm_control", "pinocchio", "casadi",
 
 _LOADED = """
 import contextlib, io, runpy, sys
-with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+with contextlib.redirect_stderr(io.StringIO()):
     for name in sys.argv[2:]:
         for word in ("--help", "--no-such-option"):
             sys.argv = [name, word]
@@ -207,9 +208,33 @@ def _runs(path: Path) -> bool:
 
 @pytest.mark.parametrize("name", _programs())
 def test_help_and_wrong_arguments_need_no_heavy_imports(name: str) -> None:
+    """Nor a terminal with more than ASCII, nor a reader."""
     command = [sys.executable, "-c", _LOADED, "-", name.removesuffix(".__main__")]
-    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'recipes'}"}
+    path = {"PYTHONPATH": f"{ROOT}:{ROOT / 'recipes'}"}
+    environment = {**os.environ, **path, "PYTHONIOENCODING": "ascii"}
+    reader, writer = os.pipe()
+    os.close(reader)
     result = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False
+        command, cwd=ROOT, env=environment, stdout=writer, stderr=subprocess.PIPE, text=True
     )
-    assert result.returncode == 0, result.stderr
+    os.close(writer)
+    assert (result.returncode, result.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("unbuffered", [False, True])
+def test_output_that_nobody_reads_is_dropped(
+    unbuffered: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reader, writer = os.pipe()
+    with open(writer, "wb", buffering=0 if unbuffered else -1) as file:
+        stream = io.TextIOWrapper(file, "latin-1", write_through=unbuffered)
+        for name in ("stdout", "__stdout__"):
+            monkeypatch.setattr(sys, name, stream)
+        print("before, ", end="")
+        forgive_output()
+        print("a \N{BULLET} \N{PLUS-MINUS SIGN}", flush=True)
+        assert os.read(reader, 99) == "before, a ? \N{PLUS-MINUS SIGN}\n".encode("latin-1")
+        os.close(reader)
+        for _ in range(2):
+            print("x" * 100_000, flush=True)
+        assert os.fstat(writer).st_rdev == os.stat(os.devnull).st_rdev

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import io
+import os
 import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -65,8 +67,47 @@ def preset_command_line(
     )
 
 
+def forgive_output() -> None:
+    """Let characters that a terminal lacks, and a reader that goes away, be no errors.
+
+    Characters are replaced. When the reader of a pipe or the terminal is gone, the program goes on
+    and ends as if its output were read: trainings, walks and robots do not depend on it.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        # not the substitutes of notebooks and tests
+        if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):
+            stream.flush()
+            raw = _Output(stream.fileno(), "w", closefd=False)
+            unbuffered = stream.write_through
+            output = io.TextIOWrapper(
+                raw if unbuffered else io.BufferedWriter(raw),  # pyright: ignore
+                stream.encoding,
+                "replace",
+                line_buffering=stream.line_buffering,
+                write_through=unbuffered,
+            )
+            setattr(sys, name, output)
+
+
+class _Output(io.FileIO):
+    """File whose content is dropped once nobody reads it."""
+
+    def write(self, data: Any, /) -> int:
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno not in (errno.EPIPE, errno.EIO):
+                raise
+            # for C libraries and child processes, too
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), self.fileno())
+            return len(data)
+
+
 def _parsed(parse: Callable[..., tuple[Settings, list[str]]], kind: type[Settings]) -> Settings:
     """Result of tyro's parser; its errors are shortened to one line."""
+    forgive_output()
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
