@@ -13,10 +13,10 @@ Names are imported on first use: `import aslip` alone loads no library.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from aslip import errors
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.control import Controller
@@ -26,20 +26,6 @@ if TYPE_CHECKING:
     from aslip.rom import Gait, Motion
 
 __version__ = "0.1.0"
-
-_HOME = {
-    "Controller": "aslip.control",
-    "Gait": "aslip.rom",
-    "GaitLibrary": "aslip.library",
-    "GymEnv": "aslip.envs",
-    "GymVectorEnv": "aslip.envs",
-    "Motion": "aslip.rom",
-    "Reference": "aslip.library",
-    "RobotEnv": "aslip.envs",
-    "default_stack": "aslip.envs",
-    "load_policy": "aslip.policy",
-    "make_env": "aslip.envs",
-}
 
 __all__ = [
     "Controller",
@@ -58,10 +44,17 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'aslip' has no attribute {name!r}; public names: {__all__}")
-    return getattr(importlib.import_module(_HOME[name]), name)
+_get, _ = attach(
+    "aslip",
+    {
+        "control": ["Controller"],
+        "envs": ["GymEnv", "GymVectorEnv", "RobotEnv", "default_stack", "make_env"],
+        "library": ["GaitLibrary", "Reference"],
+        "policy": ["load_policy"],
+        "rom": ["Gait", "Motion"],
+    },
+)
+__getattr__ = _get
 
 
 def __dir__() -> list[str]:

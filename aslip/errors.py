@@ -64,6 +64,10 @@ class ConfigurationError(AslipError, ValueError):
     """Setting of the wrong type or range, or checkpoint of a run with other settings."""
 
 
+class MissingExtraError(ConfigurationError, ImportError):
+    """Library of an extra, such as `aslip[train]`, that is not installed."""
+
+
 class RenderingError(AslipError, RuntimeError):
     """Rendering on a machine without a working OpenGL."""
 

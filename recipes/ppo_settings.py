@@ -14,12 +14,14 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-import tyro
-
 from aslip.errors import AslipError, ConfigurationError
 from aslip.files.assets import UserPaths
+from aslip.imports import extras
 from aslip.training.command_line import preset_command_line, program, usage_error
 from aslip.training.settings import check_positive, check_shares, check_types, read_settings
+
+with extras():
+    import tyro
 
 DESCRIPTIONS = {
     "default": "aslip stack with feedforward torques, settings for fast learning",

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.training.command_line import command_line, forgive_output, program
+from aslip.training.command_line import command_line, prepare_program, program
 from aslip.training.run import TrainingRun
 from aslip.training.settings import SETTINGS_FILE
 from recipes.ppo_settings import (
@@ -230,8 +230,9 @@ def test_output_that_nobody_reads_is_dropped(
         stream = io.TextIOWrapper(file, "latin-1", write_through=unbuffered)
         for name in ("stdout", "__stdout__"):
             monkeypatch.setattr(sys, name, stream)
+        monkeypatch.setattr(sys, "excepthook", sys.excepthook)
         print("before, ", end="")
-        forgive_output()
+        prepare_program()
         print("a \N{BULLET} \N{PLUS-MINUS SIGN}", flush=True)
         assert os.read(reader, 99) == "before, a ? \N{PLUS-MINUS SIGN}\n".encode("latin-1")
         os.close(reader)

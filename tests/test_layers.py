@@ -17,10 +17,11 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
 # room -> rooms that it may import in addition to itself and the rooms that all may import
-_BELOW_ALL = {"errors", "files", "processes"}
+_BELOW_ALL = {"errors", "files", "imports", "processes"}
 _MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
     "files": set(),
+    "imports": set(),
     "processes": set(),
     "robot": set(),
     "rom": set(),
@@ -64,6 +65,7 @@ _HEAVY = {
 _FOREIGN = {
     "errors": _HEAVY,
     "files": _HEAVY,
+    "imports": _HEAVY,
     "processes": _HEAVY,
     "robot": _HEAVY - {"mujoco"},
     "rom": _HEAVY - {"casadi"},

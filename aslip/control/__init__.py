@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.control.controller import Controller, ControllerState
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 __all__ = ["Controller", "ControllerState", "Eight", "PathFollower"]
 
 # the runner works without PyTorch, which `controller` imports
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "controller": ["Controller", "ControllerState"],
         "path": ["Eight", "PathFollower"],
     },

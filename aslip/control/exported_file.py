@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 
 from aslip.control.contract import Contract, damaged, observed_name, read_sealed, wrong
 from aslip.control.own_estimate import split_estimate
+from aslip.imports import extras
 from aslip.robot import Robot
+
+with extras():
+    import onnxruntime
 
 
 def open_policy(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession, Contract]:

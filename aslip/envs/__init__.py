@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.envs.batch import BatchEnv
@@ -112,9 +112,9 @@ __all__ = [
     "walk_environment",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "batch": ["BatchEnv"],
         "directions": ["directions_stack", "standing_stack"],
         "dm_control": ["DmControlEnv", "Walk", "walk_environment"],

@@ -20,13 +20,13 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-try:
+from aslip.imports import extras
+
+with extras():
     import gymnasium
     from gymnasium import spaces
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
-except ImportError as error:
-    raise ImportError("Gymnasium is missing; pip install 'aslip[gym]'") from error
 
 from aslip.envs.make import make_env
 from aslip.envs.stack_env import StackEnv, check_seed

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.library.directions import (
@@ -51,9 +51,9 @@ __all__ = [
     "tabulate_transitions",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "directions": ["DirectionGrid", "GaitFolder", "convex_gaits", "solve_directions"],
         "library": ["GaitLibrary"],
         "pendulum": ["pendulum_library", "single_reference_library"],

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Literal
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.log.integrity import check
@@ -38,9 +38,9 @@ __all__ = [
 JointRate = Literal["policy", "physics"]
 """Rate at which joints are logged: every policy step, or every substep."""
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "integrity": ["check"],
         "reader": ["Recording", "Series", "read"],
         "recorder": ["Recorder"],

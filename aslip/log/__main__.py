@@ -11,13 +11,13 @@ from typing import NoReturn
 from aslip import log
 from aslip.errors import AslipError
 from aslip.files.assets import user_path
-from aslip.training.command_line import forgive_output, usage_error
+from aslip.training.command_line import prepare_program, usage_error
 from aslip.walking import markdown
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit status 0 for success, 1 for a faulty log, 2 for an error."""
-    forgive_output()
+    prepare_program()
     options = _parser().parse_args(arguments)
     try:
         return options.run(options)

@@ -12,7 +12,7 @@ package imports neither the robot nor a learning library.
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.rom.certificate import Certificate
@@ -66,4 +66,4 @@ __all__ = [
     "pendulum_walks",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs=_FILES)
+__getattr__, __dir__ = attach(__name__, _FILES)

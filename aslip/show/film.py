@@ -17,13 +17,16 @@ import mujoco
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from tqdm import tqdm
 
 from aslip.errors import ConfigurationError
 from aslip.files.assets import user_path
+from aslip.imports import extras
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.places import RomPlace
+
+with extras():
+    from tqdm import tqdm
 
 # distance of the model from the robot in the picture [m], and factor of the camera's distance
 _BESIDE, _FARTHER = 1.05, 1.15
@@ -133,18 +136,16 @@ def write_video(
         size: width and height [pixels], even numbers.
 
     Raises:
-        ConfigurationError: the path does not end in .mp4, the size is odd, or imageio-ffmpeg is not
-            installed.
+        ConfigurationError: the path does not end in .mp4, or the size is odd.
+        MissingExtraError: imageio-ffmpeg is not installed.
     """
     path = user_path(path)
     if path.suffix != ".mp4":
         raise ConfigurationError(f"the name of a film must end in .mp4, got {str(path)!r}")
     if any(length % 2 for length in size):
         raise ConfigurationError(f"width and height of a film must be even, got {size}")
-    try:
+    with extras():
         import imageio_ffmpeg
-    except ImportError:
-        raise ConfigurationError("films need imageio-ffmpeg: pip install 'aslip[train]'") from None
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.part.mp4")
     writer = imageio_ffmpeg.write_frames(

@@ -7,19 +7,22 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, Normalize
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from aslip.errors import ConfigurationError
 from aslip.files.assets import user_path
+from aslip.imports import extras
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, RIGHT
+
+with extras():
+    import matplotlib as mpl
+    from matplotlib.axes import Axes
+    from matplotlib.cm import ScalarMappable
+    from matplotlib.colors import ListedColormap, Normalize
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 History = Mapping[str, Sequence[float] | np.ndarray]
 """Columns of a run's `progress.csv` by name."""

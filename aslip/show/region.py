@@ -6,9 +6,12 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 
+from aslip.imports import extras
 from aslip.rom import Gait
+
+with extras():
+    from matplotlib.figure import Figure
 
 _QUANTITIES: Final[dict[str, Callable[[Gait], float]]] = {
     "cost [m²/s⁴]": lambda gait: gait.certificate.cost,

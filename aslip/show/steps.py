@@ -6,12 +6,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
+from aslip.imports import extras
 from aslip.rom import Gait
 from aslip.show.palette import LEFT, MODEL, RIGHT
+
+with extras():
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 _TOE, _HEEL = 0.09, 0.06
 """Length of a drawn foot ahead of its centre and behind it [m]."""

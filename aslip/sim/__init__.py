@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.sim.drive import PD, Drive, MakeDrive, Torque
@@ -29,9 +29,9 @@ __all__ = [
     "true_state",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "drive": ["PD", "Drive", "MakeDrive", "Torque"],
         "dynamics": ["Dynamics"],
         "parameters": ["DYNAMICS"],

@@ -17,6 +17,7 @@ from dataclasses import fields
 from typing import Any, NoReturn, TypeVar
 
 from aslip.errors import AslipError
+from aslip.imports import extras
 
 Settings = TypeVar("Settings")
 
@@ -34,7 +35,9 @@ def command_line(
     Raises:
         SystemExit: after `--help`, or after a one-line message about a mistake (exit status 2).
     """
-    import tyro
+    prepare_program()
+    with extras():
+        import tyro
 
     given = {} if default is None else {"default": default}
     return _parsed(lambda **shared: tyro.cli(kind, args=arguments, **given, **shared), kind)
@@ -55,7 +58,9 @@ def preset_command_line(
     Raises:
         SystemExit: as in `command_line`.
     """
-    import tyro
+    prepare_program()
+    with extras():
+        import tyro
 
     first = next(iter(presets.values()))
     kind = tyro.extras.subcommand_type_from_defaults(
@@ -67,12 +72,14 @@ def preset_command_line(
     )
 
 
-def forgive_output() -> None:
-    """Let characters that a terminal lacks, and a reader that goes away, be no errors.
+def prepare_program() -> None:
+    """Let errors on import be one line, and output that cannot be shown or read be no error.
 
-    Characters are replaced. When the reader of a pipe or the terminal is gone, the program goes on
-    and ends as if its output were read: trainings, walks and robots do not depend on it.
+    Characters that a terminal lacks are replaced. When the reader of a pipe or the terminal is
+    gone, the program goes on and ends as if its output were read: trainings, walks and robots do
+    not depend on it.
     """
+    sys.excepthook = _one_line
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         # not the substitutes of notebooks and tests
@@ -105,9 +112,19 @@ class _Output(io.FileIO):
             return len(data)
 
 
+def _one_line(kind: type[BaseException], error: BaseException, *trace: Any) -> None:
+    """Print an uncaught error, in one line if the user can fix it."""
+    try:
+        with extras():
+            raise error
+    except AslipError as known:
+        print(f"error: {known}", file=sys.stderr)
+    except BaseException:
+        sys.__excepthook__(kind, error, *trace)
+
+
 def _parsed(parse: Callable[..., tuple[Settings, list[str]]], kind: type[Settings]) -> Settings:
     """Result of tyro's parser; its errors are shortened to one line."""
-    forgive_output()
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said):

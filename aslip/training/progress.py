@@ -16,14 +16,17 @@ from typing import Any, Self
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torch.utils.tensorboard import SummaryWriter
 from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
-from tqdm import tqdm
 
 from aslip.errors import FileDamagedError
 from aslip.files.assets import user_path
 from aslip.files.writing import replacing
+from aslip.imports import extras
+
+with extras():
+    from torch.utils.tensorboard import SummaryWriter
+    from tqdm import tqdm
 
 _PROGRESS_FILE = "progress.csv"
 

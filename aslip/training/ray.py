@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import os
 import signal
 import threading
@@ -15,6 +14,7 @@ from torch import nn
 from torchrl.collectors import BaseCollector, Collector
 
 from aslip.errors import ConfigurationError
+from aslip.imports import extras
 from aslip.processes import processors
 from aslip.training.cluster import ENDLESS, RemoteCollectors
 from aslip.training.environments import MakeEnv
@@ -27,15 +27,16 @@ class RayCollectors(RemoteCollectors):
     """Robots in Ray actors, by TorchRL's `RayCollector`.
 
     Raises:
-        ConfigurationError: Ray is not installed, or an argument is wrong (see `RemoteCollectors`).
+        MissingExtraError: Ray is not installed.
+        ConfigurationError: an argument is wrong, see `RemoteCollectors`.
     """
 
     _collector: BaseCollector | None = None
     _ours = False
 
     def __init__(self, make_env: MakeEnv, actor: nn.Module, **settings: Any) -> None:
-        if importlib.util.find_spec("ray") is None:
-            raise ConfigurationError("collecting with Ray needs Ray: pip install 'aslip[ray]'")
+        with extras():
+            importlib.import_module("ray")
         super().__init__(make_env, actor, **settings)
 
     def _start(self) -> BaseCollector:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.twin.drive import CommandedPD
@@ -27,9 +27,9 @@ __all__ = [
     "serve_lockstep",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "drive": ["CommandedPD"],
         "engine": ["ENGINES", "drake_engine", "mujoco_engine"],
         "lockstep": ["serve_lockstep"],

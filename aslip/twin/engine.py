@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from importlib.util import find_spec
 from typing import Final, Protocol
 
 import numpy as np
 
-from aslip.errors import ConfigurationError
 from aslip.robot import Robot
 from aslip.sim import MakeDrive, Sensors, Simulations, Snapshot
 from aslip.sim.drake import Contact
@@ -55,10 +53,8 @@ def drake_engine(robot: Robot, drive: MakeDrive, contact: Contact | None = None)
     """Make the simulation of a robot in Drake, with Drake's own contact by default.
 
     Raises:
-        ConfigurationError: Drake is not installed.
+        MissingExtraError: Drake is not installed.
     """
-    if find_spec("pydrake") is None:
-        raise ConfigurationError("the engine 'drake' is not installed: pip install 'aslip[drake]'")
     from aslip.sim.drake import DrakeSimulation
 
     return DrakeSimulation(robot=robot, drive=drive, contact=contact)

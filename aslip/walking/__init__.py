@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.walking.evaluation import (
@@ -58,9 +58,9 @@ __all__ = [
     "walk_table",
 ]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "evaluation": [
             "TRACKING_TOLERANCE",
             "WalkResult",

@@ -337,12 +337,6 @@ def test_the_recipe_refuses_unequal_shares_at_once() -> None:
         _cluster("distributed", num_collectors=3)
 
 
-def test_without_ray_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(ConfigurationError, match=r"pip install 'aslip\[ray\]'"):
-        _collector("ray", torch.nn.Identity())
-
-
 def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     class Ray:
         @staticmethod

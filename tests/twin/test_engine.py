@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 
 from aslip.control import Controller
-from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
-from aslip.twin import ENGINES, CommandedPD, TwinRobot
+from aslip.twin import ENGINES, TwinRobot
 from aslip.wire import PD_IN, command_to_pd_in, state_out_to_estimate
 
 
@@ -37,9 +34,3 @@ def test_the_controller_walks_in_drake() -> None:
         places.append(truth["pelvis_position"][0])
     assert places[0][0] > 0.2
     np.testing.assert_allclose(places[1], places[0], atol=0.05)
-
-
-def test_without_drake_the_engine_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pydrake", None)
-    with pytest.raises(ConfigurationError, match=r"pip install 'aslip\[drake\]'"):
-        ENGINES["drake"](CASSIE, CommandedPD)

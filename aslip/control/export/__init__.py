@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach
 
 if TYPE_CHECKING:
     from aslip.control.export.network import export_network
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 __all__ = ["compare", "export_network", "export_policy", "write_pipeline"]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
+__getattr__, __dir__ = attach(
     __name__,
-    submod_attrs={
+    {
         "network": ["export_network"],
         "policy": ["compare", "export_policy", "write_pipeline"],
     },

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 import onnx
+import onnxscript  # noqa: F401 - for torch.onnx
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn

@@ -91,12 +91,8 @@ def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
 def _of_export(path: Path, library: str | Path | None) -> Loaded:
     """Controller of an exported policy."""
     # imported late: other policies run without onnxruntime
-    try:
-        from aslip.control.exported import ExportedController
-    except ImportError as error:
-        raise ConfigurationError(
-            f"an exported policy needs onnxruntime ({error}): pip install 'aslip[control]'"
-        ) from error
+    from aslip.control.exported import ExportedController
+
     controller = ExportedController(path, library=None if library is None else str(library))
     controller.verify()
     files = {"policy.onnx": path.read_bytes()}

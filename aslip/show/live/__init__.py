@@ -10,16 +10,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
+from aslip.imports import attach, extras
 
-from aslip.errors import ConfigurationError
-
-try:
+with extras():
     import viser as _viser  # noqa: F401
-except ImportError as error:
-    raise ConfigurationError(
-        "the live page needs viser, which is not installed: pip install 'aslip[live]'"
-    ) from error
 
 if TYPE_CHECKING:
     from aslip.show.live.page import LivePage
@@ -27,6 +21,4 @@ if TYPE_CHECKING:
 
 __all__ = ["LivePage", "RobotPage"]
 
-__getattr__, __dir__, _ = lazy_loader.attach(
-    __name__, submod_attrs={"page": ["LivePage"], "robot_page": ["RobotPage"]}
-)
+__getattr__, __dir__ = attach(__name__, {"page": ["LivePage"], "robot_page": ["RobotPage"]})

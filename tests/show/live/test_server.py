@@ -105,21 +105,6 @@ def test_url_is_valid_in_a_browser(host, shown):
     assert page_url(Server()) == f"http://{shown}:8080"  # pyright: ignore
 
 
-def test_without_viser_the_error_says_what_to_install():
-    code = (
-        "import sys\n"
-        "sys.modules['viser'] = None\n"
-        "from aslip.errors import ConfigurationError\n"
-        "try:\n"
-        "    import aslip.show.live\n"
-        "except ConfigurationError as error:\n"
-        "    print(error)\n"
-    )
-    root = Path(__file__).parents[3]
-    result = subprocess.run([sys.executable, "-c", code], cwd=root, capture_output=True, text=True)
-    assert "pip install 'aslip[live]'" in result.stdout, result
-
-
 def test_only_the_live_page_imports_viser():
     package = Path(aslip.__file__).parent
     users = {
