@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from aslip import errors
-from aslip.imports import attach
+from aslip.imports import attach, mujoco_gl_problem
 
 if TYPE_CHECKING:
     from aslip.control import Controller
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from aslip.rom import Gait, Motion
 
 __version__ = "0.1.0"
+
+# before anything imports MuJoCo
+mujoco_gl_problem()
 
 __all__ = [
     "Controller",

@@ -1,9 +1,14 @@
-"""Imports on first use, and imports of libraries that not everybody installs."""
+"""Imports on first use, of libraries that not everybody installs, and of MuJoCo."""
 
 from __future__ import annotations
 
+import ctypes
+import functools
+import logging
+import os
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import lazy_loader
@@ -75,3 +80,44 @@ def attach(
             ) from error
 
     return get, list_names
+
+
+LIBRARIES = {"egl": "libEGL", "osmesa": "libOSMesa"}
+"""Value of MUJOCO_GL -> shared library that it needs."""
+NO_OPENGL = ("disable", "disabled", "off", "false", "0")
+"""Values of MUJOCO_GL with which MuJoCo loads no OpenGL."""
+_WINDOW = ("glfw", "enable", "enabled", "on", "true", "1")
+
+
+@functools.cache
+def mujoco_gl_problem() -> str:
+    """Why the environment variable MUJOCO_GL does not work here; empty if nothing is known.
+
+    MuJoCo and dm_control would raise errors on import, which do not name the variable. With a
+    warning, they are imported without OpenGL instead, of which only those who draw take notice.
+    """
+    value = os.environ.get("MUJOCO_GL", "")
+    # GLX is the window's; dm_control knows neither this name nor capitals
+    name = value.strip().lower().replace("glx", "glfw")
+    if not name or sys.platform != "linux" or "mujoco" in sys.modules:
+        return ""
+    os.environ["MUJOCO_GL"] = name
+    if name not in (*LIBRARIES, *_WINDOW, *NO_OPENGL):
+        problem = "must be egl, osmesa, glfw or disable"
+    elif name in LIBRARIES and not loads(LIBRARIES[name]):
+        problem = f"needs {LIBRARIES[name]}, which is not installed"
+    else:
+        return ""
+    problem = f"the environment variable MUJOCO_GL = {value!r} {problem}"
+    logging.getLogger(__name__).warning("no pictures: %s", problem)
+    os.environ["MUJOCO_GL"] = "disable"
+    return problem
+
+
+def loads(library: str) -> bool:
+    """Check that a shared library can be loaded, by the names that PyOpenGL tries."""
+    for suffix in ("", *(f".{version}" for version in range(10))):
+        with suppress(OSError):
+            ctypes.CDLL(f"{library}.so{suffix}")
+            return True
+    return False

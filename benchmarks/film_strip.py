@@ -5,8 +5,7 @@
     python -m benchmarks.film_strip --reference --out docs/images/reference.png
 
 The upper strip shows body and spring legs of the actuated SLIP model, the lower strip the robot at
-the same instants. Without a display set MUJOCO_GL=egl, or MUJOCO_GL=osmesa for
-software rendering.
+the same instants.
 """
 
 from __future__ import annotations

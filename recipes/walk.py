@@ -10,7 +10,7 @@ r"""Walk with a policy through a schedule of commands; log, film, watch or steer
     python recipes/walk.py ... --command "0:0.5 0 0,4:stand,9:0 0 0.3"    # policies that stand
 
 A log replays with `python -m aslip.log replay --verify walk.mcap`, and opens in Foxglove, Rerun and
-PlotJuggler. Without a display, films need MUJOCO_GL=egl, or MUJOCO_GL=osmesa in software.
+PlotJuggler.
 """
 
 from __future__ import annotations
@@ -386,7 +386,7 @@ def announce_film(config: Config, seconds: float, duration: float) -> None:
     took = f"{total / 60:.0f} min" if total >= 90 else f"{total:.0f} s"
     print(
         f"drawing {frames} frames after the walk will take about {took}, {seconds:.2f} s each;"
-        " faster: MUJOCO_GL=egl with a graphics card, --steps-per-frame 2, or fewer pixels"
+        " faster: a graphics card, --steps-per-frame 2, or fewer pixels"
     )
 
 

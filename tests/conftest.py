@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import os
 import signal
 from pathlib import Path
@@ -11,13 +10,12 @@ from typing import Any
 import pytest
 import torch
 
-# without a display, pictures are rendered in software; MuJoCo reads this once, at its import
-if "DISPLAY" not in os.environ and ctypes.util.find_library("OSMesa"):
-    os.environ.setdefault("MUJOCO_GL", "osmesa")
-
 import aslip
 from aslip.envs import StackEnv
+from aslip.errors import RenderingError
 from aslip.library import GaitLibrary
+from aslip.robot.model import load_model
+from aslip.robot.opengl import make_renderer
 from tests.helpers import MakeEnv
 
 _UNCOMPILED = Path(__file__).parent / "rom" / "test_stride.py"
@@ -63,6 +61,15 @@ def seeded() -> None:
 def library() -> GaitLibrary:
     """The library that ships with the package."""
     return GaitLibrary.load()
+
+
+@pytest.fixture(scope="session")
+def pictures() -> None:
+    """Skip a test that draws where no OpenGL works."""
+    try:
+        make_renderer(load_model(visual=False), 8, 8).close()
+    except RenderingError as error:
+        pytest.skip(str(error))
 
 
 @pytest.fixture

@@ -33,6 +33,7 @@ from aslip.envs.stack_env import StackEnv, check_seed
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
+from aslip.robot.opengl import make_renderer
 
 _FRAME_RATE = round(1 / CASSIE.policy_period)
 Info = dict[str, Any]
@@ -45,7 +46,7 @@ class GymEnv(gymnasium.Env):
     `reward_terms`.
 
     Args:
-        render_mode: "rgb_array" for pictures; needs OpenGL, see `aslip.show.render`.
+        render_mode: "rgb_array" for pictures; needs OpenGL, see `aslip.robot.opengl`.
         settings: arguments of `make_env`; without `seed` each environment draws its own.
 
     Raises:
@@ -98,7 +99,11 @@ class GymEnv(gymnasium.Env):
         )
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Picture (480, 640, 3) of the robot; None without a `render_mode`."""
+        """Picture (480, 640, 3) of the robot; None without a `render_mode`.
+
+        Raises:
+            RenderingError: OpenGL does not work.
+        """
         if self.render_mode is None:
             return None
         if self._camera is None:
@@ -181,7 +186,7 @@ class _Camera:
         self._data, self._option = mujoco.MjData(model), mujoco.MjvOption()
         self._option.geomgroup[APPEARANCE_GROUP] = True
         self._option.sitegroup[:] = False
-        self._renderer = mujoco.Renderer(model, 480, 640)
+        self._renderer = make_renderer(model, 640, 480)
 
     def picture(self, qpos: np.ndarray) -> np.ndarray:
         """Picture (480, 640, 3) of a configuration (35,)."""

@@ -1,22 +1,19 @@
 """Pictures of the robot, alone or with the reduced-order model that guides it.
 
-MuJoCo draws through OpenGL. Without a display, choose how before Python starts:
-`MUJOCO_GL=egl` on a graphics card, `MUJOCO_GL=osmesa` in software.
+MuJoCo draws through OpenGL; `aslip.robot.opengl` chooses how.
 """
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import os
-import warnings
 from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
 
-from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot.model import APPEARANCE_GROUP, load_model
+from aslip.robot.opengl import make_renderer
 from aslip.show.ghost import (
     BODY_COLOR,
     BODY_RADIUS,
@@ -113,7 +110,7 @@ def _frames(
     option.geomgroup[_COLLISION_GROUP] = False
     option.geomgroup[APPEARANCE_GROUP] = robot
     option.sitegroup[:] = False
-    with _renderer(model, width * supersampling, height * supersampling) as renderer:
+    with make_renderer(model, width * supersampling, height * supersampling) as renderer:
         for i, configuration in enumerate(qpos):
             data.qpos[:] = configuration
             mujoco.mj_forward(model, data)
@@ -209,65 +206,6 @@ def _check(
             f"{width} x {height} pixels at supersampling {supersampling}: each must be 1 or more,"
             f" and pictures times supersampling at most {limits[0]} x {limits[1]}"
         )
-
-
-@contextlib.contextmanager
-def _renderer(model: mujoco.MjModel, width: int, height: int) -> Iterator[mujoco.Renderer]:
-    try:
-        _check_display()
-        with _buffer(model, width, height):
-            renderer = mujoco.Renderer(model, height, width)
-    except Exception as error:  # each backend raises its own error
-        chosen = os.environ.get("MUJOCO_GL")
-        raise RenderingError(
-            f"MuJoCo has no working OpenGL ({type(error).__name__}: {error}); MUJOCO_GL is"
-            f" {chosen!r}. Set the environment variable before Python starts: MUJOCO_GL=egl with a"
-            " graphics card, MUJOCO_GL=osmesa in software (Debian: libosmesa6), MUJOCO_GL=glfw with"
-            " a display"
-        ) from error
-    try:
-        yield renderer
-    finally:
-        renderer.close()
-
-
-@contextlib.contextmanager
-def _buffer(model: mujoco.MjModel, width: int, height: int) -> Iterator[None]:
-    """Limit buffer, shadow map and facets to a picture's size, for speed in software rendering."""
-    limits, quality = model.vis.global_, model.vis.quality
-    size = max(width, height)
-    less = (
-        (limits, "offwidth", width),
-        (limits, "offheight", height),
-        (quality, "shadowsize", 8 * size),
-        (quality, "numslices", max(size // 10, 16)),
-        (quality, "numstacks", max(size // 20, 8)),
-    )
-    whole = [getattr(settings, name) for settings, name, _ in less]
-    for (settings, name, most), value in zip(less, whole, strict=True):
-        setattr(settings, name, min(most, value))
-    try:
-        yield
-    finally:
-        for (settings, name, _), value in zip(less, whole, strict=True):
-            setattr(settings, name, value)
-
-
-def _check_display() -> None:
-    """Raise an error without an OpenGL context.
-
-    MuJoCo's own error aborts the process at the third attempt.
-    """
-    context = getattr(mujoco, "GLContext", None)
-    if context is None:
-        raise RuntimeError("OpenGL is disabled")
-    if context.__module__ == "mujoco.glfw":
-        import glfw
-
-        with warnings.catch_warnings(record=True) as reasons:
-            warnings.simplefilter("always")
-            if not glfw.init():
-                raise RuntimeError("; ".join(str(reason.message) for reason in reasons))
 
 
 def _shrink(image: np.ndarray, factor: int) -> np.ndarray:

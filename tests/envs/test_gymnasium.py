@@ -19,7 +19,7 @@ from torch.distributions import Normal
 
 import aslip
 from aslip.envs import GymEnv, GymVectorEnv
-from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.errors import ConfigurationError, RenderingError, UnknownNameError
 
 ID = "aslip.envs.gymnasium:aslip/Walk-v0"
 
@@ -94,6 +94,7 @@ def test_seeds_repeat_episodes_and_unseeded_environments_differ(one: GymEnv) -> 
     assert not np.array_equal(GymEnv().reset()[0], GymEnv().reset()[0])
 
 
+@pytest.mark.usefixtures("pictures")
 def test_pictures_show_the_robot_move(one: GymEnv) -> None:
     assert one.render() is None
     env = GymEnv("rgb_array", num_threads=1)
@@ -105,6 +106,17 @@ def test_pictures_show_the_robot_move(one: GymEnv) -> None:
     later = env.render()
     assert later is not None and not np.array_equal(picture, later)
     env.close()
+
+
+def test_without_opengl_every_picture_is_refused(
+    one: GymEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("aslip.robot.opengl._working_context", lambda: (None, "broken"))
+    monkeypatch.setattr(one, "render_mode", "rgb_array")
+    one.reset(seed=0)
+    for _ in range(3):
+        with pytest.raises(RenderingError, match=r"^no pictures: broken; install.*MUJOCO_GL=egl"):
+            one.render()
 
 
 def test_robots_are_reset_in_the_step_that_ends_their_episode(four: GymVectorEnv) -> None:

@@ -29,7 +29,6 @@ from aslip.errors import (
 from aslip.log import read, replay
 from aslip.log.__main__ import main as log_main
 from aslip.robot import CASSIE
-from aslip.show.render import render_robot
 from recipes import walk
 from tests.helpers import started
 from tests.show.test_film import decoded_film, leaves_pipes
@@ -286,11 +285,8 @@ def test_only_frames_of_the_film_are_rendered(
 
 
 @leaves_pipes
+@pytest.mark.usefixtures("pictures")
 def test_a_walk_can_be_filmed(tmp_path: Path) -> None:
-    try:
-        render_robot(np.zeros((1, 35)), width=16, height=16)
-    except RenderingError as error:
-        pytest.skip(str(error))
     path = tmp_path / "walk.mp4"
     walk.main(_config(command="1.0", duration=0.06, video=path, width=160, height=120))
     about, decoded = decoded_film(path)

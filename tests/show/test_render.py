@@ -4,13 +4,16 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+from aslip import imports
 from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+from aslip.robot import opengl
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.show.render import add_ghost, render_robot, spring_path, strip
@@ -24,14 +27,9 @@ def model() -> mujoco.MjModel:
 
 
 @pytest.fixture(scope="module")
-def standing(model: mujoco.MjModel) -> np.ndarray:
-    """(1, 35); the test is skipped where no OpenGL works."""
-    qpos = model.key("standing").qpos[None].copy()
-    try:
-        render_robot(qpos, model=model, width=8, height=8)
-    except RenderingError as error:
-        pytest.skip(str(error))
-    return qpos
+def standing(model: mujoco.MjModel, pictures: None) -> np.ndarray:
+    """(1, 35)."""
+    return model.key("standing").qpos[None].copy()
 
 
 def ghost(qpos: np.ndarray, **stance: bool) -> Ghost:
@@ -130,7 +128,7 @@ def test_buffer_shadow_and_facets_have_the_size_of_the_picture(model, monkeypatc
             raise OSError("no OpenGL here")
 
     monkeypatch.setattr(mujoco, "Renderer", Renderer)
-    monkeypatch.setattr("aslip.show.render._check_display", lambda: None)
+    monkeypatch.setattr("aslip.robot.opengl._working_context", lambda: (None, ""))
     with pytest.raises(RenderingError, match="no OpenGL here"):
         render_robot(model.key("standing").qpos, model=model, supersampling=2, **SIZE)
     with pytest.raises(RenderingError, match="no OpenGL here"):
@@ -153,15 +151,25 @@ def test_wrong_arguments_are_named(model):
         render_robot(qpos, model=model, height=0)
 
 
-@pytest.mark.parametrize("backend", [pytest.param("disable", marks=pytest.mark.slow), "glfw"])
-def test_without_opengl_the_error_says_what_to_set(backend: str):
+@pytest.mark.parametrize(
+    ("backend", "warned", "problem"),
+    [
+        ("glfw", "", "MUJOCO_GL = glfw does not work (RuntimeError: (65550) b'X11: "),
+        (
+            "OSMsea ",
+            "no pictures: {}\n",
+            "the environment variable MUJOCO_GL = 'OSMsea ' must",
+        ),
+    ],
+)
+def test_without_opengl_the_error_says_what_to_set(backend: str, warned: str, problem: str):
     code = (
         "from aslip.robot.model import load_model\n"
         "from aslip.errors import RenderingError\n"
-        "from aslip.show.render import render_robot\n"
+        "from aslip.robot.opengl import make_renderer\n"
         "for _ in range(4):\n"
         "    try:\n"
-        "        render_robot(load_model().key('standing').qpos)\n"
+        "        make_renderer(load_model(visual=False), 8, 8)\n"
         "    except RenderingError as error:\n"
         "        print(error)\n"
     )
@@ -173,6 +181,74 @@ def test_without_opengl_the_error_says_what_to_set(backend: str):
         [sys.executable, "-c", code], env=environment, cwd=root, capture_output=True, text=True
     )
     assert result.returncode == 0, result
-    for name in ("egl", "osmesa", "glfw"):
-        assert result.stdout.count(f"MUJOCO_GL={name}") == 4, result
-    assert result.stderr == ""
+    (line,) = set(result.stdout.splitlines())
+    assert line.startswith(f"no pictures: {problem}")
+    assert all(f"MUJOCO_GL={name}" in line for name in ("egl", "osmesa", "glfw"))
+    said = line.removeprefix("no pictures: ").partition(";")[0]
+    assert result.stderr == warned.format(said)
+
+
+@pytest.mark.parametrize(
+    ("libraries", "display", "egl_works", "backend"),
+    [
+        ((), "", False, "egl"),  # whose error is shown
+        (("libOSMesa",), "", True, "egl"),
+        (("libOSMesa",), ":0", False, "osmesa"),
+        ((), ":0", False, "glfw"),
+    ],
+)
+def test_what_works_is_taken(
+    libraries: tuple[str, ...],
+    display: str,
+    egl_works: bool,
+    backend: str,
+    monkeypatch: pytest.MonkeyPatch,
+):
+    monkeypatch.setattr(opengl, "loads", lambda library: library in libraries)
+    tried = SimpleNamespace(run=lambda *_, **__: SimpleNamespace(returncode=not egl_works))
+    monkeypatch.setattr(opengl, "subprocess", tried)
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert opengl._first_backend() == backend
+
+
+def test_a_failure_of_opengl_is_not_tried_again(model, monkeypatch):
+    """At the second, MuJoCo aborts the process."""
+    calls = []
+
+    def fail(*_):
+        calls.append(1)
+        raise mujoco.FatalError("gladLoadGL error")
+
+    monkeypatch.setattr(mujoco, "Renderer", fail)
+    monkeypatch.setattr(opengl, "_fatal", "")
+    monkeypatch.setattr(opengl, "_working_context", lambda: (None, ""))
+    for _ in range(2):
+        with pytest.raises(RenderingError, match="FatalError: gladLoadGL error; install"):
+            opengl.make_renderer(model, 8, 8)
+    assert calls == [1]
+
+
+@pytest.mark.parametrize(
+    ("value", "loads", "left", "problem"),
+    [
+        (
+            "osmesa",
+            False,
+            "disable",
+            "MUJOCO_GL = 'osmesa' needs libOSMesa, which is not installed",
+        ),
+        ("egl", False, "disable", "MUJOCO_GL = 'egl' needs libEGL"),
+        (" EGL", True, "egl", ""),
+        ("glx", False, "glfw", ""),
+        ("off", False, "off", ""),
+    ],
+)
+def test_a_library_that_is_missing_leaves_mujoco_without_opengl(
+    value: str, loads: bool, left: str, problem: str, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(imports, "loads", lambda _: loads)
+    monkeypatch.setenv("MUJOCO_GL", value)
+    monkeypatch.delitem(sys.modules, "mujoco")
+    assert problem in imports.mujoco_gl_problem.__wrapped__()
+    assert os.environ["MUJOCO_GL"] == left
