@@ -47,7 +47,7 @@ __all__ = [
 ]
 
 
-_get, _ = attach(
+__getattr__, _ = attach(
     "aslip",
     {
         "control": ["Controller"],
@@ -57,7 +57,6 @@ _get, _ = attach(
         "rom": ["Gait", "Motion"],
     },
 )
-__getattr__ = _get
 
 
 def __dir__() -> list[str]:

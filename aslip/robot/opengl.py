@@ -58,7 +58,7 @@ def make_renderer(model: mujoco.MjModel, width: int, height: int) -> mujoco.Rend
 @functools.cache
 def _working_context() -> tuple[Any, str]:
     """Class of OpenGL contexts that works here, or a text that says why none does."""
-    wanted = os.environ.get("MUJOCO_GL", "")
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if mujoco_gl_problem() or wanted in NO_OPENGL:
         return None, mujoco_gl_problem() or f"MUJOCO_GL is {wanted!r}"
     if sys.platform != "linux":
