@@ -26,6 +26,7 @@ from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
+from aslip.transforms.base import on_cpu_in_single
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
@@ -119,6 +120,7 @@ class Controller:
             trained on other gaits; or robots shall stand, and the library has no stop and start.
     """
 
+    @on_cpu_in_single
     def __init__(
         self,
         policy: str | Path | TensorDictModuleBase,
@@ -162,6 +164,7 @@ class Controller:
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
 
+    @on_cpu_in_single
     def start(
         self,
         packets: Packets,
@@ -193,6 +196,7 @@ class Controller:
         entries = self.steering.begin(self._command(command, num), begins, wish)
         return self.act(self._begin(rows, entries, heading))
 
+    @on_cpu_in_single
     def step(
         self,
         state: ControllerState,
@@ -304,6 +308,7 @@ class Controller:
         return estimate_entries(tracking, estimate, origin, mode, period=self._period)
 
     @torch.no_grad()
+    @on_cpu_in_single
     def act(self, present: TensorDictBase) -> ControllerState:
         """Compute motor targets from estimate, command and phase, as `start` and `step` do.
 

@@ -33,6 +33,7 @@ from aslip.envs.stack_env import StackEnv, check_seed
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
+from aslip.transforms.base import on_cpu_in_single
 
 _FRAME_RATE = round(1 / CASSIE.policy_period)
 Info = dict[str, Any]
@@ -217,6 +218,7 @@ def _spaces(env: StackEnv) -> tuple[spaces.Box, spaces.Box]:
     return spaces.Box(-np.inf, np.inf, (size,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 
+@on_cpu_in_single
 def _reset(env: StackEnv, seed: int | None, options: Info | None) -> TensorDictBase:
     if seed is not None:
         env.set_seed(seed)
@@ -231,6 +233,7 @@ def _reset(env: StackEnv, seed: int | None, options: Info | None) -> TensorDictB
     return env.reset(request)
 
 
+@on_cpu_in_single
 def _act(state: TensorDictBase, action: np.ndarray) -> TensorDictBase:
     if state.is_empty():
         raise gymnasium.error.ResetNeeded("call reset before step")

@@ -30,8 +30,10 @@ from aslip.transforms import (
     SpeedCommand,
     StandClock,
 )
+from aslip.transforms.base import on_cpu_in_single
 
 
+@on_cpu_in_single
 def policy_interface(env: StackEnv) -> dict[str, Any]:
     """Interface of an environment to a policy, as arguments of `aslip.policy.save_policy`.
 
@@ -95,6 +97,7 @@ def stands(env: StackEnv) -> bool:
     return any(isinstance(t, StandClock) for t in env.transforms)
 
 
+@on_cpu_in_single
 def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
     """Check that an environment has the observation and action that a policy was trained with.
 

@@ -26,6 +26,7 @@ from aslip.files.assets import asset_path, user_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from aslip.transforms.base import on_cpu_in_single
 from aslip.transforms.command import checked_rates
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
@@ -50,6 +51,7 @@ _RENAMED = {"aslip": "default"}
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
 
 
+@on_cpu_in_single
 def save_policy(
     path: str | Path,
     actor: nn.Module,
@@ -164,6 +166,7 @@ def _kind(tensor: Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
 
 
+@on_cpu_in_single
 def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> ProbabilisticActor:
     """Load a trained policy: the environment's tensordict -> `action`, deterministic by default.
 

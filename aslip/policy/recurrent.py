@@ -32,10 +32,12 @@ from aslip.policy.networks import (
     gaussian_actor,
 )
 from aslip.transforms import OBSERVATION_TABLE
+from aslip.transforms.base import on_cpu_in_single
 
 Env = TypeVar("Env", bound=TransformedEnv)
 
 
+@on_cpu_in_single
 def make_recurrent_actor(
     normalizer: RunningNormalizer,
     shape: PolicyShape | None = None,
@@ -82,6 +84,7 @@ def is_recurrent(policy: Callable[..., Any]) -> bool:
     return any(hasattr(part, "make_tensordict_primer") for part in parts)
 
 
+@on_cpu_in_single
 def add_memory(env: Env, policy: Callable[..., Any]) -> Env:
     """Append the transforms that a recurrent policy needs; other policies need none.
 
@@ -118,6 +121,7 @@ def add_memory(env: Env, policy: Callable[..., Any]) -> Env:
     return env
 
 
+@on_cpu_in_single
 def forget(td: TensorDictBase, policy: Callable[..., Any]) -> TensorDictBase:
     """Set the hidden state of a recurrent policy to zero, as at a first policy step, in place.
 

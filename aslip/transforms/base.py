@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar, ParamSpec, TypeVar, cast
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -14,6 +15,31 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+
+P, Result = ParamSpec("P"), TypeVar("Result")
+
+
+def on_cpu_in_single(function: Callable[P, Result]) -> Callable[P, Result]:
+    """Make a function create tensors in single precision on the CPU, whatever torch's defaults are.
+
+    Another library of the same program may change `torch.set_default_dtype` and
+    `torch.set_default_device`. TorchRL's own tensors follow them, too, so that naming types and
+    devices in this package would not suffice.
+    """
+
+    @functools.wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> Result:
+        kind, device = torch.get_default_dtype(), torch.get_default_device()
+        if kind == torch.float32 and device.type == "cpu":
+            return function(*args, **kwargs)
+        torch.set_default_dtype(torch.float32)
+        try:
+            with torch.device("cpu"):
+                return function(*args, **kwargs)
+        finally:
+            torch.set_default_dtype(kind)
+
+    return run
 
 
 class SeededTransform(Transform):
@@ -42,6 +68,7 @@ class SeededTransform(Transform):
     needs_env: ClassVar[str] = ""
     """Reason why the class acts in environments only; empty if it does not."""
 
+    @on_cpu_in_single
     def __init__(self, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
         for which, keys in (("in_keys", in_keys), ("out_keys", out_keys)):
             self._check_keys(which, keys, getattr(self, f"num_{which}"))
@@ -56,10 +83,12 @@ class SeededTransform(Transform):
         if number is not None and len(keys) != number:
             raise ConfigurationError(f"{which} of {kind} must be {number} keys, got {keys!r}")
 
+    @on_cpu_in_single
     def set_seed(self, seed: int) -> None:
         """Restart the transform's own random numbers."""
         self.generator.manual_seed(seed)
 
+    @on_cpu_in_single
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Act on a tensordict without an environment.
 
@@ -84,6 +113,7 @@ class SeededTransform(Transform):
         del tensordict
         return self._call(tensordict_reset)
 
+    @on_cpu_in_single
     def transform_output_spec(self, output_spec: Composite) -> Composite:
         """Write into the specs, which are already a copy of the environment's.
 
@@ -102,6 +132,7 @@ class SeededTransform(Transform):
                 )
         return output_spec
 
+    @on_cpu_in_single
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         """Write into the specs, which are already a copy of the environment's."""
         self._transform_specs(input_spec, ("state", "action"))

@@ -17,6 +17,7 @@ from aslip.errors import ConfigurationError
 from aslip.library import Command, GaitLibrary, numbers
 from aslip.policy import add_memory, forget, load_policy, policy_library, policy_stack
 from aslip.robot import CASSIE
+from aslip.transforms.base import on_cpu_in_single
 from aslip.walking.push import policy_steps
 from aslip.walking.record import next_start, reset_walks, take_step
 from aslip.walking.wishes import can_stand
@@ -107,6 +108,7 @@ class Walker:
         return values[0] if len(values) == 1 else values
 
     @command.setter
+    @on_cpu_in_single
     def command(self, command: Command | Sequence[float]) -> None:
         self.td["command"] = torch.tensor([self._checked(command)])
 
@@ -127,6 +129,7 @@ class Walker:
         return self.can_stand and bool(self.td["stand"] > 0.5)
 
     @stand.setter
+    @on_cpu_in_single
     def stand(self, stand: bool) -> None:
         if self.can_stand:
             self.td["stand"] = torch.tensor([[float(stand)]])
@@ -141,6 +144,7 @@ class Walker:
             command = (cast("float", command), *(0.0,) * (size - 1))
         return self.library.check_command(command)
 
+    @on_cpu_in_single
     def push(self, force: Sequence[float], duration: float = 4 * CASSIE.policy_period) -> None:
         """Push the pelvis from the next policy step on; replaces the current push.
 
@@ -158,6 +162,7 @@ class Walker:
             raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
         self._push, self._push_steps = vector[None], policy_steps(duration)
 
+    @on_cpu_in_single
     def reset(self, speed: Command | Sequence[float] | None = None, stand: bool = False) -> None:
         """Start again on the reference at phase 0, or standing.
 
