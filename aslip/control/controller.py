@@ -94,8 +94,8 @@ class Controller:
     stop at a touchdown, stand, and start again (`StandClock`).
 
     A robot that estimates its own state sends estimates instead of packets. The controller rotates
-    them to the heading and does not filter them. If an estimate is missing or not finite, the last
-    one is kept.
+    them to the heading and does not filter them. The last one is kept if an estimate is missing,
+    not finite, or such as no robot can have (`aslip.robot.robot.LARGEST`).
 
     Args:
         policy: name of a shipped policy, a policy file, or a module that maps `observation`, or any
@@ -187,8 +187,8 @@ class Controller:
         Raises:
             ShapeError, UnknownNameError: packets, command, phase or heading have the wrong shape,
                 or the packets lack an entry.
-            ConfigurationError: command, wish, phase or heading is not finite, or these robots
-                cannot stand.
+            ConfigurationError: command, wish, phase or heading is not finite, an estimate is not
+                finite or impossible, or these robots cannot stand.
         """
         rows = self._rows(packets)
         num = len(rows)
