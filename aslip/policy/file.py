@@ -24,7 +24,7 @@ from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.files.assets import asset_path, user_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
-from aslip.policy.recurrent import make_recurrent_actor
+from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from aslip.transforms.base import on_cpu_in_single
 from aslip.transforms.command import checked_rates
@@ -171,7 +171,8 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     """Load a trained policy: the environment's tensordict -> `action`, deterministic by default.
 
     Parameters have `requires_grad=False`; set it to True to train further. Prepare the environment
-    of a recurrent policy with `aslip.policy.add_memory`.
+    of a recurrent policy with `aslip.policy.add_memory`; without it, the second policy step raises
+    ConfigurationError.
 
     Args:
         name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
@@ -204,7 +205,7 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
         return function(RunningNormalizer(shape.observation_size), shape, table)
 
     # outside the try block: a mistake in the caller's function is not a damaged file
-    actor = None if network is None else make(network)
+    actor = None if network is None else require_memory(make(network))
     try:
         weights = _weights(entries)
         if actor is None:
