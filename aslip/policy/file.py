@@ -216,6 +216,8 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error
     actor.load_state_dict(weights)
+    # for messages about environments that the policy does not fit
+    actor.card = {**card, "name": str(name_or_path)}
     # otherwise rollouts would keep autograd graphs
     return actor.eval().requires_grad_(False)
 

@@ -12,7 +12,14 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env, shipped_library
+from aslip.envs import (
+    EPISODE_ENDS,
+    StackEnv,
+    check_policy_fits,
+    library_of,
+    make_env,
+    shipped_library,
+)
 from aslip.errors import ConfigurationError
 from aslip.library import Command, GaitLibrary, numbers
 from aslip.policy import add_memory, forget, load_policy, policy_library, policy_stack
@@ -45,7 +52,7 @@ class Walker:
         env: environment of one robot. By default the policy's stack, with falls as the
             only end of an episode.
         library: gaits of the default environment, and the range of commands; by default the
-            shipped ones of the policy's stack.
+            shipped ones of the policy's stack, or those of `env`.
         seed: seed of the default environment.
         speed: first command: forward speed [m/s], or a number for each axis of the library.
         stand: first wish to stand.
@@ -69,6 +76,9 @@ class Walker:
         self.library = command_library(policy) if library is None else library
         if env is None:
             env = self._default_env(policy, seed)
+        elif library is None:
+            axes = env.observation_spec["command"].shape[-1]
+            self.library = self.library if self.library.command_size == axes else library_of(env)
         if env.num_envs != 1:
             raise ConfigurationError(f"env of a Walker must have one robot, got {env.num_envs}")
         self.env = env
@@ -89,8 +99,8 @@ class Walker:
 
     @policy.setter
     def policy(self, policy: TensorDictModuleBase | str | Path) -> None:
+        check_policy_fits(policy, self.env)
         if isinstance(policy, str | Path):
-            check_policy_fits(policy, self.env)
             policy = load_policy(policy)
         add_memory(self.env, policy)
         if hasattr(self, "_policy"):
