@@ -55,12 +55,12 @@ class ControllerState:
 
     tensordict: TensorDictBase
     """Inputs and outputs (n,) of the policy, with the keys of an environment's tensordict:
-    `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and faults),
-    `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`, `motor_target`,
-    and the hidden state of a recurrent policy. With a library of several axes, `filtered_command`,
-    too; if they stand on a wish, `stand` (n, 1) and `mode` (n, 1), values of
-    `aslip.library.WalkMode`. For robots that estimate their own state there is no `estimator`, and
-    `odometry` has only `origin` and `path_error`, with estimated positions."""
+    `command`, `phase`, `estimate`, `reference`, `goal`, `clock`, `last_action`, `is_init`,
+    `observation`, `action`, `motor_target`, and the hidden state of a recurrent policy. With
+    packets, `odometry` and `estimator` (its faults, and its memory with the heading), too; with
+    robots' own estimates, `heading` and, where these have positions along a path, `odometry` of
+    `origin` and `path_error`. With a library of several axes, `filtered_command`, too; if robots
+    stand on a wish, `stand` (n, 1) and `mode` (n, 1), values of `aslip.library.WalkMode`."""
 
     @property
     def motor_target(self) -> Tensor:
