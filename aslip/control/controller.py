@@ -26,7 +26,7 @@ from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
-from aslip.transforms.base import on_cpu_in_single
+from aslip.transforms.base import check_number, check_types, on_cpu_in_single
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
@@ -120,6 +120,7 @@ class Controller:
             trained on other gaits; or robots shall stand, and the library has no stop and start.
     """
 
+    @check_types
     @on_cpu_in_single
     def __init__(
         self,
@@ -142,7 +143,7 @@ class Controller:
                     " angles, so a controller cannot turn it into motor targets; give `baseline`"
                 )
             baseline = baseline or _key(card["baseline"])
-            command_rates = command_rates or card["command_rates"]
+            command_rates = card["command_rates"] if command_rates is None else command_rates
             stands = card["stands"] if stands is None else stands
             library = library or GaitLibrary.load(policy_library(policy))
             check_policy_library(policy, card, partial(getattr, library, "sha256"))
@@ -152,8 +153,12 @@ class Controller:
         self.observation = tuple(observation or OBSERVATION_TABLE)
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         self.estimator = StateEstimator() if estimator is None else estimator
-        self.motor_lead = motor_lead
-        self.command_rates = checked_rates(command_rates or COMMAND_RATES)
+        self.motor_lead = motor_lead = check_number(
+            "motor_lead", motor_lead, what="in policy steps"
+        )
+        self.command_rates = checked_rates(
+            COMMAND_RATES if command_rates is None else command_rates
+        )
         robot = self.estimator.robot
         self._period = robot.policy_period
         self.steering = Steering(

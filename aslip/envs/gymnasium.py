@@ -33,7 +33,8 @@ from aslip.envs.stack_env import StackEnv, check_seed
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
-from aslip.transforms.base import on_cpu_in_single
+from aslip.sim.checks import check_count
+from aslip.transforms.base import check_types, on_cpu_in_single
 
 _FRAME_RATE = round(1 / CASSIE.policy_period)
 Info = dict[str, Any]
@@ -58,9 +59,10 @@ class GymEnv(gymnasium.Env):
         "render_fps": _FRAME_RATE,
     }
 
+    @check_types
     def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
         _check_render_mode(render_mode, self.metadata)
-        if settings.get("num_envs", 1) != 1:
+        if check_count("num_envs", settings.get("num_envs", 1)) != 1:
             raise ConfigurationError("GymEnv has one robot; GymVectorEnv(num_envs) has several")
         self.render_mode = render_mode
         self.env = _make(settings)

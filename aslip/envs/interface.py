@@ -123,7 +123,7 @@ def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
             f" the stack {card['stack']!r}, and the environment has the stack {stack_name(env)!r}"
         )
     for library in _reference_libraries(env.transforms) if named else ():
-        check_policy_library(policy, card, partial(getattr, library, "sha256"))
+        check_policy_library(card["name"], card, partial(getattr, library, "sha256"))
 
 
 def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:

@@ -207,7 +207,7 @@ class GaitLibrary(nn.Module):
             ShapeError: `command` is not a tensor of that shape.
         """
         _check_width("command", command, self.command_size)
-        return self._grid.clamp(command).to(command.dtype)
+        return _in_kind_of(command, self._grid.clamp(command))
 
     def covers(self, command: Tensor) -> Tensor:
         """True (*b, 1) for commands (*b, c) in the region, up to rounding in single precision.
@@ -333,7 +333,7 @@ class GaitLibrary(nn.Module):
         """
         _check_width("command", command, len(self.table.axes))
         motion, weights = self._grid.corners(command)
-        return multilinear(self._strides[motion], weights).to(command.dtype)
+        return _in_kind_of(command, multilinear(self._strides[motion], weights))
 
     def initial_state(
         self, phase: Tensor, command: Tensor, mode: Tensor | None = None
@@ -387,6 +387,11 @@ def _check_width(name: str, value: Tensor, width: int) -> None:
     if not isinstance(value, Tensor) or value.shape[-1:] != (width,):
         got = tuple(value.shape) if isinstance(value, Tensor) else value
         raise ShapeError(f"{name} must be a tensor of shape (..., {width}), got {got!r}")
+
+
+def _in_kind_of(command: Tensor, values: Tensor) -> Tensor:
+    """Values in the precision of commands; in single precision for commands of whole numbers."""
+    return values.to(command.dtype if command.is_floating_point() else torch.float32)
 
 
 def _gap(one: Reference, other: Reference) -> float:

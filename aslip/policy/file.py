@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict
@@ -26,7 +26,7 @@ from aslip.files.assets import asset_path, user_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
-from aslip.transforms.base import on_cpu_in_single
+from aslip.transforms.base import check_types, on_cpu_in_single
 from aslip.transforms.command import checked_rates
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
@@ -166,6 +166,7 @@ def _kind(tensor: Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
 
 
+@check_types
 @on_cpu_in_single
 def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> ProbabilisticActor:
     """Load a trained policy: the environment's tensordict -> `action`, deterministic by default.
@@ -217,7 +218,7 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
         raise POLICY_FORMAT.damaged(path, error) from error
     actor.load_state_dict(weights)
     # for messages about environments that the policy does not fit
-    actor.card = {**card, "name": str(name_or_path)}
+    cast("Any", actor).card = {**card, "name": str(name_or_path)}
     # otherwise rollouts would keep autograd graphs
     return actor.eval().requires_grad_(False)
 

@@ -57,7 +57,9 @@ def is_possible(name: str, values: np.ndarray) -> np.ndarray:
         # clipped, because the squares of the largest numbers overflow
         length = (np.clip(values, -2.0, 2.0) ** 2).sum(-1)
         good &= np.abs(length - 1) <= UNIT_TOLERANCE
-    return good & (values[..., 0] >= -_DEEPEST) if name == "height" else good
+    if name == "height":
+        good &= values[..., 0] >= -_DEEPEST
+    return np.asarray(good)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -80,7 +80,8 @@ def test_there_is_no_torque_before_the_first_packet() -> None:
 
 def test_there_is_no_torque_before_the_first_possible_estimate() -> None:
     supervisor, controller = make()
-    for k, lost in enumerate([{"orientation": np.zeros(4)}, {"height": np.array([np.nan])}]):
+    cases: list[dict[str, Any]] = [{"orientation": np.zeros(4)}, {"height": np.array([np.nan])}]
+    for k, lost in enumerate(cases):
         assert not np.any(supervisor.tick(k * PERIOD, standing(k * PERIOD, **lost), Request(0.5)))
         assert supervisor.stage is Stage.CONNECT
         assert next(iter(lost)) in supervisor.reason
