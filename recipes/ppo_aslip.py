@@ -64,9 +64,11 @@ from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
 from aslip.training.settings import read_settings
+from aslip.transforms.base import on_cpu_in_single
 from aslip.walking import WalkResult, evaluate, evaluation_means, walk_table
 
 
+@on_cpu_in_single
 def main(
     config: Config,
     make_env: MakeEnv = aslip.make_env,

@@ -66,6 +66,7 @@ from aslip.policy import (
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import ProgressLog
 from aslip.transforms import ActionDelta
+from aslip.transforms.base import on_cpu_in_single
 
 _LIMIT = 0.4  # largest action [rad]
 _CELLS = 256
@@ -105,6 +106,7 @@ def mirrored(transitions: TensorDict) -> TensorDict:
     return image.set("action", action_mirror()(image["action"]))
 
 
+@on_cpu_in_single
 def main(config: Config) -> None:
     """Train and save a policy."""
     for name in ("policy.zip", "progress.csv", "config.json"):

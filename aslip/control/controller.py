@@ -26,6 +26,7 @@ from aslip.estimation.packets import join
 from aslip.library import GaitLibrary
 from aslip.policy import check_policy_library, entry_names, load_policy, policy_library, read_card
 from aslip.transforms.action import add_delta
+from aslip.transforms.base import check_number, check_types, on_cpu_in_single
 from aslip.transforms.clock import clock_entries
 from aslip.transforms.command import COMMAND_RATES, checked_rates
 from aslip.transforms.estimate import estimate_entries, follow_path
@@ -54,12 +55,12 @@ class ControllerState:
 
     tensordict: TensorDictBase
     """Inputs and outputs (n,) of the policy, with the keys of an environment's tensordict:
-    `command`, `phase`, `heading`, `estimate`, `odometry`, `estimator` (its memory and faults),
-    `reference`, `goal`, `clock`, `last_action`, `is_init`, `observation`, `action`, `motor_target`,
-    and the hidden state of a recurrent policy. With a library of several axes, `filtered_command`,
-    too; if they stand on a wish, `stand` (n, 1) and `mode` (n, 1), values of
-    `aslip.library.WalkMode`. For robots that estimate their own state there is no `estimator`, and
-    `odometry` has only `origin` and `path_error`, with estimated positions."""
+    `command`, `phase`, `estimate`, `reference`, `goal`, `clock`, `last_action`, `is_init`,
+    `observation`, `action`, `motor_target`, and the hidden state of a recurrent policy. With
+    packets, `odometry` and `estimator` (its faults, and its memory with the heading), too; with
+    robots' own estimates, `heading` and, where these have positions along a path, `odometry` of
+    `origin` and `path_error`. With a library of several axes, `filtered_command`, too; if robots
+    stand on a wish, `stand` (n, 1) and `mode` (n, 1), values of `aslip.library.WalkMode`."""
 
     @property
     def motor_target(self) -> Tensor:
@@ -93,8 +94,8 @@ class Controller:
     stop at a touchdown, stand, and start again (`StandClock`).
 
     A robot that estimates its own state sends estimates instead of packets. The controller rotates
-    them to the heading and does not filter them. If an estimate is missing or not finite, the last
-    one is kept.
+    them to the heading and does not filter them. The last one is kept if an estimate is missing,
+    not finite, or such as no robot can have (`aslip.robot.robot.LARGEST`).
 
     Args:
         policy: name of a shipped policy, a policy file, or a module that maps `observation`, or any
@@ -119,6 +120,8 @@ class Controller:
             trained on other gaits; or robots shall stand, and the library has no stop and start.
     """
 
+    @check_types
+    @on_cpu_in_single
     def __init__(
         self,
         policy: str | Path | TensorDictModuleBase,
@@ -140,7 +143,7 @@ class Controller:
                     " angles, so a controller cannot turn it into motor targets; give `baseline`"
                 )
             baseline = baseline or _key(card["baseline"])
-            command_rates = command_rates or card["command_rates"]
+            command_rates = card["command_rates"] if command_rates is None else command_rates
             stands = card["stands"] if stands is None else stands
             library = library or GaitLibrary.load(policy_library(policy))
             check_policy_library(policy, card, partial(getattr, library, "sha256"))
@@ -150,8 +153,12 @@ class Controller:
         self.observation = tuple(observation or OBSERVATION_TABLE)
         self.baseline = ("reference", "motor_target") if baseline is None else baseline
         self.estimator = StateEstimator() if estimator is None else estimator
-        self.motor_lead = motor_lead
-        self.command_rates = checked_rates(command_rates or COMMAND_RATES)
+        self.motor_lead = motor_lead = check_number(
+            "motor_lead", motor_lead, what="in policy steps"
+        )
+        self.command_rates = checked_rates(
+            COMMAND_RATES if command_rates is None else command_rates
+        )
         robot = self.estimator.robot
         self._period = robot.policy_period
         self.steering = Steering(
@@ -162,6 +169,7 @@ class Controller:
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
         ]
 
+    @on_cpu_in_single
     def start(
         self,
         packets: Packets,
@@ -184,8 +192,8 @@ class Controller:
         Raises:
             ShapeError, UnknownNameError: packets, command, phase or heading have the wrong shape,
                 or the packets lack an entry.
-            ConfigurationError: command, wish, phase or heading is not finite, or these robots
-                cannot stand.
+            ConfigurationError: command, wish, phase or heading is not finite, an estimate is not
+                finite or impossible, or these robots cannot stand.
         """
         rows = self._rows(packets)
         num = len(rows)
@@ -193,6 +201,7 @@ class Controller:
         entries = self.steering.begin(self._command(command, num), begins, wish)
         return self.act(self._begin(rows, entries, heading))
 
+    @on_cpu_in_single
     def step(
         self,
         state: ControllerState,
@@ -304,6 +313,7 @@ class Controller:
         return estimate_entries(tracking, estimate, origin, mode, period=self._period)
 
     @torch.no_grad()
+    @on_cpu_in_single
     def act(self, present: TensorDictBase) -> ControllerState:
         """Compute motor targets from estimate, command and phase, as `start` and `step` do.
 

@@ -19,12 +19,14 @@ from aslip.control.own_estimate import (
     check_rows,
     is_estimate,
     join_estimate,
+    mark_lost,
     split_estimate,
     start_heading,
 )
 from aslip.errors import AssetError, ConfigurationError, ShapeError
 from aslip.files.assets import user_path
 from aslip.robot import CASSIE, Robot
+from aslip.robot.rotation import normalize
 
 if TYPE_CHECKING:
     from aslip.estimation import Estimate, StateEstimator, Tracking
@@ -144,8 +146,8 @@ class ExportedController:
 
         Raises:
             ShapeError, UnknownNameError: an argument has the wrong shape, or an entry is missing.
-            ConfigurationError: an argument or an estimate is not finite, the policy cannot stand,
-                or needs a position that the estimate lacks.
+            ConfigurationError: an argument or an estimate is not finite, the estimate is one that
+                no robot can have, the policy cannot stand, or needs a position that it lacks.
         """
         rows, tracking = self._rows(packets), None
         if rows.ndim == 3:
@@ -210,6 +212,8 @@ class ExportedController:
         if tracking is not None:
             tracking, estimate = self._track(tracking, rows, ahead)
             rows = self._joined(estimate)
+        else:
+            rows = mark_lost(rows, self.robot)
         given = {target: last[source] for source, target in self._feedback.items()}
         given |= {"first": np.zeros((1, 1), dtype=bool), "command": now}
         given |= {"path_heading": before, **self._wish(wish)}
@@ -259,6 +263,8 @@ class ExportedController:
         entries, state = [], None
         for row, heading, command, start, stand in columns:
             estimate = split_estimate(row[None], self.robot)
+            # traces of earlier versions have noise on all four numbers
+            estimate["orientation"] = normalize(estimate["orientation"])
             wish: dict[str, Any] = {"stand": stand, "heading": heading[None]}
             if state is None or start:
                 state = self.start(estimate, command[None], phase=trace["phase"], **wish)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import Robot
+from aslip.robot.robot import LARGEST, is_possible
 from aslip.robot.rotation import yaw
 
 POSITION = "position"
@@ -80,6 +82,30 @@ def _sizes(robot: Robot, placed: bool) -> dict[str, int]:
     return {**robot.estimate_sizes, **({POSITION: 3} if placed else {})}
 
 
+def lost_entries(estimate: Mapping[str, np.ndarray]) -> list[str]:
+    """Entries (k,) of a robot's estimate that are not finite, or that no robot can have."""
+    return [name for name, value in estimate.items() if not is_possible(name, value)]
+
+
+def mark_lost(rows: np.ndarray, robot: Robot) -> np.ndarray:
+    """Joined estimates (n, e) with NaN in place of entries that no robot can have."""
+    largest, at = _limits(robot, rows.shape[1])
+    good = np.abs(rows) <= largest
+    for name, part in at.items():
+        good[:, part] &= is_possible(name, rows[:, part])[:, None]
+    return rows if good.all() else np.where(good, rows, np.nan)
+
+
+@cache
+def _limits(robot: Robot, width: int) -> tuple[np.ndarray, dict[str, slice]]:
+    """Largest values (e,) of joined estimates, and places of entries with more conditions."""
+    sizes = _sizes(robot, width > sum(robot.estimate_sizes.values()))
+    ends = np.cumsum(list(sizes.values()))
+    places = {name: slice(end - sizes[name], end) for name, end in zip(sizes, ends, strict=True)}
+    largest = np.concatenate([np.full(size, LARGEST[name]) for name, size in sizes.items()])
+    return largest, {name: places[name] for name in ("height", "orientation")}
+
+
 def start_heading(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> np.ndarray:
     """Headings (n, 1) of robots that start with estimates (n, e) [rad].
 
@@ -90,12 +116,18 @@ def start_heading(rows: np.ndarray, heading: ArrayLike | None, robot: Robot) -> 
         robot: robot that gives the sizes of the entries.
 
     Raises:
-        ConfigurationError: an estimate or a heading is not finite.
+        ConfigurationError: an estimate or a heading is not finite, or a robot cannot have it.
         ShapeError: `heading` has neither one number nor one per robot.
     """
-    if not np.isfinite(rows).all():
-        raise ConfigurationError("the first estimate of a robot must be finite")
-    orientation = split_estimate(rows, robot)["orientation"]
+    parts = split_estimate(rows, robot)
+    for i in range(len(rows)):
+        first = {name: part[i] for name, part in parts.items()}
+        if lost := lost_entries(first):
+            raise ConfigurationError(
+                f"the first estimate of a robot must be finite and possible: {lost[0]} is"
+                f" {first[lost[0]].tolist()}; wait until the robot's estimator is ready"
+            )
+    orientation = parts["orientation"]
     ahead = yaw(orientation) if heading is None else np.asarray(heading, np.float64)
     if not np.isfinite(ahead).all():
         raise ConfigurationError(f"heading must be finite, got {ahead.tolist()}")

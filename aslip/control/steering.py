@@ -12,6 +12,7 @@ from torch import Tensor
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms.balance import find_balance
+from aslip.transforms.base import on_cpu_in_single
 from aslip.transforms.clock import advance_phase
 from aslip.transforms.command import approach_command
 from aslip.transforms.reference import reference_and_goal
@@ -131,6 +132,7 @@ class Steering:
             standing=standing,
         )
 
+    @on_cpu_in_single
     def pose(self) -> Tensor:
         """Motor angles (m,) of the reference when robots begin, standing if they can [rad]."""
         phase = torch.zeros(1, 1)

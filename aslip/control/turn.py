@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from tensordict import TensorDictBase
 from torch import Tensor
 
-from aslip.control.own_estimate import POSITION, split_estimate, start_heading
+from aslip.control.own_estimate import POSITION, mark_lost, split_estimate, start_heading
 from aslip.robot import CASSIE, Robot
 from aslip.transforms.estimate import PATH_SIZES
 from aslip.transforms.path import advance_frame, advance_heading, place_in_path
@@ -58,6 +58,8 @@ def next_entries(
 ) -> Entries:
     """Entries `estimate` and `heading` after new estimates (n, e); see `hold_estimate`.
 
+    Estimates that no robot can have count as lost.
+
     Args:
         past: entries of the last policy step; with `odometry` there, the robots have it again.
         rows: joined estimates.
@@ -72,7 +74,7 @@ def next_entries(
         ahead = advance_heading(before, command, robot.policy_period)
     ahead = ahead.double()
     last = {name: cast("Tensor", past["estimate", name]) for name in robot.estimate_sizes}
-    part, position = _tensors(rows, robot)
+    part, position = _tensors(mark_lost(rows, robot), robot)
     entries: Entries = {"estimate": hold_estimate(part, ahead, last), "heading": ahead.clone()}
     if command is not None and "odometry" in past:
         if position is None:

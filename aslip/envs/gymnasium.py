@@ -34,6 +34,8 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
 from aslip.robot.opengl import make_renderer
+from aslip.sim.checks import check_count
+from aslip.transforms.base import check_types, on_cpu_in_single
 
 _FRAME_RATE = round(1 / CASSIE.policy_period)
 Info = dict[str, Any]
@@ -58,9 +60,10 @@ class GymEnv(gymnasium.Env):
         "render_fps": _FRAME_RATE,
     }
 
+    @check_types
     def __init__(self, render_mode: str | None = None, **settings: Any) -> None:
         _check_render_mode(render_mode, self.metadata)
-        if settings.get("num_envs", 1) != 1:
+        if check_count("num_envs", settings.get("num_envs", 1)) != 1:
             raise ConfigurationError("GymEnv has one robot; GymVectorEnv(num_envs) has several")
         self.render_mode = render_mode
         self.env = _make(settings)
@@ -222,6 +225,7 @@ def _spaces(env: StackEnv) -> tuple[spaces.Box, spaces.Box]:
     return spaces.Box(-np.inf, np.inf, (size,), np.float32), spaces.Box(low, high, dtype=np.float32)
 
 
+@on_cpu_in_single
 def _reset(env: StackEnv, seed: int | None, options: Info | None) -> TensorDictBase:
     if seed is not None:
         env.set_seed(seed)
@@ -236,6 +240,7 @@ def _reset(env: StackEnv, seed: int | None, options: Info | None) -> TensorDictB
     return env.reset(request)
 
 
+@on_cpu_in_single
 def _act(state: TensorDictBase, action: np.ndarray) -> TensorDictBase:
     if state.is_empty():
         raise gymnasium.error.ResetNeeded("call reset before step")

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 import torch
 from tensordict.utils import NestedKey, unravel_key
+from torch import nn
 from torchrl.envs.transforms import Transform
 
 from aslip.envs.keep import KeepKeys
@@ -30,8 +31,10 @@ from aslip.transforms import (
     SpeedCommand,
     StandClock,
 )
+from aslip.transforms.base import on_cpu_in_single
 
 
+@on_cpu_in_single
 def policy_interface(env: StackEnv) -> dict[str, Any]:
     """Interface of an environment to a policy, as arguments of `aslip.policy.save_policy`.
 
@@ -95,11 +98,13 @@ def stands(env: StackEnv) -> bool:
     return any(isinstance(t, StandClock) for t in env.transforms)
 
 
-def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
+@on_cpu_in_single
+def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
     """Check that an environment has the observation and action that a policy was trained with.
 
     Args:
-        policy: name or path, as `aslip.load_policy` takes it.
+        policy: name or path, as `aslip.load_policy` takes it. Of a module, only the size of the
+            observation is checked, and only if `load_policy` made it.
         env: environment.
 
     Raises:
@@ -108,32 +113,41 @@ def check_policy_fits(policy: str | Path, env: StackEnv) -> None:
         ConfigurationError: the entries of the observation, their order, its size, the baseline of
             the action, the rates of the command or the gaits differ.
     """
-    card = read_card(policy)
-    shown, key = entry_names(observation_keys(env)), baseline_key(env)
-    if card["observation"] != shown:
-        difference = observation_difference(card["observation"], shown)
+    named = isinstance(policy, str | Path)
+    card = {**read_card(policy), "name": str(policy)} if named else getattr(policy, "card", None)
+    if card is None:
+        return
+    if why := _misfit(card, env, only_size=not named):
         raise ConfigurationError(
-            f"the policy {str(policy)!r} does not fit the environment: {difference}"
+            f"the policy {card['name']!r} does not fit the environment: {why}; it was trained on"
+            f" the stack {card['stack']!r}, and the environment has the stack {stack_name(env)!r}"
         )
-    size = env.observation_spec["observation"].shape[-1]
-    if card["shape"].observation_size != size:
-        raise ConfigurationError(
-            f"the policy {str(policy)!r} does not fit the environment: its observation has"
-            f" {card['shape'].observation_size} numbers, the environment's has {size}"
-        )
+    for library in _reference_libraries(env.transforms) if named else ():
+        check_policy_library(card["name"], card, partial(getattr, library, "sha256"))
+
+
+def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:
+    """First difference between an environment and that of a policy's card; empty for none."""
+    if not only_size and card["observation"] != (shown := entry_names(observation_keys(env))):
+        return observation_difference(card["observation"], shown)
+    has, size = card["shape"].observation_size, env.observation_spec["observation"].shape[-1]
+    if has != size:
+        return f"its observation has {has} numbers, the environment's has {size}"
+    if only_size:
+        return ""
+    key = baseline_key(env)
     added_to = None if key is None else entry_names([key])[0]
     if card["baseline"] != added_to:
-        raise ConfigurationError(
-            f"the policy {str(policy)!r} does not fit the environment: its action must be added to"
-            f" {card['baseline']!r}, but the environment adds it to {added_to!r}"
+        return (
+            f"its action must be added to {card['baseline']!r}, but the environment adds it to"
+            f" {added_to!r}"
         )
     if card["command_rates"] != (rates := command_rates(env)):
-        raise ConfigurationError(
-            f"the policy {str(policy)!r} does not fit the environment: its commands change at most"
-            f" at the rates {card['command_rates']}, those of the environment at {rates}"
+        return (
+            f"its commands change at most at the rates {card['command_rates']}, those of the"
+            f" environment at {rates}"
         )
-    for library in _reference_libraries(env.transforms):
-        check_policy_library(policy, card, partial(getattr, library, "sha256"))
+    return ""
 
 
 def _reference_libraries(transforms: Sequence[Transform]) -> list[GaitLibrary]:

@@ -18,11 +18,14 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
+from aslip.transforms.base import check_types, on_cpu_in_single
 
 MakeTransform = Transform | Callable[[], Transform]
 """Transform, or function that makes it."""
 
 
+@check_types
+@on_cpu_in_single
 def make_env(
     backend: Backend = "batch",
     *,

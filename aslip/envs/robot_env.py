@@ -29,6 +29,7 @@ from torchrl.envs import EnvBase
 
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
+from aslip.transforms.base import on_cpu_in_single
 
 
 class RobotEnv(EnvBase):
@@ -43,6 +44,7 @@ class RobotEnv(EnvBase):
         command_size: size of a robot's `motor_target`; the number of motors by default.
     """
 
+    @on_cpu_in_single
     def __init__(
         self, num_envs: int = 1, robot: Robot = CASSIE, command_size: int | None = None
     ) -> None:
@@ -101,10 +103,12 @@ class RobotEnv(EnvBase):
         }
         return {"sensors": Composite(entries, shape=n)}
 
+    @on_cpu_in_single
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         _refuse_requests(tensordict, ["push"])
         return self._result(self.track(self._checked_target(tensordict)))
 
+    @on_cpu_in_single
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
         del kwargs
         _refuse_requests(tensordict, ["initial", "dynamics"])

@@ -43,6 +43,7 @@ from aslip.robot import CASSIE, Robot
 from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
 from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
+from aslip.transforms.base import on_cpu_in_single
 
 # kept in double precision, for logs and replay
 _DOUBLE = ("qpos", "qvel")
@@ -201,12 +202,14 @@ class SimulatedEnv(RobotEnv):
         }
         return {**super()._observation_specs(), "truth": Composite(truth, shape=self.batch_size)}
 
+    @on_cpu_in_single
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         target, push = self._checked_target(tensordict), tensordict.get("push", None)
         diverged = self._advance(target, None if push is None else self._checked_push(push))
         self.divergences += int(diverged.sum())
         return self._result(diverged)
 
+    @on_cpu_in_single
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: object) -> TensorDictBase:
         del kwargs
         rows = self._robots_to_reset(tensordict)

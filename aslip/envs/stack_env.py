@@ -37,7 +37,7 @@ from aslip.transforms import (
     SeededTransform,
     WeightedReward,
 )
-from aslip.transforms.base import require_keys
+from aslip.transforms.base import on_cpu_in_single, require_keys
 
 
 class StackEnv(TransformedEnv):
@@ -57,6 +57,7 @@ class StackEnv(TransformedEnv):
 
     __reduce_ex__ = RobotEnv.__reduce_ex__
 
+    @on_cpu_in_single
     def __init__(self, env: RobotEnv, transforms: Mapping[str, Transform]) -> None:
         compose = Compose(*transforms.values())  # pyright: ignore[reportArgumentType]
         super().__init__(env, compose)
@@ -123,6 +124,7 @@ class StackEnv(TransformedEnv):
         self.transform_names = tuple(names)
         return self
 
+    @on_cpu_in_single
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         if kwargs:
             raise ConfigurationError(
@@ -144,6 +146,7 @@ class StackEnv(TransformedEnv):
         self._latest = self._completed(tensordict, started)
         return started
 
+    @on_cpu_in_single
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         self._latest = super()._step(tensordict)
         return self._latest
@@ -163,6 +166,7 @@ class StackEnv(TransformedEnv):
         kept = latest.select(*started.keys(True, True), strict=False)
         return started.select(*kept.keys(True, True)).where(mask.reshape(-1), kept)
 
+    @on_cpu_in_single
     def set_seed(self, seed: int | None = None, static_seed: bool = False) -> int | None:
         """Seed the environment, and every transform by its name.
 

@@ -19,6 +19,7 @@ import numpy as np
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.estimation.filter import TUNED_PERIOD
 from aslip.robot import CASSIE, Robot
+from aslip.robot.robot import LARGEST, UNIT_TOLERANCE
 
 FAULTS: Final = ("missing", "implausible", "jump", "frozen")
 """Faults of a packet: a reading is NaN or infinite; a reading is out of the device's range; the IMU
@@ -26,20 +27,7 @@ changed faster than a robot can; the IMU has repeated all bits for longer than 5
 
 MISSING, IMPLAUSIBLE, JUMP, FROZEN = range(len(FAULTS))
 
-# largest absolute values: joints turn less than one and a half turns; the ranges of gyro and
-# accelerometer are those of the public simulator
-_LARGEST = {
-    "motor_position": 9.0,
-    "motor_velocity": 40.0,
-    "joint_position": 9.0,
-    "joint_velocity": 60.0,
-    "orientation": 1.01,
-    "gyro": 34.9,
-    "accelerometer": 157.0,
-}
 _ENCODERS = ("motor_position", "motor_velocity", "joint_position", "joint_velocity")
-# tolerance on the squared norm of a unit quaternion
-_UNIT = 0.02
 # largest change of gyro and accelerometer in 3 ms; walking stays below 0.7 rad/s and 20 m/s^2
 _LARGEST_JUMP = np.array([3.0] * 3 + [60.0] * 3)
 # time [s] after which a lasting jump is accepted
@@ -122,7 +110,7 @@ class Screen:
 
     def __init__(self, period: float, robot: Robot = CASSIE) -> None:
         at, sizes = robot.packet_slices, robot.packet_sizes
-        self._limit = np.concatenate([np.full(n, _LARGEST[name]) for name, n in sizes.items()])
+        self._limit = np.concatenate([np.full(n, LARGEST[name]) for name, n in sizes.items()])
         self._orientation, self._gyro = at["orientation"], at["gyro"]
         self._imu = slice(self._gyro.start, robot.packet_size)
         # channels of each leg: half of each encoder entry
@@ -133,12 +121,14 @@ class Screen:
         self._persistent = round(_PERSISTENT / period)
         self._most_repeats = int(_SLOWEST_IMU / period)
 
+    # readings near the largest number of double precision overflow
+    @np.errstate(over="ignore", invalid="ignore")
     def __call__(self, packets: np.ndarray, memory: PacketMemory) -> Screened:
         """Screen (n, w, p) packets, oldest first; `memory` changes in place."""
         num, window, _ = packets.shape
         good = np.abs(packets) <= self._limit
         length = (packets[..., self._orientation] ** 2).sum(-1)
-        good[..., self._orientation] &= (np.abs(length - 1) <= _UNIT)[..., None]
+        good[..., self._orientation] &= (np.abs(length - 1) <= UNIT_TOLERANCE)[..., None]
         imu = np.concatenate([memory.reading[:, None, self._imu], packets[..., self._imu]], axis=1)
         change = np.abs(imu[:, 1:] - imu[:, :-1])
         smooth = (change <= self._largest_jump).all(-1)

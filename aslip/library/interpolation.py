@@ -32,7 +32,7 @@ class CommandGrid(nn.Module):
         super().__init__()
         self._count = len(axes)
         for i, axis in enumerate(axes):
-            self.register_buffer(f"_axis{i}", torch.tensor(np.array(axis)), persistent=False)
+            self.register_buffer(f"_axis{i}", torch.from_numpy(np.array(axis)), persistent=False)
         self._cut = False
         self._wide = [i for i, axis in enumerate(axes) if len(axis) > 1]
         if missing is not None and missing.any():
@@ -50,7 +50,7 @@ class CommandGrid(nn.Module):
             np.count_nonzero(~missing) + len(self._beyond)
         )
         for name, array in zip(("_normals", "_centre", "rows"), (*gauge, rows), strict=True):
-            self.register_buffer(name, torch.tensor(array), persistent=False)
+            self.register_buffer(name, torch.from_numpy(array.copy()), persistent=False)
 
     def fill(self, values: np.ndarray) -> np.ndarray:
         """Values (n, ...) of all motions, with those extrapolated to corners around the region.
@@ -175,10 +175,8 @@ class LocalTable(nn.Module):
 
     def __init__(self, values: np.ndarray) -> None:
         super().__init__()
-        self.register_buffer("samples", torch.tensor(values), persistent=False)
-        slopes = (
-            torch.tensor([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0], dtype=self.samples.dtype) / 60
-        )
+        self.register_buffer("samples", torch.from_numpy(values.copy()), persistent=False)
+        slopes = self.samples.new_tensor([-1.0, 9.0, -45.0, 0.0, 45.0, -9.0, 1.0]) / 60
         self.register_buffer("_slopes", slopes, persistent=False)
 
     def values(self) -> np.ndarray:

@@ -90,7 +90,7 @@ class GaitLibrary(nn.Module):
         self._qpos, self._qvel = LocalTable(qpos), LocalTable(qvel)
         self.table = self._shared(table)
         self._strides: Tensor
-        strides = torch.tensor(self._grid.fill(table.strides[:, None]))
+        strides = torch.from_numpy(self._grid.fill(table.strides[:, None].copy()))
         self.register_buffer("_strides", strides, persistent=False)
         self._transitions = None
         if transitions is not None:
@@ -207,7 +207,7 @@ class GaitLibrary(nn.Module):
             ShapeError: `command` is not a tensor of that shape.
         """
         _check_width("command", command, self.command_size)
-        return self._grid.clamp(command).to(command.dtype)
+        return _in_kind_of(command, self._grid.clamp(command))
 
     def covers(self, command: Tensor) -> Tensor:
         """True (*b, 1) for commands (*b, c) in the region, up to rounding in single precision.
@@ -236,7 +236,7 @@ class GaitLibrary(nn.Module):
         if not all(axis[0] - _BORDER <= v <= axis[-1] + _BORDER for axis, v in limits):
             bounds = f"{axes[0][0]:g} to {axes[0][-1]:g} m/s" if len(axes) == 1 else describe(axes)
             raise SpeedOutOfRangeError(f"{_named(numbers)} is outside the gait library: {bounds}")
-        found = torch.tensor(numbers, dtype=torch.float64)
+        found = self._strides.new_tensor(numbers, dtype=torch.float64)
         nearest = self._grid.clamp(found)
         if not torch.allclose(found, nearest, rtol=0, atol=_BORDER):
             raise SpeedOutOfRangeError(
@@ -306,9 +306,9 @@ class GaitLibrary(nn.Module):
 
     def _check_joints(self, table: TransitionTable) -> None:
         """Compare stop and start, after each touchdown, with the gait in place and each other."""
-        halves = torch.tensor([[0.0], [HALF]], dtype=torch.float64)
+        halves = self._strides.new_tensor([[0.0], [HALF]], dtype=torch.float64)
         phase = torch.cat([table.touchdown + halves, HALF - _BORDER + halves])
-        in_place = torch.zeros(4, self.command_size, dtype=halves.dtype)
+        in_place = halves.new_zeros(4, self.command_size)
         if not self.covers(in_place).all():
             raise ConfigurationError("stop and start need a gait in place, which the library lacks")
         stop, start = (torch.full_like(halves, mode) for mode in (WalkMode.STOP, WalkMode.START))
@@ -333,7 +333,7 @@ class GaitLibrary(nn.Module):
         """
         _check_width("command", command, len(self.table.axes))
         motion, weights = self._grid.corners(command)
-        return multilinear(self._strides[motion], weights).to(command.dtype)
+        return _in_kind_of(command, multilinear(self._strides[motion], weights))
 
     def initial_state(
         self, phase: Tensor, command: Tensor, mode: Tensor | None = None
@@ -387,6 +387,11 @@ def _check_width(name: str, value: Tensor, width: int) -> None:
     if not isinstance(value, Tensor) or value.shape[-1:] != (width,):
         got = tuple(value.shape) if isinstance(value, Tensor) else value
         raise ShapeError(f"{name} must be a tensor of shape (..., {width}), got {got!r}")
+
+
+def _in_kind_of(command: Tensor, values: Tensor) -> Tensor:
+    """Values in the precision of commands; in single precision for commands of whole numbers."""
+    return values.to(command.dtype if command.is_floating_point() else torch.float32)
 
 
 def _gap(one: Reference, other: Reference) -> float:

@@ -152,7 +152,7 @@ class Transitions(nn.Module):
         phase = phase.double() % 1.0
         # tensors, because exporters round other numbers to single precision
         ends = self.table.touchdown, self.table.standing
-        touchdown, standing = (torch.tensor(end, dtype=torch.float64) for end in ends)
+        touchdown, standing = (phase.new_tensor(end) for end in ends)
         within, right = phase % HALF, phase >= HALF
         stopped = (within - touchdown) / (standing - touchdown)
         started = (within - standing) / (HALF - standing)

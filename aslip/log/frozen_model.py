@@ -25,14 +25,13 @@ import numpy as np
 import aslip
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
 from aslip.robot import CASSIE
-from aslip.robot.model import check_timestep, set_floor_friction
+from aslip.robot.model import HIGHEST_FRICTION, check_timestep, set_floor_friction
 
 MODEL_FILE: Final = "model.xml"
 SETTINGS_FILE: Final = "model.json"
 
 LONGEST_MEMORY: Final = 2 * CASSIE.substeps
 """Longest memory of torque commands of a motor: a policy step, rounded up by doubling."""
-_HIGHEST_FRICTION = 1e3
 # largest number in the XML, relative to the shipped one
 _LARGEST_FACTOR = 10.0
 
@@ -65,9 +64,9 @@ class ModelSettings:
                 f"memory must be from 1 to {LONGEST_MEMORY} commands, got {self.memory!r}"
             )
         friction = self.floor_friction
-        if type(friction) is not float or not 0 < friction <= _HIGHEST_FRICTION:
+        if type(friction) is not float or not 0 < friction <= HIGHEST_FRICTION:
             raise ConfigurationError(
-                f"floor_friction must be over 0 and up to {_HIGHEST_FRICTION:g}, got {friction!r}"
+                f"floor_friction must be over 0 and up to {HIGHEST_FRICTION:g}, got {friction!r}"
             )
 
     @classmethod

@@ -36,7 +36,9 @@ from aslip.policy import POLICY_FILE, find_policy
 from aslip.robot import CASSIE
 from aslip.show.ghost import Footholds
 from aslip.sim import PD
+from aslip.sim.checks import check_count
 from aslip.training.provenance import commit, versions
+from aslip.transforms.base import check_types
 
 CONFIG_FILE = "config.json"
 
@@ -77,6 +79,7 @@ class Recorder(Transform):
     must_be_last = True
     """Marker for checks of the order of a stack."""
 
+    @check_types
     def __init__(
         self,
         path: str | Path,
@@ -96,7 +99,7 @@ class Recorder(Transform):
         self.path = user_path(path)
         refuse_existing(self.path, overwrite=overwrite)
         self._overwrite = overwrite
-        self._robot = robot
+        self._robot = check_count("robot", robot, least=0)
         self._fast = joint_rate == "physics"
         self._policy = None if policy is None else find_policy(policy).read_bytes()
         settings: Any = config

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDict
@@ -24,8 +24,9 @@ from aslip.errors import AssetError, ConfigurationError, UnknownNameError
 from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.files.assets import asset_path, user_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
-from aslip.policy.recurrent import make_recurrent_actor
+from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
+from aslip.transforms.base import check_types, on_cpu_in_single
 from aslip.transforms.command import checked_rates
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
@@ -50,6 +51,7 @@ _RENAMED = {"aslip": "default"}
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
 
 
+@on_cpu_in_single
 def save_policy(
     path: str | Path,
     actor: nn.Module,
@@ -164,11 +166,14 @@ def _kind(tensor: Tensor) -> str:
     return f"{str(tensor.dtype).removeprefix('torch.')} of shape {tuple(tensor.shape)}"
 
 
+@check_types
+@on_cpu_in_single
 def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> ProbabilisticActor:
     """Load a trained policy: the environment's tensordict -> `action`, deterministic by default.
 
     Parameters have `requires_grad=False`; set it to True to train further. Prepare the environment
-    of a recurrent policy with `aslip.policy.add_memory`.
+    of a recurrent policy with `aslip.policy.add_memory`; without it, the second policy step raises
+    ConfigurationError.
 
     Args:
         name_or_path: name of a shipped policy, file of a policy, or folder of a training run.
@@ -201,7 +206,7 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
         return function(RunningNormalizer(shape.observation_size), shape, table)
 
     # outside the try block: a mistake in the caller's function is not a damaged file
-    actor = None if network is None else make(network)
+    actor = None if network is None else require_memory(make(network))
     try:
         weights = _weights(entries)
         if actor is None:
@@ -212,6 +217,8 @@ def load_policy(name_or_path: str | Path, network: MakeActor | None = None) -> P
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error
     actor.load_state_dict(weights)
+    # for messages about environments that the policy does not fit
+    cast("Any", actor).card = {**card, "name": str(name_or_path)}
     # otherwise rollouts would keep autograd graphs
     return actor.eval().requires_grad_(False)
 

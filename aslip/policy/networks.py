@@ -35,6 +35,7 @@ from torchrl.modules import (
 from aslip.errors import ConfigurationError
 from aslip.policy.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
+from aslip.transforms.base import on_cpu_in_single
 
 # bound of normalised inputs, so that falls do not dominate
 _CLIP = 10.0
@@ -106,6 +107,7 @@ class RunningNormalizer(nn.Module):
     _offset: Tensor
     _scale: Tensor
 
+    @on_cpu_in_single
     def __init__(self, size: int, key: NestedKey = "observation") -> None:
         super().__init__()
         self.key = key
@@ -160,6 +162,7 @@ def update_normalizers(nets: Iterable[nn.Module], data: TensorDictBase) -> None:
             module.update(cast("Tensor", data[module.key]))
 
 
+@on_cpu_in_single
 def make_actor(
     normalizer: RunningNormalizer,
     shape: PolicyShape | None = None,
@@ -192,6 +195,7 @@ def make_actor(
     )
 
 
+@on_cpu_in_single
 def action_layers(shape: PolicyShape, inputs: int, hidden: Sequence[int] | None = None) -> MLP:
     """Multi-layer perceptron whose output, the mean action, is small before training.
 
@@ -214,6 +218,7 @@ def action_layers(shape: PolicyShape, inputs: int, hidden: Sequence[int] | None 
     return net
 
 
+@on_cpu_in_single
 def action_scale(shape: PolicyShape) -> AddStateIndependentNormalScale:
     """Layer that adds the standard deviation, which `set_std` changes, to the mean action."""
     return AddStateIndependentNormalScale(
@@ -221,6 +226,7 @@ def action_scale(shape: PolicyShape) -> AddStateIndependentNormalScale:
     )
 
 
+@on_cpu_in_single
 def gaussian_actor(module: TensorDictModule) -> ProbabilisticActor:
     """Policy that draws `action` around `loc` with the standard deviation `scale`.
 
@@ -245,6 +251,7 @@ def set_std(actor: nn.Module, std: float) -> None:
                 module.state_independent_scale.fill_(math.log(std))
 
 
+@on_cpu_in_single
 def make_critic(
     normalizer: RunningNormalizer,
     shape: PolicyShape | None = None,

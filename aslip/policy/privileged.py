@@ -14,6 +14,7 @@ from torchrl.modules import MLP, ValueOperator
 from aslip.policy.networks import PolicyShape, RunningNormalizer, Scaled
 from aslip.policy.symmetry import Symmetrised, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
+from aslip.transforms.base import on_cpu_in_single
 
 PRIVILEGED_SIZES: Final[Mapping[str, int]] = MappingProxyType(
     {
@@ -44,6 +45,7 @@ def privileged_table(dynamics: Sequence[str]) -> tuple[NestedKey, ...]:
     return (*truth, *(("dynamics", name) for name in dynamics))
 
 
+@on_cpu_in_single
 def make_privileged_critic(
     normalizer: RunningNormalizer,
     shape: PolicyShape | None = None,

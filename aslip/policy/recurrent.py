@@ -32,10 +32,13 @@ from aslip.policy.networks import (
     gaussian_actor,
 )
 from aslip.transforms import OBSERVATION_TABLE
+from aslip.transforms.base import on_cpu_in_single
 
 Env = TypeVar("Env", bound=TransformedEnv)
+Policy = TypeVar("Policy", bound=nn.Module)
 
 
+@on_cpu_in_single
 def make_recurrent_actor(
     normalizer: RunningNormalizer,
     shape: PolicyShape | None = None,
@@ -73,7 +76,43 @@ def make_recurrent_actor(
         memory,
         TensorDictModule(head, in_keys=["features"], out_keys=["loc", "scale"]),
     ]
-    return gaussian_actor(TensorDictSequential(*modules))
+    return require_memory(gaussian_actor(TensorDictSequential(*modules)))
+
+
+def require_memory(policy: Policy) -> Policy:
+    """Make a recurrent policy refuse to act without its hidden state, after a first policy step.
+
+    Environments without `add_memory` drop the state, and the policy would silently act from zero
+    at each step.
+
+    Args:
+        policy: any policy; changed in place.
+    """
+    for part in policy.modules():
+        if hasattr(part, "make_tensordict_primer"):
+            part.register_forward_pre_hook(_check_memory)
+    return policy
+
+
+def _check_memory(part: nn.Module, inputs: tuple[Any, ...]) -> None:
+    """Check that a recurrent part of a policy finds its hidden state.
+
+    Raises:
+        ConfigurationError: the state is missing, and a robot is not at its first policy step; or
+            nothing marks first policy steps.
+    """
+    td = inputs[0] if inputs else None
+    # a whole sequence may begin without a state
+    if not isinstance(td, TensorDictBase) or getattr(part, "recurrent_mode", False):
+        return
+    states = [key[1:] for key in cast("Any", part).out_keys if key[0] == "next"]
+    lost = [key[0] for key in states if td.get(key, None) is None]
+    first = td.get("is_init", None)
+    if first is None or (lost and not first.all()):
+        raise ConfigurationError(
+            f"a recurrent policy lacks {lost or 'is_init'}: the environment drops its hidden state;"
+            " prepare it once, before its first reset: aslip.policy.add_memory(env, policy)"
+        )
 
 
 def is_recurrent(policy: Callable[..., Any]) -> bool:
@@ -82,6 +121,7 @@ def is_recurrent(policy: Callable[..., Any]) -> bool:
     return any(hasattr(part, "make_tensordict_primer") for part in parts)
 
 
+@on_cpu_in_single
 def add_memory(env: Env, policy: Callable[..., Any]) -> Env:
     """Append the transforms that a recurrent policy needs; other policies need none.
 
@@ -118,6 +158,7 @@ def add_memory(env: Env, policy: Callable[..., Any]) -> Env:
     return env
 
 
+@on_cpu_in_single
 def forget(td: TensorDictBase, policy: Callable[..., Any]) -> TensorDictBase:
     """Set the hidden state of a recurrent policy to zero, as at a first policy step, in place.
 

@@ -16,6 +16,8 @@ from aslip.robot.skeleton import Body, Connection, Geom, Joint, Sensor, Site, Sk
 
 DEFAULT_FLOOR_FRICTION = 1.0
 """Sliding friction of the floor (the public simulator's default)."""
+HIGHEST_FRICTION = 1e3
+"""Highest sliding friction of a floor; dry rubber reaches about 1."""
 
 _CONNECT = int(mujoco.mjtEq.mjEQ_CONNECT)
 _KINDS = ("free", "ball", "slide", "hinge")
@@ -102,8 +104,10 @@ def check_timestep(timestep: float, robot: Robot = CASSIE) -> None:
 
 def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
     """Set the floor's sliding friction, which has priority over that of the robot's geoms."""
-    if not (np.isfinite(friction) and friction > 0):
-        raise ConfigurationError(f"floor_friction must be a positive number, got {friction!r}")
+    if not 0 < friction <= HIGHEST_FRICTION:
+        raise ConfigurationError(
+            f"floor_friction must be a positive number up to {HIGHEST_FRICTION:g}, got {friction!r}"
+        )
     model.geom("floor").friction[0] = friction
 
 

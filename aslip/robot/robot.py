@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
 import numpy as np
 
@@ -13,6 +15,51 @@ from aslip.files.assets import asset_path, user_path
 from aslip.robot.names import SIDES
 from aslip.robot.noise import NoiseLevel
 from aslip.robot.skeleton import Skeleton, read_skeleton
+
+LARGEST: Final[Mapping[str, float]] = MappingProxyType(
+    {
+        # joints turn less than one and a half turns
+        "motor_position": 9.0,
+        "motor_velocity": 40.0,
+        "joint_position": 9.0,
+        "joint_velocity": 60.0,
+        "orientation": 1.01,
+        # ranges of the public simulator's gyro and accelerometer
+        "gyro": 34.9,
+        "accelerometer": 157.0,
+        "angular_velocity": 34.9,
+        # of the pelvis' origin, away from the accelerometer
+        "acceleration": 300.0,
+        # falls from standing end below 5 m/s
+        "velocity": 20.0,
+        "height": 2.0,
+        # beyond, single precision no longer resolves a centimetre
+        "position": 1e5,
+    }
+)
+"""Entry of packets and estimates -> largest absolute value that a robot can have, with a margin
+[SI units]; greater ones are faults of a device or of its driver."""
+UNIT_TOLERANCE: Final = 0.02
+"""Tolerance on the squared norm of the quaternion of an attitude."""
+# depth of the pelvis below the ground by errors of the estimated height [m]
+_DEEPEST = 0.5
+
+
+def is_possible(name: str, values: np.ndarray) -> np.ndarray:
+    """Check (*b,) that readings or estimates are finite and such as a robot can have.
+
+    Args:
+        name: entry of packets or estimates, see `LARGEST`.
+        values: (*b, k) its numbers.
+    """
+    good = (np.abs(values) <= LARGEST[name]).all(-1)
+    if name == "orientation":
+        # clipped, because the squares of the largest numbers overflow
+        length = (np.clip(values, -2.0, 2.0) ** 2).sum(-1)
+        good &= np.abs(length - 1) <= UNIT_TOLERANCE
+    if name == "height":
+        good &= values[..., 0] >= -_DEEPEST
+    return np.asarray(good)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

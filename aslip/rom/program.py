@@ -6,11 +6,12 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
+from typing import Generic, TypeVar, get_args
 
 import casadi as ca
 import numpy as np
 
+from aslip.errors import ConfigurationError
 from aslip.rom import collocation
 from aslip.rom.slip import Mode, Objective, SlipParameters
 
@@ -63,6 +64,10 @@ class GaitProgram(ABC, Generic[Solution]):
     """
 
     def __init__(self, parameters: SlipParameters, objective: Objective = "mean") -> None:
+        if objective not in get_args(Objective):
+            raise ConfigurationError(
+                f"objective must be one of {get_args(Objective)}, got {objective!r}"
+            )
         self.parameters = parameters
         self.objective = objective
         self.opti = ca.Opti()

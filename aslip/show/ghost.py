@@ -24,6 +24,7 @@ from aslip.robot import SIDES, Side
 from aslip.robot.rotation import yaw
 from aslip.rom import Motion
 from aslip.show.palette import LEFT, MODEL, RIGHT, rgba
+from aslip.transforms.base import on_cpu_in_single
 
 # speed of the reference's foot below which it is in stance [m/s]
 _STANCE_SPEED = 0.05
@@ -105,6 +106,7 @@ class Footholds:
             With several axes they are those of the interpolated motion.
     """
 
+    @on_cpu_in_single
     def __init__(self, library: GaitLibrary) -> None:
         self._library = library
         if library.command_size > 1:
@@ -121,6 +123,7 @@ class Footholds:
             step = left - right if side == "left" else right - left
             self._steps[i] = step[:, :2].double().numpy()
 
+    @on_cpu_in_single
     def stride(self, command: float | Sequence[float]) -> float:
         """Duration of a stride of the reduced-order model [s]."""
         if self._library.command_size > 1:
@@ -170,6 +173,7 @@ class Footholds:
         turn = yaw_rotation(orientation, ahead)[:2, :2]
         return stance_foot[:2] + turn @ self.step(side, command)
 
+    @on_cpu_in_single
     def _search(self, command: tuple[float, ...]) -> tuple[list[float], np.ndarray]:
         """Phases (2) of the touchdowns and steps (2, 2) at a command of several axes.
 

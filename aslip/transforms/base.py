@@ -2,18 +2,122 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import inspect
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from numbers import Real
-from typing import Any, ClassVar, cast
+from types import UnionType
+from typing import (
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
+import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def on_cpu_in_single(function: Function) -> Function:
+    """Make a function create tensors in single precision on the CPU, whatever torch's defaults are.
+
+    Another library of the same program may change `torch.set_default_dtype` and
+    `torch.set_default_device`. TorchRL's own tensors follow them, too, so that naming types and
+    devices in this package would not suffice.
+    """
+
+    @functools.wraps(function)
+    def run(*args: Any, **kwargs: Any) -> Any:
+        kind, device = torch.get_default_dtype(), torch.get_default_device()
+        if kind == torch.float32 and device.type == "cpu":
+            return function(*args, **kwargs)
+        torch.set_default_dtype(torch.float32)
+        try:
+            with torch.device("cpu"):
+                return function(*args, **kwargs)
+        finally:
+            torch.set_default_dtype(kind)
+
+    return cast("Function", run)
+
+
+def check_types(function: Function) -> Function:
+    """Make a function refuse arguments of other types than its annotations name.
+
+    For functions that users call first: what they call can then rely on its arguments. Whole
+    numbers, which have ranges and so checks of their own, other values, and items of iterators are
+    not checked.
+    """
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def checked(*args: Any, **kwargs: Any) -> Any:
+        with contextlib.suppress(TypeError):  # of other arguments, about which Python tells
+            given = signature.bind(*args, **kwargs).arguments
+            for name, kind in get_type_hints(function).items():
+                if name in given and not _is_a(given[name], kind):
+                    text = _WORDS.get(kind) or str(signature.parameters[name].annotation)
+                    text = f"one of {get_args(kind)}" if get_origin(kind) is Literal else text
+                    makers = [
+                        f"{maker} makes one" for word, maker in _MAKERS.items() if word in text
+                    ]
+                    raise ConfigurationError(
+                        "; ".join([f"{name} must be {text}, got {given[name]!r:.80}", *makers])
+                    )
+        return function(*args, **kwargs)
+
+    return cast("Function", checked)
+
+
+# word in an annotation -> what makes such an object
+_MAKERS = {
+    "GaitLibrary": "aslip.GaitLibrary.load",
+    "TensorDictModuleBase": "aslip.load_policy",
+    "StackEnv": "aslip.make_env",
+}
+_WORDS = {float: "a number", bool: "True or False"}
+# numbers and truth values of NumPy are as good as Python's
+_NUMBERS = {float: Real, bool: bool | np.bool_}
+
+
+def _is_a(value: Any, kind: Any) -> bool:
+    """Check whether a value has the type of an annotation."""
+    origin, kinds = get_origin(kind), get_args(kind)
+    if kind in _NUMBERS:
+        return isinstance(value, _NUMBERS[kind]) and (kind is bool or not isinstance(value, bool))
+    if origin in (Union, UnionType):
+        return any(_is_a(value, one) for one in kinds)
+    if origin is Literal:
+        return isinstance(value, str)
+    if origin is Callable or kind is TensorDictModuleBase:
+        return callable(value)
+    if origin in (Sequence, Iterable):
+        if isinstance(value, str | bytes):
+            return isinstance(value, str) and _is_a(value, kinds[0])
+        if isinstance(value, np.ndarray | torch.Tensor):
+            return value.ndim > 0 and (kinds[0] in _NUMBERS or get_origin(kinds[0]) is Sequence)
+        items = value if isinstance(value, list | tuple) else ()
+        return isinstance(value, origin) and all(_is_a(item, kinds[0]) for item in items)
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return isinstance(value, Mapping) and all(_is_a(item, kinds[1]) for item in value.values())
+    kind = origin or kind
+    return kind is int or not isinstance(kind, type) or isinstance(value, kind)
 
 
 class SeededTransform(Transform):
@@ -42,6 +146,7 @@ class SeededTransform(Transform):
     needs_env: ClassVar[str] = ""
     """Reason why the class acts in environments only; empty if it does not."""
 
+    @on_cpu_in_single
     def __init__(self, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
         for which, keys in (("in_keys", in_keys), ("out_keys", out_keys)):
             self._check_keys(which, keys, getattr(self, f"num_{which}"))
@@ -56,10 +161,12 @@ class SeededTransform(Transform):
         if number is not None and len(keys) != number:
             raise ConfigurationError(f"{which} of {kind} must be {number} keys, got {keys!r}")
 
+    @on_cpu_in_single
     def set_seed(self, seed: int) -> None:
         """Restart the transform's own random numbers."""
         self.generator.manual_seed(seed)
 
+    @on_cpu_in_single
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Act on a tensordict without an environment.
 
@@ -84,6 +191,7 @@ class SeededTransform(Transform):
         del tensordict
         return self._call(tensordict_reset)
 
+    @on_cpu_in_single
     def transform_output_spec(self, output_spec: Composite) -> Composite:
         """Write into the specs, which are already a copy of the environment's.
 
@@ -102,6 +210,7 @@ class SeededTransform(Transform):
                 )
         return output_spec
 
+    @on_cpu_in_single
     def transform_input_spec(self, input_spec: Composite) -> Composite:
         """Write into the specs, which are already a copy of the environment's."""
         self._transform_specs(input_spec, ("state", "action"))

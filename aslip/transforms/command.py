@@ -22,6 +22,7 @@ from aslip.transforms.base import (
     check_number,
     checked_column,
     extend_spec,
+    on_cpu_in_single,
     require_keys,
 )
 
@@ -130,6 +131,7 @@ class SpeedCommand(RandomCommand):
             shorter than a policy step.
     """
 
+    @on_cpu_in_single
     def __init__(
         self,
         library: GaitLibrary,
@@ -182,6 +184,7 @@ class VelocityCommand(RandomCommand):
             a policy step.
     """
 
+    @on_cpu_in_single
     def __init__(
         self,
         library: GaitLibrary,

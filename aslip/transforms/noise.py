@@ -15,7 +15,13 @@ from torchrl.data import Composite
 
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.robot import CASSIE, NoiseLevel
-from aslip.transforms.base import SeededTransform, check_number, extend_spec, require_keys
+from aslip.transforms.base import (
+    SeededTransform,
+    check_number,
+    extend_spec,
+    on_cpu_in_single,
+    require_keys,
+)
 from aslip.transforms.rotation import from_vector, multiply, upper_hemisphere
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in CASSIE.noise_channels)
@@ -54,6 +60,7 @@ class ObservationNoise(SeededTransform):
     needs_env = "it draws biases at resets, and each robot keeps its own"
     _reads: ClassVar[Sequence[NestedKey]] = _SENSOR_KEYS
 
+    @on_cpu_in_single
     def __init__(
         self,
         levels: Mapping[str, NoiseLevel] | None = None,
@@ -80,6 +87,7 @@ class ObservationNoise(SeededTransform):
             if white.any() or bias.any():
                 self._levels[sensor] = white, bias
 
+    @on_cpu_in_single
     def set_seed(self, seed: int) -> None:
         """Seed the generators: one for each sensor at resets, and one for each sensor at steps.
 

@@ -21,6 +21,7 @@ from aslip.transforms.base import (
     SeededTransform,
     check_number,
     extend_spec,
+    on_cpu_in_single,
     require_keys,
     reset_rows,
     spread,
@@ -190,6 +191,7 @@ class Feedforward(SeededTransform):
 
     num_in_keys, num_out_keys = 1, 1
 
+    @on_cpu_in_single
     def __init__(
         self,
         stiffness: ArrayLike = CASSIE.stiffness,

@@ -34,7 +34,7 @@ slowly on their knees: after 1.5 million policy steps, at 0 to 0.4 m/s, the pelv
 instead of 0.87 m or more."""
 
 # weights of hip roll, hip yaw, hip pitch, knee and foot of both legs
-_JOINT_WEIGHTS: Final = torch.tensor([0.15, 0.15, 0.1, 0.05, 0.05] * 2)
+_JOINT_WEIGHTS: Final = (0.15, 0.15, 0.1, 0.05, 0.05) * 2
 # speed below which a foot of the reference is in stance [m/s]
 _STANCE_SPEED = 0.05
 
@@ -47,7 +47,8 @@ def joints(qpos: Tensor, motor_reference: Tensor) -> Tensor:
         motor_reference: (*b, 10) angles at the same instant [rad].
     """
     error = qpos[..., _motors_and_shins()[0]] - motor_reference
-    return torch.exp(-30 * (_JOINT_WEIGHTS * error.square()).sum(-1, keepdim=True))
+    weights = error.new_tensor(_JOINT_WEIGHTS, dtype=torch.float32)
+    return torch.exp(-30 * (weights * error.square()).sum(-1, keepdim=True))
 
 
 def pelvis(pelvis_position: Tensor, body_position: Tensor, distance: Tensor) -> Tensor:

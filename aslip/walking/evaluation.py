@@ -16,6 +16,7 @@ from tensordict.utils import NestedKey
 from aslip.envs import MAX_EPISODE_STEPS, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.transforms.base import check_types, on_cpu_in_single
 from aslip.transforms.path import wrap
 from aslip.transforms.rotation import conjugate, multiply, yaw
 from aslip.walking.record import record
@@ -119,6 +120,8 @@ def tracks_command(speed: float, mean_speed: float) -> bool:
     return abs(mean_speed - speed) <= TRACKING_TOLERANCE
 
 
+@check_types
+@on_cpu_in_single
 def evaluate(
     policy: TensorDictModuleBase,
     env: StackEnv,

@@ -28,6 +28,7 @@ from aslip.policy import add_memory
 from aslip.robot import SIDES
 from aslip.robot.rotation import rotate_level
 from aslip.transforms import RandomCommand, StandCommand
+from aslip.transforms.base import on_cpu_in_single
 from aslip.walking.wishes import can_stand, checked_wishes, refuse_wish
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
@@ -133,6 +134,7 @@ class Walks:
 
 
 @torch.no_grad()
+@on_cpu_in_single
 def take_step(policy: TensorDictModuleBase, env: StackEnv, td: TensorDictBase) -> TensorDictBase:
     """Take one policy step without exploration noise; the outcome is under `"next"`."""
     with set_exploration_type(ExplorationType.DETERMINISTIC):
@@ -183,6 +185,7 @@ def walk(
         td = next_start(td)
 
 
+@on_cpu_in_single
 def reset_walks(
     env: StackEnv,
     command: np.ndarray,
@@ -215,6 +218,7 @@ def _columns(values: np.ndarray) -> torch.Tensor:
     return entry[:, None] if entry.ndim == 1 else entry
 
 
+@on_cpu_in_single
 def record(
     policy: TensorDictModuleBase,
     env: StackEnv,
@@ -278,6 +282,7 @@ def commands_kept(env: StackEnv) -> Iterator[None]:
 # ------------------------------------------------------------------------- arrays
 
 
+@on_cpu_in_single
 def record_walks(
     policy: TensorDictModuleBase,
     env: StackEnv,

@@ -12,11 +12,19 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from aslip.envs import EPISODE_ENDS, StackEnv, check_policy_fits, make_env, shipped_library
+from aslip.envs import (
+    EPISODE_ENDS,
+    StackEnv,
+    check_policy_fits,
+    library_of,
+    make_env,
+    shipped_library,
+)
 from aslip.errors import ConfigurationError
 from aslip.library import Command, GaitLibrary, numbers
 from aslip.policy import add_memory, forget, load_policy, policy_library, policy_stack
 from aslip.robot import CASSIE
+from aslip.transforms.base import on_cpu_in_single
 from aslip.walking.push import policy_steps
 from aslip.walking.record import next_start, reset_walks, take_step
 from aslip.walking.wishes import can_stand
@@ -44,7 +52,7 @@ class Walker:
         env: environment of one robot. By default the policy's stack, with falls as the
             only end of an episode.
         library: gaits of the default environment, and the range of commands; by default the
-            shipped ones of the policy's stack.
+            shipped ones of the policy's stack, or those of `env`.
         seed: seed of the default environment.
         speed: first command: forward speed [m/s], or a number for each axis of the library.
         stand: first wish to stand.
@@ -68,6 +76,9 @@ class Walker:
         self.library = command_library(policy) if library is None else library
         if env is None:
             env = self._default_env(policy, seed)
+        elif library is None:
+            axes = env.observation_spec["command"].shape[-1]
+            self.library = self.library if self.library.command_size == axes else library_of(env)
         if env.num_envs != 1:
             raise ConfigurationError(f"env of a Walker must have one robot, got {env.num_envs}")
         self.env = env
@@ -88,8 +99,8 @@ class Walker:
 
     @policy.setter
     def policy(self, policy: TensorDictModuleBase | str | Path) -> None:
+        check_policy_fits(policy, self.env)
         if isinstance(policy, str | Path):
-            check_policy_fits(policy, self.env)
             policy = load_policy(policy)
         add_memory(self.env, policy)
         if hasattr(self, "_policy"):
@@ -107,6 +118,7 @@ class Walker:
         return values[0] if len(values) == 1 else values
 
     @command.setter
+    @on_cpu_in_single
     def command(self, command: Command | Sequence[float]) -> None:
         self.td["command"] = torch.tensor([self._checked(command)])
 
@@ -127,6 +139,7 @@ class Walker:
         return self.can_stand and bool(self.td["stand"] > 0.5)
 
     @stand.setter
+    @on_cpu_in_single
     def stand(self, stand: bool) -> None:
         if self.can_stand:
             self.td["stand"] = torch.tensor([[float(stand)]])
@@ -141,6 +154,7 @@ class Walker:
             command = (cast("float", command), *(0.0,) * (size - 1))
         return self.library.check_command(command)
 
+    @on_cpu_in_single
     def push(self, force: Sequence[float], duration: float = 4 * CASSIE.policy_period) -> None:
         """Push the pelvis from the next policy step on; replaces the current push.
 
@@ -158,6 +172,7 @@ class Walker:
             raise ConfigurationError(f"a push needs a positive duration [s], got {duration!r}")
         self._push, self._push_steps = vector[None], policy_steps(duration)
 
+    @on_cpu_in_single
     def reset(self, speed: Command | Sequence[float] | None = None, stand: bool = False) -> None:
         """Start again on the reference at phase 0, or standing.
 

@@ -23,7 +23,7 @@ from aslip.envs import BatchEnv, StackEnv, insert_before
 from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
-from aslip.policy import policy_stack, save_policy
+from aslip.policy import policy_library, policy_stack, read_card, save_policy
 from aslip.policy.networks import PolicyShape, RunningNormalizer, make_actor
 from aslip.robot import CASSIE
 from aslip.transforms import SINGLE_REFERENCE_TABLE, SeededTransform
@@ -244,6 +244,15 @@ def test_a_wrong_command_or_phase_is_named(controller: Controller, name: str) ->
         controller.start(packets, **{name: math.nan})  # pyright: ignore[reportArgumentType]
     with pytest.raises(ShapeError, match=f"{name} must be one number or \\(2, 1\\)"):
         controller.start(packets, **{name: torch.zeros(3, 1)})  # pyright: ignore
+
+
+@pytest.mark.parametrize("policy", ["straight", "robust", "single_reference"])
+def test_shipped_policies_walk_on_the_gaits_of_their_training_only(policy: str) -> None:
+    own = GaitLibrary.load(policy_library(policy))
+    other = GaitLibrary.load("gaits" if policy == "single_reference" else "single_reference")
+    assert read_card(policy)["library_sha256"] == own.sha256
+    with pytest.raises(ConfigurationError, match=f"{policy!r} was trained on other gaits"):
+        Controller(policy, other)
 
 
 def test_an_unknown_entry_is_named() -> None:

@@ -169,8 +169,13 @@ def test_wrong_arguments_are_named(
         exported.start(good, [0.1, 0.2])
     with pytest.raises(UnknownNameError, match="'velocity' is missing"):
         exported.start({name: value for name, value in good.items() if name != "velocity"})
-    with pytest.raises(ConfigurationError, match="must be finite"):
-        exported.start({**good, "height": np.array([[np.nan]])})
+    for name, wrong in (("height", np.nan), ("orientation", 0.0)):
+        lost = {**good, name: np.full_like(good[name], wrong)}
+        with pytest.raises(ConfigurationError, match=f"must be finite and possible: {name} is"):
+            exported.start(lost)
+        # held in a step, as an estimate that does not come
+        _, held = exported.step(exported.start(good), lost)
+        np.testing.assert_array_equal(held, exported.step(exported.start(good), None)[1])
     with pytest.raises(ShapeError, match="one robot, got packets of 2"):
         exported.start(np.zeros((2, 1, 42)))
     assert not exported.stands

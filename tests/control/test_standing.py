@@ -104,7 +104,8 @@ def test_motor_targets_are_those_of_a_stacks_rollout() -> None:
 
 
 def test_a_wish_stays_until_the_next(env: StackEnv) -> None:
-    packets, controller = env.reset()["sensors"], _controller()
+    standing = TensorDict(command=torch.zeros(3, 3), stand=torch.ones(3, 1), batch_size=3)
+    packets, controller = env.reset(standing)["sensors"], _controller()
     state = controller.start(packets, [0.2, 0.0, 0.0], stand=True)
     entries = state.tensordict
     assert (entries["mode"] == WalkMode.STAND).all()
@@ -132,7 +133,7 @@ def test_robots_stand_before_the_runner_damps_them() -> None:
     phase = (torch.arange(len(command))[:, None] / 16) % 1
     stand = torch.ones(len(command), 1)
     present = steering.begin(command, phase, 0 * stand)
-    upright = {name: torch.from_numpy(v) for name, v in standing_estimate(CASSIE).items()}
+    upright = {name: torch.tensor(v) for name, v in standing_estimate(CASSIE).items()}
     for _ in range(round((Limits().settle - 0.5) / period)):
         present = steering.advance({**present, "estimate": upright}, command, stand)
     assert (present["mode"] == WalkMode.STAND).all()

@@ -177,6 +177,12 @@ def test_check_command_returns_covered_speeds(library: GaitLibrary, speed: float
     assert library.check_command(speed) == (speed,)
 
 
+def test_commands_may_be_whole_numbers(library: GaitLibrary) -> None:
+    whole = torch.tensor([[1], [9]])
+    for function in (library.stride, library.nearest):
+        assert torch.equal(function(whole), function(whole.float()))
+
+
 def test_strides_are_linear_between_gaits(library: GaitLibrary) -> None:
     speeds = torch.tensor(library.speeds.copy())
     expected = torch.tensor([gait.stride for gait in library.gaits], dtype=torch.float64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,6 +59,18 @@ def test_hidden_state_lasts_one_episode(make: MakeEnv, file: Path) -> None:
     with set_recurrent_mode(True):
         again = policy(data.exclude("action", "loc", "features", "next").clone())
     torch.testing.assert_close(again["loc"], data["loc"], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("settings", [{}, {"keep": ["observation"]}, {"drop": ["first_step"]}])
+def test_a_recurrent_policy_refuses_an_environment_that_drops_its_memory(
+    make: MakeEnv, file: Path, settings: dict[str, Any]
+) -> None:
+    env, policy = make(num_envs=2, **settings), aslip.load_policy(file)
+    with pytest.raises(
+        ConfigurationError, match=r"drops its hidden state.*add_memory\(env, policy\)"
+    ):
+        env.rollout(2, policy)
+    assert "memory" in add_memory(env, policy).rollout(2, policy)
 
 
 def test_recurrent_policy_walks_and_evaluates(make: MakeEnv, file: Path) -> None:

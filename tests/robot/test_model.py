@@ -319,7 +319,7 @@ def test_floor_has_the_requested_friction() -> None:
         assert contact.dim == 3
 
 
-@pytest.mark.parametrize("friction", [0.0, -0.1, float("nan"), float("inf")])
+@pytest.mark.parametrize("friction", [0.0, -0.1, float("nan"), float("inf"), 1e300])
 def test_friction_must_be_a_positive_number(friction: float) -> None:
     with pytest.raises(ConfigurationError, match="floor_friction"):
         load_model(floor_friction=friction)

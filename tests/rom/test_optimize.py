@@ -6,7 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aslip.errors import GaitOptimizationError, ShapeError, SolverError, SpeedOutOfRangeError
+from aslip.errors import (
+    ConfigurationError,
+    GaitOptimizationError,
+    ShapeError,
+    SolverError,
+    SpeedOutOfRangeError,
+)
 from aslip.processes import signals_raised
 from aslip.rom import Mode, SlipParameters, optimize, optimize_gait, optimize_gaits
 
@@ -102,6 +108,12 @@ def test_guess_with_another_number_of_points_is_refused(gait):
     arrays = {n: a[:9] if np.ndim(a) else a for n, a in gait.to_arrays().items()}
     with pytest.raises(ShapeError, match="points"):
         optimize_gait(1.0, guess=type(gait).from_arrays(arrays))
+
+
+@pytest.mark.parametrize("command", [1.0, (1.0, 0.0, 0.0)])
+def test_an_unknown_objective_is_named(command):
+    with pytest.raises(ConfigurationError, match=r"objective must be one of \('mean', .*got 'x'"):
+        optimize_gait(command, objective="x")
 
 
 @pytest.mark.parametrize("speed", [0.4, 1.9])

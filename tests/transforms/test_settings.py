@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
+import aslip
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.log import Recorder
 from aslip.transforms import (
     Fall,
     LowReward,
@@ -21,9 +25,52 @@ from aslip.transforms import (
     StandCommand,
     WeightedReward,
 )
-from tests.helpers import MakeEnv
+from aslip.walking import evaluate
+from tests.helpers import MakeEnv, limp
 
 BAD = [float("nan"), float("inf"), "x", None, True]
+
+
+@pytest.mark.parametrize(
+    ("function", "wrong", "message"),
+    [
+        (
+            aslip.make_env,
+            {"num_envs": "8"},
+            "num_envs must be a whole number of 1 or more, got '8'",
+        ),
+        (aslip.make_env, {"backend": 3}, "backend must be one of .'batch', 'dm_control'., got 3"),
+        (aslip.make_env, {"library": "gaits"}, "got 'gaits'; aslip.GaitLibrary.load makes one"),
+        (aslip.make_env, {"drop": 3}, r"drop must be Iterable\[str\], got 3"),
+        (aslip.make_env, {"drop": [3]}, r"drop must be Iterable\[str\], got \[3\]"),
+        (aslip.make_env, {"stack": ["a"]}, r"stack must be Stack | str, got \['a'\]"),
+        (aslip.make_env, {"replace": {"noise": 3}}, "replace must be Mapping"),
+        (aslip.make_env, {"floor_friction": "1"}, "floor_friction must be a number, got '1'"),
+        (aslip.load_policy, {"name_or_path": 3}, "name_or_path must be str | Path, got 3"),
+        (aslip.load_policy, {"name_or_path": "straight", "network": "mlp"}, "network must be"),
+        (aslip.Controller, {"policy": None}, "policy must be str .*, got None"),
+        (
+            aslip.Controller,
+            {"policy": "straight", "motor_lead": True},
+            "motor_lead must be a number",
+        ),
+        (aslip.Controller, {"policy": "straight", "motor_lead": math.nan}, "motor_lead must be"),
+        (aslip.Controller, {"policy": "straight", "command_rates": 1.0}, "command_rates must be"),
+        (aslip.GymEnv, {"render_mode": np.ones(2)}, "render_mode must be str | None"),
+        (aslip.GymEnv, {"num_envs": np.ones(2)}, "num_envs must be a whole number"),
+        (Recorder, {"path": 3}, "path must be str | Path, got 3"),
+        (
+            Recorder,
+            {"path": "w.mcap", "robot": "0"},
+            "robot must be a whole number of 0 or more, got '0'",
+        ),
+        (evaluate, {"policy": "straight", "env": 3, "speeds": [0.0]}, "aslip.load_policy makes"),
+        (evaluate, {"policy": limp(), "env": 3, "speeds": [0.0]}, "got 3; aslip.make_env makes"),
+    ],
+)
+def test_arguments_of_wrong_types(function: Any, wrong: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        function(**wrong)
 
 
 @pytest.mark.parametrize("value", BAD, ids=repr)

@@ -132,6 +132,17 @@ def test_refuses_policy_of_another_stack(tmp_path: Path) -> None:
     assert stack_name(Walker(other).env) == "single_reference"
 
 
+def test_a_loaded_policy_is_named_with_its_stack_if_the_environment_has_another() -> None:
+    policy, env = aslip.load_policy("aslip"), aslip.make_env(stack="standing", num_threads=1)
+    # commands are those of the environment
+    assert Walker(policy, env, speed=(0.3, 0.0, 0.1)).command == pytest.approx((0.3, 0.0, 0.1))
+    stacks = "it was trained on the stack 'standing', and the environment has the stack 'default'"
+    with pytest.raises(ConfigurationError, match=f"'aslip' does not fit.*82 numbers.*{stacks}"):
+        Walker(policy)
+    with pytest.raises(ConfigurationError, match=r"'straight' does not fit.*the stack 'default'"):
+        Walker(aslip.load_policy("straight"), env)
+
+
 def save_other_policy(path: Path) -> Path:
     shape = PolicyShape(49)
     actor = make_actor(RunningNormalizer(49), shape)

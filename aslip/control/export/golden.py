@@ -16,6 +16,7 @@ from aslip.control.controller import PATH_ERROR, Controller, ControllerState
 from aslip.control.own_estimate import join_estimate, split_estimate
 from aslip.library import GaitLibrary
 from aslip.robot import Robot
+from aslip.robot.rotation import normalize
 
 STEPS: Final = 200
 """Policy steps of a golden trace."""
@@ -159,4 +160,5 @@ def random_estimates(
         "joint_velocity": qvel[:, at.joint_qvel],
     }
     rows = join_estimate(estimate, robot)
-    return rows + _NOISE * generator.standard_normal(rows.shape)
+    noisy = split_estimate(rows + _NOISE * generator.standard_normal(rows.shape), robot)
+    return join_estimate({**noisy, "orientation": normalize(noisy["orientation"])}, robot)

@@ -229,22 +229,24 @@ class PolicyStep(nn.Module):
         ]
 
 
+# from NumPy: not changed by torch's defaults at the time of the import
+_ZEROS = torch.from_numpy(np.zeros((1, 3)))
 _HEADING_INPUT = Entry(
     "heading",
-    torch.zeros(1, 1, dtype=torch.float64),
+    _ZEROS[:, :1],
     unit="rad",
     frame=_WORLD,
     meaning="yaw that counts as straight ahead; at a first step usually that of the orientation",
 )
 
 _STAND_INPUTS = (
-    Entry("stand", torch.zeros(1, 1), meaning="wish: 1 to stand, 0 to walk"),
-    Entry("last_mode", torch.zeros(1, 1), meaning=_MODES),
+    Entry("stand", _ZEROS[:, :1].float(), meaning="wish: 1 to stand, 0 to walk"),
+    Entry("last_mode", _ZEROS[:, :1].float(), meaning=_MODES),
 )
 _PATH_INPUTS = (
     Entry(
         POSITION,
-        torch.zeros(1, 3, dtype=torch.float64),
+        _ZEROS[:, :3],
         "state/body/position",
         ("x", "y", "z"),
         "m",
@@ -253,19 +255,19 @@ _PATH_INPUTS = (
     ),
     Entry(
         "path_heading",
-        torch.zeros(1, 1, dtype=torch.float64),
+        _ZEROS[:, :1],
         unit="rad",
         frame=_WORLD,
         meaning="yaw of the moving frame before the step; heading is that after the step",
     ),
     Entry(
         "last_origin",
-        torch.zeros(1, 3),
+        _ZEROS[:, :3].float(),
         unit="m",
         frame=_WORLD,
         meaning="origin of the moving frame; at a first step the place of the pelvis, with z zero",
     ),
-    Entry("last_path_error", torch.zeros(1, 2), unit="m", frame=_HEADING),
+    Entry("last_path_error", _ZEROS[:, :2].float(), unit="m", frame=_HEADING),
 )
 
 

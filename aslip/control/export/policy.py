@@ -33,10 +33,12 @@ from aslip.files.assets import user_path
 from aslip.files.writing import replacing
 from aslip.library import GaitLibrary, WalkMode
 from aslip.policy import entry_names, find_policy, read_card
+from aslip.transforms.base import on_cpu_in_single
 
 _BATCH = 1000  # steps that PyTorch computes at once in a comparison
 
 
+@on_cpu_in_single
 def export_policy(
     policy: str | Path | Controller,
     path: str | Path,
@@ -208,6 +210,7 @@ def _about(controller: Controller, policy: str | Path | Controller) -> dict[str,
     }
 
 
+@on_cpu_in_single
 def compare(
     exported: ExportedController,
     controller: Controller,

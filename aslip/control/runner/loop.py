@@ -189,8 +189,8 @@ class Run:
         """State of the robot as a line of text."""
         line = f"{now:7.2f} s  {self.supervisor.stage.value}"
         reading: Reading | None = self.supervisor.reading
-        if reading is None:
-            return line
+        if reading is None or self.supervisor.stage is Stage.CONNECT:
+            return f"{line}: {self.supervisor.reason}"
         speed = float(np.hypot(*reading.estimate["velocity"][:2]))
         height = float(reading.estimate["height"][0])
         if self.supervisor.stage is Stage.WALK:

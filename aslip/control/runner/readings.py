@@ -14,6 +14,7 @@ import numpy as np
 from aslip.control.own_estimate import POSITION
 from aslip.control.runner.supervisor import Reading
 from aslip.robot import CASSIE, Robot
+from aslip.robot.robot import is_possible
 from aslip.wire import (
     CASSIE_OUT,
     ESTIMATE_ENTRIES,
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 # longest gap that is filled with lost packets [packets of the estimator]
 _LONGEST_GAP = 40
+# readings of the IMU that are estimates under another name
+_ESTIMATED = {"gyro": "angular_velocity", "accelerometer": "acceleration"}
 
 
 class Readings(Protocol):
@@ -101,7 +104,8 @@ class SensorReadings:
     """Readings from packets `cassie_out_t`, with the state estimator that training uses.
 
     A robot sends at 2 kHz; the estimator takes every sixth packet, with the mean specific force of
-    the six. Lost packets are noticed by their sequence numbers.
+    the six. Lost packets are noticed by their sequence numbers. Until all readings of a packet are
+    finite and possible, estimates from the others are NaN.
 
     Args:
         robot: robot that sends the packets.
@@ -121,6 +125,7 @@ class SensorReadings:
         self._force: list[np.ndarray] = []
         self._record: np.ndarray | None = None
         self._arrived: float | None = None
+        self._lost: list[str] = []
         # compiled functions load at their first call, which takes seconds
         tracking, _ = self._estimator.start(np.full(robot.packet_size, np.nan))
         self._estimator.update(tracking, None)
@@ -130,9 +135,7 @@ class SensorReadings:
         every = self.robot.packet_substeps
         self._arrived, self._record = time, record
         if self._tracking is None:
-            # heading zero: the frame of the IMU's attitude
-            sensors = cassie_out_to_sensors(record)
-            self._tracking, self._estimate = self._estimator.start(sensors, heading=0.0)
+            self._start(cassie_out_to_sensors(record))
             return
         before, self._tick = self._tick // every, self._tick + max(step, 1)
         due = min(self._tick // every - before, _LONGEST_GAP)
@@ -149,6 +152,7 @@ class SensorReadings:
         time, self._arrived = self._arrived, None
         names = (*ESTIMATE_ENTRIES, POSITION)
         estimate = {name: getattr(self._estimate, name)[0] for name in names}
+        estimate |= {name: estimate[name] * np.nan for name in self._lost}
         return Reading(time, estimate, self._record["pelvis"]["radio"]["channel"].copy())
 
     def answer(self, command: MotorCommand) -> np.ndarray:
@@ -162,6 +166,14 @@ class SensorReadings:
         feedback = (command.position - position) * command.stiffness
         feedback += (command.velocity - velocity) * command.damping
         return torque_to_user_in(feedback + command.torque)
+
+    def _start(self, sensors: dict[str, np.ndarray]) -> None:
+        """Start to track the robot with its first packet without lost readings."""
+        # heading zero: the frame of the IMU's attitude
+        tracking, self._estimate = self._estimator.start(sensors, heading=0.0)
+        lost = [name for name, values in sensors.items() if not is_possible(name, values)]
+        self._lost = [_ESTIMATED.get(name, name) for name in lost]
+        self._tracking = None if lost else tracking
 
     def _update(self, sensors: dict[str, np.ndarray] | None) -> None:
         """Update the estimate with a packet, or with a lost one."""

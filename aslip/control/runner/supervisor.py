@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
+from aslip.control.own_estimate import lost_entries
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.rotation import yaw
@@ -58,7 +59,7 @@ class Stage(Enum):
     """Stage of a run."""
 
     CONNECT = "connect"
-    """No torque until the robot answers."""
+    """No torque until the robot answers with estimates that are finite and possible."""
     HOLD = "hold"
     """Joints stay where they are while the position gains rise."""
     POSE = "pose"
@@ -223,9 +224,9 @@ class Supervisor:
             return f"operator: radio channel {SWITCH_CHANNEL} is {channels[SWITCH_CHANNEL]:g}"
         if now - time > self.limits.patience:
             return f"no packet for {now - time:.3f} s"
-        bad = [name for name, value in estimate.items() if not np.isfinite(value).all()]
-        if bad:
-            return f"estimates are not finite: {', '.join(bad)}"
+        if lost := _lost(estimate):
+            # at first the robot's estimator may not be ready
+            return "" if self.stage is Stage.CONNECT and not request.stop else lost
         angle = tilt(estimate["orientation"])
         if angle > self.limits.tilt:
             return f"tilt of {angle:.2f} rad, beyond {self.limits.tilt:g} rad"
@@ -235,6 +236,9 @@ class Supervisor:
         """Enter the stage that is due."""
         reading = self.reading
         if self.stage is Stage.DAMPING or reading is None:
+            return
+        if self.stage is Stage.CONNECT and (lost := _lost(reading.estimate)):
+            self.reason = f"waits, because {lost}"
             return
         released = reading.channels[SWITCH_CHANNEL] > _THROWN
         if released and self.stage is not Stage.RELEASED:
@@ -314,6 +318,20 @@ class Supervisor:
         return MotorCommand(
             zero, target, zero, stiffness * robot.stiffness, damping * robot.damping
         )
+
+
+def _lost(estimate: Mapping[str, np.ndarray]) -> str:
+    """Entries of an estimate that are not finite, or else those that no robot can have, in words.
+
+    Empty if there are none.
+    """
+    lost = lost_entries(estimate)
+    if odd := [name for name in lost if not np.isfinite(estimate[name]).all()]:
+        return f"estimates are not finite: {', '.join(odd)}"
+    values = (
+        f"{name} is {np.round(estimate[name].astype(np.float64), 3).tolist()}" for name in lost
+    )
+    return f"estimates are impossible: {', '.join(values)}" if lost else ""
 
 
 def tilt(orientation: np.ndarray) -> float:

@@ -25,6 +25,7 @@ from aslip.show.live.readouts import ROBOT_LABEL, Readouts, Status, Turning
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
 from aslip.show.pacing import Pacer
+from aslip.transforms.base import on_cpu_in_single
 from aslip.walking import Walker
 
 # turns of the loop from a fall to the reset (1 s)
@@ -221,6 +222,7 @@ class LivePage:
         if settings.command != before.command:
             self.walker.command = self._reachable(settings.command)
 
+    @on_cpu_in_single
     def _reachable(self, command: Command) -> Command:
         """Command moved into the region of the library, which sliders may leave at its corners."""
         if not isinstance(command, tuple):

@@ -222,7 +222,7 @@ class SceneView:
                 and with `heading` for stacks that have it.
         """
         qpos = cast("torch.Tensor", td["truth", "qpos"])[0].numpy()
-        heading = float(cast("torch.Tensor", td.get("heading", torch.zeros(1, 1))))
+        heading = float(cast("torch.Tensor", td.get("heading", 0.0)))
         with self._server.atomic():
             self._scene.update(qpos, heading)
             self._rom.update(td)

@@ -94,6 +94,16 @@ def test_a_bad_imu_is_a_fault_of_its_readings() -> None:
     assert readings._estimate.faults[0, 0]
 
 
+def test_a_robot_is_tracked_from_its_first_packet_without_lost_readings() -> None:
+    readings, seen = SensorReadings(), []
+    for orientation in (np.zeros(4), np.array([1.0, 0.0, 0.0, 0.0])):
+        readings.take(0.0, 1, sensors_to_cassie_out(sensors(orientation=orientation)))
+        reading = readings.newest()
+        assert reading is not None
+        seen.append([name for name, x in reading.estimate.items() if not np.isfinite(x).all()])
+    assert seen == [["orientation"], []]
+
+
 def test_commands_of_pd_mode_arrive_whole() -> None:
     command = a_command()
     for sent, got in zip(command, pd_in_to_command(StateReadings().answer(command)), strict=True):

@@ -78,6 +78,17 @@ def test_there_is_no_torque_before_the_first_packet() -> None:
     assert controller.calls == []
 
 
+def test_there_is_no_torque_before_the_first_possible_estimate() -> None:
+    supervisor, controller = make()
+    cases: list[dict[str, Any]] = [{"orientation": np.zeros(4)}, {"height": np.array([np.nan])}]
+    for k, lost in enumerate(cases):
+        assert not np.any(supervisor.tick(k * PERIOD, standing(k * PERIOD, **lost), Request(0.5)))
+        assert supervisor.stage is Stage.CONNECT
+        assert next(iter(lost)) in supervisor.reason
+    supervisor.tick(2 * PERIOD, standing(2 * PERIOD), Request(0.5))
+    assert [call[0] for call in controller.calls] == ["start"]
+
+
 def test_a_slow_start_holds_the_joints_then_moves_them_to_the_pose() -> None:
     supervisor, _ = make(SLOW)
     stages, last = [], None
@@ -161,6 +172,11 @@ TILTED = np.array([math.cos(0.5), math.sin(0.5), 0, 0])
             standing(0.06, velocity=np.array([0, np.nan, 0])),
             Request(),
             "estimates are not finite: velocity",
+        ),
+        (
+            standing(0.06, orientation=np.zeros(4)),
+            Request(),
+            "estimates are impossible: orientation is [0.0, 0.0, 0.0, 0.0]",
         ),
         (standing(0.06, orientation=TILTED), Request(), "tilt of 1.00 rad, beyond 0.8 rad"),
     ],
