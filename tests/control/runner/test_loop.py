@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from aslip.control import Controller
+from aslip.control.own_estimate import standing_estimate
 from aslip.control.runner.commands import Scheduled
-from aslip.control.runner.load import Loaded, load, standing_estimate, warm_up
+from aslip.control.runner.load import Loaded, load, warm_up
 from aslip.control.runner.loop import (
     LATE,
     Run,
