@@ -179,8 +179,12 @@ def switch(value: object) -> bool:
     return value
 
 
-def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
-    """Accept only valid values of controls from visitors.
+def guard(
+    server: viser.ViserServer,
+    checks: Mapping[str, Check],
+    keys: Mapping[str, Callable[[], object]] | None = None,
+) -> None:
+    """Accept only valid values of controls, and known keys, from visitors.
 
     Values out of range are clamped; other invalid messages are dropped. Messages on a single
     visitor's state, such as the camera, pass, because the server does not keep them.
@@ -188,6 +192,8 @@ def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
     Args:
         server: server of the page.
         checks: uuid of a control -> check of its value.
+        keys: uuid of a command of viser's palette -> function that is called at each press of its
+            key, in their order.
     """
     # viser has no public hook before its own handlers
     connections, accept = server._websock_server, server.gui._handle_gui_updates
@@ -200,6 +206,12 @@ def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
             return
         await accept(client, message)
 
+    async def press(client: Any, message: messages.CommandTriggerMessage) -> None:
+        # the uuid may have any type
+        if keys and isinstance(message.uuid, str) and message.uuid in keys:
+            keys[message.uuid]()
+
     for kind in tuple(connections._incoming_handlers):
         connections.unregister_handler(kind)
     connections.register_handler(messages.GuiUpdateMessage, pass_valid)
+    connections.register_handler(messages.CommandTriggerMessage, press)
