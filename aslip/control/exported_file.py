@@ -31,7 +31,7 @@ _PATIENCE = 10.0
 _GRAPH, _FUNCTIONS, _TRAINING = 7, 25, 20
 _NODES, _INITIALIZERS, _SPARSE_INITIALIZERS = 1, 5, 15
 _OPERATOR, _ATTRIBUTES, _DOMAIN = 4, 5, 7
-_TENSOR, _SUBGRAPHS, _TENSORS, _SPARSE_TENSORS, _FLOATS = 5, (6, 11), 10, (22, 23), 7
+_TENSOR, _SUBGRAPHS, _TENSORS, _SPARSE_TENSORS = 5, (6, 11), 10, (22, 23)
 _KIND, _RAW_DATA = 2, 9
 # field or kind of the numbers of a tensor -> NumPy's type
 _NUMBERS = {4: "<f4", 10: "<f8"}
@@ -147,7 +147,8 @@ def _check_nodes(graph: Any) -> None:
 def _check_finite(tensor: Any) -> None:
     """Check the numbers of a serialised tensor; single constants may be infinite."""
     fields = list(_fields(tensor))
-    raw = next((_RAW_NUMBERS.get(v) for f, v in fields if f == _KIND), None)
+    # of several, the last one counts
+    raw = next((_RAW_NUMBERS.get(v) for f, v in reversed(fields) if f == _KIND), None)
     for field, kind in {**_NUMBERS, _RAW_DATA: raw}.items():
         parts = [v for f, v in fields if f == field]
         numbers = np.concatenate([np.frombuffer(v, kind) for v in parts]) if parts and kind else [0]

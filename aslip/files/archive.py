@@ -123,9 +123,9 @@ def read_zip(file: IO[bytes]) -> dict[str, bytes]:
     """Read the entries of a ZIP file by name, no more of each than the directory claims.
 
     Raises:
-        ValueError: the entries are larger, or claim to be much larger than the file, two have the
-            same name, or one is encrypted or of another compression than ours.
-        Exception: the file is damaged.
+        ValueError: the entries claim to be much larger than the file, two have the same name, or
+            one has another compression than ours.
+        Exception: the file is damaged or encrypted.
     """
     size, contents = file.seek(0, os.SEEK_END), {}
     with zipfile.ZipFile(file) as archive:
