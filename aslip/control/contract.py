@@ -23,7 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.errors import AslipError, ConfigurationError, FileDamagedError, machine_failed
 from aslip.files.archive import from_npy, read_zip
 from aslip.robot import Robot
 
@@ -213,15 +213,17 @@ def damaged(path: Path, why: str) -> FileDamagedError:
 def explained(path: Path, what: str = "") -> Iterator[None]:
     """Turn every error that the content of a file causes into a `FileDamagedError`.
 
+    Errors of the machine are raised as they are.
+
     Args:
         path: the file.
         what: beginning of the reason.
     """
     try:
         yield
-    except FileDamagedError:
-        raise
     except Exception as error:  # onnxruntime's errors have no common class, those of content many
+        if isinstance(error, FileDamagedError) or machine_failed(error):
+            raise
         first = (str(error).splitlines() or [""])[0]
         own = type(error) is ValueError or isinstance(error, AslipError)
         kind = "" if own else f"{type(error).__name__}: "

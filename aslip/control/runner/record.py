@@ -25,7 +25,7 @@ import numpy as np
 import aslip
 from aslip.control.runner.readings import Readings, SensorReadings, StateReadings
 from aslip.control.runner.supervisor import Limits, Reading, Request, Stage, Supervisor
-from aslip.errors import AslipError, FileDamagedError
+from aslip.errors import AslipError, FileDamagedError, machine_failed
 from aslip.log import messages, read
 from aslip.log.messages import MessageType
 from aslip.log.template import Marks, Template
@@ -214,9 +214,9 @@ def replay(path: Path, make: Any, files: Path) -> Replayed:
             (files / name).write_bytes(recording.attachment(name))
         supervisor = make([files / name for name in names], limits)
         return _compare(recording.series, supervisor, data[RAW] == "True")
-    except AslipError:
-        raise
     except Exception as error:  # a log of a stranger may fail in many ways
+        if isinstance(error, AslipError) or machine_failed(error):
+            raise
         reason = f"{type(error).__name__}: {error}"
         raise FileDamagedError(f"{str(path)!r} cannot be replayed: {reason}") from error
 
