@@ -18,7 +18,7 @@ estimates; policies that observe their distance from the commanded path need it.
 
 def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
     """Estimate (k,) of a robot that stands upright at rest, with its position."""
-    at, qpos = robot.indices, robot.standing
+    at, qpos = robot.indices, robot.standing.copy()
     return {
         **{name: np.zeros(size) for name, size in robot.estimate_sizes.items()},
         "height": qpos[at.pelvis_position][2:],
