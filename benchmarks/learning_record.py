@@ -92,7 +92,7 @@ def read_record(path: Path) -> Runs:
     Raises:
         FileDamagedError: the file cannot be read.
     """
-    if not path.exists():
+    if not path.is_file():
         return {}
     rows: dict[tuple[str, int], list[dict[str, str]]] = {}
     try:

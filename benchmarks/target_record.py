@@ -48,7 +48,7 @@ class TargetRecord(UserPaths):
 
     def _read(self) -> None:
         """Read the file, if there is one."""
-        if not self.path.exists():
+        if not self.path.is_file():
             return
         try:
             found = json.loads(self.path.read_text())

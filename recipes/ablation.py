@@ -151,7 +151,7 @@ def read_results(
         FileDamagedError: the results cannot be read.
     """
     path = folder / _RESULTS
-    if not path.exists():
+    if not path.is_file():
         return None
     try:
         kept = json.loads(path.read_text())

@@ -14,7 +14,13 @@ from pathlib import Path
 import pytest
 
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.training.command_line import command_line, prepare_program, program
+from aslip.training.command_line import (
+    Reports,
+    command_line,
+    prepare_program,
+    program,
+    say,
+)
 from aslip.training.run import TrainingRun
 from aslip.training.settings import SETTINGS_FILE
 from recipes.ppo_settings import (
@@ -239,3 +245,34 @@ def test_output_that_nobody_reads_is_dropped(
         for _ in range(2):
             print("x" * 100_000, flush=True)
         assert os.fstat(writer).st_rdev == os.stat(os.devnull).st_rdev
+
+
+def test_lines_that_nobody_reads_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A full pipe takes no more, and a terminal may lack characters."""
+    read, write = os.pipe()
+    with open(write, "w", encoding="ascii") as output:
+        monkeypatch.setattr(sys, "stdout", output)
+        lines = [f"{i} ü \ud800 {1000 * 'x'}" for i in range(300)]
+        start = time.monotonic()
+        for line in lines:
+            say(line)
+        assert time.monotonic() - start < 1.0
+        time.sleep(0.05)
+        found = os.read(read, 2**20).decode("ascii").splitlines()
+        os.close(read)
+    assert found[0] == lines[0].encode("ascii", "backslashreplace").decode()
+    assert 50 < len(found) < 100
+
+
+def test_repeated_events_are_one_line_a_second() -> None:
+    said, now = list[str](), [0.0]
+    reports = Reports(said.append, lambda: now[0])
+    for _ in range(2560):
+        reports.add("refused", f"at {now[0]:.1f} s", 3)
+        reports.say()
+        now[0] += 2**-10
+    reports.add("client", "new")
+    reports.say()
+    assert said == [
+        *("at 0.0 s (3 times)", "at 1.0 s (3072 times)", "at 2.0 s (3072 times)", "new"),
+    ]

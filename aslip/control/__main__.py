@@ -29,7 +29,7 @@ from aslip.errors import ConfigurationError, NetworkError, one_line_errors
 from aslip.files.assets import UserPaths
 from aslip.library import Schedule
 from aslip.processes import endings
-from aslip.training.command_line import command_line
+from aslip.training.command_line import command_line, say
 from aslip.wire import CLIENT, LOOPBACK, SIMULATOR, Address, Endpoint, Link
 from aslip.wire.endpoint import check_port
 
@@ -105,15 +105,15 @@ def main(config: Config) -> None:
         if isinstance(source, Scheduled) and source.stands and not loaded.stands:
             raise ConfigurationError(f"the policy {config.policy!r} cannot stand on a wish")
         supervisor = make_supervisor(loaded, limits)
-        _say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
+        say(f"policy {config.policy!r} at {endpoint.local}, robot at {peer}")
         log = _open_log(config, loaded, readings, limits)
-        run = Run(supervisor, readings, source, log=log, say=_say)
+        run = Run(supervisor, readings, source, log=log, say=say)
         with damping_signals(run), contextlib.closing(run):
             take_priority(config.priority)
             drive = run_lockstep if config.lockstep else run_real_time
             drive(run, endpoint, patience=config.patience)
         counts = {name: number for name, number in asdict(link.counters).items() if number}
-        _say("\n".join([*run.tally.lines(), f"datagrams: {counts}"]))
+        say("\n".join([*run.tally.lines(), f"datagrams: {counts}"]))
     if not supervisor.by_operator:
         raise SystemExit(1)
 
@@ -129,12 +129,12 @@ def make_source(config: Config) -> Source:
     if len(given) > 1:
         raise ConfigurationError(f"give one of --command, --schedule and --listen, got {given}")
     if config.listen is not None:
-        source = Datagrams(config.listen, _say)
-        print(f"commands as JSON at 127.0.0.1:{source.port}", flush=True)
+        source = Datagrams(config.listen, say)
+        say(f"commands as JSON at 127.0.0.1:{source.port}")
         return source
     if not given:
         source = Keyboard()
-        print("\n".join(f"{key:6} {meaning}" for key, meaning in KEYS.items()), flush=True)
+        say("\n".join(f"{key:6} {meaning}" for key, meaning in KEYS.items()))
         return source
     text = config.schedule if config.command is None else config.command
     if not config.duration > 0:
@@ -245,12 +245,6 @@ def _is_loopback(host: str) -> bool:
         return ipaddress.IPv4Address(host).is_loopback
     except ValueError:
         return False
-
-
-def _say(text: str) -> None:
-    """Print a line at once; a closed terminal must not end the run."""
-    with contextlib.suppress(OSError):
-        print(text, flush=True)
 
 
 if __name__ == "__main__":

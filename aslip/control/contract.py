@@ -15,14 +15,16 @@ import base64
 import hashlib
 import io
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.errors import AslipError, ConfigurationError, FileDamagedError, machine_failed
+from aslip.files.archive import from_npy, read_zip
 from aslip.robot import Robot
 
 CONTRACT_VERSION: Final = 2
@@ -103,11 +105,11 @@ class Contract:
         """Arrays of the golden trace.
 
         Raises:
-            ValueError: the entry is missing or damaged.
+            Exception: the entry is missing or damaged.
         """
         data = base64.b64decode(self.metadata.get("golden_trace", ""), validate=True)
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return dict(arrays)
+        arrays = read_zip(io.BytesIO(data))
+        return {name.removesuffix(".npy"): from_npy(array) for name, array in arrays.items()}
 
     def difference(self, robot: Robot) -> str | None:
         """First difference between the contract and a robot, in words; None without any."""
@@ -199,12 +201,33 @@ def external_data(model: bytes) -> bool:
     return _EXTERNAL in model
 
 
-def damaged(path: Path, why: str | Exception) -> FileDamagedError:
+def damaged(path: Path, why: str) -> FileDamagedError:
     """Build the error of a damaged file."""
     return FileDamagedError(
         f"{str(path)!r} is not an intact exported policy ({why}); export it again with"
         " python -m aslip.control.export"
     )
+
+
+@contextmanager
+def explained(path: Path, what: str = "") -> Iterator[None]:
+    """Turn every error that the content of a file causes into a `FileDamagedError`.
+
+    Errors of the machine are raised as they are.
+
+    Args:
+        path: the file.
+        what: beginning of the reason.
+    """
+    try:
+        yield
+    except Exception as error:  # onnxruntime's errors have no common class, those of content many
+        if isinstance(error, FileDamagedError) or machine_failed(error):
+            raise
+        first = (str(error).splitlines() or [""])[0]
+        own = type(error) is ValueError or isinstance(error, AslipError)
+        kind = "" if own else f"{type(error).__name__}: "
+        raise damaged(path, f"{what}{kind}{first}") from error
 
 
 def wrong(path: Path, difference: str) -> ConfigurationError:

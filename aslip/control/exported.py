@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aslip.control.contract import TOLERANCE, damaged, wrong
-from aslip.control.exported_file import check_order, library_sha256, open_policy
+from aslip.control.contract import TOLERANCE, damaged, explained, wrong
+from aslip.control.exported_file import TYPES, check_order, library_sha256, open_policy, try_steps
 from aslip.control.own_estimate import (
     POSITION,
     check_rows,
@@ -38,8 +38,6 @@ all entries concatenated to (1, w, p). One packet has no leading axes.
 For a robot that estimates its own state, entries (1, k) or (k,) of `Robot.estimate_sizes` instead:
 the latest estimate, in a frame with z up against gravity. Policies that observe their distance from
 the commanded path also need `position` (3,) of the pelvis [m]."""
-
-_TYPES = {"float32": np.float32, "float64": np.float64, "bool": np.bool_}
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,7 @@ class ExportedController:
     The file has everything from estimates to motor targets in one graph: `export_policy` traces it
     from the functions of `aslip.Controller`. Only the estimator for packets is code of this
     package. `start` and `step` work as in `aslip.Controller`, but for one robot and with arrays.
+    Run only files that you trust: whoever makes one decides how the robot moves.
 
     Args:
         path: file of an exported policy.
@@ -77,7 +76,8 @@ class ExportedController:
     Raises:
         AssetError: there is no such file.
         FileDamagedError: the file is truncated or altered, is no exported policy, points to data in
-            another file, or needs operators that onnxruntime does not have.
+            another file, has weights that are not finite, loops, or operators that onnxruntime
+            does not have, or fails to take two steps.
         ConfigurationError: the policy is for another robot, library or version of the contract; the
             message names the first difference.
     """
@@ -92,16 +92,17 @@ class ExportedController:
                 " one"
             )
         self._session, self.contract = open_policy(self.path, robot)
-        found = self.contract.about["library"]["sha256"]
+        with explained(self.path):
+            found = self.contract.about["library"]["sha256"]
+            self._outputs = [output["name"] for output in self.contract.outputs]
+            self._inputs = {
+                entry["name"]: (TYPES[entry["dtype"]], tuple(entry["shape"]))
+                for entry in self.contract.inputs
+            }
+            self._feedback = self.contract.feedback
+            try_steps(self)
         if library is not None and (wanted := library_sha256(str(library), robot)) != found:
             raise wrong(self.path, f"its library has the SHA-256 {found}, not {wanted}")
-        outputs = [output["name"] for output in self.contract.outputs]
-        self._outputs = outputs
-        self._inputs = {
-            entry["name"]: (_TYPES[entry["dtype"]], tuple(entry["shape"]))
-            for entry in self.contract.inputs
-        }
-        self._feedback = self.contract.feedback
 
     @cached_property
     def estimator(self) -> StateEstimator:
@@ -230,14 +231,12 @@ class ExportedController:
             FileDamagedError: the trace is damaged, a motor target differs by more than `TOLERANCE`,
                 or the observation's entries are not in the order of the contract.
         """
-        try:
+        with explained(self.path, "its golden trace cannot be run: "):
             trace = self.contract.golden_trace()
-            entries = self._replayed(trace)
-            expected = trace["target"]
-        except (ValueError, KeyError, OSError, EOFError) as error:
-            raise damaged(self.path, f"its golden trace cannot be run: {error}") from error
-        targets = np.concatenate([step["motor_target"] for step in entries])
-        difference = float(np.abs(targets - expected).max())
+            targets = np.concatenate([step["motor_target"] for step in self._replayed(trace)])
+            if targets.shape != trace["target"].shape:
+                raise ValueError(f"targets of shape {trace['target'].shape}, not {targets.shape}")
+            difference = float(np.abs(targets - trace["target"]).max())
         if not difference <= TOLERANCE:
             raise damaged(
                 self.path,

@@ -9,13 +9,26 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
-from aslip.robot import Robot
+from aslip.robot import CASSIE, Robot
 from aslip.robot.robot import LARGEST, is_possible
 from aslip.robot.rotation import yaw
 
 POSITION = "position"
 """Optional entry of an estimate: position of the pelvis (3,) [m], level in the frame of the
 estimates; policies that observe their distance from the commanded path need it."""
+
+
+def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
+    """Estimate (k,) of a robot that stands upright at rest, with its position."""
+    at, qpos = robot.indices, robot.standing.copy()
+    return {
+        **{name: np.zeros(size) for name, size in robot.estimate_sizes.items()},
+        "height": qpos[at.pelvis_position][2:],
+        "orientation": np.array([1.0, 0.0, 0.0, 0.0]),
+        "motor_position": qpos[at.motor_qpos],
+        "joint_position": qpos[at.joint_qpos],
+        POSITION: qpos[at.pelvis_position],
+    }
 
 
 def is_estimate(packets: object) -> bool:

@@ -8,7 +8,8 @@ An archive is a ZIP file of arrays (`.npy`) and text, which NumPy reads as an `.
 SHA256SUMS lists the SHA-256 of every other entry, in the format of `sha256sum --check`.
 
 Guarantees: nothing is unpickled; a changed, missing, added or swapped entry is refused; memory is
-proportional to the size of the file, or 4 MiB, even if the file claims larger contents.
+proportional to the size of the file, or 4 MiB, even if the file claims or has larger contents;
+named pipes and devices are not opened.
 """
 
 from __future__ import annotations
@@ -17,15 +18,16 @@ import hashlib
 import io
 import json
 import math
+import os
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
-from aslip.errors import FileDamagedError, machine_failed
+from aslip.errors import AslipError, AssetError, FileDamagedError, machine_failed
 from aslip.files.writing import replacing
 
 SUMS = "SHA256SUMS"
@@ -77,8 +79,8 @@ class ArchiveFormat:
             OSError: there is no permission, or no handle, to read it.
         """
         try:
-            with zipfile.ZipFile(path) as archive:
-                entries = _entries(archive, path.stat().st_size)
+            with open_file(path) as file:
+                entries = read_zip(file)
             _check(entries)
         except Exception as error:  # zipfile has many exceptions for a bad file
             raise self.damaged(path, error) from error
@@ -92,7 +94,8 @@ class ArchiveFormat:
         if isinstance(why, Exception) and machine_failed(why):
             raise why
         if isinstance(why, Exception):
-            why = str(why) if type(why) is ValueError else f"{type(why).__name__}: {why}"
+            own = type(why) is ValueError or isinstance(why, AslipError)
+            why = str(why) if own else f"{type(why).__name__}: {why}"
         advice = f"; {self.advice}" if self.advice else ""
         return FileDamagedError(f"{str(path)!r} is not an intact {self.kind} file ({why}){advice}")
 
@@ -101,16 +104,44 @@ class ArchiveFormat:
         return f"aslip {self.kind} {self.version}"
 
 
-def _entries(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
-    """Read the entries of an archive of `size` bytes by name."""
-    infos = archive.infolist()
-    content = sum(info.file_size for info in infos)
-    if content > max(_LARGEST_RATIO * size, _HARMLESS):
-        raise ValueError(f"a file of {size} bytes claims to hold {content} bytes")
-    names = [info.filename for info in infos]
-    if len(set(names)) < len(names):
-        raise ValueError("two entries have the same name")
-    return {info.filename: archive.read(info) for info in infos}
+def open_file(path: Path) -> IO[bytes]:
+    """Open a regular file for reading.
+
+    Raises:
+        AssetError: there is no such file, or it is a folder, a named pipe or a device; reading the
+            last two may never end.
+    """
+    if path.exists() and not path.is_file():
+        raise AssetError(f"{str(path)!r} is not a regular file")
+    try:
+        return path.open("rb")
+    except FileNotFoundError as error:
+        raise AssetError(f"there is no file {str(path)!r}") from error
+
+
+def read_zip(file: IO[bytes]) -> dict[str, bytes]:
+    """Read the entries of a ZIP file by name, no more of each than the directory claims.
+
+    Raises:
+        ValueError: the entries claim to be much larger than the file, two have the same name, or
+            one has another compression than ours.
+        Exception: the file is damaged or encrypted.
+    """
+    size, contents = file.seek(0, os.SEEK_END), {}
+    with zipfile.ZipFile(file) as archive:
+        infos = archive.infolist()
+        claimed = sum(info.file_size for info in infos)
+        if claimed > max(_LARGEST_RATIO * size, _HARMLESS):
+            raise ValueError(f"a file of {size} bytes claims to hold {claimed} bytes")
+        for info in infos:
+            # the other methods cannot be decompressed in part
+            if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"the compression {info.compress_type} of {info.filename!r}")
+            if info.filename in contents:
+                raise ValueError("two entries have the same name")
+            with archive.open(info) as entry:
+                contents[info.filename] = entry.read(info.file_size + 1)
+    return contents
 
 
 def _check(entries: dict[str, bytes]) -> None:
@@ -164,6 +195,9 @@ def from_npy(data: bytes) -> np.ndarray:
     # check before NumPy allocates memory for that shape
     if expected != rest:
         raise ValueError(f"array of shape {shape} has {rest} bytes, expected {expected}")
+    # an empty array may have any number of rows, for which its users would allocate memory
+    if expected == 0 and math.prod(number for number in shape if number) > _HARMLESS:
+        raise ValueError(f"empty array of shape {shape}")
     return np.load(io.BytesIO(data), allow_pickle=False)
 
 

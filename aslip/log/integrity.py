@@ -10,9 +10,10 @@ from typing import IO
 from mcap.records import Channel, McapRecord, Message
 
 from aslip.errors import machine_failed
+from aslip.files.archive import open_file
 from aslip.files.assets import user_path
 from aslip.log.reader import Content, check_metadata, counts_differ, hash_problems
-from aslip.log.records import Records, begins_as_mcap, open_log, read_summary
+from aslip.log.records import Records, begins_as_mcap, read_summary
 from aslip.log.writer import METADATA
 
 _BLOCK = 2**20
@@ -32,7 +33,7 @@ def check(path: str | Path) -> list[str]:
         AssetError: there is no such file.
     """
     path = user_path(path)
-    with open_log(path) as file:
+    with open_file(path) as file:
         if not begins_as_mcap(file):
             return ["not an MCAP file: wrong magic bytes"]
         records, order, content = Records(file), _Order(), Content()

@@ -20,9 +20,10 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
 from aslip.errors import FileDamagedError, UnknownNameError, machine_failed
+from aslip.files.archive import open_file
 from aslip.files.assets import user_path
 from aslip.log import messages
-from aslip.log.records import METADATA_HASH, Records, begins_as_mcap, open_log, read_summary
+from aslip.log.records import METADATA_HASH, Records, begins_as_mcap, read_summary
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA
 
 Decoder = Callable[[bytes], dict[str, Any]]
@@ -167,7 +168,7 @@ def read(path: str | Path, topics: Collection[str] | None = None) -> Recording:
         FileDamagedError: the file is not a log, unfinished, damaged, or of another format.
     """
     path = user_path(path)
-    with open_log(path) as file:
+    with open_file(path) as file:
         if not begins_as_mcap(file):
             raise FileDamagedError(f"{str(path)!r} is not an MCAP file: wrong magic bytes")
         with _explained(path):

@@ -16,7 +16,6 @@ import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from io import BytesIO
-from pathlib import Path
 from typing import IO, Final
 
 import zstandard
@@ -35,7 +34,7 @@ from mcap.records import (
 )
 from mcap.stream_reader import StreamReader, breakup_chunk
 
-from aslip.errors import AssetError, machine_failed
+from aslip.errors import machine_failed
 
 LARGEST_CHUNK: Final = 2**24
 """Size above which a chunk counts as damaged [bytes]; ours have a quarter of a megabyte."""
@@ -48,19 +47,9 @@ _HEAD = struct.Struct("<BQ")
 _FOOTER = struct.Struct("<BQQQI")
 # largest ratio of a chunk's size to its compressed size
 _DENSEST = 1000
+# largest ratio of all chunks to the file; constant packets reach 30
+_DENSEST_FILE = 60
 _IGNORED = (Opcode.HEADER, Opcode.MESSAGE_INDEX)
-
-
-def open_log(path: Path) -> IO[bytes]:
-    """Open a log for reading.
-
-    Raises:
-        AssetError: there is no such file.
-    """
-    try:
-        return path.open("rb")
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise AssetError(f"no log {str(path)!r}: {error.strerror}") from None
 
 
 def begins_as_mcap(file: IO[bytes]) -> bool:
@@ -135,6 +124,7 @@ class Records:
     """Number of skipped chunks."""
     whole: bool = False
     """True once the end of the data section is reached."""
+    _content: int = 0
 
     def __iter__(self) -> Iterator[McapRecord]:
         if not begins_as_mcap(self.file):
@@ -162,7 +152,15 @@ class Records:
         """Records of one record at the top level, such as the messages of a chunk."""
         stream = ReadDataStream(BytesIO(content))
         if opcode == Opcode.CHUNK:
-            return _opened(Chunk.read(stream))
+            chunk = Chunk.read(stream)
+            records = _opened(chunk)
+            self._content += chunk.uncompressed_size
+            size = os.fstat(self.file.fileno()).st_size
+            if self._content > max(LARGEST_CHUNK, _DENSEST_FILE * size):
+                raise ValueError(
+                    f"a file of {size} bytes would decompress to {self._content} bytes"
+                )
+            return records
         if opcode == Opcode.ATTACHMENT:
             attachment = Attachment.read(stream)
             if struct.pack("<I", zlib.crc32(content[:-4])) != content[-4:]:

@@ -12,9 +12,10 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.writer import Writer
 
 from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.files.archive import open_file
 from aslip.files.assets import user_path
 from aslip.log import messages
-from aslip.log.records import METADATA_HASH, Records, open_log, read_summary
+from aslip.log.records import METADATA_HASH, Records, read_summary
 from aslip.log.writer import (
     END_METADATA,
     HASH_KEY,
@@ -70,7 +71,7 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
     # the damaged log itself may have a name that ends in ".part"
     temporary = out.with_name(out.name + ".recovering")
-    with open_log(path) as damaged:
+    with open_file(path) as damaged:
         found = _look(damaged)
         with temporary.open("wb") as file:
             try:

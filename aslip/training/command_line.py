@@ -1,17 +1,24 @@
 """Command lines of programs: dataclasses become flags, mistakes become one-line errors.
 
-Programs parse before they import PyTorch, so that `--help` and typos cost no seconds.
+Programs parse before they import PyTorch, so that `--help` and typos cost no seconds. Programs with
+a loop in real time print with `say` and `Reports`, which never wait for a reader.
 """
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import difflib
 import errno
+import functools
 import io
+import math
 import os
+import queue
 import shlex
 import sys
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any, NoReturn, TypeVar
@@ -20,6 +27,13 @@ from aslip.errors import AslipError
 from aslip.imports import extras
 
 Settings = TypeVar("Settings")
+
+# lines that wait for the reader of the output; further ones are dropped
+_MOST_LINES = 100
+# time between two lines about events of one kind [s]
+_REPORT_PERIOD = 1.0
+# longest wait for the reader of the output at the end of a program [s]
+_LAST_WAIT = 1.0
 
 
 def command_line(
@@ -157,6 +171,75 @@ def program() -> str:
 def this_command() -> str:
     """Command that started this program, with its arguments."""
     return f"{program()} {shlex.join(sys.argv[1:])}".rstrip()
+
+
+def say(text: str) -> None:
+    """Print a line at once, on another thread; drop it if nobody reads the output."""
+    try:
+        descriptor, encoding = sys.stdout.fileno(), sys.stdout.encoding
+    except (AttributeError, OSError, ValueError):  # no output, a notebook's, or a closed one
+        with contextlib.suppress(OSError, ValueError):
+            print(text, flush=True)
+        return
+    with contextlib.suppress(queue.Full):
+        _printer().put_nowait((descriptor, f"{text}\n".encode(encoding, "backslashreplace")))
+
+
+@functools.cache
+def _printer() -> queue.Queue[tuple[int, bytes]]:
+    """Lines for the thread that prints them."""
+    lines: queue.Queue[tuple[int, bytes]] = queue.Queue(_MOST_LINES)
+
+    def write() -> None:
+        while True:
+            descriptor, line = lines.get()
+            # not through sys.stdout, whose lock would be held while nobody reads
+            with contextlib.suppress(OSError):
+                while line:
+                    line = line[os.write(descriptor, line) :]
+            lines.task_done()
+
+    def finish() -> None:
+        end = time.monotonic() + _LAST_WAIT
+        while lines.unfinished_tasks and time.monotonic() < end:
+            time.sleep(0.001)
+
+    threading.Thread(target=write, name="output", daemon=True).start()
+    atexit.register(finish)
+    return lines
+
+
+class Reports:
+    """Lines about events that others cause as often as they like.
+
+    Of each kind of event a line is said at once, then one a second at most, about the newest event
+    and with the number of events.
+
+    Args:
+        say: function that prints a line.
+        clock: monotonic clock [s].
+    """
+
+    def __init__(
+        self, say: Callable[[str], object], clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._say, self._clock = say, clock
+        self._waiting: dict[str, tuple[int, str]] = {}
+        self._due: dict[str, float] = {}
+
+    def add(self, kind: str, text: str, count: int = 1) -> None:
+        """Add events of a kind; the text describes the newest one."""
+        self._waiting[kind] = self._waiting.get(kind, (0, ""))[0] + count, text
+
+    def say(self) -> None:
+        """Say the lines that are due; to be called in each turn of a loop."""
+        if not self._waiting:
+            return
+        now = self._clock()
+        for kind in [k for k in self._waiting if self._due.get(k, -math.inf) <= now]:
+            count, text = self._waiting.pop(kind)
+            self._due[kind] = now + _REPORT_PERIOD
+            self._say(text if count == 1 else f"{text} ({count} times)")
 
 
 def _reason(stop: SystemExit, said: str) -> str:

@@ -235,7 +235,7 @@ class ProgressLog:
 
     def forget_after(self, step: int) -> None:
         """Drop rows that the resumed run will write again, and damaged ones."""
-        if not self.path.exists():
+        if not self.path.is_file():
             return
         lines = self.path.read_text(errors="replace").splitlines(keepends=True)
         kept = [line for line in lines[1:] if (row := _row(line, lines[0])) and row[0] <= step]
@@ -261,7 +261,7 @@ def read_progress(folder: Path) -> dict[str, list[float]]:
         FileDamagedError: a line does not consist of numbers.
     """
     path = user_path(folder) / _PROGRESS_FILE
-    if not path.exists():
+    if not path.is_file():
         return {}
     lines = path.read_text(errors="replace").splitlines(keepends=True)
     # a killed run, or one that is writing now, may have an unfinished last row

@@ -294,7 +294,7 @@ class TrainingRun:
         """True if the folder has files that a new run would overwrite."""
         if self._checkpoints() or self.policy_file.exists() or self._log.path.exists():
             return True
-        if not settings_file.exists():
+        if not settings_file.is_file():
             return False
         # a run that ended before its first checkpoint leaves only its settings
         try:

@@ -54,7 +54,7 @@ def settings_text(settings: dict[str, Any], transforms: dict[str, str], command:
 def _read(folder: Path) -> dict[str, Any]:
     """All entries of a run's file; raises as `read_settings`."""
     path = folder / SETTINGS_FILE
-    if not path.exists():
+    if not path.is_file():
         raise ConfigurationError(
             f"{str(folder)!r} holds no run to resume; start one without --resume, or name the"
             " folder of a run with --out"

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Literal
 
 from aslip.errors import one_line_errors
 from aslip.processes import signals_exit
-from aslip.training.command_line import command_line
+from aslip.training.command_line import command_line, say
 from aslip.wire import CASSIE_OUT, PD_IN, SIMULATOR, STATE_OUT, USER_IN, Address, Endpoint, Link
 
 if TYPE_CHECKING:
@@ -113,12 +113,6 @@ def lines(robot: TwinRobot, endpoint: Endpoint, server: RealTimeServer | None) -
         "client": "none yet" if endpoint.peer is None else str(endpoint.peer),
     }
     return shown if server is None else {**shown, "real time": str(server.load)}
-
-
-def say(text: str) -> None:
-    """Print a line at once; a closed terminal must not end the twin in between."""
-    with contextlib.suppress(OSError):
-        print(text, flush=True)
 
 
 if __name__ == "__main__":

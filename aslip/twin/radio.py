@@ -8,6 +8,7 @@ import threading
 from collections.abc import Iterable
 
 from aslip.errors import ConfigurationError
+from aslip.training.command_line import say
 from aslip.twin.robot import TwinRobot
 
 
@@ -27,7 +28,7 @@ def read_radio(robot: TwinRobot, lines: Iterable[str] | None = None) -> threadin
             try:
                 channel, value = parse_channel(line, len(robot.radio))
             except ConfigurationError as error:
-                print(f"radio: {error}", flush=True)
+                say(f"radio: {error}")
                 continue
             robot.radio[channel] = value
 

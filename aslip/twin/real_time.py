@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from aslip.errors import NetworkError
+from aslip.training.command_line import Reports
 from aslip.twin.robot import TwinRobot
 from aslip.wire import Address, Endpoint
 from aslip.wire.endpoint import SILENCE
@@ -68,7 +69,8 @@ class RealTimeServer:
         robot: robot to advance; it is set on its feet.
         endpoint: socket at which commands arrive.
         fallback: command after a silence.
-        say: function that is called with a line of text when a client comes, goes or is refused.
+        say: function that is called with a line of text when a client comes, goes or is refused, of
+            each kind once a second at most; it must not wait.
         clock: monotonic clock [s].
         sleep: function that waits for a time [s].
     """
@@ -84,7 +86,8 @@ class RealTimeServer:
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
         self.robot, self.load = robot, Load()
-        self._endpoint, self._fallback, self._say = endpoint, fallback, say
+        self._endpoint, self._fallback = endpoint, fallback
+        self._reports = Reports(say, clock)
         self._clock, self._sleep = clock, sleep
         self._period = robot.robot.physics_timestep
         self._patience = round(PATIENCE[robot.receives.name] / self._period)
@@ -94,7 +97,7 @@ class RealTimeServer:
         self._silent, self._heard = 0, clock()
         self._dropped = self._said = False
         self._client: Address | None = None
-        self._refused: Address | None = None
+        self._refused = 0
         self._unsent = ""
         # compiled functions load at their first call
         for _ in range(robot.robot.packet_substeps + 1):
@@ -125,9 +128,10 @@ class RealTimeServer:
         """Take the newest command, advance by a tick, and answer."""
         robot, endpoint = self.robot, self._endpoint
         command = endpoint.receive()
-        if endpoint.foreign != self._refused:
-            self._refused = endpoint.foreign
-            self._say(f"{self._refused} is not heard while {endpoint.peer} is the client")
+        refused, self._refused = self._refused, endpoint.link.counters.foreign
+        if count := self._refused - refused:
+            text = f"{endpoint.foreign} is not heard while {endpoint.peer} is the client"
+            self._reports.add("refused", text, count)
         if command is None:
             self._wait()
         else:
@@ -142,7 +146,8 @@ class RealTimeServer:
             except NetworkError as error:
                 if str(error) != self._unsent:
                     self._unsent = str(error)
-                    self._say(self._unsent)
+                    self._reports.add("unsent", self._unsent)
+        self._reports.say()
 
     def _wait(self) -> None:
         """Count a tick without a command; drop the last one after too many."""
@@ -156,9 +161,8 @@ class RealTimeServer:
                 self.robot.let_go(damp=self._fallback == "damping")
         if silent >= self._gone and self._dropped and not self._said:
             self._said = True
-            self._say(
-                f"no command from {self._client} for {1e3 * SILENCE:.0f} ms: {self._fallback}"
-            )
+            silence = f"{1e3 * SILENCE:.0f} ms: {self._fallback}"
+            self._reports.add("silence", f"no command from {self._client} for {silence}")
 
     def _greet(self) -> None:
         """Set the robot on its feet for a client that begins after another one has gone."""
@@ -166,7 +170,7 @@ class RealTimeServer:
         self._silent, self._heard = 0, self._clock()
         self._dropped = self._said = False
         if peer != self._client:
-            self._say(f"client {peer}")
+            self._reports.add("client", f"client {peer}")
         if (peer != self._client or silent >= self._gone) and self.robot.idle:
             self.robot.reset()
         self._client = peer

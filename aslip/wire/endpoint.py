@@ -59,8 +59,9 @@ class Endpoint:
     """Socket that exchanges packets with one peer.
 
     A client names its peer. A robot's peer is the sender of the first valid datagram; datagrams of
-    other programs are dropped until the peer has been silent for 0.1 s. If only late datagrams
-    arrive for 0.1 s, the peer counts as restarted.
+    other programs are dropped until the peer has been silent for 0.1 s. Invalid datagrams, of the
+    wrong size or refused numbers, are a silence. If only late datagrams arrive for 0.1 s, the peer
+    counts as restarted.
 
     Args:
         link: kinds of packets, sequence numbers and counters.
@@ -202,18 +203,17 @@ class Endpoint:
         link, now = self.link, time.monotonic()
         silent = now - self._heard > SILENCE
         if self.peer is not None and self.peer != sender:
-            if self._named or not silent or len(datagram) != link.size:
+            if self._named or not silent or not link.is_valid(datagram):
                 self.foreign = sender
                 link.counters.foreign += 1
                 return None
             link.restart()
             self.peer = self._last = None
-        late = link.counters.late
+        repeated = link.counters.repeated
         record = link.open(datagram, silent=silent)
-        if record is not None or self.peer is not None:
-            self.peer = sender
-            # late datagrams only are a silence, too
-            self._heard = now if link.counters.late == late else self._heard
+        # a client that got no answer repeats its datagram
+        if record is not None or link.counters.repeated > repeated:
+            self.peer, self._heard = sender, now
         return record
 
 

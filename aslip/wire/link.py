@@ -57,7 +57,7 @@ class Counters:
     late: int = 0
     """Dropped: sent before the newest one."""
     lost: int = 0
-    """Missing numbers between accepted datagrams, lost or late."""
+    """Missing numbers between accepted datagrams: lost, late or refused."""
     foreign: int = 0
     """Dropped: not sent by the peer."""
     restarts: int = 0
@@ -118,18 +118,26 @@ class Link:
         if len(datagram) != self.size:
             counters.wrong_size += 1
             return None
+        record = self.receives.unpack(datagram[HEADER_SIZE:])
+        finite = self.receives.is_finite(record)
+        if self._refuse and not finite:
+            counters.not_finite += 1
+            return None
         header = Header.from_bytes(datagram)
         if not self._is_new(header, datagram, silent):
             return None
         self._newest = datagram
         self.delay = wrapped(self._sent + 1 - header.received)
-        record = self.receives.unpack(datagram[HEADER_SIZE:])
-        if not self.receives.is_finite(record):
-            counters.not_finite += 1
-            if self._refuse:
-                return None
+        counters.not_finite += not finite
         counters.accepted += 1
         return record
+
+    def is_valid(self, datagram: bytes) -> bool:
+        """True unless the size or the numbers of a datagram are refused; counts nothing."""
+        receives = self.receives
+        return len(datagram) == self.size and not (
+            self._refuse and not receives.is_finite(receives.unpack(datagram[HEADER_SIZE:]))
+        )
 
     def restart(self) -> None:
         """Forget the peer's numbers for a new peer; the counts continue."""

@@ -6,7 +6,10 @@ import io
 import os
 import resource
 import stat
+import threading
+import tracemalloc
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,7 +20,7 @@ import pytest
 import torch
 
 from aslip.errors import AslipError, FileDamagedError
-from aslip.files.archive import SUMS, ArchiveFormat, npy
+from aslip.files.archive import SUMS, ArchiveFormat, from_npy, npy
 from aslip.files.writing import commit, replacing
 from benchmarks.faults.archives import Program, forge_archive, programs, read_zip, write_zip
 from benchmarks.faults.files import damages
@@ -231,6 +234,57 @@ def test_decompression_bombs_are_refused(kind: Kind, path: Path) -> None:
         kind.load(path)
 
 
+@every_archive
+def test_memory_is_bounded_where_an_entry_is_larger_than_its_claim(kind: Kind, path: Path) -> None:
+    """Sizes and checksums are those of the intact entry, whose content goes on for 64 MB."""
+    parts, method = read_zip(path.read_bytes()), zipfile.ZIP_DEFLATED
+    largest = max(parts, key=lambda name: len(parts[name]))
+    with zipfile.ZipFile(path, "w", method, compresslevel=1) as archive:
+        for name, content in parts.items():
+            archive.writestr(name, content + bytes(2**26 if name == largest else 0))
+        claimed = archive.getinfo(largest)
+        claimed.file_size, claimed.CRC = len(parts[largest]), zlib.crc32(parts[largest])
+    tracemalloc.start()
+    with suppress(FileDamagedError):
+        kind.load(path)
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 20e6
+
+
+@every_archive
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_other_compressions_are_refused(kind: Kind, path: Path, method: int) -> None:
+    """They cannot be decompressed in part."""
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("format", b"x")
+    with pytest.raises(FileDamagedError, match="the compression"):
+        kind.load(path)
+
+
+@every_kind
+@pytest.mark.parametrize("endless", ["pipe", "device"])
+def test_only_regular_files_are_read(kind: Kind, path: Path, endless: str) -> None:
+    path.unlink()
+    if endless == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    refused: list[Exception] = []
+
+    def load() -> None:
+        try:
+            kind.load(path)
+        except Exception as error:
+            refused.append(error)
+
+    thread = threading.Thread(target=load, daemon=True)
+    thread.start()
+    thread.join(10.0)
+    assert isinstance(refused[0], AslipError)
+    assert path.name in str(refused[0])
+
+
 def test_what_compresses_well_is_read_again(tmp_path: Path) -> None:
     """Motions of robots that stand still are zeros, which compress a hundred times and more."""
     still = ArchiveFormat("gaits", 1, compressed=True)
@@ -250,6 +304,16 @@ def test_huge_shapes_are_refused_before_memory_is_allocated(kind: Kind, path: Pa
     path.write_bytes(forge_archive({**parts, name: buffer.getvalue() + bytes(64)}))
     with pytest.raises(FileDamagedError, match="has 64 bytes, expected"):
         kind.load(path)
+
+
+@pytest.mark.parametrize(("kind", "shape"), [("<f8", (10**9, 0)), ("|S0", (10**9,))])
+def test_empty_arrays_of_huge_shapes_are_refused(kind: str, shape: tuple[int, ...]) -> None:
+    """Users of an array allocate memory for its rows."""
+    buffer = io.BytesIO()
+    header = {"descr": kind, "fortran_order": False, "shape": shape}
+    np.lib.format.write_array_header_1_0(buffer, header)
+    with pytest.raises(ValueError, match="empty array"):
+        from_npy(buffer.getvalue())
 
 
 # ------------------------------------------------------------------------- writing

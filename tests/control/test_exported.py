@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import json
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -21,7 +24,8 @@ from aslip.control.contract import TOLERANCE, csv, seal, trace_text
 from aslip.control.export import compare, export_network, export_policy, write_pipeline
 from aslip.control.export.golden import golden_trace
 from aslip.control.exported import ExportedController
-from aslip.control.runner.load import load, standing_estimate
+from aslip.control.own_estimate import standing_estimate
+from aslip.control.runner.load import load
 from aslip.control.runner.supervisor import Reading, Request, Stage, Supervisor
 from aslip.errors import (
     AssetError,
@@ -308,6 +312,93 @@ def test_files_that_point_elsewhere_or_need_foreign_code_are_refused(
     odd.write_bytes(seal(foreign.SerializeToString()))
     with pytest.raises(FileDamagedError, match="someone"):
         ExportedController(odd)
+
+
+def _metadata_faults(file: Path, trace: dict[str, np.ndarray]) -> Iterator[dict[str, str]]:
+    """Entries that a file with the right hash may have."""
+    metadata = ExportedController(file).contract.metadata
+    about, leapp = json.loads(metadata["aslip"]), json.loads(metadata["leapp"])
+    for value in ({k: v for k, v in about.items() if k != "library"}, {**about, "robot": 3}, []):
+        yield {"aslip": json.dumps(value)}
+    controller = leapp["models"]["controller"]
+    odd_type = [{**controller["inputs"][0], "dtype": "x"}, *controller["inputs"][1:]]
+    for models in (None, {"controller": {**controller, "inputs": odd_type}}):
+        yield {"leapp": json.dumps({**leapp, "models": models})}
+    for flow in (None, {"x": ["controller/y"]}):
+        yield {"leapp": json.dumps({**leapp, "pipeline": {"feedback_flow": flow}})}
+    yield {"leapp": "null"}
+    for pose in ("1,2", "nan" + 9 * ",0"):
+        yield {"default_joint_pos": pose}
+    data = base64.b64decode(metadata["golden_trace"])
+    encrypted = bytearray(data)
+    encrypted[data.index(b"PK\x01\x02") + 8] |= 1
+    for content in (data[:99] + b"x" + data[100:], bytes(encrypted)):
+        yield {"golden_trace": base64.b64encode(content).decode()}
+    for name, value in (
+        ("target", trace["target"][:, :1]),
+        ("target", trace["target"] * np.nan),
+        ("target", trace["target"].astype("U9")),
+        ("estimate", trace["estimate"][:, :5]),
+    ):
+        yield {"golden_trace": trace_text({**trace, name: value})}
+
+
+def test_files_of_wrong_content_are_damaged_files(
+    file: Path, trace: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    """Their hashes are right."""
+    for change in _metadata_faults(file, trace):
+        odd = altered(file, tmp_path / "odd.onnx", **change)
+        with pytest.raises(FileDamagedError, match=r"odd\.onnx"):
+            ExportedController(odd).verify()
+
+
+def _graph_fault(name: str, graph: onnx.GraphProto) -> None:
+    """Add a node, or replace a weight."""
+    made, one = onnx.helper, graph.input[0].name
+    if name == "not finite":
+        weights = max((a for a in graph.initializer if a.data_type == 1), key=lambda a: a.dims[:])
+        weights.raw_data = weights.raw_data[:-4] + np.float32(np.inf).tobytes()
+    elif name == "sparse tensor":
+        parts = [made.make_tensor(n, k, [1], [0]) for n, k in (("s", 1), ("i", 7))]
+        graph.sparse_initializer.append(made.make_sparse_tensor(*parts, [2**29]))
+    elif name == "with a graph":
+        empty = made.make_graph([], "empty", [], [graph.input[0]])
+        node = made.make_node("If", [one], ["if"], then_branch=empty, else_branch=empty)
+        graph.node.append(node)
+    elif name == "Expand":
+        graph.initializer.append(made.make_tensor("size", 7, [2], [2**15, 2**15]))
+        graph.node.append(made.make_node("Expand", [one, "size"], ["large"]))
+        graph.node.append(made.make_node("ReduceMax", ["large"], ["small"]))
+    else:  # one after the other
+        graph.initializer.append(made.make_tensor("size", 7, [2], [1000, 1000]))
+        graph.node.append(made.make_node("Expand", [one, "size"], ["m0"]))
+        for i in range(300):
+            graph.node.append(made.make_node("MatMul", [f"m{i}", "m0"], [f"m{i + 1}"]))
+        graph.node.append(made.make_node("ReduceMax", ["m300"], ["small"]))
+    if graph.node[-1].op_type == "ReduceMax":
+        target = next(node for node in graph.node if "motor_target" in node.output)
+        target.output[:] = ["before"]
+        graph.node.append(made.make_node("Cast", ["small"], ["cast"], to=1))
+        graph.node.append(made.make_node("Add", ["before", "cast"], ["motor_target"]))
+
+
+@pytest.mark.parametrize(
+    "name", ["not finite", "sparse tensor", "with a graph", "Expand", "terminate flag"]
+)
+def test_graphs_without_bounds_are_refused(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Each would take gigabytes or minutes."""
+    monkeypatch.setattr("aslip.control.exported_file._PATIENCE", 0.1)
+    model, odd = onnx.load_from_string(file.read_bytes()), tmp_path / "odd.onnx"
+    _graph_fault(name, model.graph)
+    del model.metadata_props[-1]
+    odd.write_bytes(seal(model.SerializeToString()))
+    start = time.monotonic()
+    with pytest.raises(FileDamagedError, match=name):
+        ExportedController(odd)
+    assert time.monotonic() - start < 2.0
 
 
 def test_policies_that_see_more_than_an_estimate_are_not_exported(library: GaitLibrary) -> None:

@@ -13,7 +13,7 @@ from tensordict.nn import TensorDictModule
 
 import aslip
 from aslip.control import Controller
-from aslip.control.export.graph import standing_estimate
+from aslip.control.own_estimate import standing_estimate
 from aslip.control.runner.supervisor import Limits
 from aslip.control.steering import Steering
 from aslip.envs import StackEnv, check_policy_fits
@@ -133,7 +133,7 @@ def test_robots_stand_before_the_runner_damps_them() -> None:
     phase = (torch.arange(len(command))[:, None] / 16) % 1
     stand = torch.ones(len(command), 1)
     present = steering.begin(command, phase, 0 * stand)
-    upright = {name: torch.tensor(v) for name, v in standing_estimate(CASSIE).items()}
+    upright = {name: torch.tensor(v).float() for name, v in standing_estimate(CASSIE).items()}
     for _ in range(round((Limits().settle - 0.5) / period)):
         present = steering.advance({**present, "estimate": upright}, command, stand)
     assert (present["mode"] == WalkMode.STAND).all()

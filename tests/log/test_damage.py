@@ -18,6 +18,7 @@ from mcap.records import Attachment, Message, Metadata, Schema
 from aslip.errors import AssetError, FileDamagedError
 from aslip.log import Recording, check, read, recover, replay
 from aslip.log.messages import FORMAT
+from aslip.log.records import Records
 from aslip.log.writer import METADATA, add_metadata, open_writer
 from benchmarks.faults.logs import read_records, write_records
 from tests.log.helpers import Alter, assert_subset
@@ -267,3 +268,19 @@ def test_decreasing_time_is_found(log: Path, tmp_path: Path) -> None:
     assert "time goes back" in problems
     assert "two messages" in problems
     assert "'/bare' has no schema" in problems
+
+
+def test_memory_is_bounded_by_the_size_of_the_file(tmp_path: Path) -> None:
+    """These messages compress 400 times; constant packets of a robot 30 times."""
+    rng = np.random.default_rng(0)
+    with (tmp_path / "dense.mcap").open("w+b") as file:
+        writer = open_writer(file)
+        channel = writer.register_channel(
+            "/zeros", "cdr", writer.register_schema("Z", "ros2msg", b"")
+        )
+        for i in range(100):
+            writer.add_message(channel, i, rng.bytes(600) + bytes(2**18 - 600), i)
+        writer.finish()
+        records = Records(file)
+        assert sum(isinstance(record, Message) for record in records) == 2**24 // 2**18 - 1
+    assert "would decompress to" in records.problems[0]

@@ -148,7 +148,7 @@ def test_commands_that_are_not_finite_move_nothing() -> None:
         client.resend()
         client.request(command_to_pd_in(STANDING))
         assert (twin.ticks, twin.divergences) == (1, 0)
-        assert server.link.counters.not_finite == 2
+        assert server.link.counters.not_finite == 3
 
 
 def test_the_program_serves_a_client_and_reports_a_port_in_use() -> None:

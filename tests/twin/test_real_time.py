@@ -158,11 +158,26 @@ def test_a_second_client_is_named_and_not_heard(bench: Bench, twin: TwinRobot) -
     assert not twin.idle
 
 
+def test_refused_clients_are_one_line_a_second(bench: Bench) -> None:
+    """Each line names the last one, and counts their datagrams."""
+    bench.tick(2, HOLD)
+    with bench.another() as second, bench.another() as third:
+        for i in range(2400):
+            if i % 20 == 0:
+                bench.client.send(HOLD)
+                (second, third)[i % 3 % 2].send(NOTHING)
+            bench.tick()
+    refused = [line for line in bench.said if "is not heard" in line]
+    assert len(refused) == 2
+    assert "(100 times)" in refused[1]
+
+
 def test_a_client_after_another_one_finds_the_robot_on_its_feet(
     bench: Bench, twin: TwinRobot
 ) -> None:
     bench.tick(300, HOLD)
     time.sleep(SILENCE + 0.02)
+    bench.now += 1.0
     with bench.another() as second:
         second.send(NOTHING)
         bench.server.tick()

@@ -124,6 +124,33 @@ def test_datagrams_of_the_wrong_size_do_not_set_the_peer(robot: Endpoint, size: 
     assert robot.link.counters.wrong_size == 1
 
 
+@pytest.mark.parametrize("content", [b"", bytes(700), "nan", "the same nan"])
+def test_a_client_that_sends_only_invalid_datagrams_is_silent(
+    robot: Endpoint, client: Endpoint, content: bytes | str
+) -> None:
+    """Another one takes its place, but not with an invalid datagram."""
+
+    def invalid(sender: Endpoint) -> bytes:
+        return content if isinstance(content, bytes) else sender.link.datagram(_command(np.nan))
+
+    client.send(_command(1.0))
+    assert _received(robot) == 1.0
+    once = invalid(client)
+    with _client(robot) as second:
+        for _ in range(6):
+            time.sleep(0.025)
+            client._socket.sendto(
+                once if content == "the same nan" else invalid(client), robot.local
+            )
+            assert _received(robot) is None
+        second._socket.sendto(invalid(second), robot.local)
+        assert _received(robot) is None
+        assert robot.peer == client.local
+        second.send(_command(2.0))
+        assert _received(robot) == 2.0
+        assert robot.peer == second.local
+
+
 def test_a_request_is_repeated_until_it_is_answered(robot: Endpoint, client: Endpoint) -> None:
     with pytest.raises(NetworkError, match=f"no answer from {robot.local} within 0.1 s"):
         client.request(_command(1.0), timeout=0.1, repeat=0.01)

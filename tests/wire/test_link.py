@@ -119,7 +119,7 @@ def test_a_robot_drops_commands_that_are_not_finite(robot: Link) -> None:
     robot.open(_command(1))
     assert robot.open(_command(2, np.nan)) is None
     assert robot.open(_command(3)) is not None
-    assert (robot.counters.not_finite, robot.counters.lost) == (1, 0)
+    assert (robot.counters.not_finite, robot.counters.lost) == (1, 1)
 
 
 def test_a_client_reads_and_counts_states_that_are_not_finite(robot: Link, client: Link) -> None:

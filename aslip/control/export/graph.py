@@ -19,7 +19,8 @@ from torch import Tensor, nn
 
 from aslip.control.contract import observed_name
 from aslip.control.controller import PATH_ERROR, Controller
-from aslip.control.own_estimate import POSITION
+from aslip.control.exported_file import check_graph
+from aslip.control.own_estimate import POSITION, standing_estimate
 from aslip.control.turn import hold_estimate, place_on_path
 from aslip.errors import ConfigurationError
 from aslip.library.region import COMMANDS
@@ -206,7 +207,7 @@ class PolicyStep(nn.Module):
         for name, width in robot.estimate_sizes.items():
             kind, unit, frame = _ESTIMATE[name]
             elements = joints.get(name.split("_")[0]) or _AXES.get(width, ())
-            value = torch.tensor(standing_estimate(robot)[name])
+            value = torch.tensor(standing_estimate(robot)[name][None])
             entries.append(Entry(name, value, kind, elements, unit, frame))
         command, phase = torch.zeros(1, size), torch.zeros(1, 1)
         entries += [
@@ -276,20 +277,6 @@ def _axes(size: int) -> tuple[str, ...]:
     return tuple(name.replace(" ", "_") for name, _ in COMMANDS[:size])
 
 
-def standing_estimate(robot: Robot) -> dict[str, np.ndarray]:
-    """Estimate of a robot that stands upright at the origin."""
-    at, qpos = robot.indices, robot.standing
-    zeros = {name: np.zeros((1, size)) for name, size in robot.estimate_sizes.items()}
-    return {
-        **zeros,
-        "height": qpos[at.pelvis_position][None, 2:],
-        "orientation": np.array([[1.0, 0.0, 0.0, 0.0]]),
-        "motor_position": qpos[at.motor_qpos][None],
-        "joint_position": qpos[at.joint_qpos][None],
-        POSITION: np.zeros((1, 3)),
-    }
-
-
 def _output(name: str, value: Tensor, robot: Robot) -> Entry:
     """Describe an output of the graph."""
     motors = robot.motor_names
@@ -338,7 +325,8 @@ def trace_graph(
         The graph, checked and without notes of the exporter.
 
     Raises:
-        ConfigurationError: the module cannot be traced, or needs operators beyond ONNX's own.
+        ConfigurationError: the module cannot be traced, or its graph would be refused, see
+            `aslip.control.exported_file.check_graph`.
     """
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
@@ -359,8 +347,10 @@ def trace_graph(
     model = cast("onnx.ModelProto", cast("Any", program).model_proto)
     _strip(model)
     onnx.checker.check_model(model)
-    if odd := {node.op_type for node in model.graph.node if node.domain} or len(model.functions):
-        raise ConfigurationError(f"the policy needs operators beyond ONNX's own: {odd}")
+    try:
+        check_graph(model.SerializeToString())
+    except ValueError as error:
+        raise ConfigurationError(f"the policy cannot be exported: {error}") from error
     return model
 
 

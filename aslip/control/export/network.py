@@ -11,8 +11,9 @@ from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from aslip.control.controller import Controller
-from aslip.control.export.graph import Entry, standing_estimate, trace_graph
+from aslip.control.export.graph import Entry, trace_graph
 from aslip.control.export.policy import mjlab_metadata, write_model
+from aslip.control.own_estimate import standing_estimate
 from aslip.files.assets import user_path
 from aslip.library import GaitLibrary
 

@@ -18,6 +18,7 @@ from typing import Any, Final, Protocol
 from aslip.control.runner.supervisor import Request
 from aslip.errors import ConfigurationError, NetworkError
 from aslip.library import Schedule, numbers
+from aslip.training.command_line import Reports, say
 from aslip.wire import LOOPBACK
 from aslip.wire.endpoint import check_port
 
@@ -25,6 +26,8 @@ from aslip.wire.endpoint import check_port
 _STOP_AFTER = 1.0
 # largest speed [m/s] and yaw rate [rad/s] in a datagram, far beyond every library
 _LARGEST = 100.0
+# characters of a datagram that are printed
+_SHOWN = 80
 AXES: Final = ("forward", "sideways", "yaw_rate")
 """Components of a command, as entries of a request."""
 
@@ -174,16 +177,17 @@ class Datagrams:
 
     Args:
         port: port on loopback; 0 lets the system choose one.
-        say: function that prints why a datagram was refused.
+        say: function that prints why datagrams were refused, once a second at most.
 
     Raises:
         ConfigurationError: there is no such port.
         NetworkError: the port is in use.
     """
 
-    def __init__(self, port: int, say: Callable[[str], None] = print) -> None:
+    def __init__(self, port: int, say: Callable[[str], object] = say) -> None:
         check_port(port)
-        self._say, self._request, self._heard = say, Request(walk=False), -math.inf
+        self._request, self._heard = Request(walk=False), -math.inf
+        self._reports = Reports(say)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -214,7 +218,8 @@ class Datagrams:
             try:
                 heard.append(parse_request(text))
             except ConfigurationError as error:
-                self._say(f"command refused: {error}")
+                self._reports.add("refused", f"command refused: {error}")
+        self._reports.say()
         if heard:
             damp = next((f"operator: {one.damp}" for one in heard if one.damp), "")
             stop = any(one.stop for one in heard)
@@ -234,18 +239,28 @@ def parse_request(text: bytes) -> Request:
     try:
         entries = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigurationError(f"not JSON ({error}): {text[:80]!r}") from None
+        raise ConfigurationError(f"not JSON ({error}): {text[:_SHOWN]!r}") from None
     if not isinstance(entries, dict):
         raise ConfigurationError(
-            f'a JSON object such as {{"forward": 0.5}} is needed, got {text!r}'
+            f'a JSON object such as {{"forward": 0.5}} is needed, got {text[:_SHOWN]!r}'
         )
     for name, value in entries.items():
         if name not in Request._fields:
-            raise ConfigurationError(f"no entry {name!r}; there are {list(Request._fields)}")
+            raise ConfigurationError(
+                f"no entry {name[:_SHOWN]!r}; there are {list(Request._fields)}"
+            )
         kind: tuple[type, ...] = (int, float) if name in AXES else (bool,)
         kind = (str,) if name == "damp" else kind
         if not isinstance(value, kind) or (name in AXES and isinstance(value, bool)):
-            raise ConfigurationError(f"{name} must be {kind[-1].__name__}, got {value!r}")
+            raise ConfigurationError(
+                f"{name} must be {kind[-1].__name__}, got {repr(value)[:_SHOWN]}"
+            )
         if isinstance(value, int | float) and not abs(value) <= _LARGEST:
-            raise ConfigurationError(f"{name} must be at most {_LARGEST:g}, got {value!r}")
+            raise ConfigurationError(
+                f"{name} must be at most {_LARGEST:g}, got {repr(value)[:_SHOWN]}"
+            )
+    if "damp" in entries:
+        # printed and logged
+        shown = entries["damp"][:_SHOWN]
+        entries["damp"] = "".join(c if c.isprintable() else "?" for c in shown)
     return Request(**entries)

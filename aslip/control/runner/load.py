@@ -7,12 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from aslip.control.own_estimate import POSITION
+from aslip.control.own_estimate import standing_estimate
 from aslip.control.runner.supervisor import MotorController
 from aslip.errors import AslipError, ConfigurationError
 from aslip.files.assets import asset_path, user_path
-from aslip.robot import CASSIE, Robot
-from aslip.wire import STATE_OUT, state_out_to_estimate
+from aslip.robot import CASSIE
 
 _WARM_UP = 5
 
@@ -73,19 +72,6 @@ def warm_up(controller: MotorController) -> None:
     target = np.asarray(state.motor_target)
     if target.size != len(CASSIE.motor_names) or not np.isfinite(target).all():
         raise ConfigurationError(f"its motor targets are not ten finite angles: {target.tolist()}")
-
-
-def standing_estimate(robot: Robot = CASSIE) -> dict[str, np.ndarray]:
-    """Estimate of a robot that stands upright: entries (k,) of `("estimate", ...)`, position."""
-    at, qpos = robot.indices, robot.standing
-    return {
-        **state_out_to_estimate(STATE_OUT.zeros()),
-        "height": qpos[at.pelvis_position][2:],
-        "orientation": np.array([1.0, 0.0, 0.0, 0.0]),
-        "motor_position": qpos[at.motor_qpos],
-        "joint_position": qpos[at.joint_qpos],
-        POSITION: qpos[at.pelvis_position],
-    }
 
 
 def _of_export(path: Path, library: str | Path | None) -> Loaded:

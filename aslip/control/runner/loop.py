@@ -16,6 +16,7 @@ from aslip.control.runner.commands import Source
 from aslip.control.runner.readings import Readings
 from aslip.control.runner.supervisor import Reading, Request, Stage, Supervisor
 from aslip.errors import ConfigurationError, NetworkError
+from aslip.training.command_line import say
 from aslip.wire import Arrival, Endpoint, MotorCommand
 
 if TYPE_CHECKING:
@@ -79,7 +80,7 @@ class Run:
         readings: interpretation of the robot's packets.
         source: source of the operator's requests.
         log: log to write; None for no log.
-        say: function that prints a line.
+        say: function that prints a line without waiting.
         chatty: print a line per second.
     """
 
@@ -90,7 +91,7 @@ class Run:
         source: Source,
         *,
         log: RunLog | None = None,
-        say: Callable[[str], None] = print,
+        say: Callable[[str], object] = say,
         chatty: bool = True,
     ) -> None:
         self.supervisor, self.readings, self.source = supervisor, readings, source

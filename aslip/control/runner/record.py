@@ -25,7 +25,7 @@ import numpy as np
 import aslip
 from aslip.control.runner.readings import Readings, SensorReadings, StateReadings
 from aslip.control.runner.supervisor import Limits, Reading, Request, Stage, Supervisor
-from aslip.errors import FileDamagedError
+from aslip.errors import AslipError, FileDamagedError, machine_failed
 from aslip.log import messages, read
 from aslip.log.messages import MessageType
 from aslip.log.template import Marks, Template
@@ -40,6 +40,8 @@ POLICY: Final = "policy"
 FILES: Final = "files"
 """Metadata entry: names of the attached files that load the policy, joined by spaces."""
 
+# names of the files of a controller
+_LOADED = (["policy.onnx"], ["policy.zip", "library.npz"])
 _STAGES = tuple(Stage)
 _REQUEST = ("forward", "sideways", "yaw_rate", "walk", "stop", "damp", "stand")
 _TIMING = ("lateness", "reply")
@@ -201,14 +203,22 @@ def replay(path: Path, make: Any, files: Path) -> Replayed:
             f"{str(path)!r} is no log of a run over the network, which has the topic /tick;"
             " replay logs of simulations with python -m aslip.log replay"
         )
-    limits = Limits(
-        **{n.removeprefix("limits/"): float(v) for n, v in data.items() if n.startswith("limits/")}
-    )
-    paths = []
-    for name in data[FILES].split():
-        paths.append(files / name)
-        paths[-1].write_bytes(recording.attachment(name))
-    return _compare(recording.series, make(paths, limits), data[RAW] == "True")
+    given = {n.removeprefix("limits/"): v for n, v in data.items() if n.startswith("limits/")}
+    names = data[FILES].split()
+    try:
+        limits = Limits(**{name: float(value) for name, value in given.items()})
+        # other names might lead out of the folder
+        if names not in _LOADED:
+            raise ValueError(f"its files are {names}, not one of {_LOADED}")
+        for name in names:
+            (files / name).write_bytes(recording.attachment(name))
+        supervisor = make([files / name for name in names], limits)
+        return _compare(recording.series, supervisor, data[RAW] == "True")
+    except Exception as error:  # a log of a stranger may fail in many ways
+        if isinstance(error, AslipError) or machine_failed(error):
+            raise
+        reason = f"{type(error).__name__}: {error}"
+        raise FileDamagedError(f"{str(path)!r} cannot be replayed: {reason}") from error
 
 
 def _compare(series: Mapping[str, Any], supervisor: Supervisor, raw: bool) -> Replayed:

@@ -92,6 +92,7 @@ class Controls:
         }
         if self.steering.stand is not None:
             buttons["stand"] = self.steering.stand
+            self.steering.add_key(gui, "stand, or walk", "C", lambda: self._clicks.put("stand"))
         for click, button in buttons.items():
             button.on_click(lambda _, click=click: self._clicks.put(click))
         self._guard(server, buttons.values())
@@ -104,7 +105,7 @@ class Controls:
         checks |= self.pushes.checks()
         for choice in (self.policy, self.rom):
             checks[choice._impl.uuid] = one_of(choice.options)
-        guard(server, checks)
+        guard(server, checks, self.steering.keys)
 
     def settings(self) -> Settings:
         """Present values."""

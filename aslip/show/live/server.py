@@ -1,5 +1,8 @@
 """Server of the page, which listens at the given address only and accepts only valid values.
 
+Web sites that are open in the same browser can reach it, too, so it accepts no browser's request
+from another origin than its own.
+
 viser keeps all messages of browsers and sends them to every later visitor. A value that cannot be
 encoded would close the page for all of them. A browser could also set any attribute of a control,
 request a public address of the server, or fill its memory. So the server accepts only valid values
@@ -9,14 +12,20 @@ of controls.
 from __future__ import annotations
 
 import errno
+import ipaddress
 import logging
 import math
 import socket
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from http import HTTPStatus
 from typing import Any
+from urllib.parse import urlsplit
 
 import viser
 from viser import _messages as messages
+from websockets.asyncio import server as websockets
+from websockets.http11 import Request, Response
 
 from aslip.errors import ConfigurationError
 
@@ -38,7 +47,8 @@ def start_server(host: str, port: int) -> viser.ViserServer:
     """
     _check_free(host, port)
     logging.getLogger("websockets.server").addFilter(_without_tracebacks)
-    server = viser.ViserServer(host=host, port=port, verbose=False)
+    with _own_origin_only(host):
+        server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
         server.stop()
         raise ConfigurationError(
@@ -54,6 +64,55 @@ def page_url(server: viser.ViserServer) -> str:
     if host in ("0.0.0.0", "::"):
         host = "localhost"
     return f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+
+
+@contextmanager
+def _own_origin_only(host: str) -> Iterator[None]:
+    """Let servers that start meanwhile refuse requests of other origins; viser has no option."""
+    serve = websockets.serve
+
+    def guarded(*args: Any, process_request: Any, **settings: Any) -> Any:
+        def process(connection: Any, request: Request) -> Response | None:
+            if not is_own_origin(request, host):
+                refusal = "This page takes no requests of other web sites.\n"
+                return connection.respond(HTTPStatus.FORBIDDEN, refusal)
+            response = process_request(connection, request)
+            if response is not None:
+                # no other site may show the page under its own buttons
+                response.headers["Content-Security-Policy"] = "frame-ancestors 'self'"
+            return response
+
+        return serve(*args, process_request=process, **settings)
+
+    websockets.serve = guarded
+    try:
+        yield
+    finally:
+        websockets.serve = serve
+
+
+def is_own_origin(request: Request, host: str) -> bool:
+    """Check that a request comes from the page, or from a program that is no browser.
+
+    Browsers always name the origin of a WebSocket, other programs need not: any of them on this
+    machine could name a false one. The page's own address must be a number, localhost or this
+    machine's name, since a web site can let its own name point to this machine.
+
+    Args:
+        request: request with the headers `Origin` and `Host`.
+        host: name or address at which the server listens.
+    """
+    try:
+        origin, own = request.headers.get("Origin"), request.headers.get("Host", "")
+        if origin is None:
+            return True
+        name = urlsplit(f"//{own}").hostname or ""
+        machine = socket.gethostname().lower()
+        if name not in ("localhost", host.lower(), machine, f"{machine}.local"):
+            ipaddress.ip_address(name)
+        return urlsplit(origin).netloc.lower() == own.lower()
+    except (LookupError, ValueError):  # a header twice, no address
+        return False
 
 
 def _without_tracebacks(record: logging.LogRecord) -> bool:
@@ -120,8 +179,12 @@ def switch(value: object) -> bool:
     return value
 
 
-def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
-    """Accept only valid values of controls from visitors.
+def guard(
+    server: viser.ViserServer,
+    checks: Mapping[str, Check],
+    keys: Mapping[str, Callable[[], object]] | None = None,
+) -> None:
+    """Accept only valid values of controls, and known keys, from visitors.
 
     Values out of range are clamped; other invalid messages are dropped. Messages on a single
     visitor's state, such as the camera, pass, because the server does not keep them.
@@ -129,6 +192,8 @@ def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
     Args:
         server: server of the page.
         checks: uuid of a control -> check of its value.
+        keys: uuid of a command of viser's palette -> function that is called at each press of its
+            key, in their order.
     """
     # viser has no public hook before its own handlers
     connections, accept = server._websock_server, server.gui._handle_gui_updates
@@ -141,6 +206,12 @@ def guard(server: viser.ViserServer, checks: Mapping[str, Check]) -> None:
             return
         await accept(client, message)
 
+    async def press(client: Any, message: messages.CommandTriggerMessage) -> None:
+        # the uuid may have any type
+        if keys and isinstance(message.uuid, str) and message.uuid in keys:
+            keys[message.uuid]()
+
     for kind in tuple(connections._incoming_handlers):
         connections.unregister_handler(kind)
     connections.register_handler(messages.GuiUpdateMessage, pass_valid)
+    connections.register_handler(messages.CommandTriggerMessage, press)

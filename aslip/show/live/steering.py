@@ -2,15 +2,19 @@
 
 Robots that stand on a wish have a button for it, which a key and the gamepad press, too.
 
-Browsers read keys and gamepads themselves: a script on the page writes the command that they ask
-for into a text field, which the simulation reads as it reads sliders.
+Keys are those of viser's commands: the browser sends every press, and the simulation takes them
+from a queue. Gamepads are read by a script on the page, which writes the command that they ask for
+into a text field; the simulation reads that as it reads sliders.
 """
 
 from __future__ import annotations
 
 import html
 import math
-from collections.abc import Sequence
+import queue
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
 
 import viser
 
@@ -22,57 +26,47 @@ _LABELS = ("forward [m/s]", "sideways [m/s]", "turn [rad/s]")
 _FIELD = "steer"
 _STAND, _WALK = "Stand", "Walk"
 
-# `onerror` runs the script, because browsers ignore <script> in HTML that is set later. Keys change
-# the command by steps, sticks set it; both listen before viser, whose camera moves with WASD.
+_CHANGES = (0.1, 0.05, 0.1)
+# key -> number of the command, and sign of its change; the last four are arrows
+_KEYS = {
+    **{"W": (0, 1), "S": (0, -1), "A": (1, 1), "D": (1, -1), "Q": (2, 1), "E": (2, -1)},
+    **{"arrowup": (0, 1), "arrowdown": (0, -1), "arrowleft": (1, 1), "arrowright": (1, -1)},
+}
+
+# `onerror` runs the script, because browsers ignore <script> in HTML that is set later. Events of
+# keys go from the page's controls to viser's commands, which listen at the root element, then to
+# viser's camera, which moves with WASD.
 _SCRIPT = """
 (() => {
   if (window.aslipSteering) return;
   window.aslipSteering = true;
-  const labels = LABELS, steps = [0.1, 0.05, 0.1];
-  const keys = {KeyW: [0, 1], KeyS: [0, -1], ArrowUp: [0, 1], ArrowDown: [0, -1],
-    KeyA: [1, 1], KeyD: [1, -1], ArrowLeft: [1, 1], ArrowRight: [1, -1],
-    KeyQ: [2, 1], KeyE: [2, -1]};
+  const labels = LABELS, root = document.documentElement;
   const row = text => [...document.querySelectorAll('label')]
     .find(label => label.textContent === text)?.parentElement?.parentElement?.parentElement;
   const read = name => labels.map(text =>
     Number(row(text)?.querySelector('[role=slider]')?.getAttribute(name) ?? 0));
-  let wish = null, until = 0;
   const write = values => {
     const input = row(FIELD)?.querySelector('input');
     if (!input) return;
-    const low = read('aria-valuemin'), high = read('aria-valuemax');
-    wish = values.map((value, i) => Math.min(Math.max(value, low[i]), high[i]));
-    until = performance.now() + 1000;  // sliders follow later on a slow machine
     const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, 'value').set;
-    set.call(input, wish.map(value => value.toFixed(2)).join(', '));
+    set.call(input, values.map(value => value.toFixed(2)).join(', '));
     input.dispatchEvent(new Event('input', {bubbles: true}));
   };
-  const stand = () => [...document.querySelectorAll('button')]
-    .find(button => STANDS.includes(button.textContent.trim()));
-  window.addEventListener('keydown', event => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.target.closest?.('input, textarea, [role=slider], [role=combobox]')) return;
-    if (event.code === 'KeyC' && stand()) {
-      event.preventDefault();
-      event.stopImmediatePropagation();
-      if (!event.repeat) stand().click();
-      return;
-    }
-    const key = keys[event.code];
-    if (!key && event.code !== 'KeyX') return;
-    event.preventDefault();
-    event.stopImmediatePropagation();
-    const values = !key ? [0, 0, 0]
-      : [...(performance.now() < until ? wish : read('aria-valuenow'))];
-    if (key) values[key[0]] += key[1] * steps[key[0]];
-    write(values);
-  }, true);
+  document.body.addEventListener('keydown', event => {
+    const slides = event.code?.startsWith('Arrow') && event.target.closest?.('[role=slider]');
+    if (slides || (event.code === 'KeyC' && event.repeat)) event.stopPropagation();
+  });
+  root.addEventListener('keydown', event => {
+    const held = event.ctrlKey || event.metaKey || event.altKey || event.shiftKey;
+    if (!held && /^(Key[WSADQEXC]|Arrow.*)$/.test(event.code)) event.stopPropagation();
+  });
   let moved = false, held = false;
   const poll = () => {
     const pad = [...(navigator.getGamepads?.() ?? [])].find(pad => pad && pad.connected);
     if (!pad) return;
     const pressed = Boolean(pad.buttons?.[0]?.pressed);
-    if (pressed && !held) stand()?.click();
+    if (pressed && !held)
+      root.dispatchEvent(new KeyboardEvent('keydown', {code: 'KeyC', key: 'c'}));
     held = pressed;
     const stick = [1, 0, 2].map(i => {
       const value = -(pad.axes[i] ?? 0), size = Math.abs(value);
@@ -121,14 +115,38 @@ class Steering:
         ]
         """A slider for each number of a command."""
         self.field: viser.GuiInputHandle[str] | None = None
-        """Text field of the command that keys and gamepad ask for; None with forward speed only."""
+        """Text field of the command that a gamepad asks for; None with forward speed only."""
+        self._presses: queue.SimpleQueue[tuple[int, float] | None] = queue.SimpleQueue()
+        self.keys: dict[str, Callable[[], object]] = {}
+        """Function to call at each press of a key, by the uuid of its command."""
         if len(limits) > 1:
+            self._add_keys(gui)
             self.field = gui.add_text(_FIELD, _text(command), hint="forward, sideways, turn")
             help_text = _HELP.replace("STANDING", _STAND_HELP if stands else "")
             gui.add_html(help_text + _image())
         self.stand = gui.add_button(_STAND, icon=viser.Icon.HAND_STOP) if stands else None
         """Button of the wish to stand; None for robots that cannot."""
         self._known = "" if self.field is None else self.field.value
+
+    def _add_keys(self, gui: viser.GuiApi) -> None:
+        """Add commands whose keys change the command by steps, or stop."""
+        for key, (axis, sign) in _KEYS.items():
+            change = sign * _CHANGES[axis]
+            self.add_key(
+                gui, f"{_LABELS[axis]} {change:+g}", key, partial(self._presses.put, (axis, change))
+            )
+        self.add_key(gui, "stop", "X", partial(self._presses.put, None))
+
+    def add_key(self, gui: viser.GuiApi, label: str, key: Any, press: Callable[[], object]) -> None:
+        """Add a command of viser's palette with a key.
+
+        Args:
+            gui: interface of the server.
+            label: label in the palette.
+            key: the key, in viser's words.
+            press: function to call at each press, on the server's thread.
+        """
+        self.keys[gui.add_command(label, hotkey=key)._impl.uuid] = press
 
     def checks(self) -> dict[str, Check]:
         """Checks of the values that visitors send, by the uuid of the control."""
@@ -155,10 +173,19 @@ class Steering:
             self._known = text
             for slider, value in zip(self.sliders, _numbers(text), strict=True):
                 slider.value = value
+        for _ in range(self._presses.qsize()):
+            self._press(self._presses.get_nowait())
         values = [float(slider.value) for slider in self.sliders]
         if (shown := _text(values)) != self._known:
             self.field.value = self._known = shown
         return tuple(values)
+
+    def _press(self, change: tuple[int, float] | None) -> None:
+        """Move the slider of a pressed key within its range; all to zero for None."""
+        for i, slider in enumerate(self.sliders):
+            if change is None or change[0] == i:
+                value = 0.0 if change is None else round(slider.value + change[1], 6)
+                slider.value = min(max(value, slider.min), slider.max)
 
     def _checked_text(self, value: object) -> str:
         """Command of a visitor's text, within the sliders' ranges.
@@ -187,5 +214,4 @@ def _image() -> str:
     """Invisible image that cannot be loaded, so that its error handler runs the script."""
     labels = "[" + ", ".join(f"'{label}'" for label in _LABELS) + "]"
     script = _SCRIPT.replace("LABELS", labels).replace("FIELD", f"'{_FIELD}'")
-    script = script.replace("STANDS", f"['{_STAND}', '{_WALK}']")
     return f"<img src='data:,' style='display:none' onerror=\"{html.escape(script)}\">"

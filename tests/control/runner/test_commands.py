@@ -110,7 +110,11 @@ def test_the_newest_datagram_counts_until_it_is_old() -> None:
         assert source.request(5.0, 0.0) == Request(0.5, yaw_rate=0.1)
         assert source.request(5.9, 0.0) == Request(0.5, yaw_rate=0.1)
         assert source.request(6.1, 0.0) == Request()
-    assert said == ["command refused: forward must be float, got 'fast'"]
+        assert said == ["command refused: forward must be float, got 'fast'"]
+        for _ in range(200):
+            sender.sendto(b'{"a": 1}', ("127.0.0.1", source.port))
+            source.request(6.1, 0.0)
+    assert len(said) == 1
 
 
 @pytest.mark.parametrize(
@@ -135,6 +139,22 @@ def test_a_port_that_does_not_exist_is_named() -> None:
 def test_a_port_in_use_for_commands_is_named() -> None:
     with Datagrams(0) as first, pytest.raises(NetworkError, match=f"{first.port}.*--listen"):
         Datagrams(first.port)
+
+
+def test_what_is_shown_of_a_datagram_is_short_and_printable() -> None:
+    request = parse_request(b'{"damp": "\\u001b[2J\\n\\ud800' + 1000 * b"x" + b'"}')
+    assert request.damp == "?[2J??" + 74 * "x"
+    for text in (
+        '{"forward": "X"}',
+        '{"X": 1}',
+        '"X"',
+        "X",
+        '{"forward": [X]}',
+        '{"walk": {"X": 1}}',
+    ):
+        with pytest.raises(ConfigurationError) as refused:
+            parse_request(text.replace("X", 4000 * "1").encode())
+        assert len(str(refused.value)) < 250
 
 
 @pytest.mark.parametrize(

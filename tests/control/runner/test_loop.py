@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 from aslip.control import Controller
+from aslip.control.own_estimate import standing_estimate
 from aslip.control.runner.commands import Scheduled
-from aslip.control.runner.load import Loaded, load, standing_estimate, warm_up
+from aslip.control.runner.load import Loaded, load, warm_up
 from aslip.control.runner.loop import (
     LATE,
     Run,
@@ -27,7 +28,7 @@ from aslip.control.runner.loop import (
 )
 from aslip.control.runner.readings import SensorReadings, StateReadings
 from aslip.control.runner.record import RunLog, replay, run_metadata
-from aslip.control.runner.supervisor import Limits, Stage, Supervisor
+from aslip.control.runner.supervisor import Limits, Request, Stage, Supervisor
 from aslip.errors import ConfigurationError, FileDamagedError, NetworkError
 from aslip.library import GaitLibrary, Schedule
 from aslip.log import check, read
@@ -39,6 +40,7 @@ from aslip.wire import (
     STATE_OUT,
     Arrival,
     Endpoint,
+    MotorCommand,
     command_to_pd_in,
     estimate_to_state_out,
     pd_in_to_command,
@@ -146,6 +148,27 @@ def test_other_logs_are_not_replayed(tmp_path: Path) -> None:
         replay(path, lambda *_: None, tmp_path)
     with pytest.raises(ConfigurationError, match="exists"):
         RunLog(path, STATE_OUT, {}, {})
+
+
+@pytest.mark.parametrize(
+    ("files", "more", "message"),
+    [
+        ({"../evil": b"x"}, {}, "its files are"),
+        ({"policy.onnx": b"x"}, {"limits/tilt": "x"}, "could not convert"),
+        ({"policy.onnx": b"x"}, {"limits/colour": "1"}, "colour"),
+    ],
+)
+def test_logs_of_strangers_write_nothing_elsewhere(
+    tmp_path: Path, files: dict[str, bytes], more: dict[str, str], message: str
+) -> None:
+    (tmp_path / "within").mkdir()
+    metadata = {**run_metadata("straight", StateReadings(), QUICK), **more}
+    log = RunLog(tmp_path / "run.mcap", STATE_OUT, files, metadata)
+    log.tick(0, Request(), Stage.WALK, MotorCommand(*np.zeros((5, 10))), None, (0.0, 0.0))
+    log.finish({})
+    with pytest.raises(FileDamagedError, match=message):
+        replay(tmp_path / "run.mcap", lambda *_: None, tmp_path / "within")
+    assert not (tmp_path / "evil").exists()
 
 
 def test_a_run_in_raw_mode_walks_like_one_in_pd_mode(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aslip.control.runner.load import standing_estimate
+from aslip.control.own_estimate import standing_estimate
 from aslip.control.runner.readings import Readings, SensorReadings, StateReadings
 from aslip.estimation import StateEstimator
 from aslip.robot import CASSIE

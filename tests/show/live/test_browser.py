@@ -5,8 +5,9 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -39,6 +40,8 @@ class Desk:
     view: Any
     steps: list[TensorDictBase]
     script: str = ""
+    running: Event = field(default_factory=Event)
+    """Cleared to hold the simulation in its next step, as a slow machine does."""
 
     def open(self) -> Any:
         """Open another tab with the page."""
@@ -89,9 +92,16 @@ def _desk(
 ) -> Iterator[Desk]:
     """Desk with a page; a script runs in the browser before those of the page."""
     steps: list[TensorDictBase] = []
-    live = LivePage(walker, policies, port=0, on_step=steps.append)
+    running = Event()
+    running.set()
+
+    def on_step(td: TensorDictBase) -> None:
+        steps.append(td)
+        running.wait(PATIENCE)
+
+    live = LivePage(walker, policies, port=0, on_step=on_step)
     with served(live):
-        desk = Desk(live, browser.new_context(**_SIZE), None, steps, script)
+        desk = Desk(live, browser.new_context(**_SIZE), None, steps, script, running)
         desk.view = desk.open()
         yield desk
         desk.tabs.close()
@@ -154,6 +164,14 @@ def test_keys_and_a_gamepad_steer_in_all_directions(browser):
         for key in ("KeyW", "ArrowUp", "KeyQ", "KeyA"):
             desk.view.keyboard.press(key)
         wait(0.6, 0.05, 0.1)
+        desk.view.keyboard.press("KeyX")
+        wait(0.0, 0.0, 0.0)
+        desk.running.clear()
+        for key in ("KeyW", "KeyW", "KeyE", "KeyW"):
+            desk.view.keyboard.press(key)
+            desk.view.wait_for_timeout(1100)
+        desk.running.set()
+        wait(0.3, 0.0, -0.1)
         desk.view.keyboard.press("KeyX")
         wait(0.0, 0.0, 0.0)
         # half the stick's way beyond its dead zone

@@ -24,6 +24,13 @@ def test_taken_port_is_named():
             start_server("127.0.0.1", port)
 
 
+@pytest.fixture(scope="module")
+def served():
+    server = start_server("127.0.0.1", 0)
+    yield server
+    server.stop()
+
+
 @pytest.mark.parametrize("port", [-1, 65536])
 def test_port_out_of_range_is_an_error(port):
     with pytest.raises(ConfigurationError, match=str(port)):
@@ -53,11 +60,43 @@ def test_page_answers_at_its_url_and_frees_its_port():
         assert page_url(server) == f"http://127.0.0.1:{port}"
         with urllib.request.urlopen(page_url(server)) as answer:
             assert b"<html" in answer.read(2000).lower()
+            # another site cannot show it, either
+            assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'self'"
     finally:
         server.stop()
     again = start_server("127.0.0.1", port)
     assert again.get_port() == port
     again.stop()
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "own"),
+    [
+        (None, "127.0.0.1:PORT", True),  # no browser
+        ("http://127.0.0.1:PORT", "127.0.0.1:PORT", True),
+        ("http://localhost:9000", "localhost:9000", True),  # a tunnel of ssh
+        ("http://[::1]:PORT", "[::1]:PORT", True),
+        (f"http://{socket.gethostname()}:PORT", f"{socket.gethostname().upper()}:PORT", True),
+        ("http://a.example", "127.0.0.1:PORT", False),
+        ("http://127.0.0.1:1", "127.0.0.1:PORT", False),
+        ("http://127.0.0.1", "127.0.0.1:PORT", False),
+        ("http://a.example:PORT", "a.example:PORT", False),  # its name points to this machine
+        ("http://127.0.0.1.a.example:PORT", "127.0.0.1:PORT", False),
+        ("http://user@127.0.0.1:PORT", "127.0.0.1:PORT", False),
+        ("null", "127.0.0.1:PORT", False),
+        ("", "", False),
+        ("http://[", "[", False),
+    ],
+)
+def test_other_web_sites_cannot_reach_the_page(served, origin, host, own):
+    port = str(served.get_port())
+    with socket.create_connection(("127.0.0.1", int(port))) as visitor:
+        lines = ["GET / HTTP/1.1", f"Host: {host}", "Upgrade: websocket", "Connection: Upgrade"]
+        lines += ["Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13"]
+        lines += [] if origin is None else [f"Origin: {origin}"]
+        visitor.sendall("\r\n".join([*lines, "", ""]).replace("PORT", port).encode())
+        status = visitor.recv(1000).split()[1]
+    assert status == (b"101" if own else b"403")
 
 
 def test_unsupported_requests_print_nothing_and_the_page_stays_up():

@@ -65,6 +65,35 @@ def test_texts_of_keys_and_gamepads_move_the_sliders(page: LivePage) -> None:
     assert page.walker.command == pytest.approx((0.1, 0.0, 0.0))
 
 
+def test_every_press_of_a_key_counts_however_slow_the_simulation_is(page: LivePage) -> None:
+    """Presses of a turn are applied in their order, unknown ones are dropped."""
+    labels = {
+        handle.label: uuid for uuid, handle in page._server.gui._command_handle_from_uuid.items()
+    }
+    with visit(page) as visitor:
+
+        def press(*names: str) -> None:
+            for name in names:
+                visitor.send(type="CommandTriggerMessage", uuid=labels.get(name, name))
+            steering = page.controls.steering
+            wait_for(lambda: steering._presses.qsize() == sum(name in labels for name in names))
+            page.turn()
+
+        press(*4 * ["forward [m/s] +0.1"], "nobody", *3 * ["turn [rad/s] -0.1"])
+        assert page.walker.command == pytest.approx((0.6, 0.0, -0.3))
+        press(*9 * ["forward [m/s] +0.1"], "forward [m/s] -0.1")
+        assert page.walker.command[0] == pytest.approx(0.7)  # from the largest speed, 0.8
+        press("forward [m/s] +0.1", "stop", "sideways [m/s] +0.05")
+        assert page.walker.command == pytest.approx((0.0, 0.05, 0.0))
+        for uuid in (None, 3, ["x"], {}):
+            visitor.send(type="CommandTriggerMessage", uuid=uuid)
+        press("stop")
+    assert page.walker.command == (0.0, 0.0, 0.0)
+    field = page.controls.steering.field
+    assert field is not None
+    assert field.value == "0.00, 0.00, 0.00"
+
+
 def test_lines_name_all_speeds_and_their_commands(page: LivePage) -> None:
     page.controls.steering.sliders[2].value = 0.5
     page.turn()
@@ -100,7 +129,9 @@ def standing_walker() -> Walker:
     return Walker(limp(), env, library=library, speed=0.0)
 
 
-def test_a_button_lets_robots_stand_that_can(page: LivePage, standing_walker: Walker) -> None:
+def test_a_button_and_a_key_let_robots_stand_that_can(
+    page: LivePage, standing_walker: Walker
+) -> None:
     assert page.controls.steering.stand is None
     standing = LivePage(standing_walker, port=0)
     button = standing.controls.steering.stand
@@ -108,7 +139,12 @@ def test_a_button_lets_robots_stand_that_can(page: LivePage, standing_walker: Wa
     try:
         with visit(standing) as visitor:
             for stand, label in ((True, "Walk"), (False, "Stand")):
-                visitor.update(button, value=True)
+                if stand:
+                    visitor.update(button, value=True)
+                else:  # the key C
+                    commands = standing._server.gui._command_handle_from_uuid.items()
+                    uuid = next(u for u, command in commands if command.hotkey == "C")
+                    visitor.send(type="CommandTriggerMessage", uuid=uuid)
                 wait_for(lambda: not standing.controls._clicks.empty())
                 standing.turn()
                 assert standing.walker.stand == stand
