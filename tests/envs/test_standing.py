@@ -36,9 +36,9 @@ def test_robots_stand_where_a_stop_ends() -> None:
     library = standing_library()
     stack = standing_stack(library)
     env = aslip.make_env(stack=stack, num_envs=1, num_threads=1, drop=(*EPISODE_ENDS, "fall"))
-    entries = {"phase": torch.full((1, 1), 0.33), "stand": torch.zeros(1, 1)}
+    entries = {"phase": torch.full((1, 1), 0.38), "stand": torch.zeros(1, 1)}
     td = env.reset(TensorDict({**entries, "command": torch.zeros(1, 3)}, batch_size=1))
-    td["stand"], modes = torch.ones(1, 1), []
+    td["stand"], td["mode"], modes = torch.ones(1, 1), torch.full((1, 1), WalkMode.STOP), []
     for _ in range(25):
         td["action"] = torch.zeros(1, 10)
         td = env.step(td)["next"]

@@ -9,12 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from numba.core.dispatcher import Dispatcher
 
 from aslip import GaitLibrary
 from aslip.estimation.legs import FORCE, HEEL, LATERAL, TOE, LegKinematics
 from aslip.robot import CASSIE, SIDES
-from aslip.robot.compiled import compiled
 from aslip.robot.model import load_model
 from aslip.sim import Simulations
 
@@ -169,23 +167,3 @@ def test_forces_are_the_slope_of_the_springs_energy(
         # the heel spring's deflection is to first order: some percent at 0.1 rad
         assert force @ moved == pytest.approx(stored, rel=0.1)
     assert np.linalg.norm(force) > 50
-
-
-def test_functions_compile_without_a_writable_cache(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    refused = []
-
-    def refuse(dispatcher: object) -> None:
-        refused.append(dispatcher)
-        raise RuntimeError("cannot cache function: no locator available")
-
-    monkeypatch.setattr(Dispatcher, "enable_caching", refuse)
-
-    @compiled
-    def inverse(x: float) -> float:
-        return 1.0 / x
-
-    assert len(refused) == 1
-    assert inverse(4.0) == 0.25
-    assert inverse(0.0) == np.inf

@@ -19,6 +19,7 @@ import pytest
 from aslip.errors import ConfigurationError
 from aslip.files.writing import claimed
 from aslip.library import DirectionGrid, GaitFolder, solve_directions
+from aslip.walking import Interval
 from benchmarks import target_record
 from benchmarks.target_record import TargetRecord
 from recipes import direction_library
@@ -158,7 +159,7 @@ def test_records_of_two_processes_keep_the_values_of_both(
     context = multiprocessing.get_context("fork")
     records = [TargetRecord(path, {"a": 1}) for _ in names]
     added = [
-        context.Process(target=record.add, args=(name, {"speed": 0.1}))
+        context.Process(target=record.add, args=(name, {"speed": Interval(0.1, 0.1, 0.1)}))
         for record, name in zip(records, names, strict=True)
     ]
     for process in added:

@@ -245,7 +245,7 @@ def test_a_checkpoint_that_the_machine_cannot_read_now_is_not_damaged(
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr("aslip.files.archive._entries", fail)
+        patch.setattr("aslip.files.archive.read_zip", fail)
         with pytest.raises(type(error)):
             open_run(settings, resume=True).restore({"net": constant_network(0.0)})
     assert saved_steps(settings) == [10, 20]
