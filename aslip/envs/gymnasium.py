@@ -203,9 +203,7 @@ class _Camera:
 
 
 def _make(settings: Info) -> StackEnv:
-    """Make an environment; draw its seed unless one is given."""
-    own = int(np.random.SeedSequence().generate_state(1)[0])
-    env = make_env(**{"seed": own, **settings})
+    env = make_env(**settings)
     if "observation" not in env.observation_spec:
         raise ConfigurationError("Gymnasium needs an `observation`, but no transform writes it")
     return env

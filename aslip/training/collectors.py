@@ -32,7 +32,7 @@ class LocalCollector:
         actor: the policy.
         num_envs: number of robots.
         samples: total number of policy steps of a batch.
-        seed: seed of the environment; actions use torch's global generator.
+        seed: seed of the environment, by default its own; actions use torch's global generator.
         device: device of the actor and the batches.
     """
 
@@ -43,7 +43,7 @@ class LocalCollector:
         *,
         num_envs: int,
         samples: int,
-        seed: int = 0,
+        seed: int | None = None,
         device: str | torch.device = "cpu",
     ) -> None:
         env = add_memory(make_env(num_envs=num_envs, seed=seed), actor)

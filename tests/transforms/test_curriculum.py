@@ -26,7 +26,7 @@ def make(num: int = 4, ramp: int = 5) -> StackEnv:
         difficulty=partial(Difficulty, ramp),
         pushes=partial(RandomPushes, 20.0, 0.03, 0.03, in_keys=["difficulty"]),
     )
-    return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"])
+    return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"], seed=0)
 
 
 def test_difficulty_rises_to_one_and_carries_over_partial_resets() -> None:
