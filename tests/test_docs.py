@@ -31,7 +31,7 @@ _SMALLER = {"total_steps=300_000": _LITTLE, "range(100)": "range(10)"}
 # programs outside this repository
 _FOREIGN = {"pip", "ray", "rerun", "plotjuggler"}
 # recipes that have presets
-_PRESETS_OF = {"recipes.ppo_aslip": "PRESETS", "recipes.ppo_cluster": "CLUSTER_PRESETS"}
+_PRESETS_OF = {"recipes.ppo_aslip": "PRESETS"}
 
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=page_name)

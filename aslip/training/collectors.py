@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.collectors import Collector
 
+from aslip.errors import ConfigurationError
 from aslip.policy import add_memory
 from aslip.training.checkpoint import CollectorState
 from aslip.training.environments import MakeEnv
@@ -66,8 +67,12 @@ class LocalCollector:
         """Continue from what `state_dict` returned.
 
         Raises:
-            ConfigurationError: the state comes from a different environment.
+            ConfigurationError: the state comes from a different environment, or `RayCollectors`.
         """
+        if "robots" not in state:
+            raise ConfigurationError(
+                "the training had its robots in Ray actors; give it num_collectors to resume"
+            )
         self._state.load_state_dict(state)
 
     def shutdown(self) -> None:
