@@ -33,7 +33,6 @@ import signal
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from copy import deepcopy
 from functools import partial
 from typing import Any, Final, Self, cast
 
@@ -53,6 +52,7 @@ from aslip.processes import processors
 from aslip.training.collectors import TORCHRL_SETTINGS
 from aslip.training.environments import MakeEnv
 from aslip.training.settings import check_shares
+from aslip.transforms import Difficulty
 
 SENT: Final[tuple[NestedKey, ...]] = (
     "action",
@@ -146,9 +146,10 @@ class RayCollectors:
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue the count of batches, so that random numbers are new.
 
-        The state of a `LocalCollector` has none: its robots had other random numbers.
+        The state may be that of a `LocalCollector`, too.
         """
-        self._batches = state.get("batches", 0)
+        local = "torchrl" in state
+        self._batches = state["torchrl"]["frames"] // self._samples if local else state["batches"]
 
     def shutdown(self) -> None:
         """End the actors, and Ray if this collector started it; may be called more than once."""
@@ -175,11 +176,12 @@ class RayCollectors:
         free = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
         threads = threads_each(free, self._num)
         # stored once for all actors, as a stack may hold a large library
-        made = ray.put((self._make_env, deepcopy(self._actor)))
+        made = ray.put((self._make_env, self._actor))
         settings = {"num_envs": self._share, "num_threads": threads}
+        steps = self._batches * self._samples // (self._num * self._share)
         self._collector = Collector(
             [
-                partial(_make_robots, made, [self._seed, self._batches, index], **settings)
+                partial(make_robots, made, [self._seed, self._batches, index], steps, **settings)
                 for index in range(self._num)
             ],
             self._actor,
@@ -198,12 +200,22 @@ class RayCollectors:
         return self._collector
 
 
-def _make_robots(made: Any, entropy: list[int], **settings: Any) -> StackEnv:
-    """Make the robots of one actor in its process, and seed them and its actions."""
+def make_robots(made: Any, entropy: list[int], steps: int, **settings: Any) -> StackEnv:
+    """Make the robots of one actor in its process, and seed them and its actions.
+
+    Args:
+        made: Ray's reference to the function that makes the environment, and the policy.
+        entropy: numbers from which the seeds follow.
+        steps: policy steps of each robot before a resume, for its difficulty.
+        settings: keywords of the function.
+    """
     make_env, policy = importlib.import_module("ray").get(made)
     torch.set_num_threads(1)
     env_seed, torch_seed = map(int, np.random.SeedSequence(entropy).generate_state(2))
     env = add_memory(make_env(seed=env_seed, **settings), policy)
+    for transform in env.transforms:
+        if isinstance(transform, Difficulty):
+            transform.resume(steps)
     # torch's global generator draws actions
     torch.manual_seed(torch_seed)
     return env

@@ -12,7 +12,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -21,12 +23,14 @@ from tensordict import TensorDict
 from torchrl.modules import ProbabilisticActor
 
 import aslip
-from aslip.errors import ConfigurationError
+from aslip.envs import StackEnv, default_stack, insert_before
+from aslip.errors import CollectorError, ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, set_std
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import read_progress
 from aslip.training.ray import RayCollectors, threads_each
 from aslip.training.run import TrainingStoppedError
+from aslip.transforms import Difficulty
 from recipes import ppo_aslip, ppo_directions
 from recipes.ppo_directions import DirectionConfig
 from recipes.ppo_settings import Config
@@ -318,6 +322,35 @@ def test_unequal_shares_are_refused(change: dict[str, Any], message: str) -> Non
 def test_recipes_refuse_unequal_shares_at_once() -> None:
     with pytest.raises(ConfigurationError, match="multiple of num_collectors = 3, got 8"):
         replace(TINY, num_collectors=3)
+
+
+@needs_ray
+@pytest.mark.parametrize("state", [{"batches": 5}, {"torchrl": {"frames": 5 * SAMPLES}}])
+def test_resumed_robots_are_as_difficult_as_before(
+    state: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After five batches, also of robots in one process; each robot took eight steps of each."""
+    made: list[Callable[[], StackEnv]] = []
+    stack = insert_before(default_stack(), "command", difficulty=partial(Difficulty, 100))
+    collector = RayCollectors(
+        partial(aslip.make_env, stack=stack), Learner.make().actor, num_envs=ROBOTS, samples=SAMPLES
+    )
+    ray = SimpleNamespace(
+        is_initialized=lambda: True,
+        nodes=lambda: [{"Alive": True, "Resources": {"CPU": 2.0}}],
+        put=lambda value: value,
+        get=lambda value: value,
+    )
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    collect = "aslip.training.ray.Collector"
+    monkeypatch.setattr(collect, lambda makers, *_, **__: made.extend(makers))
+    collector.load_state_dict(state)
+    with pytest.raises(CollectorError, match="NoneType"):
+        next(iter(collector))
+    first, second = (make().reset() for make in made)
+    found = torch.cat([first["difficulty"], second["difficulty"]])
+    torch.testing.assert_close(found, torch.full((ROBOTS, 1), 0.4))
+    assert not torch.equal(first["observation"], second["observation"])
 
 
 def test_robots_of_ray_cannot_go_on_in_this_process() -> None:
