@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -206,15 +206,19 @@ def test_without_a_seed_every_transform_draws_numbers_of_its_own(make: MakeEnv, 
     first, second = (make(seed=None, **settings) for _ in range(2))
     for one, other in zip(first.transforms, second.transforms, strict=True):
         if isinstance(one, SeededTransform):
-            assert not torch.equal(one.generator.get_state(), other.generator.get_state())
+            drawn = cast("SeededTransform", other).generator.get_state()
+            assert not torch.equal(one.generator.get_state(), drawn)
     assert not differing(first.reset(), make(seed=first.seed, **settings).reset())
 
 
 def test_transforms_added_later_or_inside_a_compose_follow_the_seed(make: MakeEnv) -> None:
     def noise(seed: int | None) -> torch.Tensor:
-        env = make(seed=seed, replace={"noise": lambda: Compose(*map(ObservationNoise, ({}, {})))})
+        twice: Any = ObservationNoise(), ObservationNoise()
+        env = make(seed=seed, replace={"noise": Compose(*twice)})
         env.insert_transform(0, ObservationNoise())
-        inside = [t for t in env.transform.modules() if isinstance(t, ObservationNoise)]
+        inside = (
+            t for t in cast("Any", env.transform).modules() if isinstance(t, ObservationNoise)
+        )
         return torch.stack([torch.rand(3, generator=t.generator) for t in inside])
 
     seeded = noise(1)
