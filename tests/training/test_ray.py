@@ -206,6 +206,8 @@ def test_recipes_train_on_two_nodes_and_resume_without_one_of_them(
     def losing(*args: Any) -> Any:
         if len(read_progress(config.out).get("step", [])) == 1:
             cluster.remove_node(lost, allow_graceful=False)
+            ray = importlib.import_module("ray")
+            _wait(lambda: sum(node["Alive"] for node in ray.nodes()) == 1)  # or it gets the actor
         return update(*args)
 
     changes = {"num_collectors": 2, "out": tmp_path / "run", "total_steps": 192}
@@ -299,9 +301,6 @@ class Sender:
 def test_a_training_can_send_its_policy_to_other_processes(tmp_path: Path) -> None:
     ppo_aslip.main(replace(TINY, out=tmp_path / "run"), make_collector=Sender)
     assert read_progress(tmp_path / "run")["step"] == [64, 128]
-
-
-# ---------------------------------------------------------------------- settings
 
 
 @needs_ray
