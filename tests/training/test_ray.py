@@ -371,7 +371,6 @@ def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatc
         shutdown = is_initialized
 
     monkeypatch.setenv("RAY_ADDRESS", "somewhere:1")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: "there")
     monkeypatch.setitem(sys.modules, "ray", Ray)
     collector = _collector(RayCollectors, torch.nn.Identity())
     with collector, pytest.raises(ConfigurationError, match=r"'somewhere:1'.*no one at"):

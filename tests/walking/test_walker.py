@@ -133,7 +133,10 @@ def test_refuses_policy_of_another_stack(tmp_path: Path) -> None:
 
 
 def test_a_loaded_policy_is_named_with_its_stack_if_the_environment_has_another() -> None:
-    policy, env = aslip.load_policy("aslip"), aslip.make_env(stack="standing", num_threads=1)
+    policy, env = (
+        aslip.load_policy("aslip"),
+        aslip.make_env(stack="standing", num_threads=1, seed=0),
+    )
     # commands are those of the environment
     assert Walker(policy, env, speed=(0.3, 0.0, 0.1)).command == pytest.approx((0.3, 0.0, 0.1))
     stacks = "it was trained on the stack 'standing', and the environment has the stack 'default'"
