@@ -81,7 +81,8 @@ def correlation(config: Config, library: GaitLibrary, stack: str, speed: float) 
     """Correlation of vertical foot forces, robot and model, over all starts and both feet."""
     gait = nearest_gait(library, speed)
     robot, model = [], []
-    with closing(aslip.make_env(num_envs=1, stack=stack, drop=EPISODE_ENDS, num_threads=1)) as env:
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=0)
+    with closing(env):
         env.base_env.watch(0)
         for phase in np.arange(config.phases) / config.phases:
             robot.append(open_loop_forces(env, speed, phase, config.steps))

@@ -114,7 +114,7 @@ class Candidates:
     """Upper bound, bare simulations and environments with transforms, in the same states."""
 
     def __init__(self, num_envs: int, num_threads: int, config: Config, subject: Subject) -> None:
-        batch = partial(subject.env, num_envs, num_threads=num_threads)
+        batch = partial(subject.env, num_envs, seed=0, num_threads=num_threads)
         self.leader = batch()
         self.envs: dict[str, EnvBase] = {
             "environment, true state": batch(**ON_TRUTH),
@@ -123,7 +123,9 @@ class Candidates:
         }
         self.pools = [_pool(env) for env in self.envs.values()]
         if num_envs <= config.single:
-            self.envs["dm_control, all transforms"] = subject.env(num_envs, backend="dm_control")
+            self.envs["dm_control, all transforms"] = subject.env(
+                num_envs, seed=0, backend="dm_control"
+            )
             one = partial(subject.env, 1, num_threads=1)
             self.envs["ParallelEnv of single robots"] = ParallelEnv(num_envs, one)
         self.bare = SimulationPool(num_envs, num_threads=num_threads)
@@ -298,7 +300,7 @@ def memory_table(config: Config) -> str:
 
 def memory_of(num_envs: int) -> float:
     """Peak memory of this process after eight policy steps of N robots [GiB]."""
-    with closing(aslip.make_env(num_envs=num_envs)) as env:
+    with closing(aslip.make_env(num_envs=num_envs, seed=0)) as env:
         env.rollout(8, aslip.load_policy("straight"), break_when_any_done=False)
         return peak_memory()
 

@@ -4,14 +4,13 @@
     python recipes/ppo_aslip.py --resume         # continue after Ctrl-C, kill or a crash
     python recipes/ppo_aslip.py --seed 1 --out runs/seed1 --total-steps 5000000
     python recipes/ppo_aslip.py paper            # the paper's settings; presets: --help
+    python recipes/ppo_aslip.py --num-collectors 8                     # robots in Ray actors
 
 The recipe has all parts of Green et al. 2021: environment, policy, PPO, evaluation. To swap a part,
 call `main` with a function that makes the new one:
 
     main(Config(), make_env=partial(aslip.make_env, drop=["foot_orient"]))
     main(Config(symmetric=False), make_actor=make_recurrent_actor)
-
-Robots in several processes or on a cluster: `ppo_cluster.py`.
 """
 
 from __future__ import annotations
@@ -33,6 +32,7 @@ from typing import Any, cast
 import torch
 from ppo_presets import environments
 from tensordict import TensorDict
+from tensordict.utils import NestedKey
 from torchrl.modules import ProbabilisticActor, ValueOperator, set_recurrent_mode
 from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
@@ -76,7 +76,7 @@ def main(
     make_critic: Callable[..., ValueOperator] = make_critic,
     *,
     make_train_env: MakeEnv | None = None,
-    make_collector: Callable[..., Any] = LocalCollector,
+    make_collector: Callable[..., Any] | None = None,
     network: Mapping[str, Any] | None = None,
     logger: Logger | None = None,
     go_on: str = "resume=True",
@@ -90,7 +90,8 @@ def main(
         make_critic: makes the value function from the same arguments and the keyword `scale`.
         make_train_env: makes the environment for training, with the physics of the keyword
             `timestep`; by default `make_training_env` does.
-        make_collector: makes the collector from the arguments of `LocalCollector`.
+        make_collector: makes the collector from the arguments of `LocalCollector`, which is the
+            default; with `config.num_collectors`, it is `RayCollectors`.
         network: more settings of the `PolicyShape`, such as `hidden` and `mirror_signs`.
         logger: TorchRL logger, in addition to CSV and TensorBoard.
         go_on: command that resumes the training, for messages.
@@ -107,6 +108,7 @@ def main(
     )
     shape, normalizer, actor, critic = make_networks(config, env, make_actor, make_critic, network)
     advantage, loss, optimizer = make_ppo(config, actor, critic)
+    make_collector = make_collector or collector_class(config, critic.in_keys)
     collector = make_collector(
         make_train_env, actor, num_envs=config.num_envs, samples=config.samples, seed=config.seed,
         device=config.device,
@@ -151,6 +153,15 @@ def make_networks(
     for net in (actor, critic):
         net.to(config.device)
     return shape, normalizer, actor, critic
+
+
+def collector_class(config: Config, keys: Sequence[NestedKey]) -> Callable[..., Any]:
+    """Class of the collector; `keys` are entries that the critic reads."""
+    if not config.num_collectors:
+        return LocalCollector
+    from aslip.training.ray import RayCollectors  # few trainings need it
+
+    return partial(RayCollectors, num_collectors=config.num_collectors, keys=keys)
 
 
 def make_ppo(

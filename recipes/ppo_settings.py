@@ -58,6 +58,9 @@ class Config(UserPaths):
     the initial total_steps of the run."""
     num_envs: int = 256
     """Robots simulated in parallel."""
+    num_collectors: int = 0
+    """Ray actors that simulate them, on this machine or on those of the cluster at RAY_ADDRESS; 0
+    for robots in this process."""
     samples: int = 2048
     """Policy steps per update; Table II says 5096."""
     minibatch: int = 256
@@ -133,10 +136,10 @@ class Config(UserPaths):
             raise ConfigurationError(f"fall_after must be in [0, 1), got {self.fall_after}")
         if not 0 <= self.seed < 2**63:
             raise ConfigurationError(f"seed must be from 0 to 2**63 - 1, got {self.seed}")
-        for name in ("checkpoint_minutes", "schedule_steps"):
+        for name in ("checkpoint_minutes", "schedule_steps", "num_collectors"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} must be 0 or more, got {getattr(self, name)}")
-        check_shares(self.num_envs, self.samples)
+        check_shares(self.num_envs, self.samples, self.num_collectors or 1)
 
     def learning_rate_after(self, step: int) -> float:
         """Learning rate after a number of policy steps."""

@@ -115,7 +115,7 @@ def main(config: Config) -> None:
     config.out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
     bounded = {"action": partial(ActionDelta, ("reference", "motor_target"), limit=_LIMIT)}
-    env = aslip.make_env(replace=bounded)
+    env = aslip.make_env(replace=bounded, seed=config.seed)
     interface, spec = policy_interface(env), env.action_spec_unbatched
     size = env.observation_spec["observation"].shape[-1]
     shape, normalizer = PolicyShape(size, spec.shape[-1], 2 * (_CELLS,)), RunningNormalizer(size)

@@ -77,7 +77,7 @@ def make(library: GaitLibrary) -> MakeEnv:
     """`aslip.make_env` with the loaded library and one physics thread."""
 
     def make(backend: str = "batch", **settings: Any) -> StackEnv:
-        defaults: dict[str, Any] = {"num_threads": 1}
+        defaults: dict[str, Any] = {"num_threads": 1, "seed": 0}
         if isinstance(settings.get("stack", "default"), str):
             defaults["library"] = library
         return aslip.make_env(backend, **{**defaults, **settings})  # pyright: ignore

@@ -16,6 +16,7 @@ from aslip.envs import STACKS, StackEnv
 from aslip.envs.stacks import TURNING
 from aslip.robot import CASSIE
 from aslip.sim import PD
+from aslip.transforms import SeededTransform
 from recipes.ppo_settings import Config
 
 MakeEnv = Callable[..., StackEnv]
@@ -30,6 +31,12 @@ TINY = Config(
     eval_steps=5,
 )  # fmt: skip
 """Settings of a training of two updates."""
+
+
+def seeded(transform: SeededTransform) -> Any:
+    """Give a transform without an environment a seed, so that a test repeats its numbers."""
+    transform.set_seed(0)
+    return transform
 
 
 def leaves(td: TensorDictBase) -> dict[tuple[str, ...], torch.Tensor]:

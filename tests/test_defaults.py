@@ -34,7 +34,7 @@ def rollouts(folder: Path) -> Found:
     """Three policy steps of two shipped policies, each in its stack."""
     found: Found = {}
     for name, stack in (("single_reference", "single_reference"), ("aslip", "standing")):
-        with closing(aslip.make_env(stack=stack, num_envs=2, num_threads=1)) as env:
+        with closing(aslip.make_env(stack=stack, num_envs=2, num_threads=1, seed=0)) as env:
             rows = env.rollout(3, aslip.load_policy(name))
         found |= {f"{name} {key}": value for key, value in leaves(rows).items()}
     return found
@@ -53,9 +53,9 @@ def controllers(folder: Path) -> Found:
 
 def walks(folder: Path) -> Found:
     """Evaluation, steered walk, and steps by the interface of Gymnasium."""
-    with closing(aslip.make_env(num_envs=2, num_threads=1)) as env:
+    with closing(aslip.make_env(num_envs=2, num_threads=1, seed=0)) as env:
         results = evaluate(aslip.load_policy("straight"), env, [0.5, 1.0], 3)
-    walker = Walker()
+    walker = Walker(seed=0)
     walker.command, walker.stand = (0.3, 0.0, 0.1), True
     walker.push((1.0, 2.0, 3.0))
     walker.step()
@@ -76,7 +76,7 @@ def networks(folder: Path) -> Found:
     actor = make_recurrent_actor(normalizer, shape)
     save_policy(folder / "policy.zip", actor, shape, network=make_recurrent_actor)
     loaded = aslip.load_policy(folder / "policy.zip")
-    with closing(add_memory(aslip.make_env(num_threads=1), loaded)) as env:
+    with closing(add_memory(aslip.make_env(num_threads=1, seed=0), loaded)) as env:
         rows = leaves(env.rollout(2, loaded))
     critic = make_critic(normalizer, shape).state_dict()
     return {**loaded.state_dict(), **critic, **{str(key): value for key, value in rows.items()}}

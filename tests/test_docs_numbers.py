@@ -167,7 +167,7 @@ def test_a_measured_number_needs_a_command(statement: str) -> None:
         "The policy runs at 33 Hz, the loop at 2 kHz.", "It walks at any speed from 0 to 2 m/s.",
         "Python 3.11 or 3.12", "It needs `torchrl` 0.14.1.", "Set `std` to `0.15`.",
         "The paper trains for 175 million policy steps.", "Updates are larger (Table II: 5.1 k).",
-        "| [Cluster](cluster.md) | several machines |", "Seeds 10 to 14, commit d79dbd9.",
+        "| [Training](training.md) | several machines |", "Seeds 10 to 14, commit d79dbd9.",
         "See equation 3 and [1](docs/gaits.md).", "An episode has at most 400 policy steps, 12 s.",
     ],
 )  # fmt: skip

@@ -30,7 +30,7 @@ with extras():
 
 from aslip.envs.make import make_env
 from aslip.envs.stack_env import StackEnv, check_seed
-from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
 from aslip.robot.opengl import make_renderer
@@ -124,13 +124,18 @@ class GymEnv(gymnasium.Env):
 class GymVectorEnv(VectorEnv):
     """N robots in one batch for Gymnasium.
 
-    A robot whose episode ends is reset in the same step: its observation is the first of the new
-    episode, as is its `info`, and `info["final_obs"]` and `info["final_info"]` describe the last
-    step of the old one.
-
     Args:
         num_envs: number of robots.
+        autoreset_mode: when a robot whose episode ended is reset, a member or value of Gymnasium's
+            `AutoresetMode`. "SameStep": in that step; observation and `info` are the first of the
+            new episode, `info["final_obs"]` and `info["final_info"]` the last of the old one.
+            "NextStep", which Gymnasium's `NormalizeObservation` needs: in the next step, which
+            ignores the robot's action, with reward 0. "Disabled": by
+            `reset(options={"reset_mask": ended})`.
         settings: arguments of `make_env`; without `seed` each environment draws its own.
+
+    Raises:
+        ConfigurationError: Gymnasium has no such mode, or `make_env` refuses a setting.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -139,14 +144,26 @@ class GymVectorEnv(VectorEnv):
         "render_fps": _FRAME_RATE,
     }
 
-    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+    def __init__(
+        self,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        **settings: Any,
+    ) -> None:
         _check_render_mode(settings.pop("render_mode", None), self.metadata)
+        modes = [mode.value for mode in AutoresetMode]
+        if autoreset_mode not in (*AutoresetMode, *modes):
+            raise ConfigurationError(
+                f"autoreset_mode must be one of {modes}, got {autoreset_mode!r}"
+            )
+        self.metadata = {**self.metadata, "autoreset_mode": AutoresetMode(autoreset_mode)}
         self.env = _make({**settings, "num_envs": num_envs})
         self.num_envs = num_envs
         self.single_observation_space, self.single_action_space = _spaces(self.env)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._state = TensorDict(batch_size=num_envs)
+        self._ended = np.zeros(num_envs, dtype=bool)
 
     def reset(
         self,
@@ -154,19 +171,74 @@ class GymVectorEnv(VectorEnv):
         seed: int | None = None,  # pyright: ignore[reportIncompatibleMethodOverride]
         options: Info | None = None,
     ) -> tuple[np.ndarray, Info]:
-        """Start an episode of every robot; see `GymEnv.reset`."""
+        """Start an episode of every robot; see `GymEnv.reset`.
+
+        Args:
+            seed: seed of all random numbers from now on.
+            options: as in `GymEnv.reset`; and `reset_mask` (n,) bool of the robots to reset, whose
+                new episodes have random values.
+
+        Raises:
+            ConfigurationError: the mask resets no robot, comes before the first reset or with
+                another option.
+            ShapeError: the mask is not (n,) bool.
+        """
         super().reset(seed=None if seed is None else check_seed(seed))
-        self._state = _reset(self.env, seed, options)
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if mask is None:
+            self._state = _reset(self.env, seed, options)
+        else:
+            self._check_mask(mask, options)
+            if seed is not None:
+                self.env.set_seed(seed)
+            self._state = self._restarted(self._state, mask)
+        self._ended = np.zeros_like(self._ended) if mask is None else self._ended & ~mask
         return _observation(self._state), _info(self._state)
+
+    def _check_mask(self, mask: np.ndarray, others: Info) -> None:
+        found = getattr(mask, "dtype", type(mask)), getattr(mask, "shape", None)
+        if found != (np.dtype(bool), (self.num_envs,)):
+            raise ShapeError(f"reset_mask must be ({self.num_envs},) bool, got {found}")
+        if not mask.any() or others or self._state.is_empty():
+            raise ConfigurationError(
+                "reset_mask must reset a robot, after a first reset of all robots and without"
+                f" further options, got {mask.sum()} robots and {list(others)}"
+            )
+
+    def _restarted(self, state: TensorDictBase, robots: np.ndarray) -> TensorDictBase:
+        """State in which some robots (n,) begin a new episode."""
+        return self.env.reset(state.set("_reset", torch.from_numpy(robots)[:, None]))
 
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Info]:
-        """Run one policy step, 30 ms, of every robot."""
-        after, self._state = self.env.step_and_maybe_reset(_act(self._state, actions))
+        """Run one policy step, 30 ms, of every robot.
+
+        Raises:
+            gymnasium.error.ResetNeeded: an episode has ended, and `autoreset_mode` is "Disabled".
+        """
+        mode, due = self.metadata["autoreset_mode"], self._ended
+        if due.any():
+            if mode == AutoresetMode.DISABLED:
+                raise gymnasium.error.ResetNeeded(f"reset robots {np.flatnonzero(due)} before step")
+            # the batch steps all robots; what the ended ones do is lost
+            actions = np.where(due[:, None], np.float32(0), actions)
+        after = self.env.step(_act(self._state, actions))
+        self._state = self.env.step_mdp(after)
         reward, terminated, truncated = _outcome(after["next"])
+        if due.any():
+            self._state = self._restarted(self._state, due)
+            reward, terminated, truncated = (
+                np.where(due, 0, x).astype(x.dtype) for x in (reward, terminated, truncated)
+            )
+        ended = terminated | truncated
+        if mode != AutoresetMode.SAME_STEP:
+            self._ended = ended
+        elif ended.any():
+            self._state = self._restarted(self._state, ended)
         info = _info(self._state)
-        if (ended := terminated | truncated).any():
+        if mode == AutoresetMode.SAME_STEP and ended.any():
             last, final = _observation(after["next"]), np.full(self.num_envs, None, dtype=object)
             for robot in np.flatnonzero(ended):
                 final[robot] = last[robot]
@@ -203,9 +275,7 @@ class _Camera:
 
 
 def _make(settings: Info) -> StackEnv:
-    """Make an environment; draw its seed unless one is given."""
-    own = int(np.random.SeedSequence().generate_state(1)[0])
-    env = make_env(**{"seed": own, **settings})
+    env = make_env(**settings)
     if "observation" not in env.observation_spec:
         raise ConfigurationError("Gymnasium needs an `observation`, but no transform writes it")
     return env

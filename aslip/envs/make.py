@@ -12,7 +12,7 @@ from torchrl.envs.transforms import Transform
 
 from aslip.envs import Backend, BatchEnv, RewardSource, RobotEnv, SimulatedEnv
 from aslip.envs.keep import KeepKeys
-from aslip.envs.stack_env import StackEnv, check_seed, check_wiring
+from aslip.envs.stack_env import StackEnv, check_seed, check_wiring, random_seed
 from aslip.envs.stacks import STACKS, Stack, edit_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
@@ -30,7 +30,7 @@ def make_env(
     backend: Backend = "batch",
     *,
     num_envs: int = 1,
-    seed: int = 0,
+    seed: int | None = None,
     drop: Iterable[str] = (),
     replace: Mapping[str, MakeTransform] | None = None,
     stack: Stack | str = "default",
@@ -52,7 +52,8 @@ def make_env(
             are the same.
         num_envs: number of robots n, at most 65,536, or 1,024 with the "dm_control" backend; all
             tensors have it as their first dimension.
-        seed: seed of all random numbers, those of transforms included.
+        seed: seed of all random numbers, those of transforms included. By default each environment
+            draws its own, so that workers differ; it is in `env.seed`.
         drop: names of transforms to leave out. Without a reward term, rewards are smaller, but
             `LowReward` still ends episodes below 0.3: consider dropping or replacing it, too.
         replace: name of a transform in the stack -> transform, or function that makes it.
@@ -74,7 +75,7 @@ def make_env(
         UnknownNameError: a stack or transform of that name does not exist, or a transform reads an
             entry that no other writes.
     """
-    seed = check_seed(seed)
+    seed = random_seed() if seed is None else check_seed(seed)
     chosen = edit_stack(_find_stack(stack, library, reward_on), drop, replace or {})
     simulator = {"floor_friction": floor_friction, "timestep": timestep, "num_threads": num_threads}
     if base is None:

@@ -112,7 +112,7 @@ class StackEnv(TransformedEnv):
         return self._renamed(before)
 
     def _renamed(self, before: list[Transform]) -> TransformedEnv:
-        """Name the transforms that are not in `before`; return this environment."""
+        """Name and seed the transforms that are not in `before`; return this environment."""
         known = {id(t): name for name, t in zip(self.transform_names, before, strict=True)}
         names: list[str] = []
         for transform in self.transforms:
@@ -120,6 +120,8 @@ class StackEnv(TransformedEnv):
             taken = [*known.values(), *names]
             while id(transform) not in known and name in taken:
                 name += "_"
+            if self.seed is not None and id(transform) not in known:
+                _seed_transform(name, transform, self.seed)
             names.append(name)
         self.transform_names = tuple(names)
         return self
@@ -178,10 +180,16 @@ class StackEnv(TransformedEnv):
         if seed is not None:
             self.seed = seed = check_seed(seed)
             for name, transform in zip(self.transform_names, self.transforms, strict=True):
-                if isinstance(transform, SeededTransform):
-                    entropy = np.random.SeedSequence([seed, zlib.crc32(name.encode())])
-                    transform.set_seed(int(entropy.generate_state(1)[0]))
+                _seed_transform(name, transform, seed)
         return super().set_seed(seed, static_seed=static_seed)
+
+
+def _seed_transform(name: str, transform: Transform, seed: int) -> None:
+    """Seed a transform, and those inside a `Compose`, by name and seed of the environment."""
+    inside = (part for part in transform.modules() if isinstance(part, SeededTransform))
+    for number, part in enumerate(inside):
+        entropy = [seed, zlib.crc32(name.encode()), *[number] * (number > 0)]
+        part.set_seed(int(np.random.SeedSequence(entropy).generate_state(1)[0]))
 
 
 def _chosen(tensordict: TensorDictBase) -> list[tuple[str, str]]:
@@ -226,6 +234,11 @@ def _entries(group: NestedKey, spec: Composite) -> list[NestedKey]:
     parents = (group,) if isinstance(group, str) else group
     inside = spec[group].keys(True, True)
     return [(*parents, *((key,) if isinstance(key, str) else key)) for key in inside]
+
+
+def random_seed() -> int:
+    """Seed that no other environment has, from the system's entropy."""
+    return int(np.random.SeedSequence().generate_state(1)[0])
 
 
 def check_seed(seed: object) -> int:

@@ -11,9 +11,8 @@ import numpy as np
 from aslip.errors import ConfigurationError
 from aslip.library.library import GaitLibrary
 from aslip.library.table import ARRAYS, PAPER_SPEEDS, GaitTable
-from aslip.rom.arc import displacement
 from aslip.rom.gait import Gait
-from aslip.rom.motion import PHASE_SAMPLES, MotionSample, Track
+from aslip.rom.motion import PHASE_SAMPLES, MotionSample, Track, displacement
 from aslip.rom.pendulum import PendulumWalk, pendulum_walks
 
 SINGLE_REFERENCE_WALK: Final = PendulumWalk(clearance=0.15)

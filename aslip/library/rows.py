@@ -19,8 +19,8 @@ from aslip.ik import (
     static_torque,
 )
 from aslip.library.interpolation import open_slopes, periodic_slopes
-from aslip.rom.arc import Pose, displacement
-from aslip.rom.motion import Angle, Motion, MotionSample, Track
+from aslip.rom.arc import Pose
+from aslip.rom.motion import Angle, Motion, MotionSample, Track, displacement
 
 Rows = dict[str, np.ndarray]
 """Rows of one motion by name of the table's array."""

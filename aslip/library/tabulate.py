@@ -17,8 +17,7 @@ from aslip.library.table import ARRAYS, FEWEST_SAMPLES, GaitTable
 from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
 from aslip.robot import CASSIE, Robot
 from aslip.rom import Gait, Transition
-from aslip.rom.arc import COMMAND_SIZES
-from aslip.rom.motion import PHASE_SAMPLES, Motion
+from aslip.rom.motion import COMMAND_SIZES, PHASE_SAMPLES, Motion
 
 
 class BuildOptions(TypedDict, total=False):

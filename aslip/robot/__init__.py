@@ -1,6 +1,6 @@
 """Robots: a frozen `Robot` with names, low level, timing and indices; `CASSIE` is one.
 
-Only `aslip.robot.model` needs MuJoCo; import it by its own name.
+Only `aslip.robot.model` and `aslip.robot.compile` need MuJoCo; import them by their own names.
 """
 
 from typing import Final

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from types import FunctionType
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 import numpy as np
@@ -12,15 +12,11 @@ import numpy as np
 from aslip.errors import ConfigurationError
 from aslip.robot.cassie import CASSIE
 from aslip.robot.robot import Robot
-from aslip.robot.skeleton import Body, Connection, Geom, Joint, Sensor, Site, Skeleton
 
 DEFAULT_FLOOR_FRICTION = 1.0
 """Sliding friction of the floor (the public simulator's default)."""
 HIGHEST_FRICTION = 1e3
 """Highest sliding friction of a floor; dry rubber reaches about 1."""
-
-_CONNECT = int(mujoco.mjtEq.mjEQ_CONNECT)
-_KINDS = ("free", "ball", "slide", "hinge")
 
 APPEARANCE_GROUP: Final = 1
 """Group of the robot's visual geoms."""
@@ -115,57 +111,3 @@ def geom_color(model: mujoco.MjModel, geom: int) -> np.ndarray:
     """Colour (4,) of a geom, red, green, blue and opacity, or of its material."""
     material = model.geom_matid[geom]
     return model.geom_rgba[geom] if material < 0 else model.mat_rgba[material]
-
-
-def compile_skeleton(robot: Robot) -> Skeleton:
-    """Compile a robot's MJCF, and collect its skeleton."""
-    return skeleton_of(load_model(visual=False, robot=robot))
-
-
-def skeleton_of(model: mujoco.MjModel) -> Skeleton:
-    """Collect the skeleton of a compiled model."""
-    bodies = [model.body(i) for i in range(model.nbody)]
-    joints = [model.joint(i) for i in range(model.njnt)]
-    sites = [model.site(i) for i in range(model.nsite)]
-    geoms = [geom for geom in map(model.geom, range(model.ngeom)) if geom.name]
-    loops = [loop for loop in map(model.equality, range(model.neq)) if loop.type[0] == _CONNECT]
-    sensors = [model.sensor(i) for i in range(model.nsensor)]
-    return Skeleton(
-        num_qpos=int(model.nq),
-        num_qvel=int(model.nv),
-        bodies={b.name: Body(int(b.id), _vector(b.pos), _vector(b.quat)) for b in bodies},
-        joints={joint.name: _joint(model, joint) for joint in joints},
-        sites={
-            s.name: Site(int(s.id), bodies[s.bodyid[0]].name, _vector(s.pos), _vector(s.quat))
-            for s in sites
-        },
-        geoms={
-            g.name: Geom(bodies[g.bodyid[0]].name, *map(_vector, (g.pos, g.quat, g.size)))
-            for g in geoms
-        },
-        connections={
-            e.name: Connection(
-                *(bodies[i].name for i in (e.obj1id[0], e.obj2id[0])),
-                *(_vector(point) for point in np.split(e.data[:6], 2)),
-            )
-            for e in loops
-        },
-        sensors={s.name: Sensor(int(s.adr[0]), int(s.dim[0])) for s in sensors},
-        standing=_vector(model.key("standing").qpos),
-    )
-
-
-def _joint(model: mujoco.MjModel, joint: Any) -> Joint:
-    kind = _KINDS[int(joint.type[0])]
-    return Joint(
-        body=model.body(joint.bodyid[0]).name,
-        kind=kind,
-        qpos=int(joint.qposadr[0]),
-        qvel=int(joint.dofadr[0]),
-        zero=float(model.qpos0[joint.qposadr[0]]) if kind in ("slide", "hinge") else 0.0,
-        stiffness=float(joint.stiffness[0]),
-    )
-
-
-def _vector(values: np.ndarray) -> tuple[float, ...]:
-    return tuple(np.ravel(values).tolist())

@@ -212,9 +212,9 @@ class Robot:
         found = read_skeleton(self.mjcf, self.mjcf.with_suffix(".json"))
         if found is not None:
             return found
-        from aslip.robot.model import compile_skeleton
+        from aslip.robot.compile import compile_skeleton  # needs MuJoCo
 
-        return compile_skeleton(self)
+        return compile_skeleton(self.mjcf)
 
     @cached_property
     def indices(self) -> Indices:

@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-
-from aslip.errors import ConfigurationError
-
-if TYPE_CHECKING:
-    from aslip.rom.motion import Motion
-
-COMMAND_SIZES = (1, 2, 3)
-"""Lengths of a command: forward speed, sideways speed [m/s], yaw rate [rad/s], in this order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,21 +58,3 @@ def twist_pose(command: np.ndarray, time: np.ndarray) -> Pose:
     if full[2]:
         way = rotate(np.sinc(angle / (2 * np.pi))[:, None] * way, angle / 2)
     return Pose(way, angle)
-
-
-def displacement(motion: Motion, phase: np.ndarray) -> Pose:
-    """Poses at phases (m,) of the frame that moves at the commanded twist from phase 0 on.
-
-    Raises:
-        ConfigurationError: the stride is not positive and finite, or the command does not have one
-            to three numbers.
-    """
-    command = np.asarray(motion.command, dtype=float)
-    if command.ndim != 1 or len(command) not in COMMAND_SIZES:
-        raise ConfigurationError(
-            "the command of a motion must be (forward speed,), (forward, sideways speed) or"
-            f" (forward, sideways speed, yaw rate), got {command.tolist()}"
-        )
-    if not 0 < motion.stride < np.inf:
-        raise ConfigurationError(f"stride must be positive and finite, got {motion.stride} s")
-    return twist_pose(command, phase * motion.stride)

@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from aslip.errors import FileDamagedError, ShapeError
-from aslip.rom.arc import displacement, twist_pose
+from aslip.rom.arc import twist_pose
 from aslip.rom.certificate import Certificate
-from aslip.rom.motion import Angle, MotionSample, Track, split_phase
+from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
 from aslip.rom.slip import Mode, SlipParameters, leg_force
 from aslip.rom.swing import swing_foot, travel
 

@@ -23,11 +23,13 @@ from typing import TYPE_CHECKING, Protocol, Self
 import numpy as np
 
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
-from aslip.rom.arc import Pose, displacement
+from aslip.rom.arc import Pose, twist_pose
 
 if TYPE_CHECKING:
     from scipy.interpolate import CubicHermiteSpline
 
+COMMAND_SIZES = (1, 2, 3)
+"""Lengths of a command: forward speed, sideways speed [m/s], yaw rate [rad/s], in this order."""
 PHASE_SAMPLES = 128
 """Samples of a stride in a table: one every 6 ms, five per policy step."""
 
@@ -270,3 +272,21 @@ def _linear(values: np.ndarray, end: np.ndarray, within: np.ndarray) -> np.ndarr
     left = np.minimum(place.astype(int), len(values) - 1)
     weight = (place - left).reshape(-1, *(1,) * (values.ndim - 1))
     return closed[left] + weight * (closed[left + 1] - closed[left])
+
+
+def displacement(motion: Motion, phase: np.ndarray) -> Pose:
+    """Poses at phases (m,) of the frame that moves at the commanded twist from phase 0 on.
+
+    Raises:
+        ConfigurationError: the stride is not positive and finite, or the command does not have one
+            to three numbers.
+    """
+    command = np.asarray(motion.command, dtype=float)
+    if command.ndim != 1 or len(command) not in COMMAND_SIZES:
+        raise ConfigurationError(
+            "the command of a motion must be (forward speed,), (forward, sideways speed) or"
+            f" (forward, sideways speed, yaw rate), got {command.tolist()}"
+        )
+    if not 0 < motion.stride < np.inf:
+        raise ConfigurationError(f"stride must be positive and finite, got {motion.stride} s")
+    return twist_pose(command, phase * motion.stride)

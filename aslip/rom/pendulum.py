@@ -21,9 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from aslip.errors import ConfigurationError
-from aslip.rom.arc import displacement
 from aslip.rom.gait import Gait
-from aslip.rom.motion import Angle, MotionSample, Track, split_phase
+from aslip.rom.motion import Angle, MotionSample, Track, displacement, split_phase
 from aslip.rom.slip import SlipParameters
 from aslip.rom.swing import swing_foot
 

@@ -149,7 +149,8 @@ def _generators(env: StackEnv) -> Iterator[tuple[str, torch.Generator]]:
                 yield from among(f"{place}/{key}", item)
 
     for name, transform in zip(env.transform_names, env.transforms, strict=True):
-        yield from among(name, vars(transform))
+        for number, part in enumerate(transform.modules()):  # those inside a Compose, too
+            yield from among(f"{name}/{number}" if number else name, vars(part))
 
 
 # ----------------------------------------------------------------------- files

@@ -11,6 +11,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.collectors import Collector
 
+from aslip.errors import ConfigurationError
 from aslip.policy import add_memory
 from aslip.training.checkpoint import CollectorState
 from aslip.training.environments import MakeEnv
@@ -32,7 +33,7 @@ class LocalCollector:
         actor: the policy.
         num_envs: number of robots.
         samples: total number of policy steps of a batch.
-        seed: seed of the environment; actions use torch's global generator.
+        seed: seed of the environment, by default its own; actions use torch's global generator.
         device: device of the actor and the batches.
     """
 
@@ -43,7 +44,7 @@ class LocalCollector:
         *,
         num_envs: int,
         samples: int,
-        seed: int = 0,
+        seed: int | None = None,
         device: str | torch.device = "cpu",
     ) -> None:
         env = add_memory(make_env(num_envs=num_envs, seed=seed), actor)
@@ -66,8 +67,12 @@ class LocalCollector:
         """Continue from what `state_dict` returned.
 
         Raises:
-            ConfigurationError: the state comes from a different environment.
+            ConfigurationError: the state comes from a different environment, or `RayCollectors`.
         """
+        if "robots" not in state:
+            raise ConfigurationError(
+                "the training had its robots in Ray actors; give it num_collectors to resume"
+            )
         self._state.load_state_dict(state)
 
     def shutdown(self) -> None:

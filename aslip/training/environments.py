@@ -41,7 +41,6 @@ def make_training_env(
     limits = [t.max_steps for t in env.transforms if isinstance(t, StepCounter)]
     if limits and limits[0] is not None:
         env.append_transform(StaggeredEnds(limits[0]))
-        env.set_seed(env.seed)
     for transform in env.transforms:
         if isinstance(transform, RandomCommand) and math.isinf(transform.interval):
             transform.interval = command_interval

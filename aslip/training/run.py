@@ -54,7 +54,9 @@ _KEPT_CHECKPOINTS = 3
 _DAMAGED = ".damaged"
 
 # settings that may change when a run is resumed
-_MAY_DIFFER = ("resume", "out", "total_steps", "schedule_steps", "checkpoint_minutes")
+_MAY_DIFFER = (
+    "resume", "out", "total_steps", "schedule_steps", "checkpoint_minutes", "num_collectors",
+)  # fmt: skip
 # number of differences in an error message, and characters of each
 _SHOWN, _SHOWN_TEXT = 4, 60
 

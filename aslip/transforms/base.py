@@ -128,6 +128,8 @@ class SeededTransform(Transform):
     previous step. Keep the state of an episode in the tensordict, not in the transform; then
     partial resets, worker processes and replay just work.
 
+    Until it is seeded, each transform draws numbers of its own.
+
     Without an environment, as in a replay buffer or a model, `transform(tensordict)` applies
     `_call` to the tensordict, or `_step` to the tensordict and its `"next"`.
 
@@ -152,7 +154,7 @@ class SeededTransform(Transform):
             self._check_keys(which, keys, getattr(self, f"num_{which}"))
         super().__init__(in_keys=list(in_keys), out_keys=list(out_keys))
         self.generator = torch.Generator()
-        self.set_seed(0)
+        self.set_seed(self.generator.seed())
 
     def _check_keys(self, which: str, keys: object, number: int | None) -> None:
         kind = type(self).__name__

@@ -21,8 +21,9 @@ class Difficulty(SeededTransform):
     `RandomDynamics`, which must come earlier in the stack, and `RandomPushes`, which must come
     later, narrow their ranges by it if they read it. It carries over from episode to episode, also
     in TorchRL's resets of robots that are done, whose request has nothing but a mask. A reset
-    without mask and entry starts again at 0; to choose a value, pass it to the reset or write it
-    between steps.
+    without mask and entry starts again at 0, or where `resume` says; to choose a value, pass it to
+    the reset or write it between steps. The transform keeps the last value, as those requests lack
+    it; each step takes it from the tensordict, so that episodes may go on in another environment.
 
     Args:
         ramp: policy steps of a robot until the difficulty is 1.
@@ -40,13 +41,19 @@ class Difficulty(SeededTransform):
         if isinstance(ramp, bool) or not isinstance(ramp, int) or ramp < 1:
             raise ConfigurationError(f"ramp must be a whole number of 1 or more, got {ramp!r}")
         self.ramp = ramp
+        self._start = 0.0
         self._reached: Tensor | None = None
+
+    def resume(self, steps: int) -> None:
+        """Start as robots that have taken a number of policy steps in earlier environments."""
+        self._start = min(steps / self.ramp, 1.0)
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict, key = self._request(tensordict), self.out_keys[0]
         if tensordict.get(key, None) is None:
-            start = self._reached if "_reset" in tensordict else None
-            tensordict.set(key, torch.zeros(*tensordict.batch_size, 1) if start is None else start)
+            kept = self._reached if "_reset" in tensordict else None
+            start = torch.full((*tensordict.batch_size, 1), self._start, dtype=torch.float32)
+            tensordict.set(key, start if kept is None else kept)
         return tensordict.set(key, checked_column(tensordict, key))
 
     def _reset(

@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from aslip.robot import CASSIE, SIDES, STANDARD_GRAVITY
-from aslip.robot.model import load_model
 
 SINGLE_REFERENCE_WEIGHTS: Final = MappingProxyType(
     {"joints": 0.5, "pelvis": 0.3, "upright": 0.1, "springs": 0.1}
@@ -93,8 +92,7 @@ def springs(qpos: Tensor, left_foot_velocity: Tensor, right_foot_velocity: Tenso
 @functools.cache
 def _motors_and_shins() -> tuple[list[int], list[int]]:
     """Indices of the ten motor joints and the two shins in `qpos`."""
-    model = load_model()
-    shins = [int(model.joint(f"{side}_shin").qposadr[0]) for side in SIDES]
+    shins = [CASSIE.skeleton.joints[f"{side}_shin"].qpos for side in SIDES]
     return CASSIE.indices.motor_qpos.tolist(), shins
 
 

@@ -53,7 +53,7 @@ class Walker:
             only end of an episode.
         library: gaits of the default environment, and the range of commands; by default the
             shipped ones of the policy's stack, or those of `env`.
-        seed: seed of the default environment.
+        seed: seed of the default environment, by default its own.
         speed: first command: forward speed [m/s], or a number for each axis of the library.
         stand: first wish to stand.
 
@@ -69,7 +69,7 @@ class Walker:
         env: StackEnv | None = None,
         *,
         library: GaitLibrary | None = None,
-        seed: int = 0,
+        seed: int | None = None,
         speed: Command | Sequence[float] = 0.0,
         stand: bool = False,
     ) -> None:
@@ -85,7 +85,7 @@ class Walker:
         self.policy = policy
         self.reset(speed, stand)
 
-    def _default_env(self, policy: TensorDictModuleBase | str | Path, seed: int) -> StackEnv:
+    def _default_env(self, policy: TensorDictModuleBase | str | Path, seed: int | None) -> StackEnv:
         named = isinstance(policy, str | Path)
         stack = policy_stack(policy) if named else "default"
         gaits = None if stack == "single_reference" else self.library

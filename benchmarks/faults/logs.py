@@ -51,7 +51,8 @@ def write_log(path: Path) -> None:
 def _log_fall(path: Path) -> None:
     library = GaitLibrary.load()
     recorder = partial(Recorder, path, library=library, overwrite=True)
-    env = aslip.make_env(stack={**default_stack(library), "recorder": recorder}, num_threads=1)
+    stack = {**default_stack(library), "recorder": recorder}
+    env = aslip.make_env(stack=stack, num_threads=1, seed=0)
     td = env.reset()
     for _ in range(_STEPS):
         _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(1, 10)))

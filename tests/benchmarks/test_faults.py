@@ -164,7 +164,8 @@ def test_accepts_settings_of_right_types() -> None:
 @pytest.mark.parametrize("name", ["num_envs", "seed", "num_threads", "backend", "reward_on"])
 def test_make_env_refuses_invalid_settings(name: str) -> None:
     settings: dict[str, Any] = {}
-    for settings[name] in (None, "", "8", b"8", [], {}, 2.5, -1, math.nan, math.inf, object()):
+    none = () if name == "seed" else (None,)
+    for settings[name] in (*none, "", "8", b"8", [], {}, 2.5, -1, math.nan, math.inf, object()):
         with pytest.raises(AslipError, match=name):
             aslip.make_env(**settings)
 

@@ -23,7 +23,6 @@ from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.training.progress import steps_done
 from benchmarks import (
     black_box,
-    collectors,
     estimator,
     exported,
     film_strip,
@@ -104,16 +103,6 @@ def test_draws_gaits_in_several_directions(
     assert gait.command.tolist() == [0.5, 0.2, 0.3]
     assert config.picture.read_bytes().startswith(b"\x89PNG")
     assert "| 0.5, 0.2, 0.3 |" in capsys.readouterr().out
-
-
-@pytest.mark.slow
-def test_collectors_report(capsys: pytest.CaptureFixture[str]) -> None:
-    config = collectors.Config(kinds=("single", "distributed"), num_envs=4, samples=8, rounds=2)
-    collectors.main(config)
-    *_, one, other = capsys.readouterr().out.splitlines()
-    assert one.startswith("| `single` | ")
-    assert " | 100 % | " in one
-    assert float(other.split("|")[3].strip(" %")) > 0
 
 
 @pytest.mark.slow

@@ -72,7 +72,7 @@ def test_motor_targets_are_those_of_a_stacks_rollout(num: int) -> None:
 def test_the_heading_advances_by_itself() -> None:
     """A caller who never writes the heading gets the same targets as one who reads the stack's."""
     library = symmetric_library()
-    env = aslip.make_env(stack=directions_stack(library), num_threads=1)
+    env = aslip.make_env(stack=directions_stack(library), num_threads=1, seed=0)
     policy, controller = _policy(), _controller()
     td = env.reset(TensorDict(command=torch.tensor([[0.4, 0.1, 0.8]]), batch_size=1))
     state = controller.start(td["sensors"], td["command"], phase=td["phase"], heading=td["heading"])
@@ -83,7 +83,9 @@ def test_the_heading_advances_by_itself() -> None:
 
 
 def test_a_number_is_a_forward_speed_and_commands_move_into_the_region() -> None:
-    env = aslip.make_env(stack=directions_stack(symmetric_library()), num_envs=2, num_threads=1)
+    env = aslip.make_env(
+        stack=directions_stack(symmetric_library()), num_envs=2, num_threads=1, seed=0
+    )
     packets, controller = env.reset()["sensors"], _controller()
     entries = controller.start(packets, 0.5).tensordict
     assert entries["filtered_command"].tolist() == [[0.5, 0.0, 0.0]] * 2

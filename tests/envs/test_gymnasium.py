@@ -11,15 +11,17 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import NormalizeObservation, RecordEpisodeStatistics
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
+from tensordict import TensorDict
 from torch import nn
 from torch.distributions import Normal
 
 import aslip
 from aslip.envs import GymEnv, GymVectorEnv
-from aslip.errors import ConfigurationError, RenderingError, UnknownNameError
+from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
 
 ID = "aslip.envs.gymnasium:aslip/Walk-v0"
 
@@ -148,9 +150,53 @@ def test_vector_steps_equal_the_steps_of_the_stack(four: GymVectorEnv) -> None:
         observation, *_ = four.step(actions)
 
 
+def test_robots_are_reset_in_the_step_after_the_end_of_their_episode() -> None:
+    """As `NormalizeObservation` needs it; the other robots walk on as if none was reset."""
+    inner = GymVectorEnv(3, AutoresetMode.NEXT_STEP, seed=0, num_threads=1)
+    envs, ours = NormalizeObservation(inner), aslip.make_env(num_envs=3, seed=0, num_threads=1)
+    envs.reset(seed=1, options={"command": 0.2})
+    rows, actions = [], np.zeros((3, 10), dtype=np.float32)
+    for bad in (np.nan, np.nan, 0.0):
+        actions[1] = bad
+        _, reward, terminated, truncated, info = envs.step(actions)
+        rows.append((terminated.tolist(), reward[1] > 0))
+        assert not truncated.any() and "final_obs" not in info
+        assert (info["command"] == np.float32(0.2)).tolist() == [True, len(rows) == 1, True]
+    ends, none = [False, True, False], [False] * 3
+    assert rows == [(ends, False), (none, False), (none, True)]
+    ours.set_seed(1)
+    state = ours.reset(TensorDict(command=torch.full((3, 1), 0.2), batch_size=3))
+    for _ in range(3):
+        state = ours.step_mdp(ours.step(state.set("action", torch.zeros(3, 10))))
+    alone, among = state["truth", "qpos"], inner._state["truth", "qpos"]
+    assert (alone == among).all(-1).tolist() == [True, False, True]
+    envs.close()
+
+
+def test_robots_are_reset_by_a_mask_if_autoreset_is_disabled() -> None:
+    envs = gymnasium.make_vec(ID, 3, autoreset_mode="Disabled", num_threads=1, seed=0)
+    first, _ = envs.reset()
+    actions = np.zeros((3, 10), dtype=np.float32)
+    actions[1] = np.nan
+    last, _, terminated, _, info = envs.step(actions)
+    assert terminated.tolist() == [False, True, False] and "final_obs" not in info
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"\[1\]"):
+        envs.step(actions)
+    observation, _ = envs.reset(options={"reset_mask": terminated})
+    assert (observation == last).all(-1).tolist() == [True, False, True]
+    assert (observation != first).any(-1).all()
+    assert not envs.step(np.zeros((3, 10)))[2].any()
+    for mask, error in [(np.zeros(3, bool), ConfigurationError), (np.ones(2, bool), ShapeError)]:
+        with pytest.raises(error, match="reset_mask must"):
+            envs.reset(options={"reset_mask": mask})
+    envs.close()
+
+
 def test_wrong_settings_and_options_are_refused(one: GymEnv) -> None:
     with pytest.raises(ConfigurationError, match="render_mode"):
         GymEnv("human")
+    with pytest.raises(ConfigurationError, match=r"autoreset_mode must be one of.*NextStep"):
+        GymVectorEnv(2, "never")
     with pytest.raises(ConfigurationError, match="GymVectorEnv"):
         GymEnv(num_envs=2)
     with pytest.raises(UnknownNameError, match="command"):

@@ -61,7 +61,9 @@ def _rollout(env: StackEnv) -> TensorDictBase:
 @pytest.fixture(scope="module")
 def walk() -> TensorDictBase:
     """A simulated walk without the simulator's truth in the stack."""
-    env = aslip.make_env(base=BatchEnv, num_envs=2, stack=robot_stack(), drop=["low_reward"])
+    env = aslip.make_env(
+        base=BatchEnv, num_envs=2, stack=robot_stack(), drop=["low_reward"], seed=0
+    )
     return _rollout(env)
 
 
@@ -76,7 +78,7 @@ def test_replayed_logs_give_the_motor_targets_of_the_walk(
     walk: TensorDictBase, log: dict[str, np.ndarray]
 ) -> None:
     robot = ReplayedRobot(log)
-    env = aslip.make_env(base=robot, stack=robot_stack(), drop=["low_reward"])
+    env = aslip.make_env(base=robot, stack=robot_stack(), drop=["low_reward"], seed=0)
     again = _rollout(env)
     assert "truth" not in again
     # the last step ends the log
@@ -91,7 +93,7 @@ def test_replayed_logs_give_the_motor_targets_of_the_walk(
 
 def test_robots_keep_the_contract_of_torchrl(log: dict[str, np.ndarray]) -> None:
     check_env_specs(ReplayedRobot(log))
-    check_env_specs(aslip.make_env(base=ReplayedRobot(log), stack=robot_stack()))
+    check_env_specs(aslip.make_env(base=ReplayedRobot(log), stack=robot_stack(), seed=0))
 
 
 def test_robot_stack_has_no_transform_that_needs_a_simulation() -> None:
@@ -161,7 +163,7 @@ def test_collector_on_replayed_robots_saves_and_loads(log: Mapping[str, np.ndarr
 
     def make(**settings: int) -> StackEnv:
         del settings
-        return aslip.make_env(base=ReplayedRobot(log), stack=robot_stack())
+        return aslip.make_env(base=ReplayedRobot(log), stack=robot_stack(), seed=0)
 
     policy = cast("torch.nn.Module", aslip.load_policy("straight"))
     first, second = (LocalCollector(make, policy, num_envs=2, samples=8) for _ in range(2))

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import re
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 import torch
 from torchrl.data import Unbounded
-from torchrl.envs.transforms import RewardScaling
+from torchrl.envs.transforms import Compose, RewardScaling
 from torchrl.envs.utils import check_env_specs
 
 from aslip.envs import (
     ON_TRUTH,
+    STACKS,
     BatchEnv,
     default_stack,
     describe_transforms,
@@ -39,7 +40,7 @@ from aslip.transforms import (
     WeightedReward,
 )
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from tests.helpers import STRAIGHT_STACKS, MakeEnv
+from tests.helpers import STRAIGHT_STACKS, MakeEnv, differing
 
 
 @pytest.mark.parametrize("how", ["drop", "replace"])
@@ -164,7 +165,7 @@ def test_reward_terms_after_the_sum_are_refused(library: GaitLibrary) -> None:
 def test_reward_terms_can_be_inserted_before_the_sum(library: GaitLibrary) -> None:
     stack = insert_before(default_stack(library), "reward", late=_constant_term)
     stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 5.0})
-    env = make_env(stack=stack)
+    env = make_env(stack=stack, seed=0)
     td = env.reset()
     after = env.step(td.set("action", torch.zeros(1, 10)))["next"]
     rest = sum(PAPER_WEIGHTS[name] * after["reward_terms", name] for name in PAPER_WEIGHTS)
@@ -182,7 +183,7 @@ def test_random_numbers_of_a_transform_do_not_depend_on_others(library: GaitLibr
 
 def test_no_two_transforms_draw_the_same_numbers(library: GaitLibrary) -> None:
     """Otherwise phases, commands and noise would be correlated."""
-    env = make_env(stack=randomise_stack(default_stack(library)))
+    env = make_env(stack=randomise_stack(default_stack(library)), seed=0)
     drawn = []
     for seed in (0, 1):
         env.set_seed(seed)
@@ -197,6 +198,33 @@ def test_invalid_seeds_are_refused(make: MakeEnv, seed: Any) -> None:
         make(seed=seed)
     with pytest.raises(ConfigurationError, match="seed must be a whole number"):
         make().set_seed(seed)
+
+
+@pytest.mark.parametrize("stack", ["paper", "standing"])
+def test_without_a_seed_every_transform_draws_numbers_of_its_own(make: MakeEnv, stack: str) -> None:
+    settings = {"stack": randomise_stack(STACKS[stack](None, "truth"))}
+    first, second = (make(seed=None, **settings) for _ in range(2))
+    for one, other in zip(first.transforms, second.transforms, strict=True):
+        if isinstance(one, SeededTransform):
+            drawn = cast("SeededTransform", other).generator.get_state()
+            assert not torch.equal(one.generator.get_state(), drawn)
+    assert not differing(first.reset(), make(seed=first.seed, **settings).reset())
+
+
+def test_transforms_added_later_or_inside_a_compose_follow_the_seed(make: MakeEnv) -> None:
+    def noise(seed: int | None) -> torch.Tensor:
+        twice: Any = ObservationNoise(), ObservationNoise()
+        env = make(seed=seed, replace={"noise": Compose(*twice)})
+        env.insert_transform(0, ObservationNoise())
+        inside = (
+            t for t in cast("Any", env.transform).modules() if isinstance(t, ObservationNoise)
+        )
+        return torch.stack([torch.rand(3, generator=t.generator) for t in inside])
+
+    seeded = noise(1)
+    assert torch.equal(noise(1), seeded)
+    drawn = torch.cat([seeded, noise(2), noise(None), noise(None)])
+    assert len(drawn.unique(dim=0)) == len(drawn) == 12
 
 
 def test_seeds_may_be_numbers_of_numpy(make: MakeEnv) -> None:
@@ -285,7 +313,7 @@ def test_stack_name_finds_the_stack_with_the_same_interface(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
     for name in STRAIGHT_STACKS:
-        assert stack_name(make_env(stack=name, num_threads=1)) == name
+        assert stack_name(make_env(stack=name, num_threads=1, seed=0)) == name
     stack = insert_before(default_stack(library), "reward", upright=_constant_term)
     stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "late": 0.1})
     assert stack_name(make(stack=stack, drop=["low_reward", "fall"])) == "default"

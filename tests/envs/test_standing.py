@@ -17,7 +17,7 @@ def test_an_evaluation_judges_standing_robots_by_standing() -> None:
     stack = standing_stack(library)
     drop = (*EPISODE_ENDS, "noise", "fall")
     ends = [
-        aslip.make_env(stack=one, num_envs=2, num_threads=1, drop=drop)
+        aslip.make_env(stack=one, num_envs=2, num_threads=1, drop=drop, seed=0)
         for one in (stack, evaluation_stack(stack, library))
     ]
     entries = {"phase": torch.tensor([[0.33], [0.6]]), "stand": torch.tensor([[1.0], [0.0]])}
@@ -35,7 +35,9 @@ def test_robots_stand_where_a_stop_ends() -> None:
     """Pushed or late robots need not go back to the path of their commands."""
     library = standing_library()
     stack = standing_stack(library)
-    env = aslip.make_env(stack=stack, num_envs=1, num_threads=1, drop=(*EPISODE_ENDS, "fall"))
+    env = aslip.make_env(
+        stack=stack, num_envs=1, num_threads=1, drop=(*EPISODE_ENDS, "fall"), seed=0
+    )
     entries = {"phase": torch.full((1, 1), 0.38), "stand": torch.zeros(1, 1)}
     td = env.reset(TensorDict({**entries, "command": torch.zeros(1, 3)}, batch_size=1))
     td["stand"], td["mode"], modes = torch.ones(1, 1), torch.full((1, 1), WalkMode.STOP), []

@@ -229,7 +229,10 @@ def test_copies_are_refused_with_an_alternative(make: MakeEnv, backend: str, how
 def test_torchrl_makes_several_environments_from_a_function(several: Any) -> None:
     env = several(2, partial(make_env, num_envs=2, num_threads=1))
     try:
-        assert env.rollout(3)["next", "reward"].shape == (2, 2, 3, 1)
+        walk = env.rollout(3)
+        assert walk["next", "reward"].shape == (2, 2, 3, 1)
+        # each draws noise of its own
+        assert (walk["observation"][0] != walk["observation"][1]).any(-1).all()
     finally:
         env.close()
 

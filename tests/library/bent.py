@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aslip.rom import Angle, Gait, MotionSample, Track
-from aslip.rom.arc import Pose, displacement
+from aslip.rom.arc import Pose
+from aslip.rom.motion import displacement
 
 if TYPE_CHECKING:
     from aslip.library import GaitLibrary

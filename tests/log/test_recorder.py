@@ -280,7 +280,7 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
     ordered = {name: stack[name] for name in names[: names.index("action_diff") + 1]}
     ordered["reward"] = lambda: WeightedReward(weights)
     ordered["recorder"] = lambda: Recorder(tmp_path / "a.mcap", library=library)
-    env = aslip.make_env(stack=ordered, num_threads=1, floor_friction=0.6)
+    env = aslip.make_env(stack=ordered, num_threads=1, floor_friction=0.6, seed=0)
     run(env, 3)
     env.close()
     log = read(tmp_path / "a.mcap")
@@ -295,7 +295,7 @@ def test_low_level_unknown_to_replays_is_refused(
     backend: type[SimulatedEnv], tmp_path: Path
 ) -> None:
     stack = {**default_stack(), "recorder": lambda: Recorder(tmp_path / "walk.mcap")}
-    env = aslip.make_env(base=partial(backend, drive=Torque), stack=stack)
+    env = aslip.make_env(base=partial(backend, drive=Torque), stack=stack, seed=0)
     with pytest.raises(ConfigurationError, match=r"cannot record drive=.*Torque"):
         env.reset()
     assert not list(tmp_path.iterdir())

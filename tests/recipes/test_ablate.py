@@ -56,7 +56,7 @@ def env_of(name: str) -> Any:
 
 def evaluation_env_of(name: str) -> Any:
     stack = aslip.envs.evaluation_stack(ablate.trained_on(VARIANTS[name]))
-    return aslip.make_env(num_envs=2, num_threads=1, stack=stack)
+    return aslip.make_env(num_envs=2, num_threads=1, stack=stack, seed=0)
 
 
 @pytest.fixture(scope="module", params=sorted(VARIANTS))

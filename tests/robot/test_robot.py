@@ -16,7 +16,8 @@ import pytest
 
 from aslip.errors import AssetError
 from aslip.robot import CASSIE, SIDES
-from aslip.robot.model import load_model, skeleton_of
+from aslip.robot.compile import skeleton_of
+from aslip.robot.model import load_model
 from aslip.robot.skeleton import read_skeleton, write_skeleton
 
 PER_MOTOR = ("gear", "no_load_speed", "torque_limit", "damping", "stiffness")

@@ -6,7 +6,8 @@ from scipy.integrate import solve_ivp
 
 from aslip.errors import ConfigurationError
 from aslip.rom import PendulumWalk, SampledMotion
-from aslip.rom.arc import displacement, rotate, twist_pose
+from aslip.rom.arc import rotate, twist_pose
+from aslip.rom.motion import displacement
 
 TWIST = np.array([0.7, -0.2, 0.9])
 TIME = np.linspace(-2.0, 3.0, 11)

@@ -17,6 +17,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
+from torchrl.envs.transforms import Compose
 
 import aslip
 from aslip.envs import SimulatedEnv, Stack, default_stack, insert_before, randomise_stack
@@ -24,7 +25,13 @@ from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import TrainingRun
-from aslip.transforms import Difficulty, RandomDynamics, RandomPushes, TrueState
+from aslip.transforms import (
+    Difficulty,
+    ObservationNoise,
+    RandomDynamics,
+    RandomPushes,
+    TrueState,
+)
 from benchmarks.faults.trainings import (
     TINY,
     Holder,
@@ -54,6 +61,7 @@ STACKS: dict[str, Callable[[], dict[str, Any]]] = {
     "paper": lambda: {"stack": "paper"},
     "single_reference": lambda: {"stack": "single_reference"},
     "random robots": lambda: {"stack": _harder(randomise_stack(default_stack()))},
+    "compose": lambda: {"replace": {"noise": lambda: Compose(ObservationNoise())}},
     "dm_control": lambda: {"backend": "dm_control"},
 }
 

@@ -7,7 +7,7 @@ from functools import partial
 import pytest
 import torch
 from tensordict import TensorDict
-from torchrl.envs import StepCounter
+from torchrl.envs import SerialEnv, StepCounter
 
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
@@ -26,7 +26,7 @@ def make(num: int = 4, ramp: int = 5) -> StackEnv:
         difficulty=partial(Difficulty, ramp),
         pushes=partial(RandomPushes, 20.0, 0.03, 0.03, in_keys=["difficulty"]),
     )
-    return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"])
+    return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"], seed=0)
 
 
 def test_difficulty_rises_to_one_and_carries_over_partial_resets() -> None:
@@ -54,6 +54,35 @@ def test_difficulty_carries_over_the_episodes_of_a_training() -> None:
     # the last episodes begin at a difficulty of 0.56, with payloads from 2.2 to 4.5 kg
     assert heaviest > 2.2
     assert env.reset()["difficulty"].sum() == 0
+
+
+def test_episodes_go_on_in_another_environment_at_their_difficulty() -> None:
+    """As after a resume; requests for resets have nothing but a mask."""
+    first, other = make(2), make(2)
+    td, bad = first.reset(), torch.zeros(2, 10)
+    for env in (first, first, other):
+        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(2, 10)))
+    bad[1] = torch.nan
+    stepped, td = other.step_and_maybe_reset(td.set("action", bad))
+    assert stepped["next", "done"].flatten().tolist() == [False, True]
+    assert td["difficulty"].flatten().tolist() == pytest.approx([0.8, 0.8])
+
+
+def test_workers_keep_their_own_difficulties() -> None:
+    serial = SerialEnv(2, partial(make, 1))
+    td, bad = serial.reset(), torch.zeros(2, 1, 10)
+    bad[1] = torch.nan
+    for action in (torch.zeros(2, 1, 10), bad, torch.zeros(2, 1, 10)):
+        _, td = serial.step_and_maybe_reset(td.set("action", action))
+    assert td["difficulty"].flatten().tolist() == pytest.approx([0.6, 0.6])
+
+
+def test_robots_that_took_steps_elsewhere_start_as_hard() -> None:
+    env = make(2, 100)
+    (difficulty,) = (t for t in env.transforms if isinstance(t, Difficulty))
+    for steps, expected in ((30, 0.3), (200, 1.0)):
+        difficulty.resume(steps)
+        assert env.reset()["difficulty"].flatten().tolist() == pytest.approx([expected] * 2)
 
 
 def test_a_full_reset_starts_the_curriculum_again() -> None:

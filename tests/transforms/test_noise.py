@@ -6,6 +6,7 @@ Statistics are compared within 5 standard errors of the estimate, with fixed see
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from torchrl.envs.utils import check_env_specs
 from aslip.errors import UnknownNameError
 from aslip.robot import CASSIE
 from aslip.transforms import NoiseLevel, ObservationNoise
-from tests.helpers import differing, leaves
+from tests.helpers import differing, leaves, seeded
 from tests.transforms.sensing_env import SensingEnv
 
 WINDOW = 10
@@ -35,6 +36,10 @@ def _clean(num: int, window: int = WINDOW, seed: int = 7) -> TensorDict:
     unit = torch.nn.functional.normalize(sensors["orientation"], dim=-1)
     sensors["orientation"] = torch.where(unit[..., :1] < 0, -unit, unit)
     return TensorDict(sensors=TensorDict(sensors, batch_size=num), batch_size=num)
+
+
+def _noise(*levels: Any, **settings: Any) -> ObservationNoise:
+    return seeded(ObservationNoise(*levels, **settings))
 
 
 def _start(noise: ObservationNoise, packets: TensorDict) -> TensorDictBase:
@@ -93,7 +98,7 @@ def test_every_channel_has_its_own_white_noise() -> None:
     for name, channels in CASSIE.noise_channels.items():
         levels[name] = NoiseLevel(white=0.01 + 0.01 * np.arange(channels))
     clean = _clean(num)
-    errors = _errors(_start(ObservationNoise(levels), clean), clean)
+    errors = _errors(_start(_noise(levels), clean), clean)
     for name, error in errors.items():
         samples = error.flatten(0, 1)
         count, expected = len(samples), torch.tensor(levels[name].white)
@@ -105,7 +110,7 @@ def test_white_noise_is_independent_across_packets_channels_robots_and_steps() -
     """Correlations vanish, standard error 1 / sqrt(N)."""
     num = 400
     clean = _clean(num)
-    noise = ObservationNoise(_everywhere(white=1e-2))
+    noise = _noise(_everywhere(white=1e-2))
     first = _start(noise, clean)
     a, b = (_join(_errors(td, clean)) / 1e-2 for td in (first, _next(noise, first, clean)))
     for x, y in (
@@ -122,7 +127,7 @@ def test_the_packets_of_a_reset_differ() -> None:
     clean = _clean(1, window=1)["sensors", "gyro"].expand(1, WINDOW, 3)
     packets = _clean(1)
     packets["sensors", "gyro"] = clean.clone()
-    gyro = _start(ObservationNoise(), packets)["sensors", "gyro"]
+    gyro = _start(_noise(), packets)["sensors", "gyro"]
     assert len(gyro[0].unique(dim=0)) == WINDOW
 
 
@@ -131,7 +136,7 @@ def test_the_packets_of_a_reset_differ() -> None:
 
 def test_the_packets_of_a_step_share_a_bias_which_is_reported() -> None:
     clean = _clean(5)
-    noise = ObservationNoise(_everywhere(bias=0.2))
+    noise = _noise(_everywhere(bias=0.2))
     td = _start(noise, clean)
     for _ in range(2):
         for name, error in _errors(td, clean).items():
@@ -147,7 +152,7 @@ def test_the_bias_is_stationary_with_the_given_correlation_time(
     """N values: std within 5 / sqrt(2 N), correlation r over t/tau within 5 (1 - r^2) / sqrt(N)."""
     num, level = 500, 0.3
     clean = _clean(num, window=1)
-    noise = ObservationNoise(_everywhere(bias=level), bias_time=bias_time)
+    noise = _noise(_everywhere(bias=level), bias_time=bias_time)
     td = first = _start(noise, clean)
     for _ in range(steps):
         td = _next(noise, td, clean)
@@ -164,7 +169,7 @@ def test_the_bias_is_stationary_with_the_given_correlation_time(
 
 def test_biases_of_robots_and_channels_are_independent() -> None:
     """Correlations vanish, standard error 1 / sqrt(N)."""
-    bias = _bias(_start(ObservationNoise(_everywhere(bias=1.0)), _clean(1000, window=1)))
+    bias = _bias(_start(_noise(_everywhere(bias=1.0)), _clean(1000, window=1)))
     for x, y in ((bias[1:], bias[:-1]), (bias[:, 1:], bias[:, :-1])):
         assert abs((x * y).mean()) < 5 / math.sqrt(x.numel())
 
@@ -172,7 +177,7 @@ def test_biases_of_robots_and_channels_are_independent() -> None:
 def test_the_bias_drifts_from_the_one_in_the_tensordict() -> None:
     """The transform keeps no state: it steps two episodes in alternation."""
     clean = _clean(3)
-    noise = ObservationNoise(_everywhere(bias=1.0), bias_time=math.inf)
+    noise = _noise(_everywhere(bias=1.0), bias_time=math.inf)
     one, other = _start(noise, clean), _start(noise, clean)
     for _ in range(3):
         after_one, after_other = _next(noise, one, clean), _next(noise, other, clean)
@@ -191,7 +196,7 @@ def test_errors_of_the_orientation_have_the_given_level() -> None:
     Their standard deviations are sqrt(3 - 8/pi) s and sqrt(6) s^2 for one angle.
     """
     level, clean = 0.02, _clean(1000)
-    noise = ObservationNoise({"orientation": NoiseLevel(white=level)})
+    noise = _noise({"orientation": NoiseLevel(white=level)})
     angle = _errors(_start(noise, clean), clean)["orientation"].norm(dim=-1) / level
     root = math.sqrt(angle.numel())
     assert abs(angle.mean() - math.sqrt(8 / math.pi)) < 5 * math.sqrt(3 - 8 / math.pi) / root
@@ -203,7 +208,7 @@ def test_errors_of_the_orientation_are_in_the_pelvis_frame(axis: int) -> None:
     level = np.zeros(3)
     level[axis] = 0.3
     clean = _clean(200)
-    noise = ObservationNoise({**SILENT, "orientation": NoiseLevel(white=level, bias=level)})
+    noise = _noise({**SILENT, "orientation": NoiseLevel(white=level, bias=level)})
     error = _errors(_start(noise, clean), clean)["orientation"]
     others = [i for i in range(3) if i != axis]
     assert error[..., others].abs().max() < 2e-6
@@ -214,7 +219,7 @@ def test_the_orientation_stays_a_unit_quaternion_with_w_of_0_or_more() -> None:
     """Also near w = 0, where noise would change the sign of w."""
     clean = _clean(200)
     clean["sensors", "orientation"] = torch.tensor([1e-4, 0.6, 0.0, 0.8]).expand(200, WINDOW, 4)
-    noise = ObservationNoise({"orientation": NoiseLevel(white=0.1, bias=0.1)})
+    noise = _noise({"orientation": NoiseLevel(white=0.1, bias=0.1)})
     after = _start(noise, clean)["sensors", "orientation"]
     assert (after[..., 0] >= 0).all()
     assert (after[..., 1] < 0).any()  # noise has changed the sign of some w
@@ -224,9 +229,7 @@ def test_the_orientation_stays_a_unit_quaternion_with_w_of_0_or_more() -> None:
 # ------------------------------------------------------- none, and scales
 
 
-@pytest.mark.parametrize(
-    "noise", [ObservationNoise(scale=0.0), ObservationNoise(SILENT), ObservationNoise(SILENT, 3.0)]
-)
+@pytest.mark.parametrize("noise", [_noise(scale=0.0), _noise(SILENT), _noise(SILENT, 3.0)])
 def test_without_noise_the_packets_are_bit_equal(noise: ObservationNoise) -> None:
     clean = _clean(4)
     td = _start(noise, clean)
@@ -240,7 +243,7 @@ def test_without_noise_the_packets_are_bit_equal(noise: ObservationNoise) -> Non
 def test_channels_without_noise_are_bit_equal() -> None:
     """By default, motors and foot encoders have no noise."""
     clean = _clean(4)
-    noisy = _start(ObservationNoise(), clean)
+    noisy = _start(_noise(), clean)
     changed = {name: noisy["sensors", name] != clean["sensors", name] for name in SIZES}
     for name in ("motor_position", "motor_velocity"):
         assert not changed[name].any(), name
@@ -253,14 +256,14 @@ def test_channels_without_noise_are_bit_equal() -> None:
 def test_an_orientation_without_noise_is_not_normalised_again() -> None:
     clean = _clean(4)
     clean["sensors", "orientation"] *= 1.001
-    noise = ObservationNoise({**_everywhere(0.1, 0.1), "orientation": NoiseLevel()})
+    noise = _noise({**_everywhere(0.1, 0.1), "orientation": NoiseLevel()})
     td = _next(noise, _start(noise, clean), clean)
     assert torch.equal(td["sensors", "orientation"], clean["sensors", "orientation"])
 
 
 def test_the_scale_multiplies_noise_and_bias() -> None:
     clean = _clean(4)
-    whole, half = (_start(ObservationNoise(scale=scale), clean) for scale in (1.0, 0.5))
+    whole, half = (_start(_noise(scale=scale), clean) for scale in (1.0, 0.5))
     torch.testing.assert_close(_bias(half), 0.5 * _bias(whole))
     left, right = (_join(_errors(td, clean)) for td in (half, whole))
     torch.testing.assert_close(left, 0.5 * right, rtol=0, atol=1e-6)
@@ -269,7 +272,7 @@ def test_the_scale_multiplies_noise_and_bias() -> None:
 def test_given_packets_are_not_changed() -> None:
     packets, clean = _clean(3), _clean(3)
     held = leaves(packets)
-    ObservationNoise(_everywhere(1.0, 1.0))._reset(TensorDict(batch_size=3), packets)
+    _noise(_everywhere(1.0, 1.0))._reset(TensorDict(batch_size=3), packets)
     for key, value in leaves(clean).items():
         assert torch.equal(held[key], value)
 
@@ -281,7 +284,7 @@ def test_nan_stays_in_its_packet() -> None:
         broken["sensors", name][1, 4] = torch.nan
     noisy = {}
     for packets in (clean, broken):
-        noise = ObservationNoise(_everywhere(0.1, 0.1))
+        noise = _noise(_everywhere(0.1, 0.1))
         noisy[packets is broken] = _next(noise, _start(noise, packets), packets)
     for name in SIZES:
         value = noisy[True]["sensors", name]
@@ -301,7 +304,7 @@ def _two_steps(noise: ObservationNoise) -> TensorDictBase:
 
 
 def test_the_same_seed_gives_the_same_noise() -> None:
-    noise, other = ObservationNoise(), ObservationNoise()
+    noise, other = _noise(), _noise()
     noise.set_seed(3)
     other.set_seed(3)
     torch.manual_seed(1)  # the transform must not depend on it
@@ -316,8 +319,8 @@ def test_the_same_seed_gives_the_same_noise() -> None:
 
 
 def test_draws_of_a_sensor_do_not_depend_on_other_levels() -> None:
-    alone = ObservationNoise({**SILENT, "gyro": CASSIE.sensor_noise["gyro"]})
-    among, single = _two_steps(ObservationNoise()), _two_steps(alone)
+    alone = _noise({**SILENT, "gyro": CASSIE.sensor_noise["gyro"]})
+    among, single = _two_steps(_noise()), _two_steps(alone)
     for group in ("sensors", "sensor_bias"):
         assert torch.equal(among[group, "gyro"], single[group, "gyro"])
 
@@ -326,7 +329,7 @@ def test_draws_of_a_sensor_do_not_depend_on_other_levels() -> None:
 
 
 def _noisy_env(num: int) -> TransformedEnv:
-    return TransformedEnv(SensingEnv(_clean(num)), ObservationNoise(_everywhere(0.1, 0.1)))
+    return TransformedEnv(SensingEnv(_clean(num)), _noise(_everywhere(0.1, 0.1)))
 
 
 def test_noise_passes_torchrls_check_of_specs() -> None:
@@ -341,7 +344,7 @@ def test_noise_passes_torchrls_check_of_specs() -> None:
 def test_an_environment_that_lacks_a_sensor_is_refused() -> None:
     env = TransformedEnv(
         SensingEnv(_clean(2).select(("sensors", "gyro"), ("sensors", "orientation"))),
-        ObservationNoise(),
+        _noise(),
     )
     with pytest.raises(UnknownNameError, match=r"reads \('sensors', 'motor_position'\)"):
         _ = env.observation_spec

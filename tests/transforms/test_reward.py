@@ -264,7 +264,7 @@ def test_a_command_from_outside_is_not_rewarded_before_the_policy_sees_it(stack:
     """The reward of the step in which it is written follows the old command."""
     found = []
     for command in (None, 2.0):
-        env = aslip.make_env(num_envs=2, num_threads=1, stack=stack)
+        env = aslip.make_env(num_envs=2, num_threads=1, stack=stack, seed=0)
         start = TensorDict(command=torch.zeros(2, 1), phase=torch.full((2, 1), 0.3), batch_size=2)
         td = env.step(env.reset(start).set("action", torch.zeros(2, 10)))["next"]
         if command is not None:

@@ -17,6 +17,7 @@ from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, StandClock, StandCommand, StandFilter, advance_mode
 from aslip.transforms.balance import Balance
 from aslip.transforms.standing import STOP_RATES, led_rates
+from tests.helpers import seeded
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
 
@@ -166,7 +167,7 @@ def test_single_precision_keeps_the_half_of_the_stride(
 def env() -> StackEnv:
     stack = standing_stack(standing_library())
     drop = (*EPISODE_ENDS, "noise", "fall", "estimator", "observation", "path_diff", "heading_diff")
-    return aslip.make_env(stack=stack, num_envs=2, num_threads=1, drop=drop)
+    return aslip.make_env(stack=stack, num_envs=2, num_threads=1, drop=drop, seed=0)
 
 
 def _start(env: StackEnv, command: list[list[float]], **entries: list[float]) -> TensorDictBase:
@@ -251,7 +252,7 @@ def test_robot_that_shall_stand_at_a_reset_starts_standing(
 
 
 def test_drawn_wishes_have_their_share() -> None:
-    command = StandCommand(share=0.25)
+    command = seeded(StandCommand(share=0.25))
     drawn = command._draw(TensorDict(batch_size=4000))
     assert drawn.mean().item() == pytest.approx(0.25, abs=0.03)
     with pytest.raises(ConfigurationError, match="share must be"):
@@ -261,7 +262,7 @@ def test_drawn_wishes_have_their_share() -> None:
 
 
 def test_wishes_change_at_their_rate() -> None:
-    command, robots, steps = StandCommand(share=1 / 3, interval=0.3), 4000, 50
+    command, robots, steps = seeded(StandCommand(share=1 / 3, interval=0.3)), 4000, 50
     td = TensorDict(stand=torch.zeros(robots, 1), batch_size=robots)
     seen = [td["stand"]]
     for _ in range(steps):
@@ -273,7 +274,7 @@ def test_wishes_change_at_their_rate() -> None:
     # one draw in ten steps, of which 4/9 differ from the wish before
     assert changes == pytest.approx(0.1 * 4 / 9, rel=0.1)
     # at an interval without end, none changes
-    kept = StandCommand(share=1 / 3)._step(td, TensorDict(batch_size=robots))["stand"]
+    kept = seeded(StandCommand(share=1 / 3))._step(td, TensorDict(batch_size=robots))["stand"]
     assert torch.equal(kept, td["stand"])
 
 

@@ -9,6 +9,7 @@ from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
 from aslip.transforms import CommandFilter, SpeedCommand, VelocityCommand
 from aslip.transforms.command import approach_command
+from tests.helpers import seeded
 from tests.library.bent import Bent, symmetric_library
 
 PERIOD = 0.03
@@ -35,7 +36,7 @@ def cut(library: GaitLibrary) -> GaitLibrary:
 
 
 def test_commands_fill_a_region_that_is_no_box(cut: GaitLibrary) -> None:
-    command = VelocityCommand(cut, straight=0, turning=0, in_place=0).draw((2000, 3))
+    command = seeded(VelocityCommand(cut, straight=0, turning=0, in_place=0)).draw((2000, 3))
     gauge = command[:, 0].abs() / 0.2 + command[:, 1].abs() / 0.2 + command[:, 2].abs()
     assert gauge.max() <= 1 + 1e-5
     # uniform in an octahedron: the share within half its size is an eighth
@@ -44,7 +45,7 @@ def test_commands_fill_a_region_that_is_no_box(cut: GaitLibrary) -> None:
 
 
 def test_shares_of_special_commands(cut: GaitLibrary) -> None:
-    command = VelocityCommand(cut, straight=0.3, turning=0.2, in_place=0.1).draw((4000, 3))
+    command = seeded(VelocityCommand(cut, straight=0.3, turning=0.2, in_place=0.1)).draw((4000, 3))
     zero = command == 0
     kinds = {
         "straight": (zero[:, 1] & zero[:, 2] & ~zero[:, 0], 0.3),
@@ -57,7 +58,7 @@ def test_shares_of_special_commands(cut: GaitLibrary) -> None:
 
 
 def test_draws_follow_the_seed_and_shares_are_checked(cut: GaitLibrary) -> None:
-    first, second = VelocityCommand(cut), VelocityCommand(cut)
+    first, second = seeded(VelocityCommand(cut)), seeded(VelocityCommand(cut))
     assert torch.equal(first.draw((20, 3)), second.draw((20, 3)))
     second.set_seed(1)
     assert not torch.equal(first.draw((20, 3)), second.draw((20, 3)))
@@ -72,7 +73,7 @@ def test_special_commands_need_the_zero_command(library: GaitLibrary) -> None:
     away = GaitLibrary.from_motions(motions, samples=8)
     with pytest.raises(SpeedOutOfRangeError, match="0, 0, 0"):
         VelocityCommand(away)
-    command = VelocityCommand(away, straight=0, turning=0, in_place=0).draw((9, 3))
+    command = seeded(VelocityCommand(away, straight=0, turning=0, in_place=0)).draw((9, 3))
     assert away.covers(command).all()
 
 

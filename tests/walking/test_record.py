@@ -55,7 +55,7 @@ def test_log_reproduces_recorded_fall(library: GaitLibrary, tmp_path: Path) -> N
         return td
 
     stack = {**default_stack(library), "recorder": lambda: Recorder(path, library=library)}
-    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1)
+    env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=0)
     walk = record_walks(fails, env, _command(0.5))  # pyright: ignore[reportArgumentType]
     env.close()
     read_back = read_walk(read(path))

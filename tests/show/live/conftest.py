@@ -29,7 +29,7 @@ def open_page(library: GaitLibrary) -> Iterator[Callable[..., LivePage]]:
     pages: list[LivePage] = []
 
     def open_page(*policies, speed=0.0, **settings) -> LivePage:
-        walker = Walker("straight", library=library, speed=speed)
+        walker = Walker("straight", library=library, speed=speed, seed=0)
         pages.append(LivePage(walker, *policies, **{"port": 0, **settings}))
         return pages[-1]
 

@@ -110,7 +110,9 @@ def _desk(
 @pytest.fixture(scope="module")
 def opened(browser, library) -> Iterator[Desk]:
     with _desk(
-        browser, Walker("straight", library=library), {"straight": "straight", "limp": limp()}
+        browser,
+        Walker("straight", library=library, seed=0),
+        {"straight": "straight", "limp": limp()},
     ) as desk:
         yield desk
 
@@ -131,7 +133,9 @@ def desk(opened: Desk) -> Desk:
 @pytest.mark.slow
 def test_a_key_a_button_and_a_gamepad_let_the_robot_stand(browser):
     library = standing_library()
-    env = aslip.make_env(stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS)
+    env = aslip.make_env(
+        stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS, seed=0
+    )
     walker = Walker(limp(), env, library=library)
     script = "window.pad = null; navigator.getGamepads = () => [window.pad];"
     with _desk(browser, walker, {"limp": limp()}, script) as desk:
@@ -152,7 +156,7 @@ def test_a_key_a_button_and_a_gamepad_let_the_robot_stand(browser):
 @pytest.mark.slow
 def test_keys_and_a_gamepad_steer_in_all_directions(browser):
     stack = directions_stack(symmetric_library())
-    env = aslip.make_env(stack=stack, num_threads=1, drop=EPISODE_ENDS)
+    env = aslip.make_env(stack=stack, num_threads=1, drop=EPISODE_ENDS, seed=0)
     walker = Walker(limp(), env, library=symmetric_library(), speed=0.4)
 
     def wait(*command: float) -> None:

@@ -20,7 +20,7 @@ INVALID = [None, "", "1.0", "9" * 309, math.nan, [], {}, [0.5], {"a": 1}, b"x", 
 @pytest.fixture(scope="module")
 def opened(library: GaitLibrary) -> Iterator[tuple[LivePage, list[float]]]:
     """Page of a walking robot, and the first values of its sliders."""
-    page = LivePage(Walker("straight", library=library, speed=0.5), port=0)
+    page = LivePage(Walker("straight", library=library, speed=0.5, seed=0), port=0)
     yield page, [slider.value for slider in sliders(page)]
     page.stop()
 

@@ -278,7 +278,7 @@ def test_invalid_setting_is_reported_and_the_robot_walks_on(open_page):
 
 def test_live_page_does_not_change_the_walk(open_page, library):
     page = open_page(speed=1.0)
-    alone = Walker("straight", library=library, speed=1.0)
+    alone = Walker("straight", library=library, speed=1.0, seed=0)
     walk(page, 10)
     for _ in range(10):
         alone.step()
@@ -287,7 +287,7 @@ def test_live_page_does_not_change_the_walk(open_page, library):
 
 def test_walkers_own_policy_is_the_default(library):
     still = limp()
-    page = LivePage(Walker(still, library=library), port=0)
+    page = LivePage(Walker(still, library=library, seed=0), port=0)
     try:
         assert page.walker.policy is still
     finally:

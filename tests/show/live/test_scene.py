@@ -20,7 +20,7 @@ def model() -> mujoco.MjModel:
 @pytest.fixture
 def walker(library) -> Walker:
     """Robot in mid-step, away from the world's x axis."""
-    walker = Walker("straight", library=library, speed=1.0)
+    walker = Walker("straight", library=library, speed=1.0, seed=0)
     walker.push([0, 150, 0], 0.2)
     for _ in range(20):
         walker.step()

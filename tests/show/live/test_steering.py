@@ -24,7 +24,7 @@ from tests.show.live.visitor import visit
 @pytest.fixture(scope="module")
 def walker() -> Walker:
     library = symmetric_library()
-    env = aslip.make_env(stack=directions_stack(library), num_threads=1, drop=EPISODE_ENDS)
+    env = aslip.make_env(stack=directions_stack(library), num_threads=1, drop=EPISODE_ENDS, seed=0)
     return Walker(limp(), env, library=library, speed=0.2)
 
 
@@ -125,7 +125,9 @@ def test_the_ghost_is_beside_the_robot_at_every_yaw(page: LivePage) -> None:
 @pytest.fixture(scope="module")
 def standing_walker() -> Walker:
     library = standing_library()
-    env = aslip.make_env(stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS)
+    env = aslip.make_env(
+        stack="standing", library=library, num_threads=1, drop=EPISODE_ENDS, seed=0
+    )
     return Walker(limp(), env, library=library, speed=0.0)
 
 

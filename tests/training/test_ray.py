@@ -1,10 +1,9 @@
-"""Collectors in other processes: samples, weights, and the end of the processes."""
+"""Robots in Ray actors: samples, weights, trainings on two nodes, and the end of the processes."""
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
-import multiprocessing
 import os
 import pickle
 import signal
@@ -13,38 +12,35 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.modules import ProbabilisticActor
-from torchrl.objectives.value import GAE
 
 import aslip
-from aslip.errors import ConfigurationError
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_critic, set_std
-from aslip.training.cluster import SENT, DistributedCollectors
+from aslip.envs import StackEnv, default_stack, insert_before
+from aslip.errors import CollectorError, ConfigurationError
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, set_std
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import read_progress
 from aslip.training.ray import RayCollectors, threads_each
 from aslip.training.run import TrainingStoppedError
-from recipes import ppo_aslip
-from recipes.ppo_cluster import ClusterConfig
-from recipes.ppo_cluster import main as train_on_cluster
+from aslip.transforms import Difficulty
+from recipes import ppo_aslip, ppo_directions
+from recipes.ppo_directions import DirectionConfig
+from recipes.ppo_settings import Config
 from tests.helpers import TINY, differing
 
 ROBOTS, SAMPLES = 4, 32
 
-_KINDS: dict[str, Any] = {
-    "single": LocalCollector,
-    "distributed": DistributedCollectors,
-    "ray": RayCollectors,
-}
-
-without_ray = importlib.util.find_spec("ray") is None
-needs_ray = pytest.mark.skipif(without_ray, reason="Ray is not installed")
+needs_ray = pytest.mark.skipif(
+    importlib.util.find_spec("ray") is None, reason="Ray is not installed"
+)
 
 
 @dataclass
@@ -75,44 +71,37 @@ class Learner:
             return self.actor.get_dist(data.clone()).log_prob(data["action"])
 
 
-def _collector(kind: str, actor: torch.nn.Module, **settings: Any) -> Any:
+def _collector(kind: Callable[..., Any], actor: torch.nn.Module, **settings: Any) -> Any:
     settings = {"num_envs": ROBOTS, "samples": SAMPLES, "seed": 3, **settings}
-    return _KINDS[kind](aslip.make_env, actor, **settings)
+    return kind(aslip.make_env, actor, **settings)
 
 
-def _batches(kind: str, number: int = 2) -> tuple[list[TensorDict], list[float]]:
-    """Batches with learning in between, and errors of their log-probabilities."""
+def _batches(before: int = 0) -> tuple[list[TensorDict], list[float]]:
+    """Two batches with learning in between, and errors of their log-probabilities."""
     learner, batches, errors = Learner.make(), [], []
-    with _collector(kind, learner.actor) as collector:
+    with _collector(RayCollectors, learner.actor) as collector:
+        collector.load_state_dict({"batches": before})
         for data in collector:
             batches.append(data)
             errors.append(float((learner.log_prob(data) - data["action_log_prob"]).abs().max()))
             learner.learn(data)
-            if len(batches) == number:
+            if len(batches) == 2:
                 break
+        assert collector.state_dict() == {"batches": before + 2}
     return batches, errors
 
 
 @pytest.fixture(scope="module")
-def distributed() -> tuple[list[TensorDict], list[float]]:
-    return _batches("distributed")
-
-
-@pytest.fixture(scope="module")
-def ray() -> Iterator[tuple[list[TensorDict], list[float]]]:
-    yield _batches("ray")
+def collected() -> tuple[list[TensorDict], list[float]]:
+    """Batches of a Ray of our own, which is stopped."""
+    found = _batches()
     assert not importlib.import_module("ray").is_initialized()
+    return found
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["distributed", pytest.param("ray", marks=needs_ray)])
-class TestOtherProcesses:
-    @pytest.fixture
-    def collected(
-        self, kind: str, request: pytest.FixtureRequest
-    ) -> tuple[list[TensorDict], list[float]]:
-        return request.getfixturevalue(kind)
-
+@needs_ray
+class TestSamples:
     def test_weights_and_normaliser_arrive(self, collected: Any) -> None:
         """Log-probabilities are those of the actor at the time of the request."""
         batches, errors = collected
@@ -122,24 +111,21 @@ class TestOtherProcesses:
         assert (stale.log_prob(batches[1]) - batches[1]["action_log_prob"]).abs().max() > 0.1
 
     def test_batches_are_like_those_of_this_process(self, collected: Any) -> None:
-        learner = Learner.make()
-        with _collector("single", learner.actor) as collector:
+        actor = Learner.make().actor
+        with _collector(LocalCollector, actor) as collector:
             single = next(iter(collector))
+        sent = {key for key in _collector(RayCollectors, actor).sent if key in single.keys(True)}
         for data in collected[0]:
             assert data.shape == single.shape == (ROBOTS, SAMPLES // ROBOTS)
             assert data.names == single.names
-            kept = [key for key in SENT if key in single.keys(True)]
-            assert set(kept) == {key for key in SENT if key in data.keys(True)}
-            assert set(SENT) - set(kept) == {"stagger"}  # entries for trainings only
-            for key in kept:
-                assert data[key].shape == single[key].shape
-                if isinstance(data[key], torch.Tensor):
-                    assert data[key].dtype == single[key].dtype
+            kept = single.select(*sent)
+            assert set(data.keys(True, True)) == set(kept.keys(True, True))
+            for key in kept.keys(True, True):
+                assert (data[key].shape, data[key].dtype) == (kept[key].shape, kept[key].dtype)
 
     def test_rows_are_robots_through_time(self, collected: Any) -> None:
         """`next` of a step equals the following step, also across batches."""
-        first, second = collected[0]
-        data: Any = torch.cat([first, second], -1)
+        data: Any = torch.cat(collected[0], -1)
         going_on = ~data["next", "done"][:, :-1, 0]
         assert (~going_on).any()
         following = data["next", "observation"][:, :-1]
@@ -147,99 +133,105 @@ class TestOtherProcesses:
         count = data["next", "step_count"][..., 0]
         assert torch.equal(count[:, 1:][going_on], count[:, :-1][going_on] + 1)
 
-    def test_advantages_are_computed_along_time(self, collected: Any) -> None:
-        """They equal the recursion, written out."""
-        data: Any = collected[0][0].clone()
-        critic = make_critic(RunningNormalizer(64), PolicyShape())
-        estimate = GAE(gamma=0.9, lmbda=0.8, value_network=critic, deactivate_vmap=True)
-        with torch.no_grad():
-            estimate(data)
-            now = critic(data.select("observation"))["state_value"]
-            following = critic(data["next"].select("observation"))["state_value"]
-        after = data["next"]
-        delta = after["reward"] + 0.9 * following * ~after["terminated"] - now
-        advantage, running = torch.zeros_like(delta), torch.zeros(ROBOTS, 1)
-        for t in reversed(range(delta.shape[1])):
-            running = delta[:, t] + 0.9 * 0.8 * running * ~after["done"][:, t]
-            advantage[:, t] = running
-        torch.testing.assert_close(data["advantage"], advantage)
-
-    def test_each_collector_draws_other_numbers(self, collected: Any) -> None:
+    def test_each_actor_draws_other_numbers(self, collected: Any) -> None:
         data, half = collected[0][0], ROBOTS // 2
         noise = data["action"] - data["action"].mean(0)
         assert not torch.equal(noise[:half], noise[half:])
         assert not torch.equal(data["observation"][:half, 0], data["observation"][half:, 0])
 
 
-@needs_ray
-@pytest.mark.slow
-def test_the_same_seed_gives_the_same_batches(distributed: Any, ray: Any) -> None:
-    """Bit for bit, with both kinds of collectors."""
-    for one, other in zip(distributed[0], ray[0], strict=True):
-        assert differing(one, other) == []
-
-
 # --------------------------------------------------------------------- trainings
 
 
-def _cluster(backend: Any, **settings: Any) -> ClusterConfig:
-    """Settings of a tiny training."""
-    return ClusterConfig(**{**vars(TINY), "backend": backend, **settings})
+class Selecting(LocalCollector):
+    """Collector in this process, of the entries that `RayCollectors` would send."""
+
+    def __init__(self, make_env: Any, actor: Any, **settings: Any) -> None:
+        self._sent = RayCollectors(make_env, actor, **settings).sent
+        for name in ("keys", "num_collectors"):
+            del settings[name]
+        super().__init__(make_env, actor, **settings)
+
+    def __iter__(self) -> Iterator[TensorDict]:
+        for data in super().__iter__():
+            yield data.select(*self._sent, strict=False)
 
 
-def _rows(folder: Path) -> list[list[float]]:
-    """Rows of a run, without durations."""
-    columns = [column for name, column in read_progress(folder).items() if name != "elapsed_s"]
-    return list(map(list, zip(*columns, strict=True)))
+@needs_ray
+@pytest.mark.parametrize("recipe", [ppo_aslip, ppo_directions])
+def test_the_entries_that_are_sent_suffice_to_learn(
+    recipe: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the privileged critic, too."""
+    monkeypatch.setattr("aslip.training.ray.RayCollectors", Selecting)
+    make = DirectionConfig if recipe is ppo_directions else Config
+    recipe.main(make(**{**vars(TINY), "num_collectors": 2, "out": tmp_path / "run"}))
+    assert read_progress(tmp_path / "run")["step"] == [64, 128]
 
 
+@pytest.fixture
+def cluster(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """Ray cluster of two nodes on this machine, with room for one actor each."""
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    # the nodes import the recipes, as on machines with a checkout
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [os.getcwd(), *sys.path])))
+    node = {"num_cpus": 1, "include_dashboard": False, "object_store_memory": 2**29}
+    cluster = importlib.import_module("ray.cluster_utils").Cluster(True, head_node_args=node)
+    try:
+        cluster.add_node(num_cpus=1, object_store_memory=2**29)
+        cluster.wait_for_nodes()
+        monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+        yield cluster
+    finally:
+        importlib.import_module("ray").shutdown()
+        cluster.shutdown()
+
+
+@needs_ray
 @pytest.mark.slow
-def test_a_training_whose_collector_was_killed_can_resume(tmp_path: Path) -> None:
-    """An error names the cause, files are complete, and no process is left running."""
-    config = _cluster("distributed", out=tmp_path / "run", total_steps=192, preset="robust")
-    update = ppo_aslip.update
+def test_recipes_train_on_two_nodes_and_resume_without_one_of_them(
+    cluster: Any, collected: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Same samples as on one node; a lost node ends a training with an error."""
+    for one, other in zip(_batches()[0], collected[0], strict=True):
+        assert differing(one, other) == []
+    for one, other in zip(_batches(2)[0], collected[0], strict=True):
+        assert not torch.equal(one["action"], other["action"])
 
-    def killing(*args: Any) -> Any:
-        if len(_rows(config.out)) == 1:
-            children = multiprocessing.active_children()
-            assert len(children) == 2
-            os.kill(int(children[1].pid or 0), signal.SIGKILL)
+    ppo_aslip.main(replace(TINY, num_collectors=2, out=tmp_path / "straight"))
+    assert read_progress(tmp_path / "straight")["step"] == [64, 128]
+
+    update, lost = ppo_aslip.update, cluster.list_all_nodes()[1]
+
+    def losing(*args: Any) -> Any:
+        if len(read_progress(config.out).get("step", [])) == 1:
+            cluster.remove_node(lost, allow_graceful=False)
+            ray = importlib.import_module("ray")
+            _wait(lambda: sum(node["Alive"] for node in ray.nodes()) == 1)  # or it gets the actor
         return update(*args)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys.modules["ppo_aslip"], "update", killing)
+    changes = {"num_collectors": 2, "out": tmp_path / "run", "total_steps": 192}
+    config = DirectionConfig(**{**vars(TINY), **changes})
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules["ppo_aslip"], "update", losing)
         with pytest.raises(TrainingStoppedError, match=r"CollectorError.*--resume continues"):
-            train_on_cluster(config)
-    assert multiprocessing.active_children() == []
-    before = _rows(config.out)
-    assert [row[0] for row in before] == [64, 128]
-    train_on_cluster(replace(config, resume=True))
-    after = _rows(config.out)
-    assert [row[0] for row in after] == [64, 128, 192]
-    assert repr(after[:2]) == repr(before)  # NaN where nothing was evaluated
-    assert multiprocessing.active_children() == []
-
-
-@pytest.mark.slow
-@needs_ray
-def test_a_training_with_ray_leaves_nothing_running(tmp_path: Path) -> None:
-    """Two updates, with domain randomisation."""
-    config = _cluster("ray", out=tmp_path / "run", preset="robust")
-    train_on_cluster(config)
-    assert [row[0] for row in _rows(config.out)] == [64, 128]
-    assert not importlib.import_module("ray").is_initialized()
+            ppo_directions.main(config)
+    assert read_progress(config.out)["step"] == [64, 128]
+    ppo_directions.main(replace(config, resume=True, num_collectors=1))
+    assert read_progress(config.out)["step"] == [64, 128, 192]
 
 
 _TRAINING = """
 import sys
+from dataclasses import replace
 from pathlib import Path
 
-from recipes.ppo_cluster import ClusterConfig, main
+from recipes.ppo_aslip import main
 from tests.helpers import TINY
 
 if __name__ == "__main__":
     settings = dict(out=Path(sys.argv[1]), total_steps=10**6, eval_interval=10**6)
-    main(ClusterConfig(**{**vars(TINY), "backend": sys.argv[2], **settings}))
+    main(replace(TINY, num_collectors=2, **settings))
 """
 
 
@@ -250,25 +242,21 @@ def _session(leader: int) -> list[str]:
     return [line for line in listed.splitlines() if not line.startswith("Z")]
 
 
+@needs_ray
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-@pytest.mark.parametrize(
-    "kind", ["distributed", pytest.param("ray", marks=[needs_ray, pytest.mark.slow])]
-)
-def test_all_processes_end_however_a_training_ends(
-    tmp_path: Path, kind: str, number: signal.Signals
-) -> None:
+def test_all_processes_end_however_a_training_ends(tmp_path: Path, number: signal.Signals) -> None:
     script, out = tmp_path / "train.py", tmp_path / "run"
     script.write_text(_TRAINING)
     training = subprocess.Popen(
-        [sys.executable, str(script), str(out), kind],
+        [sys.executable, str(script), str(out)],
         env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [os.getcwd(), *sys.path]))},
         stderr=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
     try:
-        _wait(lambda: len(_rows(out)) > 1)
+        _wait(lambda: len(read_progress(out).get("step", [])) > 1)
         assert len(_session(training.pid)) > 2
         # to all processes, as a terminal does; Ray's own ignore it
         os.killpg(training.pid, number) if number == signal.SIGINT else training.send_signal(number)
@@ -315,9 +303,7 @@ def test_a_training_can_send_its_policy_to_other_processes(tmp_path: Path) -> No
     assert read_progress(tmp_path / "run")["step"] == [64, 128]
 
 
-# ---------------------------------------------------------------------- settings
-
-
+@needs_ray
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -329,12 +315,47 @@ def test_a_training_can_send_its_policy_to_other_processes(tmp_path: Path) -> No
 )
 def test_unequal_shares_are_refused(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        _collector(**{"kind": "distributed", "actor": torch.nn.Identity(), **change})
+        _collector(RayCollectors, torch.nn.Identity(), **change)
+    if change.get("num_collectors"):  # by a recipe's settings, too
+        with pytest.raises(ConfigurationError, match="multiple of num_collectors = 3, got 8"):
+            replace(TINY, **change)
 
 
-def test_the_recipe_refuses_unequal_shares_at_once() -> None:
-    with pytest.raises(ConfigurationError, match="multiple of num_collectors = 3, got 8"):
-        _cluster("distributed", num_collectors=3)
+@needs_ray
+@pytest.mark.parametrize("state", [{"batches": 5}, {"torchrl": {"frames": 5 * SAMPLES}}])
+def test_resumed_robots_are_as_difficult_as_before(
+    state: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After five batches, also of robots in one process; each robot took eight steps of each."""
+    made: list[Callable[[], StackEnv]] = []
+    stack = insert_before(default_stack(), "command", difficulty=partial(Difficulty, 100))
+    collector = RayCollectors(
+        partial(aslip.make_env, stack=stack), Learner.make().actor, num_envs=ROBOTS, samples=SAMPLES
+    )
+    ray = SimpleNamespace(
+        is_initialized=lambda: True,
+        nodes=lambda: [{"Alive": True, "Resources": {"CPU": 2.0}}],
+        put=lambda value: value,
+        get=lambda value: value,
+    )
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    collect = "aslip.training.ray.Collector"
+    monkeypatch.setattr(collect, lambda makers, *_, **__: made.extend(makers))
+    collector.load_state_dict(state)
+    with pytest.raises(CollectorError, match="NoneType"):
+        next(iter(collector))
+    first, second = (make().reset() for make in made)
+    found = torch.cat([first["difficulty"], second["difficulty"]])
+    torch.testing.assert_close(found, torch.full((ROBOTS, 1), 0.4))
+    assert not torch.equal(first["observation"], second["observation"])
+
+
+def test_robots_of_ray_cannot_go_on_in_this_process() -> None:
+    with (
+        _collector(LocalCollector, Learner.make().actor) as collector,
+        pytest.raises(ConfigurationError, match="in Ray actors; give it num_collectors"),
+    ):
+        collector.load_state_dict({"batches": 2})
 
 
 def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -350,9 +371,8 @@ def test_a_cluster_that_cannot_be_joined_is_named(monkeypatch: pytest.MonkeyPatc
         shutdown = is_initialized
 
     monkeypatch.setenv("RAY_ADDRESS", "somewhere:1")
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: "there")
     monkeypatch.setitem(sys.modules, "ray", Ray)
-    collector = _collector("ray", torch.nn.Identity())
+    collector = _collector(RayCollectors, torch.nn.Identity())
     with collector, pytest.raises(ConfigurationError, match=r"'somewhere:1'.*no one at"):
         next(iter(collector))
 
@@ -370,14 +390,3 @@ def test_every_collector_gets_the_largest_number_of_threads_that_fits_all(
 def test_more_collectors_than_processors_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="at most 4, the processors of the Ray cluster"):
         threads_each([2, 2], 5)
-
-
-def test_a_resumed_collector_draws_other_numbers() -> None:
-    """They differ from all numbers drawn before, by this collector or another."""
-    seeds: set[tuple[int, int]] = set()
-    for batches in range(3):
-        collector = _collector("distributed", torch.nn.Identity())
-        collector.load_state_dict({"batches": batches})
-        assert collector.state_dict() == {"batches": batches}
-        seeds |= {(robots.env_seed, robots.torch_seed) for robots in collector._robots(1)}
-    assert len(seeds) == 6
