@@ -8,7 +8,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from aslip.errors import ConfigurationError
 from aslip.ik import Kinematics
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, SIDES
@@ -100,15 +99,3 @@ def test_faster_changes_slide_feet_faster_and_load_motors_more(
     more = [np.abs(f.changing.torque - f.held.torque).max() for f in (slow, fast)]
     assert more[1] > 2 * more[0] > 0
     assert "| hip pitch |" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"changes": 0}, "changes must be 1 or more, got 0"),
-        ({"faster": 0.0}, "faster must be positive and finite, got 0.0"),
-    ],
-)
-def test_wrong_settings_are_refused(settings: dict, message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        Config(**settings)

@@ -13,7 +13,6 @@ import pytest
 import torch
 from tqdm import tqdm
 
-from aslip.errors import ConfigurationError
 from aslip.walking import Interval
 from benchmarks import perturbation, sweeps
 from benchmarks.common import Subject, walk_on
@@ -243,17 +242,3 @@ def test_wilsons_interval_contains_the_proportion() -> None:
         for successes in range(count + 1):
             interval = Interval.of_share(successes, count)
             assert 0 <= interval.low <= interval.mean <= interval.high <= 1
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"repeats": 0}, "repeats must be 1 or more, got 0"),
-        ({"phases": -1}, "phases must be 0 or more, got -1"),
-        ({"largest": math.inf}, "largest.*got inf"),
-        ({"after": -1.0}, r"after.*got -1\.0"),
-    ],
-)
-def test_refuses_invalid_settings(settings: dict[str, Any], message: str) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        Config(**settings)

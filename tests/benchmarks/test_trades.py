@@ -54,16 +54,6 @@ def test_the_region_that_meets_both_targets_is_shaded(tmp_path: Path) -> None:
     assert left < 0 < right and low < 1.0 and high > 45
 
 
-def test_records_are_needed_and_names_are_unique(tmp_path: Path) -> None:
-    first, second = write(tmp_path / "a.json", one=1.0), write(tmp_path / "b.json", one=2.0)
-    with pytest.raises(ConfigurationError, match="the name 'one'"):
-        trades.main(Config((first, second)))
-    with pytest.raises(ConfigurationError, match=r"missing\.json"):
-        Config((tmp_path / "missing.json",))
-    with pytest.raises(ConfigurationError, match="at least one record"):
-        Config(())
-
-
 def test_records_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
     first, second = write(tmp_path / "a.json", one=1.0), write(tmp_path / "b.json", two=2.0)
     changed = json.loads(second.read_text())

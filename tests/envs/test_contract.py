@@ -262,18 +262,6 @@ def test_targets_of_wrong_shape_are_refused(backend: str, shape: tuple[int, ...]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-@pytest.mark.parametrize("num_envs", [0, -1, 1.5, True, "4", None])
-def test_invalid_numbers_of_robots_are_refused(make: MakeEnv, backend: str, num_envs: Any) -> None:
-    with pytest.raises(ConfigurationError, match="num_envs must be a whole number"):
-        make(backend, num_envs=num_envs)
-
-
-def test_unknown_backend_is_refused(make: MakeEnv) -> None:
-    with pytest.raises(ConfigurationError, match=r"batch.*dm_control.*'mjx'"):
-        make("mjx")
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
 def test_floor_has_the_requested_friction(make: MakeEnv, backend: str) -> None:
     ice, rock = (make(backend, floor_friction=friction, seed=1) for friction in (0.05, 1.0))
     start = TensorDict(command=torch.full((1, 1), 1.5), phase=torch.full((1, 1), 0.2), batch_size=1)

@@ -125,11 +125,6 @@ def test_settings_of_a_simulator_are_refused_with_a_base(
         aslip.make_env(base=ReplayedRobot(log), stack=robot_stack(), **settings)  # pyright: ignore
 
 
-def test_base_must_be_a_robot() -> None:
-    with pytest.raises(ConfigurationError, match="base must be a RobotEnv"):
-        aslip.make_env(base=lambda num_envs: {})  # pyright: ignore[reportArgumentType]
-
-
 @pytest.mark.parametrize("key", ["initial", "dynamics", "push"])
 def test_requests_for_simulations_are_refused(log: dict[str, np.ndarray], key: str) -> None:
     env = ReplayedRobot(log)

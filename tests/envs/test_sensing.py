@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import cast
 
-import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.utils import NestedKey
@@ -12,7 +11,6 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
-from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
     OBSERVATION_TABLE,
@@ -188,11 +186,6 @@ def test_rewards_on_the_estimate_need_no_true_state(make: MakeEnv, library: Gait
     # the sum is left out: it reads whether the simulation diverged
     terms = lied_to.rollout(2, break_when_any_done=False)["next", "reward_terms"]
     assert all(torch.isfinite(term).all() for term in terms.values())
-
-
-def test_rewards_on_other_sources_are_refused(make: MakeEnv) -> None:
-    with pytest.raises(ConfigurationError, match=r"'sensors'.*truth.*estimate|truth.*'sensors'"):
-        make(reward_on="sensors")
 
 
 def test_estimated_feet_and_contacts_agree_with_the_truth(make: MakeEnv) -> None:

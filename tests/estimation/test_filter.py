@@ -364,8 +364,3 @@ def test_start_is_on_the_lower_end_of_a_sole() -> None:
 def test_invalid_noise_is_refused(name: str, value: Any) -> None:
     with pytest.raises(ConfigurationError, match=rf"^{name} of FilterNoise .*{value!r}"):
         FilterNoise(**{name: value})
-
-
-def test_unload_above_load_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="unload"):
-        FilterNoise(unload=70.0)

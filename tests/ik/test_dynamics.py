@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pytest
 
-from aslip.errors import ShapeError
 from aslip.ik import BodyTarget, Kinematics, leg_torque, pelvis_axes, solve, standing_pose
 from aslip.library.interpolation import open_slopes
 from aslip.robot.model import load_model
@@ -83,8 +81,3 @@ def test_legs_at_rest_need_the_torques_that_carry_them() -> None:
     torque = leg_torque(kinematics, qpos, still, still).reshape(2, 5)
     np.testing.assert_allclose(torque[0], torque[1] * [-1, -1, 1, 1, 1], atol=0.05)
     assert 1 < np.abs(torque).max() < 30
-
-
-def test_arrays_of_wrong_shape_are_refused() -> None:
-    with pytest.raises(ShapeError, match="acceleration"):
-        leg_torque(Kinematics(), np.zeros((3, 35)), np.zeros((3, 32)), np.zeros((2, 32)))

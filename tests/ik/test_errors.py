@@ -102,17 +102,6 @@ def test_wrong_shape_of_a_foot_is_named(kinematics, position):
         solve(kinematics, BodyTarget(np.zeros((1, 3))), good, BodyTarget(position))
 
 
-def test_wrong_shape_of_the_pelvis_is_named(kinematics):
-    flat = BodyTarget(np.zeros(3))
-    with pytest.raises(ShapeError, match=re.escape("pelvis.position must have shape (n, 3)")):
-        solve(kinematics, flat, flat, flat)
-
-
-def test_wrong_shape_of_an_orientation_is_named(kinematics):
-    with pytest.raises(ShapeError, match=re.escape("left_foot.orientation must have shape (1, 4)")):
-        _stand(kinematics, orientation=np.zeros((1, 3)))
-
-
 @pytest.mark.parametrize("name", ["velocity", "angular_velocity"])
 def test_non_finite_value_is_named(kinematics, name):
     with pytest.raises(UnreachablePoseError, match=rf"left_foot.{name}\[0\] is not finite"):

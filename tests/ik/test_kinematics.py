@@ -7,10 +7,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-import pytest
 
-from aslip.errors import ShapeError
-from aslip.ik import Kinematics
 from aslip.robot import CASSIE, SIDES
 
 
@@ -94,8 +91,3 @@ def test_search_starts_at_the_standing_keyframe(kinematics, mujoco_model):
 def test_conversion_to_pinocchio_and_back_is_the_identity(kinematics, random_qpos):
     back = kinematics.to_mujoco(kinematics.to_pinocchio(random_qpos))
     np.testing.assert_array_equal(back, random_qpos)
-
-
-def test_configuration_of_the_wrong_length_is_refused(kinematics: Kinematics):
-    with pytest.raises(ShapeError, match=r"qpos must have shape \(35,\), got \(34,\)"):
-        kinematics.centre_of_mass(np.zeros(34))

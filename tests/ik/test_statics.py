@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aslip.errors import ShapeError
 from aslip.ik import Kinematics, share_friction, standing_pose, static_torque
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, STANDARD_GRAVITY
@@ -47,12 +46,6 @@ def test_both_legs_carry_a_standing_robot_equally() -> None:
     # roll and yaw of the right leg have the opposite sign
     np.testing.assert_allclose(torque[0], torque[1] * [-1, -1, 1, 1, 1], atol=1e-9)
     np.testing.assert_array_equal(static_torque(kinematics, qpos, 0 * force), np.zeros((1, 10)))
-
-
-def test_forces_of_wrong_shape_are_refused() -> None:
-    kinematics = Kinematics()
-    with pytest.raises(ShapeError, match="force"):
-        static_torque(kinematics, np.zeros((3, 35)), np.zeros((2, 2, 3)))
 
 
 def test_torques_do_not_depend_on_the_heading_or_tilt() -> None:

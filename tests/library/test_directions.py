@@ -305,17 +305,3 @@ def test_a_grid_without_gaits_is_an_error_with_the_first_reason() -> None:
         convex_gaits(limited, {})
     with pytest.raises(ConfigurationError, match=r"any of the 6 commands; at .*: no gait found"):
         convex_gaits(TURNS, dict.fromkeys(TURNS.points, "no gait found"))
-
-
-@pytest.mark.parametrize(
-    ("axes", "message"),
-    [
-        ({"sideways": (0.1, 0.2)}, "sideways must begin with 0"),
-        ({"forward": ()}, "forward needs one finite value or more"),
-        ({"yaw_rates": (0.0, 0.5, 0.5)}, "yaw_rates must ascend"),
-    ],
-)
-def test_wrong_axes_are_named(axes: dict[str, tuple[float, ...]], message: str) -> None:
-    usual = {"forward": (0.0, 1.0), "sideways": (0.0,), "yaw_rates": (0.0,)}
-    with pytest.raises(ConfigurationError, match=message):
-        DirectionGrid(**{**usual, **axes})

@@ -172,11 +172,6 @@ def test_check_command_names_value_and_range(library: GaitLibrary, speed: float)
         library.check_command(speed)
 
 
-@pytest.mark.parametrize("speed", [0, 0.0, 1.05, 2.0])
-def test_check_command_returns_covered_speeds(library: GaitLibrary, speed: float) -> None:
-    assert library.check_command(speed) == (speed,)
-
-
 def test_commands_may_be_whole_numbers(library: GaitLibrary) -> None:
     whole = torch.tensor([[1], [9]])
     for function in (library.stride, library.nearest):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.errors import ConfigurationError
 from aslip.ik import Kinematics, static_torque
 from aslip.library import GaitLibrary, pendulum_library, single_reference_library
 from aslip.library.table import ARRAYS
@@ -57,11 +56,6 @@ def test_swing_feet_of_pendulums_are_as_far_below_the_body_as_in_gaits(
         sample = gait.sample(phase)
         leg = sample.body.position[:, 2] - sample.feet.position[:, 0, 2]
         assert lowest == pytest.approx(leg.min(), abs=5e-3)  # of 32 samples
-
-
-def test_walk_in_place_cannot_be_stretched() -> None:
-    with pytest.raises(ConfigurationError, match="forward"):
-        single_reference_library(PendulumWalk(speed=0.0))
 
 
 def test_pendulums_have_mass_and_clearance_of_gaits(

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
-from aslip.library import GaitLibrary, tabulate
+from aslip.errors import ConfigurationError, SpeedOutOfRangeError
+from aslip.library import GaitLibrary
 from aslip.library.interpolation import CommandGrid
 from aslip.library.region import extrapolate
 
@@ -115,13 +115,6 @@ def test_commands_on_a_line_span_no_region() -> None:
     motions = [Shuffle(x, x / 2) for x in (0.2, 0.4)]
     with pytest.raises(ConfigurationError, match="must span the grid"):
         GaitLibrary.from_motions(motions, samples=4, missing=True)
-
-
-def test_mask_of_wrong_shape_is_refused() -> None:
-    table = tabulate([Shuffle(0.2, 0.0), Shuffle(0.4, 0.0)], samples=4)
-    for present, error in ((np.ones(2), ShapeError), (np.zeros((2, 1)), ConfigurationError)):
-        with pytest.raises(error, match=r"present|motion at one command"):
-            type(table)(**{**vars(table), "present": present})
 
 
 def test_look_ups_read_rows_of_motions_and_of_filled_corners_only() -> None:

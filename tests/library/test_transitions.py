@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 from dataclasses import replace
 from pathlib import Path
-from unittest.mock import Mock
 
 import mujoco
 import numpy as np
@@ -15,7 +14,7 @@ from torch import Tensor
 
 from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
 from aslip.ik import Kinematics, static_torque
-from aslip.library import GaitLibrary, TransitionTable, WalkMode, tabulate_transitions
+from aslip.library import GaitLibrary, TransitionTable, WalkMode
 from aslip.library.transitions import TRANSITION_ARRAYS
 from aslip.robot import CASSIE, SIDES, STANDARD_GRAVITY
 from aslip.robot.model import load_model
@@ -235,11 +234,6 @@ def test_damaged_tables_are_refused(
 ) -> None:
     with pytest.raises(error, match=message):
         replace(table, **change)
-
-
-def test_too_few_samples_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="samples must be 4 or more, got 3"):
-        tabulate_transitions(Mock(), (Mock(), Mock()), samples=3)
 
 
 def test_file_with_half_of_its_transitions_is_damaged(

@@ -280,15 +280,6 @@ def test_saving_draws_no_random_numbers(actor: ProbabilisticActor, tmp_path: Pat
     assert torch.equal(torch.rand(4), expected)
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [{"observation_size": 0}, {"hidden": (256, 2.5)}, {"std": 0.0}, {"std": math.nan}],
-)
-def test_refuses_invalid_shape(wrong: dict[str, Any]) -> None:
-    with pytest.raises(ConfigurationError, match=next(iter(wrong))):
-        PolicyShape(**wrong)
-
-
 def test_rollouts_carry_no_graph(make: MakeEnv) -> None:
     """Memory would grow with every step."""
     policy, env = aslip.load_policy("straight"), make(num_envs=2)

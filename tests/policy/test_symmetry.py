@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 
 from aslip import GaitLibrary, make_env
-from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.policy.symmetry import Symmetrised, action_mirror, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, ReferenceStart, TrueState
@@ -92,11 +92,6 @@ def test_entries_of_two_sources_may_have_the_same_name() -> None:
 def test_refuses_table_without_mirror_image(table: list[Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
         observation_mirror(table)
-
-
-def test_refuses_observation_of_another_size() -> None:
-    with pytest.raises(ShapeError, match="reads 64 numbers, the observation has 49"):
-        observation_mirror()(torch.zeros(49))
 
 
 def test_rates_and_accelerations_have_mirror_images() -> None:

@@ -17,7 +17,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.transforms import Transform
 
 import aslip
-from aslip.errors import ConfigurationError, FileDamagedError, UnknownNameError
+from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.transforms import ActionDelta, AssembleObservation
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import WalkResult
@@ -237,11 +237,6 @@ def test_the_return_is_that_of_the_papers_reward_until_the_fall() -> None:
 
 def test_a_table_of_one_and_several_seeds_explains_its_intervals() -> None:
     assert "several" in ablation._cells({"default": {0: [], 1: []}, "truth": {0: []}})
-
-
-def test_unknown_variants_are_refused() -> None:
-    with pytest.raises(UnknownNameError, match="no_reward"):
-        ablate.Config(variants=("no_reward",))
 
 
 def test_the_list_states_the_question_of_each_variant(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.errors import AssetError
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.compile import skeleton_of
 from aslip.robot.model import load_model
@@ -90,11 +89,6 @@ def test_changed_mjcf_is_compiled_again(tmp_path: Path) -> None:
     assert robot.skeleton.joints["left_shin"].stiffness == 1400
     file.with_suffix(".json").unlink()
     assert dataclasses.replace(CASSIE, model_file=file).skeleton == robot.skeleton
-
-
-def test_missing_mjcf_is_named() -> None:
-    with pytest.raises(AssetError, match=r"biped\.xml"):
-        _ = dataclasses.replace(CASSIE, model_file="biped.xml").skeleton
 
 
 # ------------------------------------------------------------------- indices

@@ -4,10 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from aslip.errors import ConfigurationError
-from aslip.rom import PendulumWalk, SampledMotion
 from aslip.rom.arc import rotate, twist_pose
-from aslip.rom.motion import displacement
 
 TWIST = np.array([0.7, -0.2, 0.9])
 TIME = np.linspace(-2.0, 3.0, 11)
@@ -56,22 +53,3 @@ def test_inverse_undoes_a_pose():
 def test_rotation_turns_x_to_y_and_keeps_z():
     turned = rotate(np.array([[1.0, 0.0, 5.0]]), np.array([np.pi / 2]))
     np.testing.assert_allclose(turned, [[0.0, 1.0, 5.0]], atol=1e-15)
-
-
-@pytest.mark.parametrize("command", [[], [0.1, 0.2, 0.3, 0.4], [[0.1]]])
-def test_commands_of_other_lengths_are_refused(command):
-    walk = SampledMotion.from_motion(PendulumWalk(), 4)
-    motion = SampledMotion(np.array(command), walk.stride, walk.samples)
-    with pytest.raises(ConfigurationError, match=r"\(forward, sideways speed, yaw rate\), got"):
-        displacement(motion, np.zeros(1))
-
-
-def test_infinite_strides_are_refused():
-    class Standing:
-        command, stride = np.zeros(3), np.inf
-
-        def sample(self, phase):
-            raise NotImplementedError
-
-    with pytest.raises(ConfigurationError, match="positive and finite, got inf"):
-        displacement(Standing(), np.zeros(1))

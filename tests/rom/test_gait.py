@@ -180,12 +180,6 @@ def test_sample_is_continuous_over_the_end_of_the_stride(gait):
         np.testing.assert_allclose(array[0], array[1], atol=1e-6)
 
 
-@pytest.mark.parametrize("phase", [0.5, [[0.5]], [np.nan]])
-def test_sample_refuses_bad_phases(gait, phase):
-    with pytest.raises(ShapeError, match="phase"):
-        gait.sample(np.asarray(phase))
-
-
 def test_arrays_survive_a_file_without_pickle(gait, tmp_path):
     np.savez(tmp_path / "gait.npz", **gait.to_arrays())
     with np.load(tmp_path / "gait.npz", allow_pickle=False) as file:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aslip.errors import ConfigurationError, FileDamagedError, ShapeError
+from aslip.errors import FileDamagedError, ShapeError
 from aslip.rom import Angle, MotionSample, SampledMotion, Track
 
 
@@ -88,17 +88,6 @@ def test_motion_is_restored_from_its_arrays(sampled):
     del arrays["foot_heading"]
     with pytest.raises(FileDamagedError, match="needs 'foot_heading'"):
         SampledMotion.from_arrays(arrays)
-
-
-@pytest.mark.parametrize("stride", [0.0, -1.0, np.inf, np.nan])
-def test_stride_must_be_positive_and_finite(sampled, stride):
-    with pytest.raises(ConfigurationError, match="stride"):
-        SampledMotion(sampled.command, stride, sampled.samples)
-
-
-def test_motion_of_one_sample_is_refused():
-    with pytest.raises(ConfigurationError, match="got 1 samples"):
-        SampledMotion.from_motion(Swaying(), 1)
 
 
 @pytest.mark.parametrize("phase", [0.5, [[0.5]], [np.nan]])

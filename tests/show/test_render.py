@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from aslip import imports
-from aslip.errors import ConfigurationError, RenderingError, ShapeError, UnknownNameError
+from aslip.errors import ConfigurationError, RenderingError, ShapeError
 from aslip.robot import opengl
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
@@ -135,20 +135,6 @@ def test_buffer_shadow_and_facets_have_the_size_of_the_picture(model, monkeypatc
         render_robot(model.key("standing").qpos, model=model, width=560, height=480)
     assert used == [(192, 144, 1536, 19, 9), (560, 480, *whole[2:])]
     assert settings() == whole
-
-
-def test_wrong_arguments_are_named(model):
-    qpos = model.key("standing").qpos[None]
-    with pytest.raises(ShapeError, match=r"\(n, 35\)"):
-        render_robot(qpos[:, :34], model=model)
-    with pytest.raises(ShapeError, match="as many ghosts"):
-        render_robot(qpos, model=model, ghosts=[])
-    with pytest.raises(UnknownNameError, match=r"'top'.*side"):
-        render_robot(qpos, model=model, camera="top")
-    with pytest.raises(ConfigurationError, match="at most"):
-        render_robot(qpos, model=model, width=9999)
-    with pytest.raises(ConfigurationError, match="1 or more"):
-        render_robot(qpos, model=model, height=0)
 
 
 @pytest.mark.parametrize(

@@ -85,15 +85,6 @@ def test_refused_resets_change_nothing() -> None:
     np.testing.assert_array_equal(pool.states(), before)
 
 
-def test_invalid_arguments_are_named() -> None:
-    with pytest.raises(ConfigurationError, match="0"):
-        SimulationPool(0)
-    with pytest.raises(ConfigurationError, match="-1"):
-        SimulationPool(1, num_threads=-1)
-    with pytest.raises(ShapeError, match=r"\(2, 10\)"):
-        SimulationPool(2).advance(np.zeros((3, 10)))
-
-
 def test_each_part_gets_its_own_pushes() -> None:
     pool, whole = SimulationPool(5, num_threads=2), Simulations(5, num_threads=1)
     assert len(pool.parts) == 2

@@ -271,18 +271,6 @@ def test_reset_of_no_simulation_does_nothing() -> None:
 # -------------------------------------------------------------- misuse
 
 
-@pytest.mark.parametrize("num", [0, -1, 1.5, "2", None])
-def test_invalid_numbers_of_simulations_are_refused(num: Any) -> None:
-    with pytest.raises(ConfigurationError, match="number of simulations"):
-        Simulations(num)
-
-
-@pytest.mark.parametrize("threads", [-1, 1.5, "2"])
-def test_invalid_numbers_of_threads_are_refused(threads: Any) -> None:
-    with pytest.raises(ConfigurationError, match="num_threads"):
-        Simulations(1, num_threads=threads)
-
-
 @pytest.mark.parametrize("shape", [(10,), (1, 10), (2, 9), (2, 10, 1)])
 def test_targets_of_wrong_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ShapeError, match=r"motor_target must have shape \(2, 10\)"):

@@ -101,11 +101,6 @@ def test_speeds_outside_the_library_are_refused(library: GaitLibrary) -> None:
         SpeedCommand(library, speeds=[1.0, 2.1])
 
 
-def test_an_empty_list_of_speeds_is_refused(library: GaitLibrary) -> None:
-    with pytest.raises(ConfigurationError, match="speeds is empty"):
-        SpeedCommand(library, speeds=[])
-
-
 # --------------------------------------------------------------- the clock
 
 

@@ -11,7 +11,7 @@ from torchrl.envs import SerialEnv, StepCounter
 
 import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
-from aslip.errors import ConfigurationError, ShapeError
+from aslip.errors import ConfigurationError
 from aslip.sim import DYNAMICS
 from aslip.transforms import Difficulty, RandomDynamics, RandomPushes
 
@@ -150,14 +150,3 @@ def test_impulses_grow_from_zero() -> None:
 def test_nominal_values_are_those_of_the_shipped_model() -> None:
     values = make(1).base_env._dynamics.nominal
     assert {name: one.nominal for name, one in DYNAMICS.items()} == pytest.approx(dict(values))
-
-
-@pytest.mark.parametrize("ramp", [0, 2.5, True])
-def test_refuses_invalid_ramps(ramp: int) -> None:
-    with pytest.raises(ConfigurationError, match="ramp must be a whole number of 1 or more"):
-        Difficulty(ramp)
-
-
-def test_refuses_difficulties_of_another_shape() -> None:
-    with pytest.raises((ConfigurationError, ShapeError)):
-        make(2).reset(TensorDict(difficulty=torch.zeros(2, 3), batch_size=2))

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import pytest
 import torch
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import StepCounter
 
 import aslip
 from aslip.envs import StackEnv
-from aslip.errors import ConfigurationError
 from aslip.training.environments import make_training_env
-from aslip.transforms import StaggeredEnds
 from tests.helpers import MakeEnv
 
 LIMIT = 12
@@ -84,9 +79,3 @@ def test_staggered_ends_do_not_change_other_draws(make: MakeEnv) -> None:
     for key in ("command", "phase", "observation"):
         assert torch.equal(plain[key], staggered[key]), key
     assert "stagger" not in set(plain.keys())
-
-
-@pytest.mark.parametrize("steps", [0, -3, 2.5, float("nan"), True, "9"])
-def test_an_invalid_number_of_steps_is_refused(steps: Any) -> None:
-    with pytest.raises(ConfigurationError, match="max_steps must be a whole number of 1 or more"):
-        StaggeredEnds(steps)

@@ -235,11 +235,6 @@ def test_invalid_ranges_are_refused(ranges: Ranges, message: str) -> None:
         RandomDynamics(ranges)
 
 
-def test_a_share_that_is_no_probability_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"share.*1\.5"):
-        RandomDynamics(share=1.5)
-
-
 def test_an_unknown_parameter_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'joint_damping'"):
         RandomDynamics({"joint_dampng": (1.0, 2.0)})

@@ -61,11 +61,6 @@ def test_feedforward_gives_the_torque_of_the_model(make: MakeEnv) -> None:
         assert reference["motor_torque"].abs().max() > 100
 
 
-def test_feedforward_needs_a_reference(make: MakeEnv) -> None:
-    with pytest.raises(UnknownNameError, match="motor_torque"):
-        make(drop=["reference"])
-
-
 def test_a_robot_without_a_policy_stays_up_longer_with_feedforward(make: MakeEnv) -> None:
     """Feedforward torques from the reduced-order model's forces carry its weight."""
     steps = {}
@@ -118,11 +113,6 @@ def test_without_a_start_the_robot_stands(make: MakeEnv) -> None:
     td = make(num_envs=2, drop=["start"]).reset()
     assert td["truth", "pelvis_position"][:, 2] == pytest.approx(0.95)
     assert (td["truth", "qvel"] == 0).all()
-
-
-def test_an_unknown_initial_velocity_is_refused(library: GaitLibrary) -> None:
-    with pytest.raises(ConfigurationError, match="velocity must be one of"):
-        ReferenceStart(library, "walking")  # pyright: ignore[reportArgumentType]
 
 
 def test_a_start_after_the_command_is_refused(library: GaitLibrary) -> None:

@@ -122,10 +122,3 @@ def test_refuses_invalid_commands(make: MakeEnv) -> None:
         record_walks(policy, env, np.zeros((0, 2)))
     with pytest.raises(ConfigurationError, match="finite"):
         record_walks(policy, env, _command(0.5, np.nan))
-
-
-def test_refuses_arrays_of_different_lengths(logged: tuple[Walks, Path]) -> None:
-    arrays = dict(vars(logged[0]))
-    arrays["reward"] = arrays["reward"][:-1]
-    with pytest.raises(ShapeError, match="reward"):
-        Walks(**arrays)

@@ -9,9 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
-from aslip.sim.drake import Contact
 
 pytest.importorskip("pydrake", exc_type=ImportError)
 
@@ -97,8 +95,3 @@ def test_a_step_in_the_air_with_open_loops_is_mujoco_s(
         _, qvel = coordinates.from_drake(plant.GetPositionsAndVelocities(state))
         assert abs(data.qvel - before).max() > 0.05
         np.testing.assert_allclose(qvel, data.qvel, atol=tolerance)
-
-
-def test_contact_needs_a_stiffness() -> None:
-    with pytest.raises(ConfigurationError, match="stiffness of the contact must be positive"):
-        Contact(stiffness=0.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aslip.errors import ShapeError
 from aslip.walking.metrics import Footsteps, Placement, footsteps, placement
 
 PERIOD = 0.03
@@ -103,13 +102,6 @@ def test_published_error_follows_from_published_offsets() -> None:
     found = Placement(np.array([0, 1]), bias, np.zeros(2))
     assert found.error.mean() == pytest.approx(0.0922, abs=0.001)
     np.testing.assert_allclose(found.outward, [0.022, 0.037])
-
-
-def test_refuses_arrays_of_wrong_shape() -> None:
-    with pytest.raises(ShapeError, match=r"\(5, 3\)"):
-        footsteps(np.zeros((5, 3)), np.zeros((5, 2, 3)), PERIOD)
-    with pytest.raises(ShapeError):
-        footsteps(np.zeros((5, 2)), np.zeros((4, 2, 3)), PERIOD)
 
 
 def test_standing_robot_has_no_footsteps() -> None:
