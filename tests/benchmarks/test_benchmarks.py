@@ -23,8 +23,7 @@ from benchmarks import (
     step_frequency,
     velocity_tracking,
 )
-from benchmarks.common import Common, Interval, write_results
-from benchmarks.flags import Compared
+from benchmarks.common import Interval, write_results
 from recipes import walk
 
 
@@ -62,10 +61,8 @@ def test_foot_placement_of_a_policy(tmp_path: Path) -> None:
     assert all(0 < row["mean"] < 0.15 for row in rows)
 
 
-@pytest.mark.parametrize("policy", ["straight", "aslip"])
-def test_foot_placement_of_a_log(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, policy: str
-) -> None:
+def test_foot_placement_of_a_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    policy = "aslip"
     log = tmp_path / "walk.mcap"
     walk.main(walk.Config(policy, command="0.5", duration=5.4, log=log))
     found = foot_placement.main(foot_placement.Config(out=tmp_path, log=log))
@@ -94,10 +91,9 @@ def test_step_frequency(tmp_path: Path) -> None:
     assert written(tmp_path, "step_frequency")["rows"][0]["duty"] > 0.5
 
 
-@pytest.mark.parametrize("policy", ["straight", "aslip"])
-def test_velocity_tracking(tmp_path: Path, policy: str) -> None:
+def test_velocity_tracking(tmp_path: Path) -> None:
     common = settings(tmp_path, 0.5)
-    numbers = velocity_tracking.main(velocity_tracking.Config(policy=(policy,), **common))
+    numbers = velocity_tracking.main(velocity_tracking.Config(policy=("aslip",), **common))
     commands = [row["command"] for row in numbers["schedule"]]
     assert commands == pytest.approx(velocity_tracking.SCHEDULE)
     assert abs(numbers["map"][0]["mean"] - 0.5) < 0.2
@@ -176,13 +172,6 @@ def test_report_names_fall_and_standing_robot(
     assert np.isnan(claim_values.force_claims(rows)["policy"]["double hump"]).all()
 
 
-def test_refuses_empty_list_of_policies() -> None:
-    for kind in (Common, Compared):
-        with pytest.raises(ConfigurationError, match="policy"):
-            kind(policy=())
-    assert Compared(policy=(), baseline=("single_reference",)).policy == ()
-
-
 def test_interval_over_seeds_or_values() -> None:
     several = Interval.of([np.array([1.0, 3.0]), np.array([4.0])])
     assert several.mean == 3.0
@@ -227,16 +216,3 @@ def test_foot_placement_table_counts_falls() -> None:
     assert none["footsteps"] == 0
     assert str(none["mean"]) == "nan"
     assert "0 of 1" in foot_placement.table({1.0: [fell]})
-
-
-def test_ground_reaction_draws_each_policy(library: GaitLibrary) -> None:
-    ones = [ground_reaction.Curve(np.full(200, x), np.full(200, 5.0)) for x in (1.0, 2.0, 3.0)]
-    config = ground_reaction.Config(speeds=(1.0,))
-    curves = {("ASLIP", 1.0): ones, ("single reference", 1.0): ones[:1]}
-    (axis,) = ground_reaction.picture(config, curves, library).axes
-    assert len(axis.lines) == 1 + 3 + 1
-    assert len(axis.collections) == 1  # a single policy is drawn with a band
-    assert axis.get_legend_handles_labels()[1] == ["model", "ASLIP", "single reference"]
-    curves["ASLIP, paper's settings", 1.0] = ones[:2]
-    (axis,) = ground_reaction.picture(config, curves, library).axes
-    assert len(axis.lines) == 1 + 3 + 2 + 1

@@ -56,7 +56,6 @@ def _saved(folder: Path, stack: str, table: tuple, made_by: dict | None = None) 
     ("stack", "table", "baseline"),
     [
         ("default", OBSERVATION_TABLE, "reference/motor_target"),
-        ("paper", OBSERVATION_TABLE, "reference/motor_position"),
         ("single_reference", SINGLE_REFERENCE_TABLE, "reference/motor_position"),
         ("standing", DIRECTION_TABLE, "reference/motor_target"),
     ],

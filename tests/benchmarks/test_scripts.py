@@ -292,12 +292,6 @@ def test_walks_in_all_directions_have_their_own_recipe(
     assert Path(commands[0][1]).name == "ppo_directions.py"
 
 
-def test_repeated_seed_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    curves_of(tmp_path / "default-4", walks_at=300)
-    learning_curves.main(curves_config(tmp_path, variants=("default",), seeds=(4, 4)))
-    assert capsys.readouterr().out.count("| default |") == 1
-
-
 def test_baseline_learns_with_the_settings_of_the_paper() -> None:
     baseline = training_settings(PRESETS, learning_curves.VARIANTS["baseline"])
     assert baseline.preset == "single-reference"
@@ -326,21 +320,6 @@ def test_run_made_elsewhere_counts_once_it_is_copied(
         path.write_text(json.dumps({**settings, name: value}, default=str))
         with pytest.raises(ConfigurationError, match=rf"'baseline' with seed 10.*'{name}'"):
             learning_curves.main(config)
-
-
-def test_picture_of_three_variants_names_their_seeds(tmp_path: Path) -> None:
-    variants, seeds = ("default", "paper", "baseline"), (10, 11, 12)
-    for variant in variants:
-        for seed in seeds[: 3 if variant == "default" else 2]:
-            curves_of(tmp_path / f"{variant}-{seed}", walks_at=200 + seed)
-    config = curves_config(tmp_path, variants=variants, seeds=seeds)
-    figure = learning_curves.picture([*learning_curves._found(config).values()])
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == [
-        "default, seeds 10 to 12",
-        "paper, seeds 10, 11",
-        "baseline (return of its own reward), seeds 10, 11",
-    ]
-    assert len({line.get_color() for line in figure.axes[0].lines}) == 3
 
 
 def test_error_names_progress_with_missing_columns(tmp_path: Path) -> None:

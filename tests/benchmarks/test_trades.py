@@ -42,18 +42,6 @@ def test_policies_of_all_records_are_compared(
     assert (tmp_path / "trades.png").stat().st_size > 10_000
 
 
-def test_the_region_that_meets_both_targets_is_shaded(tmp_path: Path) -> None:
-    """Up to a largest value, and from a least one on, with the limits in view."""
-    found = trades.main(Config((write(tmp_path / "a.json", one=1.0, two=40.0),)))
-    figure = trades.picture(found)
-    axes = dict(zip(PAIRS, figure.axes, strict=True))["falls, changes", "pushes, mean"]
-    corners = axes.collections[0].get_paths()[0].vertices
-    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
-    assert corners.min(axis=0).tolist() == pytest.approx([left, 45.0])
-    assert corners.max(axis=0).tolist() == pytest.approx([0.0, high])
-    assert left < 0 < right and low < 1.0 and high > 45
-
-
 def test_records_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
     first, second = write(tmp_path / "a.json", one=1.0), write(tmp_path / "b.json", two=2.0)
     changed = json.loads(second.read_text())

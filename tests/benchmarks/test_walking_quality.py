@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +18,6 @@ from benchmarks.walking_quality import (
     load_methods,
     main,
     model_rows,
-    picture,
     quantities,
     summary,
     table,
@@ -104,22 +102,6 @@ def test_several_seeds_have_mean_and_interval_and_falls_are_counted() -> None:
     assert table([row]).endswith("| 2 of 3 |")
     fell = summary("m", 1.0, [None])
     assert table([fell]).endswith("| m | 1.0 |  |  |  |  |  |  |  |  |  | 0 of 1 |")
-
-
-def test_picture_has_a_line_for_each_method_and_labels_single_seeds() -> None:
-    rows = [summary("one", v, [_seed(v)]) for v in (0.5, 1.0)]
-    rows += [summary("more", v, [_seed(v), _seed(v + 0.1)]) for v in (0.5, 1.0)]
-    figure = picture(rows, model_rows(GaitLibrary.load(), (0.5, 1.0)))
-    labels = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert labels[:2] == ["one (one seed)", "more (2 seeds)"]
-    assert all("model" in label for label in labels[2:])
-    alone = picture(rows, []).legends[0].get_texts()
-    assert [text.get_text() for text in alone] == labels[:2]
-    airborne = figure.axes[0]
-    drawn: list[Any] = [line.get_ydata() for line in airborne.lines]
-    np.testing.assert_allclose(drawn[0], [50.0, 100.0])
-    np.testing.assert_allclose(drawn[1], [55.0, 105.0])
-    assert len(airborne.collections) == 1  # the band of the method with two seeds
 
 
 def test_model_carries_little_in_mid_stance() -> None:

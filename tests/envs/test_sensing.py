@@ -13,9 +13,6 @@ import aslip
 from aslip.envs import StackEnv, default_stack, insert_before
 from aslip.library import GaitLibrary
 from aslip.transforms import (
-    OBSERVATION_TABLE,
-    EstimatedState,
-    ObservationNoise,
     SeededTransform,
     TrueState,
 )
@@ -77,26 +74,6 @@ def test_observation_on_true_state_depends_on_it(make: MakeEnv, library: GaitLib
     honest, lied_to = (_walk(env, 1) for env in _envs(make, library, **edit))
     assert torch.isfinite(honest[0]["observation"]).all()
     assert torch.isnan(lied_to[0]["observation"]).any()
-
-
-def test_observation_equals_its_table_entry_by_entry(make: MakeEnv) -> None:
-    env = make(num_envs=2, seed=1)
-    td = env.rollout(3)[:, -1]["next"]
-    assert {key[0] for key in OBSERVATION_TABLE} == {"estimate", "reference"}
-    row = 0
-    for key in OBSERVATION_TABLE:
-        entry = td[key]
-        assert torch.equal(td["observation"][:, row : row + entry.shape[-1]], entry), key
-        row += entry.shape[-1]
-    assert row == td["observation"].shape[-1] == 64
-
-
-def test_default_stack_has_noise_and_estimator(make: MakeEnv) -> None:
-    env = make()
-    kinds = dict(zip(env.transform_names, map(type, env.transforms), strict=True))
-    assert kinds["noise"] is ObservationNoise
-    assert kinds["estimator"] is EstimatedState
-    assert env.transform_names.index("noise") < env.transform_names.index("estimator")
 
 
 # ----------------------------------------------------------------------- estimates

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from typing import Any, cast
 
@@ -51,19 +50,13 @@ def test_unknown_names_are_refused_with_a_suggestion(make: MakeEnv, how: str) ->
     assert "'low_reward'" in str(info.value)  # all names are listed
 
 
-def test_unknown_names_without_suggestion_list_the_known_ones(make: MakeEnv) -> None:
-    with pytest.raises(UnknownNameError) as info:
-        make(drop=["zzz"])
-    assert re.match(r"no transform 'zzz'[;.:] ", str(info.value))
-
-
 def test_drop_takes_a_single_name(make: MakeEnv) -> None:
     """drop="foot_orient" is one name, not a list of letters."""
     terms = make(drop="foot_orient").observation_spec["reward_terms"]
     assert set(terms.keys()) == set(reward_terms()) - {"foot_orient"}
 
 
-@pytest.mark.parametrize("name", ["low_reward", "step_limit", "episode_sum", "start"])
+@pytest.mark.parametrize("name", ["step_limit", "start"])
 def test_unused_transforms_can_be_dropped(make: MakeEnv, name: str) -> None:
     check_env_specs(make(num_envs=2, drop=[name]))
 
@@ -228,26 +221,8 @@ def test_seeds_may_be_numbers_of_numpy(make: MakeEnv) -> None:
 @pytest.mark.parametrize("backend", ["batch", "dm_control"])
 def test_every_stack_keeps_its_specs(make: MakeEnv, backend: str, stack: str) -> None:
     library = {"library": None} if stack == "single_reference" else {}
-    check_env_specs(make(backend, num_envs=2, stack=stack, **library))
-
-
-@pytest.mark.parametrize("stack", STRAIGHT_STACKS)
-def test_results_do_not_depend_on_the_default_dtype(make: MakeEnv, stack: str) -> None:
-    library = {"library": None} if stack == "single_reference" else {}
-    walks = []
-    for dtype in (torch.float32, torch.float64):
-        torch.set_default_dtype(dtype)
-        try:
-            env = make(num_envs=2, stack=stack, seed=1, **library)
-            check_env_specs(env)
-            env.set_seed(1)
-            zeros = torch.zeros(2, 10, dtype=torch.float32)
-            walks.append(env.step(env.reset().set("action", zeros)))
-        finally:
-            torch.set_default_dtype(torch.float32)
-    for key in ("observation", ("next", "reward")):
-        assert walks[1][key].dtype == torch.float32
-        assert torch.equal(walks[0][key], walks[1][key])
+    env = make(backend, num_envs=2, stack=stack, **library)
+    check_env_specs(env, break_when_any_done="both")
 
 
 def test_appended_and_inserted_transforms_have_names(make: MakeEnv) -> None:

@@ -355,12 +355,8 @@ def test_start_is_on_the_lower_end_of_a_sole() -> None:
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        *((name, value) for name in ("acceleration", "gate", "leg", "patience")
-          for value in (-1.0, float("nan"), float("inf"), "0.1", None, True)),
-        *((name, 0.0) for name in ("leg", "ground", "gate", "rock")),
-    ],
-)  # fmt: skip
+    [("acceleration", -1.0), ("patience", float("nan")), ("gate", "0.1"), ("leg", 0.0)],
+)
 def test_invalid_noise_is_refused(name: str, value: Any) -> None:
     with pytest.raises(ConfigurationError, match=rf"^{name} of FilterNoise .*{value!r}"):
         FilterNoise(**{name: value})

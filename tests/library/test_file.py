@@ -82,11 +82,6 @@ def test_the_library_of_all_directions_is_small() -> None:
     assert sum(buffer.nbytes for buffer in library.buffers()) <= 100e6
 
 
-def test_numpy_reads_the_file(file: Path, small: GaitLibrary) -> None:
-    with np.load(file) as archive:
-        np.testing.assert_array_equal(archive["table/qpos"], small.table.qpos)
-
-
 # ------------------------------------------------------------------ damage
 
 

@@ -110,7 +110,7 @@ def test_a_custom_finite_command_interval_is_kept(
     env.close()
 
 
-@pytest.mark.parametrize("interval", [-4.0, 0.0, math.nan])
+@pytest.mark.parametrize("interval", [0.0, math.nan])
 def test_commands_change_at_most_once_a_policy_step(library: GaitLibrary, interval: float) -> None:
     with pytest.raises(ConfigurationError, match=f"at least one policy step, .* got {interval}"):
         make_training_env(aslip.make_env, interval, num_threads=1)

@@ -122,15 +122,6 @@ def test_white_noise_is_independent_across_packets_channels_robots_and_steps() -
         assert abs((x * y).mean()) < 5 / math.sqrt(x.numel())
 
 
-def test_the_packets_of_a_reset_differ() -> None:
-    """Noise differs among the ten packets, though the robot is in the same state."""
-    clean = _clean(1, window=1)["sensors", "gyro"].expand(1, WINDOW, 3)
-    packets = _clean(1)
-    packets["sensors", "gyro"] = clean.clone()
-    gyro = _start(_noise(), packets)["sensors", "gyro"]
-    assert len(gyro[0].unique(dim=0)) == WINDOW
-
-
 # ------------------------------------------------------------------- bias
 
 
@@ -380,12 +371,3 @@ def test_a_partial_reset_draws_for_the_rows_that_are_reset_only(explicit: bool) 
     following = env.step(after.clone().set("action", torch.zeros(4, 1)))["next"]
     change = (_bias(following) - _bias(after)).std() / 0.1
     assert change == pytest.approx(math.sqrt(-math.expm1(-2 * CASSIE.policy_period / 10)), rel=0.3)
-
-
-def test_the_bias_drawn_at_partial_resets_is_stationary() -> None:
-    """Std within 5 / sqrt(2 N)."""
-    env = _noisy_env(300)
-    td = env.reset()
-    rows = torch.arange(300)[:, None] % 2 == 0
-    bias = _bias(env.reset(td.set("_reset", rows)))[::2].double() / 0.1
-    assert abs(bias.std() - 1) < 5 / math.sqrt(2 * bias.numel())

@@ -101,8 +101,3 @@ def test_other_entries_can_be_assembled(make: MakeEnv) -> None:
     # a transform cannot read what comes later in the stack
     with pytest.raises(UnknownNameError, match="last_action"):
         make(replace={"observation": AssembleObservation(keys)})
-
-
-def test_without_an_estimator_there_is_no_observation(make: MakeEnv) -> None:
-    with pytest.raises(UnknownNameError, match="estimate"):
-        make(drop=["estimator"])

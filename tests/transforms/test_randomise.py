@@ -10,8 +10,6 @@ from typing import Any
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
-from torchrl.envs import SerialEnv
-from torchrl.envs.utils import check_env_specs
 
 from aslip.envs import Stack, StackEnv, default_stack, insert_before
 from aslip.errors import ConfigurationError, UnknownNameError
@@ -81,12 +79,6 @@ def test_the_given_friction_of_an_environment_is_kept(
     env.reset()
     assert env.base_env.dynamics["floor_friction"].tolist() == [0.6]
     assert not env.base_env.altered
-
-
-def test_nothing_is_drawn_by_default(make: MakeEnv) -> None:
-    env = make(num_envs=1)
-    assert not any(isinstance(t, RandomDynamics | RandomNoise) for t in env.transforms)
-    assert "dynamics" not in env.reset()
 
 
 # --------------------------------------------------------------------- draws
@@ -203,22 +195,6 @@ def test_a_caller_can_choose_parameters(make: MakeEnv, library: GaitLibrary) -> 
 
 
 # ------------------------------------------------------------------- contract
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_stacks_keep_their_specs(make: MakeEnv, library: GaitLibrary, backend: str) -> None:
-    stack = _stack(library, DYNAMICS_RANGES, RandomNoise)
-    check_env_specs(make(backend, num_envs=2, stack=stack), break_when_any_done="both")
-
-
-def test_stacks_work_in_a_serial_env(make: MakeEnv, library: GaitLibrary) -> None:
-    stack = _stack(library, DYNAMICS_RANGES, RandomNoise)
-    serial = SerialEnv(2, lambda: make(num_envs=2, stack=stack))
-    try:
-        rollout: Any = serial.rollout(4)
-        assert rollout["dynamics", "mass"].shape == (2, 2, 4, 1)
-    finally:
-        serial.close()
 
 
 @pytest.mark.parametrize(

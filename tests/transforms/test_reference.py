@@ -124,7 +124,14 @@ def test_a_start_after_the_command_is_refused(library: GaitLibrary) -> None:
 
 
 @pytest.mark.parametrize(
-    ("transform", "key"), [("clock", "phase"), ("command", "command"), ("reference", "reference")]
+    ("transform", "key"),
+    [
+        ("clock", "phase"),
+        ("command", "command"),
+        ("reference", "reference"),
+        ("estimator", "estimate"),
+        ("last_action", "last_action"),
+    ],
 )
 def test_dropping_a_needed_transform_names_the_missing_entry(
     make: MakeEnv, transform: str, key: str

@@ -8,7 +8,7 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import Tensor
-from torchrl.envs.transforms import RewardSum, StepCounter
+from torchrl.envs.transforms import RewardSum
 from torchrl.envs.utils import check_env_specs
 
 import aslip
@@ -80,8 +80,8 @@ def test_on_the_reference_the_reward_is_nearly_full(make: MakeEnv) -> None:
     assert terms["com_vel"].mean() > 0.7
 
 
-@pytest.mark.parametrize("name", TERMS)
-def test_each_term_can_be_left_out(make: MakeEnv, name: str) -> None:
+@pytest.mark.parametrize("name", ["com_vel", "action_diff"])
+def test_terms_can_be_left_out(make: MakeEnv, name: str) -> None:
     env = make(num_envs=2, drop=[name])
     data = _step(env)
     terms = data["next", "reward_terms"]
@@ -138,12 +138,6 @@ def test_a_term_that_reads_a_missing_entry_is_refused(make: MakeEnv) -> None:
     term = RewardTerm("com_vel", lambda x: x, [("truth", "pelvis_speed")])
     with pytest.raises(UnknownNameError, match="pelvis_speed"):
         make(replace={"com_vel": term})
-
-
-def test_dropping_an_entry_that_a_term_reads_is_refused(make: MakeEnv) -> None:
-    """`action_diff` reads `last_action` before the step."""
-    with pytest.raises(UnknownNameError, match="last_action"):
-        make(drop=["last_action"])
 
 
 def test_a_sum_before_its_terms_is_refused(make: MakeEnv, library: GaitLibrary) -> None:
@@ -209,13 +203,6 @@ def test_the_step_limit_truncates_and_does_not_terminate(make: MakeEnv) -> None:
     assert td["truncated"].all()
     assert td["done"].all()
     assert not td["terminated"].any()
-
-
-def test_another_step_limit_can_be_set(make: MakeEnv) -> None:
-    env = make(num_envs=1, replace={"step_limit": StepCounter(3)})
-    data = env.rollout(10, lambda td: td.set("action", torch.zeros(1, 10)))
-    assert data.shape[1] == 3
-    assert data["next", "truncated"][0, -1].item()
 
 
 def test_the_sum_of_an_episode_is_that_of_its_rewards(make: MakeEnv) -> None:

@@ -98,10 +98,6 @@ def test_action_diff_is_the_euclidean_distance() -> None:
     assert rewards.action_diff(action, action).item() == 1.0
 
 
-def test_paper_weights_sum_to_one() -> None:
-    assert sum(rewards.PAPER_WEIGHTS.values()) == pytest.approx(1.0)
-
-
 # ------------------------------------------------------------- properties
 
 

@@ -195,24 +195,6 @@ def test_moving_the_slider_changes_the_robots_speed(desk):
     assert sum(standing) / 10 < 0.4
 
 
-def test_pause_stops_time_and_resume_continues(desk):
-    count = desk.pause()
-    assert desk.live.paused
-    desk.view.wait_for_timeout(500)
-    assert len(desk.steps) == count
-    desk.click("Resume")
-    wait_for(lambda: len(desk.steps) > count + 5)
-
-
-def test_step_button_runs_exactly_one_step(desk):
-    count = desk.pause()
-    desk.click("Step")
-    wait_for(lambda: len(desk.steps) > count)
-    desk.view.wait_for_timeout(500)
-    assert len(desk.steps) == count + 1
-    assert desk.live.walker.time == pytest.approx(0.03 * desk.live.walker.steps)
-
-
 def test_push_accelerates_the_robot_to_its_left(desk):
     count = desk.pause()
     desk.view.get_by_role("slider").nth(2).press("End")
@@ -234,19 +216,6 @@ def test_chosen_policy_acts_falls_and_is_reset(desk):
     desk.view.get_by_text("Cassie has fallen").wait_for()
     assert desk.live.falls > falls
     wait_for(lambda: not desk.live.walker.fallen)
-
-
-@pytest.mark.slow
-def test_two_visitors_see_the_same_and_one_may_return(desk):
-    other = desk.open()
-    desk.pause()
-    other.get_by_role("button", name="Resume").wait_for()
-    desk.view.goto("about:blank")
-    desk.live.controls.command.value = 0.65
-    other.close()
-    desk.come_back()
-    desk.view.get_by_role("button", name="Resume").wait_for()
-    assert desk.view.get_by_role("slider").first.get_attribute("aria-valuenow") == "0.65"
 
 
 def test_page_shows_numbers_and_bars(desk):

@@ -85,15 +85,6 @@ def test_single_step_needs_a_paused_page(open_page):
     assert page.walker.steps == 2
 
 
-def test_push_button_shows_its_duration(open_page):
-    steps = []
-    page = open_page(on_step=steps.append)
-    click(page.controls.pushes.button)
-    walk(page, 6)
-    acted = sum("push" in td and bool(td["push"].any()) for td in steps) * CASSIE.policy_period
-    assert page.controls.pushes.button.label == f"Push for {acted:g} s" == "Push for 0.12 s"
-
-
 def test_reset_drops_pending_single_steps(open_page):
     page = open_page()
     click(page.controls.pause)
@@ -105,16 +96,6 @@ def test_reset_drops_pending_single_steps(open_page):
     click(page.controls.reset)
     walk(page, 4)
     assert page.walker.steps == 0
-
-
-def test_error_message_disappears_with_the_next_click(open_page):
-    page = open_page(speed=0.5)
-    page.controls.command.value = 7.0
-    page.turn()
-    assert "7" in page.message
-    click(page.controls.pause)
-    page.turn()
-    assert page.message == ""
 
 
 def test_page_listens_on_this_machine_alone_by_default(open_page):
@@ -283,15 +264,6 @@ def test_live_page_does_not_change_the_walk(open_page, library):
     for _ in range(10):
         alone.step()
     np.testing.assert_array_equal(page.walker.td["truth", "qpos"], alone.td["truth", "qpos"])
-
-
-def test_walkers_own_policy_is_the_default(library):
-    still = limp()
-    page = LivePage(Walker(still, library=library, seed=0), port=0)
-    try:
-        assert page.walker.policy is still
-    finally:
-        page.stop()
 
 
 def test_missing_policies_are_named_before_the_server_starts(open_page, monkeypatch):

@@ -67,26 +67,6 @@ def test_mesh_has_the_pose_of_its_geom(geom):
     np.testing.assert_allclose(moved.vertices, expected, atol=1e-12)
 
 
-def test_plane_is_refused():
-    with pytest.raises(ValueError, match="geom 0"):
-        geom_mesh(load_model(), 0)
-
-
-def test_faces_that_share_a_vertex_are_nearly_parallel():
-    # otherwise shading would round off sharp edges
-    for geom in range(5):
-        mesh = geom_mesh(compiled(""), geom)
-        a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-        normals = np.cross(b - a, c - a)
-        whole = np.linalg.norm(normals, axis=1) > 1e-12
-        normals = normals[whole] / np.linalg.norm(normals[whole], axis=1, keepdims=True)
-        total, count = np.zeros_like(mesh.vertices), np.zeros(len(mesh.vertices))
-        for i in range(3):
-            np.add.at(total, mesh.faces[whole, i], normals)
-            np.add.at(count, mesh.faces[whole, i], 1)
-        assert (np.linalg.norm(total, axis=1) >= 0.9 * count).all()
-
-
 def test_meshes_are_joined_with_their_faces():
     one, two = sphere(0.1), revolve([np.array([[0.2, 0.0], [0.2, 1.0]])])
     both = Mesh.join([one, two])

@@ -80,15 +80,6 @@ def test_every_visible_shape_is_drawn(server, model):
         )
 
 
-def test_robot_fades_and_comes_back(server, model):
-    view = RobotView(server.scene, model)
-    shape = server.scene.get_handle_by_name("/world/robot/pelvis/shape0")
-    view.fade(0.3)
-    assert shape.opacity == 0.3
-    view.fade(None)
-    assert shape.opacity is None
-
-
 def test_springs_connect_body_and_feet_of_the_model(server, library, walker):
     RomView(server.scene, library).update(walker.td)
     ghost = Ghost.of(walker.td)
