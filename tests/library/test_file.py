@@ -93,8 +93,7 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        "table/qpos.npy", "table/axis0.npy", "table/torque_jumps.npy", "made_by.json",
-        "motion01/time.npy", "motion00/certificate.npy",
+        "table/axis0.npy", "made_by.json", "motion00/certificate.npy",
     ],
 )  # fmt: skip
 def test_library_with_a_missing_entry_is_refused(file: Path, name: str) -> None:

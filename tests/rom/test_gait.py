@@ -1,4 +1,4 @@
-"""Laws of optimal gaits, at all 21 speeds."""
+"""Laws of optimal gaits, at the ends and in the middle of the range of speeds."""
 
 import copy
 import dataclasses
@@ -16,7 +16,7 @@ from .conftest import SPEEDS
 from .energy import energy_function
 from .velocities import check_velocities
 
-EVERY_SPEED = pytest.mark.parametrize("index", range(len(SPEEDS)), ids=SPEEDS.astype(str))
+THREE_SPEEDS = pytest.mark.parametrize("index", [0, 10, 20], ids=["0", "1", "2"])
 QUARTER = 2 * INTERVALS
 """Points per contact mode."""
 PATHS = ("body.position", "body.velocity", "feet.position", "feet.velocity")
@@ -37,15 +37,14 @@ def simpson(gait, values, mode):
     return duration / INTERVALS * weights(INTERVALS) @ values[part]
 
 
-@EVERY_SPEED
-def test_gait_is_certified(gaits, index):
-    certificate = gaits[index].certificate
-    assert certificate.ok, certificate.failures()
-    assert certificate.kkt_residual <= 1e-8
-    assert certificate.integration_error <= 1e-4
+def test_gaits_of_all_speeds_are_certified(gaits):
+    for certificate in (gait.certificate for gait in gaits):
+        assert certificate.ok, certificate.failures()
+        assert certificate.kkt_residual <= 1e-8
+        assert certificate.integration_error <= 1e-4
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_stride_is_periodic_with_the_requested_speed(gaits, index):
     g = gaits[index]
     moved = g.body.position[-1] - g.body.position[0]
@@ -54,7 +53,7 @@ def test_stride_is_periodic_with_the_requested_speed(gaits, index):
         np.testing.assert_allclose(array[-1], array[0], atol=1e-8)
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_second_half_mirrors_the_first(gaits, index):
     g, half = gaits[index], 2 * QUARTER
     step = g.body.position[half:] - g.body.position[: half + 1] * [1.0, -1.0, 1.0]
@@ -64,7 +63,7 @@ def test_second_half_mirrors_the_first(gaits, index):
         np.testing.assert_allclose(array[half:], array[: half + 1, ::-1], atol=1e-6)
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_body_peaks_in_single_stance_and_dips_in_double_stance(gaits, index):
     """Sec. III-A: "peak height in single stance and the minimum height in double stance"."""
     g = gaits[index]
@@ -75,7 +74,7 @@ def test_body_peaks_in_single_stance_and_dips_in_double_stance(gaits, index):
     assert time[height.argmin()] == pytest.approx(mid_double, abs=0.02)
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_stance_force_has_two_humps(gaits, index):
     """Ground reaction forces of spring-mass walking: up, down and up again."""
     # right stance, from its touchdown at the end of left single stance
@@ -86,7 +85,7 @@ def test_stance_force_has_two_humps(gaits, index):
     assert middle < 0.15 * force.max()
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_vertical_impulse_carries_the_weight(gaits, index):
     g = gaits[index]
     force = vertical_force(g)
@@ -95,7 +94,7 @@ def test_vertical_impulse_carries_the_weight(gaits, index):
     assert impulse == pytest.approx(g.parameters.weight * g.stride, rel=0.005)
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_energy_changes_by_actuator_work_minus_damper_loss(gaits, index):
     g = gaits[index]
     state = np.hstack([g.body.position, g.body.velocity, g.set_point, g.set_point_velocity]).T
@@ -109,7 +108,7 @@ def test_energy_changes_by_actuator_work_minus_damper_loss(gaits, index):
         assert change == pytest.approx(work, abs=1e-3)
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_bounds_hold_between_the_collocation_points(gaits, index):
     g = gaits[index]
     dense = g.sample(np.linspace(0.0, 1.0, 4001))
@@ -120,7 +119,7 @@ def test_bounds_hold_between_the_collocation_points(gaits, index):
     assert left[dense.mode != Mode.RIGHT].max() < g.parameters.max_leg_length
 
 
-@EVERY_SPEED
+@THREE_SPEEDS
 def test_feet_are_still_and_on_the_ground_in_stance(gaits, index):
     g = gaits[index]
     for side, swing in enumerate((Mode.RIGHT, Mode.LEFT)):

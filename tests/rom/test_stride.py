@@ -32,14 +32,9 @@ COMMANDS = [
     (1.0, -0.4, 0.5),
     (0.5, 0.5, 1.0),
     (0.0, 0.0, 0.0),
-    (2.0, 0.0, 0.0),
     (2.0, 0.0, 0.3),
-    (1.2, 0.2, 0.8),
-    (0.0, 0.5, 0.0),
-    (0.0, 0.0, 1.0),
-    (-0.8, 0.0, -0.4),
     (-0.8, 0.3, -1.0),
-    (0.0, -0.3, 1.0),
+    (0.0, 0.0, 1.0),
 ]
 """Commands straight ahead and in curves, all over the region."""
 ARRAYS = ("control", "leg_force", "set_point", "set_point_velocity")

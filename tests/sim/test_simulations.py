@@ -271,7 +271,7 @@ def test_reset_of_no_simulation_does_nothing() -> None:
 # -------------------------------------------------------------- misuse
 
 
-@pytest.mark.parametrize("shape", [(10,), (1, 10), (2, 9), (2, 10, 1)])
+@pytest.mark.parametrize("shape", [(1, 10), (2, 9)])
 def test_targets_of_wrong_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ShapeError, match=r"motor_target must have shape \(2, 10\)"):
         Simulations(2, num_threads=1).advance(np.zeros(shape))
