@@ -251,16 +251,7 @@ def test_viewer_without_a_display_names_the_alternative(monkeypatch: pytest.Monk
 # ---------------------------------------------------------------------- films
 
 
-def test_a_film_is_announced_with_its_frames_and_time(capsys: pytest.CaptureFixture[str]) -> None:
-    walk.announce_film(_config(), 0.5, 12.0)
-    assert "drawing 401 frames after the walk will take about 3 min, 0.50 s each" in (
-        capsys.readouterr().out
-    )
-    walk.announce_film(_config(steps_per_frame=4), 0.5, 12.0)
-    assert "drawing 101 frames after the walk will take about 50 s" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(("steps", "count"), [(1, 11), (2, 6), (3, 4)])
+@pytest.mark.parametrize(("steps", "count"), [(1, 11), (3, 4)])
 def test_only_frames_of_the_film_are_rendered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: int, count: int
 ) -> None:

@@ -76,13 +76,6 @@ def test_ghosts_are_drawn_and_show_stance(model, standing):
     assert (stance != swing).any()
 
 
-def test_supersampling_keeps_the_size(model, standing):
-    one = render_robot(standing, model=model, **SIZE).astype(float)
-    two = render_robot(standing, model=model, supersampling=2, **SIZE)
-    assert two.shape == one.shape
-    assert np.abs(two - one).mean() < 6.0
-
-
 def test_strip_joins_from_left_to_right():
     frames = np.arange(2 * 3 * 4 * 3, dtype=np.uint8).reshape(2, 3, 4, 3)
     image = strip(frames)
@@ -112,29 +105,6 @@ def test_full_scene_is_refused(model):
     scene = mujoco.MjvScene(model, maxgeom=5)
     with pytest.raises(ConfigurationError, match="full"):
         add_ghost(scene, Ghost(np.array([0, 0, 0.9]), np.zeros(3), np.ones(3)))
-
-
-def test_buffer_shadow_and_facets_have_the_size_of_the_picture(model, monkeypatch):
-    def settings():
-        limits, quality = model.vis.global_, model.vis.quality
-        facets = quality.numslices, quality.numstacks
-        return limits.offwidth, limits.offheight, quality.shadowsize, *facets
-
-    whole, used = settings(), []
-
-    class Renderer:
-        def __init__(self, model, height, width):
-            used.append(settings())
-            raise OSError("no OpenGL here")
-
-    monkeypatch.setattr(mujoco, "Renderer", Renderer)
-    monkeypatch.setattr("aslip.robot.opengl._working_context", lambda: (None, ""))
-    with pytest.raises(RenderingError, match="no OpenGL here"):
-        render_robot(model.key("standing").qpos, model=model, supersampling=2, **SIZE)
-    with pytest.raises(RenderingError, match="no OpenGL here"):
-        render_robot(model.key("standing").qpos, model=model, width=560, height=480)
-    assert used == [(192, 144, 1536, 19, 9), (560, 480, *whole[2:])]
-    assert settings() == whole
 
 
 @pytest.mark.parametrize(

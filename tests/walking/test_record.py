@@ -108,12 +108,6 @@ def test_walks_without_truth_use_the_estimate(make: MakeEnv) -> None:
         record_walks(policy, make(keep=["observation"]), _command(0.5))
 
 
-def test_slice_of_one_walk(logged: tuple[Walks, Path]) -> None:
-    part = logged[0].one(0, 5, 15)
-    assert part.command.shape == (10, 1)
-    np.testing.assert_array_equal(part.foot_position, logged[0].foot_position[5:15])
-
-
 def test_refuses_invalid_commands(make: MakeEnv) -> None:
     env, policy = make(num_envs=2), aslip.load_policy("straight")
     with pytest.raises(ShapeError, match=r"\(m, 2\)"):

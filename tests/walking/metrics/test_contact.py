@@ -10,7 +10,6 @@ from aslip.walking.metrics import (
     airborne_share,
     duty_factor,
     longest_airborne,
-    merge_short,
     slip_distance,
     stances,
     step_frequency,
@@ -65,15 +64,6 @@ def test_force_below_threshold_is_not_a_contact() -> None:
     force[200:500] = 15.0
     assert len(stances(force, PERIOD)) == 0
     assert len(stances(force, PERIOD, threshold=10.0)) == 1
-
-
-@pytest.mark.parametrize("value", [True, False])
-def test_merge_short_fills_short_runs(value: bool) -> None:
-    flags = np.array([1, 1, 1, 0, 1, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0], dtype=bool) == value
-    merged = merge_short(flags, 2, 2)
-    expected = np.array([1] * 7 + [0] * 8, dtype=bool) == value
-    np.testing.assert_array_equal(merged, expected)
-    np.testing.assert_array_equal(merge_short(flags, 1, 1), flags)
 
 
 @pytest.mark.parametrize("period", [0.0005, 0.03])
