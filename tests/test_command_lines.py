@@ -196,6 +196,7 @@ with contextlib.redirect_stderr(io.StringIO()):
                     runpy.run_module(name, run_name="__main__", alter_sys=True)
             except SystemExit as stop:
                 assert stop.code == (2 if word != "--help" else 0), (name, word, stop.code)
+                sys.stdout.flush()
             else:
                 raise AssertionError(f"{name} {word} did not exit")
             found = sorted({module.split(".")[0] for module in sys.modules} & HEAVY)

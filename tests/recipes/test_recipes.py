@@ -270,14 +270,14 @@ def test_an_update_gets_correct_advantages_and_settings(
 
 def test_a_recurrent_policy_trains_resumes_and_walks(tmp_path: Path) -> None:
     """A stopped and resumed training gives the weights of an uninterrupted one."""
-    config = replace(TINY, symmetric=False, samples=64, minibatch=24, total_steps=192)
+    config = replace(TINY, symmetric=False, samples=64, minibatch=24, total_steps=128)
     network = {"hidden": (16, 8)}
     folders = [tmp_path / name for name in ("whole", "stopped")]
-    for folder, steps in zip(folders, ([192], [128, 192]), strict=True):
+    for folder, steps in zip(folders, ([128], [64, 128]), strict=True):
         for total in steps:
             ppo_aslip.main(
                 replace(config, out=folder, total_steps=total, resume=total != steps[0],
-                        schedule_steps=192),
+                        schedule_steps=128),
                 make_actor=make_recurrent_actor,
                 network=network,
             )  # fmt: skip

@@ -78,18 +78,6 @@ def test_reset_clears_the_packets() -> None:
         fresh.advance(targets)
 
 
-def test_both_backends_send_the_same_packets() -> None:
-    physics, pool = BipedPhysics.load(), SimulationPool(1)
-    rng = np.random.default_rng(3)
-    for _ in range(4):
-        target = _targets(pool, rng)
-        physics.set_control(target[0])
-        physics.step(CASSIE.substeps)
-        pool.advance(target)
-        for name, window in physics.packets().items():
-            np.testing.assert_array_equal(window, pool.packets()[name][0], err_msg=name)
-
-
 def test_saved_states_include_the_sensors() -> None:
     pool, other = SimulationPool(3), SimulationPool(3)
     rng = np.random.default_rng(4)
@@ -116,19 +104,3 @@ def test_copied_physics_has_its_own_sensors() -> None:
     for name, window in physics.packets().items():
         np.testing.assert_array_equal(window, twin.packets()[name], err_msg=name)
     np.testing.assert_array_equal(physics.data.qpos, twin.data.qpos)
-
-
-def test_divergence_does_not_affect_the_sensors_of_others() -> None:
-    pool, sane = SimulationPool(4), SimulationPool(4)
-    rng = np.random.default_rng(6)
-    for step in range(3):
-        targets = _targets(pool, rng)
-        sane.advance(targets)
-        if step == 1:
-            targets[2, 0] = np.nan
-        pool.advance(targets)
-        for name, window in pool.packets().items():
-            assert np.isfinite(window).all(), name
-            rows = [0, 1, 3]
-            np.testing.assert_array_equal(window[rows], sane.packets()[name][rows], err_msg=name)
-    assert pool.divergences == 1

@@ -284,18 +284,6 @@ def test_initial_states_of_wrong_shape_are_refused(name: str, size: int) -> None
         simulations.reset(np.array([0]), **{name: np.zeros((1, size))})
 
 
-def test_refused_resets_change_nothing() -> None:
-    """All arguments are checked before the first change."""
-    simulations = Simulations(1, num_threads=1)
-    simulations.advance(random_targets(1, 1)[0])
-    before = arrays(simulations)
-    with pytest.raises(ShapeError):
-        simulations.reset(np.array([0]), np.zeros((1, 35)), np.zeros((1, 31)))
-    after = arrays(simulations)
-    for name in before:
-        np.testing.assert_array_equal(before[name], after[name])
-
-
 # ------------------------------------------------------------- physics
 
 

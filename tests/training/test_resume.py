@@ -25,13 +25,7 @@ from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import TrainingRun
-from aslip.transforms import (
-    Difficulty,
-    ObservationNoise,
-    RandomDynamics,
-    RandomPushes,
-    TrueState,
-)
+from aslip.transforms import Difficulty, ObservationNoise, RandomDynamics, RandomPushes
 from benchmarks.faults.trainings import (
     TINY,
     Holder,
@@ -57,8 +51,6 @@ def _harder(stack: Stack) -> Stack:
 
 STACKS: dict[str, Callable[[], dict[str, Any]]] = {
     "aslip": dict,
-    "truth": lambda: {"drop": ["noise"], "replace": {"estimator": TrueState}},
-    "paper": lambda: {"stack": "paper"},
     "single_reference": lambda: {"stack": "single_reference"},
     "random robots": lambda: {"stack": _harder(randomise_stack(default_stack()))},
     "compose": lambda: {"replace": {"noise": lambda: Compose(ObservationNoise())}},
