@@ -242,6 +242,11 @@ def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_shipped_policies_have_the_settings_of_their_presets(name: str, preset: str) -> None:
     made = read_card(name)["made_by"]["settings"]
     expected = asdict(PRESETS[preset])
-    learning = (made.keys() & expected.keys()) - {"preset", "seed", "schedule_steps", "num_collectors"}
+    learning = (made.keys() & expected.keys()) - {
+        "preset",
+        "seed",
+        "schedule_steps",
+        "num_collectors",
+    }
     assert len(learning) > 15
     assert {key for key in learning if made[key] != expected[key]} == set()
