@@ -20,8 +20,7 @@ from aslip.log import Recording, check, read, recover, replay
 from aslip.log.messages import FORMAT
 from aslip.log.records import Records
 from aslip.log.writer import METADATA, add_metadata, open_writer
-from benchmarks.faults.logs import read_records, write_records
-from tests.log.helpers import Alter, assert_subset
+from tests.log.helpers import Alter, assert_subset, read_records, write_records
 
 MAGIC = b"\x89MCAP0\r\n"
 
