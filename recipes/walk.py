@@ -265,7 +265,6 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
             joint_rate=config.joint_rate,
             policy=config.policy,
             config=config,
-            library=library,
         )
     env = aslip.make_env(
         config.backend,

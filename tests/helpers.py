@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
@@ -37,6 +38,18 @@ def seeded(transform: SeededTransform) -> Any:
     """Give a transform without an environment a seed, so that a test repeats its numbers."""
     transform.set_seed(0)
     return transform
+
+
+@contextmanager
+def full_disk(room: int) -> Iterator[None]:
+    """Limit the size of files [bytes]; the system refuses to write more."""
+    resource = pytest.importorskip("resource")  # not on Windows
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def leaves(td: TensorDictBase) -> dict[tuple[str, ...], torch.Tensor]:
@@ -84,3 +97,14 @@ def motor_torque(target: np.ndarray, position: np.ndarray, velocity: np.ndarray)
     width = CASSIE.gear.size
     rows = [np.broadcast_to(x, shape).reshape(-1, width) for x in (target, position, velocity)]
     return PD(len(rows[0])).torque(*rows).reshape(shape)
+
+
+def identical(a: Any, b: Any) -> bool:
+    """Compare two states bit for bit."""
+    if isinstance(a, torch.Tensor):
+        return a.dtype == b.dtype and torch.equal(a, b)
+    if isinstance(a, Mapping):
+        return a.keys() == b.keys() and all(identical(a[key], b[key]) for key in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(identical, a, b))
+    return a == b

@@ -152,9 +152,7 @@ def _check(entries: dict[str, bytes]) -> None:
     """
     lines = entries.pop(SUMS, None)
     if lines is None:
-        raise ValueError(
-            f"{SUMS} is missing, as in files of earlier versions, which are not supported"
-        )
+        raise ValueError(f"{SUMS} is missing")
     if odd := set(lines.splitlines()) ^ set(sums(entries).splitlines()):
         names = sorted({line.split(b"  ", 1)[-1].decode(errors="replace") for line in odd})
         raise ValueError(f"wrong SHA-256 of {', '.join(names[:3])}")

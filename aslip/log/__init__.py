@@ -2,7 +2,7 @@
 
     recorder = Recorder("walk.mcap", policy="straight")     # last transform of a stack
     recording = read("walk.mcap")                           # arrays by topic and name
-    check("walk.mcap"), recover("walk.mcap.part"), replay("walk.mcap")
+    recover("walk.mcap.part"), replay("walk.mcap")
 
 From a shell: `python -m aslip.log info | check | recover | replay --verify`.
 """
@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Literal
 from aslip.imports import attach
 
 if TYPE_CHECKING:
-    from aslip.log.integrity import check
     from aslip.log.playback import Replay, replay
     from aslip.log.reader import Recording, Series, read
     from aslip.log.recorder import Recorder
@@ -28,7 +27,6 @@ __all__ = [
     "Recovery",
     "Replay",
     "Series",
-    "check",
     "read",
     "read_walk",
     "recover",
@@ -41,7 +39,6 @@ JointRate = Literal["policy", "physics"]
 __getattr__, __dir__ = attach(
     __name__,
     {
-        "integrity": ["check"],
         "reader": ["Recording", "Series", "read"],
         "recorder": ["Recorder"],
         "recovery": ["Recovery", "recover"],

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, WORLD_FRAME
-from aslip.robot import CASSIE, Robot
+from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, geom_color
 from aslip.robot.rotation import quaternion_to_matrix
 from aslip.show.ghost import BODY_COLOR, BODY_RADIUS, LEG_COLORS
@@ -20,15 +20,14 @@ class LoggedKinematics:
 
     Args:
         model: compiled model of the robot.
-        robot: names of the motors.
     """
 
-    def __init__(self, model: mujoco.MjModel, robot: Robot = CASSIE) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         self._model, self._data = model, mujoco.MjData(model)
         self._xpos, self._xquat = self._data.xpos[1:], self._data.xquat[1:]
         self.bodies = [model.body(i).name for i in range(1, model.nbody)]
         joints = [model.joint(name) for name in LOGGED_JOINTS]
-        passive = joints[len(robot.motor_names) :]
+        passive = joints[model.nu :]
         qpos = np.array([joint.qposadr[0] for joint in joints])
         qvel = np.array([joint.dofadr[0] for joint in joints])
         motors = np.arange(model.nu)
@@ -71,7 +70,7 @@ _ROM_COLORS = (BODY_COLOR, *LEG_COLORS.values())
 _ROM_OPACITY = 0.7
 
 
-def robot_description(model: mujoco.MjModel, poses: np.ndarray, name: str = CASSIE.name) -> str:
+def robot_description(model: mujoco.MjModel, poses: np.ndarray) -> str:
     """URDF of the robot and of the reduced-order model's body and feet.
 
     Args:
@@ -79,9 +78,8 @@ def robot_description(model: mujoco.MjModel, poses: np.ndarray, name: str = CASS
         poses: (b, 7) positions [m] and quaternions (xyzw) of the model's bodies without the world,
             then of `ROM_FRAMES`, at the first instant of the log. They are the origins of the
             joints, so that viewers that use these as transforms agree with the first `/tf`.
-        name: name of the robot.
     """
-    robot = ET.Element("robot", name=name)
+    robot = ET.Element("robot", name=CASSIE.name)
     ET.SubElement(robot, "link", name=WORLD_FRAME)
     for body in range(1, model.nbody):
         link = _link(robot, model.body(body).name, poses[body - 1])

@@ -16,7 +16,7 @@
 | `/touchdown` | a footstep | side (0 left, 1 right), actual and planned place [m] |
 | `/state` | 1 Hz, resets | physics state and sensors' memory, for replays |
 | `/dynamics` | 1 Hz, changes | parameters of `aslip.sim.DYNAMICS`, and motors' `memory` |
-| `/log` | events | beginning and end of episodes, notes |
+| `/log` | events | beginning and end of episodes |
 
 Messages are plain ROS 2 types or flat lists of named numbers, so that viewers show them without
 set-up and plots can name every curve. A message describes the state at its time stamp, with two

@@ -1,18 +1,18 @@
-"""Replay: simulate a log from the file alone, and compare with every logged state."""
+"""Replay: simulate a log again, and compare with every logged state."""
 
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.errors import AslipError, ConfigurationError
+from aslip.files.assets import user_path
 from aslip.log.frozen_model import low_level_digest, model_digest
-from aslip.log.reader import Recording, Series, read
+from aslip.log.reader import Recording, read
 from aslip.robot import CASSIE
 
 if TYPE_CHECKING:
@@ -30,83 +30,51 @@ class Replay:
     """Log time of the first state [s]."""
     steps: int
     """Policy steps that were simulated."""
-    state_time: np.ndarray
-    """(k,) log time of each compared state [s]."""
-    drift: np.ndarray
-    """(k,) largest difference of each compared state; 0 if bit-equal."""
-    qpos_drift: np.ndarray
-    """(k,) largest difference of the configuration `qpos` alone [m, rad]."""
+    compared: int
+    """Number of logged states with which the simulation was compared."""
+    diverged_at: float | None
+    """Log time of the first state that differs in a bit [s]; None if all are equal."""
+    largest_difference: float
+    """Largest difference of the configuration in these states [m, rad]."""
     doubts: tuple[str, ...]
     """Reasons why the simulation may differ: other versions, or another model."""
-    time: np.ndarray = field(repr=False)
-    """(m,) log time of each step's end [s]."""
-    qpos: np.ndarray = field(repr=False)
-    """(m, nq) configurations."""
-    qvel: np.ndarray = field(repr=False)
-    """(m, nv) velocities."""
-
-    @property
-    def compared(self) -> int:
-        """Number of compared states."""
-        return len(self.state_time)
 
     @property
     def equal(self) -> bool:
         """True if every compared state is bit-equal."""
         return self.diverged_at is None
 
-    @property
-    def diverged_at(self) -> float | None:
-        """Log time of the first state that differs [s]; None if all are bit-equal."""
-        differ = np.flatnonzero(self.drift)
-        return float(self.state_time[differ[0]]) if len(differ) else None
 
-    @property
-    def largest_difference(self) -> float:
-        """Largest difference of any number of any state."""
-        return float(self.drift.max(initial=0.0))
+def replay(
+    log: str | Path | Recording, start: float = 0.0, *, model: str | Path | None = None
+) -> Replay:
+    """Simulate a log again with its motor targets and pushes, and compare with its states.
 
-
-def replay(log: str | Path | Recording, start: float = 0.0, *, strict: bool = True) -> Replay:
-    """Simulate a log again with its motor targets and pushes.
-
-    Every episode starts from a logged state, and so does the part after a gap of a recovered log.
+    Every episode starts from a logged state, and so does the part after a gap in the steps. Replay
+    only logs that you trust: their numbers are simulated as they are.
 
     Args:
         log: a recording, or the path of a log.
         start: time [s]; the replay starts from the last logged state at or before it.
-        strict: refuse a replay that cannot be bit-equal, and stop at the first difference.
-            Otherwise compare all states; `Replay.doubts` has reasons for differences.
+        model: MJCF of the robot; by default the shipped one, if the log names it by its hash.
 
     Raises:
-        FileDamagedError: the log is damaged, or has no states or steps.
-        ConfigurationError: a strict replay cannot be bit-equal, because the log was made with
-            another version of MuJoCo or its model compiles differently here; or the log has no
+        FileDamagedError: the log is damaged.
+        UnknownNameError: the log has no states, steps or dynamics.
+        ConfigurationError: the log is of another model, and `model` is not given; or the log has no
             state at or before `start`, or no policy step after that state.
     """
-    recording = log if isinstance(log, Recording) else read(log, TOPICS)
-    try:
-        return _replayed(recording, start, strict)
-    except AslipError as error:
-        raise type(error)(f"cannot replay {str(recording.path)!r}: {error}") from error
-
-
-def _replayed(recording: Recording, start: float, strict: bool) -> Replay:
     # imported here, because it takes a second, which `info` saves
     from aslip.log.replayed_robot import ReplayedRobot
 
-    robot = ReplayedRobot(recording)
-    doubts = _doubts(recording, robot)
-    if strict and doubts:
-        raise ConfigurationError(
-            f"{doubts[0]}; measure the drift of the simulation with replay(strict=False), or"
-            " python -m aslip.log replay --drift"
-        )
-    run = _Run(recording, robot, start)
-    for _ in run.steps():
-        if strict and run.drift and run.drift[-1] > 0:
-            break
-    return run.result(doubts)
+    recording = log if isinstance(log, Recording) else read(log, TOPICS)
+    try:
+        robot = ReplayedRobot(recording, None if model is None else user_path(model))
+        run = _Run(recording, robot, start)
+        run.simulate()
+        return run.result(_doubts(recording, robot))
+    except AslipError as error:
+        raise type(error)(f"cannot replay {str(recording.path)!r}: {error}") from error
 
 
 class _Run:
@@ -114,26 +82,24 @@ class _Run:
 
     def __init__(self, recording: Recording, robot: ReplayedRobot, start: float) -> None:
         self._robot, self._start = robot, start
-        states, steps = (_series(recording, topic) for topic in ("/state", "/step"))
+        states, steps = recording["/state"], recording["/step"]
         self._rows = robot.rows(states)
-        self._ticks = _ticks(steps)
-        self._targets = np.stack(
-            [_column(steps, f"motor_target_{n}") for n in CASSIE.motor_names], axis=1
-        )
-        self._pushes = np.stack([_column(steps, f"push_{axis}") for axis in "xyz"], axis=1)
+        self._ticks = steps.ticks
+        targets = [steps.numbers(f"motor_target_{motor}") for motor in CASSIE.motor_names]
+        self._targets = np.stack(targets, axis=1)
+        self._pushes = np.stack([steps.numbers(f"push_{axis}") for axis in "xyz"], axis=1)
         before = np.flatnonzero(states.time <= start + 1e-9)
         if len(before) == 0:
             raise ConfigurationError(
                 f"the log begins at {states.time[0]:g} s; it has no state at {start:g} s"
             )
-        self._known = {int(tick): i for i, tick in enumerate(_ticks(states)) if i >= before[-1]}
-        self._first = int(_ticks(states)[before[-1]])
-        self._path: list[tuple[int, np.ndarray, np.ndarray]] = []
-        self._compared: list[tuple[int, float]] = []
-        self.drift: list[float] = []
+        self._known = {int(tick): i for i, tick in enumerate(states.ticks) if i >= before[-1]}
+        self._first = int(states.ticks[before[-1]])
+        self._steps = 0
+        self._compared: list[tuple[int, bool, float]] = []
 
-    def steps(self) -> Iterator[None]:
-        """Simulate policy step by policy step."""
+    def simulate(self) -> None:
+        """Simulate all policy steps, and compare with the logged states."""
         robot, reached = self._robot, self._first
         robot.set_state(self._rows[self._known[reached]])
         for i in np.flatnonzero(self._ticks > self._first):
@@ -145,20 +111,18 @@ class _Run:
             robot.change(tick - 1)
             robot.advance(self._targets[i], self._pushes[i])
             reached = tick
-            self._path.append((tick, robot.qpos, robot.qvel))
+            self._steps += 1
             if tick in self._known:
                 self._compare(tick)
-            yield
 
     def _compare(self, tick: int) -> None:
         """Compare the present state with the logged one."""
         row = self._rows[self._known[tick]]
         state = self._robot.state(row)
-        difference = _difference(state, row)
-        nq = len(self._path[-1][1])
         # `time` comes first in the state, then `qpos`
-        self._compared.append((tick, _difference(state[1 : 1 + nq], row[1 : 1 + nq])))
-        self.drift.append(difference)
+        qpos = slice(1, 1 + self._robot.model.nq)
+        difference = float(np.abs(state[qpos] - row[qpos]).max())
+        self._compared.append((tick, state.tobytes() == row.tobytes(), difference))
 
     def result(self, doubts: tuple[str, ...]) -> Replay:
         """Result of the replay.
@@ -166,38 +130,24 @@ class _Run:
         Raises:
             ConfigurationError: no step was simulated.
         """
-        if not self._path:
+        if not self._steps:
             raise ConfigurationError(
                 f"no policy step follows the state at {self._first * CASSIE.policy_period:g} s, the"
                 f" last one before {self._start:g} s"
             )
+        differ = [tick for tick, equal, _ in self._compared if not equal]
         return Replay(
             start=self._first * CASSIE.policy_period,
-            steps=len(self._path),
-            state_time=np.array([tick * CASSIE.policy_period for tick, _ in self._compared]),
-            drift=np.array(self.drift),
-            qpos_drift=np.array([drift for _, drift in self._compared]),
+            steps=self._steps,
+            compared=len(self._compared),
+            diverged_at=differ[0] * CASSIE.policy_period if differ else None,
+            largest_difference=max((size for _, _, size in self._compared), default=0.0),
             doubts=doubts,
-            time=np.array([tick * CASSIE.policy_period for tick, _, _ in self._path]),
-            qpos=np.array([qpos for _, qpos, _ in self._path]),
-            qvel=np.array([qvel for _, _, qvel in self._path]),
         )
 
 
-def _difference(one: np.ndarray, other: np.ndarray) -> float:
-    """Largest difference of two arrays; the smallest normal number if only bits differ."""
-    if one.tobytes() == other.tobytes():
-        return 0.0
-    return max(float(np.max(np.abs(one - other))), float(np.finfo(float).tiny))
-
-
-def low_level_differs(recording: Recording) -> bool:
-    """True if drive, sensors or constants of this package have changed since the log was made."""
-    return recording.metadata.get("low_level_digest") != low_level_digest()
-
-
 def _doubts(recording: Recording, robot: ReplayedRobot) -> tuple[str, ...]:
-    """Reasons why a simulation cannot be bit-equal."""
+    """Reasons why a simulation may not be bit-equal."""
     doubts, metadata = [], recording.metadata
     made, here = metadata.get("version/mujoco"), importlib.metadata.version("mujoco")
     if made != here:
@@ -207,30 +157,12 @@ def _doubts(recording: Recording, robot: ReplayedRobot) -> tuple[str, ...]:
         )
     if model_digest(robot.model) != metadata.get("model_digest"):
         doubts.append(
-            "the model of the log compiles differently here than where the log was made"
+            "the model compiles differently here than where the log was made"
             f" ({metadata.get('platform')})"
         )
+    if low_level_digest() != metadata.get("low_level_digest"):
+        doubts.append(
+            "the log was made with other code of the drive, the sensors or the robot: aslip"
+            f" {metadata.get('version/aslip')}"
+        )
     return tuple(doubts)
-
-
-def _series(recording: Recording, topic: str) -> Series:
-    if topic not in recording.series:
-        raise FileDamagedError(f"the log has no topic {topic}")
-    return recording[topic]
-
-
-def _ticks(series: Series) -> np.ndarray:
-    """Policy steps since the log began (m,); times of a log are multiples of the period."""
-    return np.rint(series.time / CASSIE.policy_period).astype(int)
-
-
-def _column(series: Series, name: str) -> np.ndarray:
-    """Column (m,) of numbers.
-
-    Raises:
-        FileDamagedError: the column has other values.
-    """
-    column = series[name]
-    if column.dtype.kind != "f" or column.ndim != 1:
-        raise FileDamagedError(f"{series.topic} must have one number per message as {name!r}")
-    return column

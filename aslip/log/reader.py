@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
@@ -23,8 +21,9 @@ from aslip.errors import FileDamagedError, UnknownNameError, machine_failed
 from aslip.files.archive import open_file
 from aslip.files.assets import user_path
 from aslip.log import messages
-from aslip.log.records import METADATA_HASH, Records, begins_as_mcap, read_summary
+from aslip.log.records import METADATA_HASH, FormatError, check_checksums, intact_records
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA
+from aslip.robot import CASSIE
 
 Decoder = Callable[[bytes], dict[str, Any]]
 """Function from a message to its entries; those of nested messages have dotted names."""
@@ -34,14 +33,12 @@ _FIELD = re.compile(r"float(32|64)(?:\[(\d+)\])? (\w+)")
 _ENCAPSULATION = 4
 
 
-def decoder_of(channel: Channel, schema: Schema | None) -> Decoder:
+def _decoder(channel: Channel, schema: Schema) -> Decoder:
     """Decoder of a channel's messages.
 
     Raises:
-        ValueError: the channel has no schema, or is not encoded as ROS 2 does.
+        ValueError: the channel is not encoded as ROS 2 does.
     """
-    if schema is None:
-        raise ValueError(f"the topic {channel.topic!r} has no schema")
     if (channel.message_encoding, schema.encoding) != (MessageEncoding.CDR, SchemaEncoding.ROS2):
         raise ValueError(f"the topic {channel.topic!r} has an unknown encoding")
     dtype = _flat_dtype(schema.data.decode())
@@ -105,6 +102,23 @@ class Series:
             raise UnknownNameError(f"{self.topic} has no {name!r}; it has {list(self.columns)}")
         return self.columns[name]
 
+    @property
+    def ticks(self) -> np.ndarray:
+        """(m,) policy steps since the log began; times of a log are multiples of the period."""
+        return np.rint(self.time / CASSIE.policy_period).astype(int)
+
+    def numbers(self, name: str) -> np.ndarray:
+        """Column (m,) of numbers.
+
+        Raises:
+            FileDamagedError: the column has other values.
+            UnknownNameError: the topic has no such column.
+        """
+        column = self[name]
+        if column.dtype.kind != "f" or column.ndim != 1:
+            raise FileDamagedError(f"{self.topic} must have one number per message as {name!r}")
+        return column
+
     def vector(self, name: str, components: str = "xyz") -> np.ndarray:
         """Columns `name_x`, `name_y`, ... as (m, k); quaternions have components "wxyz"."""
         return np.stack([self[f"{name}_{component}"] for component in components], axis=1)
@@ -126,8 +140,6 @@ class Recording:
     """Name -> contents, verified by their hashes."""
     series: dict[str, Series]
     """Topic -> its messages."""
-    damaged: tuple[str, ...] = ()
-    """Reason for each damaged attachment that is left out of `attachments`."""
 
     def __getitem__(self, topic: str) -> Series:
         """Messages of a topic.
@@ -144,20 +156,19 @@ class Recording:
         """Contents of an attached file.
 
         Raises:
-            FileDamagedError: the attachment is missing or damaged.
+            FileDamagedError: there is no such attachment.
         """
         if name not in self.attachments:
-            wrong = "; ".join(self.damaged) or f"it has {list(self.attachments)}"
-            raise FileDamagedError(f"{str(self.path)!r} lacks the attachment {name!r}: {wrong}")
+            raise FileDamagedError(
+                f"{str(self.path)!r} lacks the attachment {name!r}: it has {list(self.attachments)}"
+            )
         return self.attachments[name]
 
 
 def read(path: str | Path, topics: Collection[str] | None = None) -> Recording:
     """Read a log, or some topics of it.
 
-    Every number is verified: a damaged chunk, metadata record or summary is an error. So is a
-    damaged attachment if all topics are read; otherwise it is left out and named in
-    `Recording.damaged`.
+    Every byte is verified by a checksum, also where only some topics are read.
 
     Args:
         path: finished log.
@@ -169,93 +180,55 @@ def read(path: str | Path, topics: Collection[str] | None = None) -> Recording:
     """
     path = user_path(path)
     with open_file(path) as file:
-        if not begins_as_mcap(file):
-            raise FileDamagedError(f"{str(path)!r} is not an MCAP file: wrong magic bytes")
-        with _explained(path):
-            statistics = read_summary(file).statistics
-            records, content = Records(file), Content()
-            for record in records:
-                content.add(record, topics)
-            metadata = check_metadata(content.metadata.get(METADATA))
-            problems = records.problems or counts_differ(statistics, content)
-            damaged = [*records.bad_attachments, *hash_problems(metadata, content.attachments)]
-            if problems or (damaged and topics is None):
-                raise ValueError("; ".join(problems or damaged))
-            end = content.metadata.get(END_METADATA, {})
-            series = {topic: _series(topic, *rows) for topic, rows in content.rows.items()}
-    for entries in (metadata, end):
-        entries.pop(METADATA_HASH, None)
-    return Recording(path, metadata, end, content.intact(metadata), series, tuple(damaged))
+        try:
+            return _read(path, file, topics)
+        except FormatError as error:
+            raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
+        except Exception as error:  # a damaged file causes many kinds of exceptions
+            if machine_failed(error):
+                raise
+            reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
+            raise FileDamagedError(
+                f"{str(path)!r} is not a complete, intact log: {reason}; save what comes before the"
+                f" damage with: python -m aslip.log recover {path}"
+            ) from error
 
 
-@dataclass
-class Content:
-    """Content of a log, collected record by record."""
-
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    """Records by name."""
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    """Contents by name."""
-    rows: dict[str, tuple[list[int], list[dict[str, Any]]]] = field(default_factory=dict)
-    """Times [ns] and decoded messages of the topics that are read."""
-    counts: Counter[int] = field(default_factory=Counter)
-    """Messages of every channel."""
-    _schemas: dict[int, Schema] = field(default_factory=dict)
-    _topics: dict[int, tuple[str, Decoder]] = field(default_factory=dict)
-
-    def add(self, record: object, topics: Collection[str] | None = None) -> None:
-        """Add the next record; messages only of `topics`, if given.
-
-        Raises:
-            ValueError: the channel or schema of a record is unknown.
-        """
+def _read(path: Path, file: IO[bytes], topics: Collection[str] | None) -> Recording:
+    """Content of an open log; raises many kinds of exceptions if it is damaged."""
+    metadata: dict[str, dict[str, str]] = {}
+    attachments: dict[str, bytes] = {}
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, tuple[str, Decoder]] = {}
+    rows: dict[str, tuple[list[int], list[dict[str, Any]]]] = {}
+    for record in intact_records(file):
         if isinstance(record, Metadata):
-            self.metadata[record.name] = dict(record.metadata)
+            metadata[record.name] = dict(record.metadata)
         elif isinstance(record, Attachment):
-            self.attachments[record.name] = bytes(record.data)
+            attachments[record.name] = bytes(record.data)
         elif isinstance(record, Schema):
-            self._schemas[record.id] = record
+            schemas[record.id] = record
         elif isinstance(record, Channel):
-            decoder = decoder_of(record, self._schemas.get(record.schema_id))
-            self._topics[record.id] = record.topic, decoder
+            decode = _decoder(record, schemas[record.schema_id])
+            channels[record.id] = record.topic, decode
         elif isinstance(record, Message):
-            self.counts[record.channel_id] += 1
-            topic, decode = self._topic(record)
+            topic, decode = channels[record.channel_id]
             if topics is None or topic in topics:
-                time, rows = self.rows.setdefault(topic, ([], []))
-                rows.append(decode(record.data))
-                time.append(record.log_time)
-
-    def _topic(self, message: Message) -> tuple[str, Decoder]:
-        if message.channel_id not in self._topics:
-            raise ValueError(f"the channel {message.channel_id} of a message is unknown")
-        return self._topics[message.channel_id]
-
-    def intact(self, metadata: Mapping[str, str]) -> dict[str, bytes]:
-        """Attachments whose hash equals that in the metadata."""
-        return {
-            name: data
-            for name, data in self.attachments.items()
-            if metadata.get(HASH_KEY + name) == hashlib.sha256(data).hexdigest()
-        }
-
-
-def counts_differ(said: Any, content: Content) -> list[str]:
-    """Compare the counts of a summary with the content of the file; list the differences.
-
-    Args:
-        said: `Statistics` of the summary.
-        content: content of the file.
-    """
-    counted = {channel: n for channel, n in said.channel_message_counts.items() if n}
-    if counted != dict(content.counts) or said.message_count != content.counts.total():
-        total = content.counts.total()
-        if said.message_count != total:
-            return [f"its summary counts {said.message_count} messages, the file has {total}"]
-        return ["its summary counts the messages of some topics wrongly"]
-    if said.metadata_count != len(content.metadata):
-        return [f"its summary counts {said.metadata_count} metadata, not {len(content.metadata)}"]
-    return []
+                times, messages_of = rows.setdefault(topic, ([], []))
+                times.append(record.log_time)
+                messages_of.append(decode(record.data))
+    check_checksums(file)
+    about, end = check_metadata(metadata.get(METADATA)), metadata.get(END_METADATA, {})
+    hashes = {HASH_KEY + n: hashlib.sha256(data).hexdigest() for n, data in attachments.items()}
+    named = {key: text for key, text in about.items() if key.startswith(HASH_KEY)}
+    for key, _ in sorted(hashes.items() ^ named.items()):
+        raise ValueError(
+            f"the attachment {key.removeprefix(HASH_KEY)!r} is not the one that its metadata names"
+        )
+    for entries in (about, end):
+        entries.pop(METADATA_HASH, None)
+    series = {topic: _series(topic, *part) for topic, part in rows.items()}
+    return Recording(path, about, end, attachments, series)
 
 
 def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
@@ -263,7 +236,7 @@ def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
 
     Raises:
         FormatError: the log has another format.
-        ValueError: the metadata or its hash is missing.
+        ValueError: there is no metadata.
     """
     if metadata is None:
         raise ValueError(f"not a log of this package: no metadata {METADATA!r}")
@@ -274,47 +247,7 @@ def check_metadata(metadata: dict[str, str] | None) -> dict[str, str]:
             f" {messages.FORMAT!r}; read it with the version that wrote it, aslip {by}"
             f" (commit {metadata.get('commit') or 'unknown'})"
         )
-    if METADATA_HASH not in metadata:
-        raise ValueError("its metadata is damaged: it lacks its SHA-256")
     return metadata
-
-
-class FormatError(ValueError):
-    """Format of a log that this version does not read."""
-
-
-def hash_problems(metadata: dict[str, str], attachments: dict[str, bytes]) -> Iterator[str]:
-    """List attachments that are missing, altered, or without a hash."""
-    hashes = {
-        key.removeprefix(HASH_KEY): value
-        for key, value in metadata.items()
-        if key.startswith(HASH_KEY)
-    }
-    for name, expected in hashes.items():
-        if name not in attachments:
-            yield f"the attachment {name!r} is missing"
-        elif hashlib.sha256(attachments[name]).hexdigest() != expected:
-            yield f"the attachment {name!r} is altered: its SHA-256 differs"
-    for name in sorted(attachments.keys() - hashes.keys()):
-        yield f"the attachment {name!r} has no hash in the metadata"
-
-
-@contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Turn every error of a parser into a FileDamagedError."""
-    try:
-        yield
-    except FormatError as error:
-        raise FileDamagedError(f"{str(path)!r} cannot be read: {error}") from error
-    except Exception as error:  # a damaged file causes many kinds of exceptions
-        if machine_failed(error):
-            raise
-        # messages of a parser need their type to be understood
-        reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
-        raise FileDamagedError(
-            f"{str(path)!r} is not a complete, intact log: {reason}; save its intact part with:"
-            f" python -m aslip.log recover {path}"
-        ) from error
 
 
 def _series(topic: str, time: list[int], rows: list[dict[str, Any]]) -> Series:

@@ -10,7 +10,6 @@ import weakref
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import mujoco
@@ -56,7 +55,9 @@ class Recorder(Transform):
     The file is complete after `close`, which is called when the environment is closed and when the
     program ends; until then it is `<path>.part`. A full disk ends the log with a warning, not the
     simulation. Log time is simulated time, zero at the first reset; a later reset
-    takes the time of one policy step. See `aslip.log.messages` for topics.
+    takes the time of one policy step. See `aslip.log.messages` for topics. Planned footholds are
+    those of the gaits of the stack's clock: NaN without a clock, or if feet do not swing once per
+    stride.
 
     Args:
         path: log to write.
@@ -64,8 +65,6 @@ class Recorder(Transform):
         joint_rate: rate of `/joint_states`: that of the policy, or of the physics (2 kHz).
         policy: name or file of the acting policy, to attach.
         config: settings to attach: a dataclass, or JSON types.
-        library: gaits for planned footholds; by default those of the stack's clock. Without a
-            clock, or with motions whose feet do not swing once per stride, plans are NaN.
         overwrite: replace an existing log when this one is finished.
 
     Raises:
@@ -88,7 +87,6 @@ class Recorder(Transform):
         joint_rate: JointRate = "policy",
         policy: str | Path | None = None,
         config: Any = None,
-        library: GaitLibrary | None = None,
         overwrite: bool = False,
     ) -> None:
         super().__init__(in_keys=[], out_keys=[])
@@ -104,8 +102,6 @@ class Recorder(Transform):
         self._policy = None if policy is None else find_policy(policy).read_bytes()
         settings: Any = config
         self._config = dataclasses.asdict(settings) if dataclasses.is_dataclass(config) else config
-        self._library = library
-        self._footholds = None if library is None else Footholds(library)
         self._session: Session | None = None
         self._closed = False
         self._finish: weakref.finalize | None = None
@@ -141,27 +137,11 @@ class Recorder(Transform):
         self._session.step(tensordict, next_tensordict)
         return next_tensordict
 
-    def note(self, text: str) -> None:
-        """Add a line to `/log` at the present time; does nothing before the first reset."""
-        if self._session is not None:
-            self._session.note(text)
-
     def close(self) -> None:
         """Finish the file and stop recording."""
         self._closed, self._session = True, None
         if self._finish is not None:
             self._finish()
-
-    def __enter__(self) -> Recorder:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _require_last(self) -> None:
         """Raise ConfigurationError if another transform follows."""
@@ -201,11 +181,10 @@ class Recorder(Transform):
         files[CONFIG_FILE] = json.dumps(config, indent=1, default=str).encode()
         writer = LogWriter(self.path, overwrite=self._overwrite)
         try:
-            library = self._library or _library_of(env)
+            library = _library_of(env)
             writer.attach(files, _metadata(base.model, config, library))
             names = _observed_names(env, tensordict)
-            footholds = self._footholds or _footholds_of(library)
-            chosen = (self._robot, self._fast, footholds)
+            chosen = (self._robot, self._fast, _footholds_of(library))
             return Session(writer, base, *chosen, tensordict, names)
         except BaseException as error:
             writer.discard()

@@ -1,9 +1,8 @@
-"""Sequential reading of MCAP records that skips damaged ones.
+"""Records of an MCAP file, in order, up to the first damage.
 
-Every part of a log has a checksum: chunks, attachments and the summary in MCAP's fields, metadata
-in an entry. Damaged parts are skipped and reported, so that a flipped bit costs one chunk and not
-the rest of the file. Memory is bounded by the size of the file and `LARGEST_CHUNK`, even if the
-file states larger lengths.
+Chunks, attachments, the data section and the summary have checksums, metadata has a hash in an
+entry. Memory is bounded by the size of the file and `LARGEST_CHUNK`, even if the file states larger
+lengths.
 """
 
 from __future__ import annotations
@@ -14,25 +13,15 @@ import os
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from io import BytesIO
 from typing import IO, Final
 
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    McapRecord,
-    Message,
-    Metadata,
-    Schema,
-    Statistics,
-)
-from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.records import Attachment, Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import breakup_chunk
 
 from aslip.errors import machine_failed
 
@@ -45,17 +34,13 @@ _MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")
 # opcode, length, starts of the summary and of its offsets, checksum of the summary
 _FOOTER = struct.Struct("<BQQQI")
-# largest ratio of a chunk's size to its compressed size
-_DENSEST = 1000
 # largest ratio of all chunks to the file; constant packets reach 30
 _DENSEST_FILE = 60
-_IGNORED = (Opcode.HEADER, Opcode.MESSAGE_INDEX)
+_BLOCK = 2**20
 
 
-def begins_as_mcap(file: IO[bytes]) -> bool:
-    """True if a file starts with the magic bytes of MCAP."""
-    file.seek(0)
-    return file.read(len(_MAGIC)) == _MAGIC
+class FormatError(ValueError):
+    """File of a format that this version does not read."""
 
 
 def metadata_hash(metadata: Mapping[str, str]) -> str:
@@ -64,25 +49,11 @@ def metadata_hash(metadata: Mapping[str, str]) -> str:
     return hashlib.sha256(json.dumps(entries).encode()).hexdigest()
 
 
-@dataclass
-class Summary:
-    """Summary section at the end of a finished file."""
-
-    statistics: Statistics
-    """Counts of messages, channels and other records."""
-    definitions: list[Schema | Channel]
-    """Schemas and channels, repeated."""
-    data_crc: int
-    """Checksum of the data section."""
-    data_size: int
-    """Size of the data section [bytes]."""
-
-
-def read_summary(file: IO[bytes]) -> Summary:
-    """Read the summary of a finished file.
+def check_checksums(file: IO[bytes]) -> None:
+    """Check the end of a finished file, and the checksums of its summary and data section.
 
     Raises:
-        ValueError: the file was not finished, or its summary is damaged.
+        ValueError: the file was not finished, or is damaged.
     """
     size = file.seek(0, os.SEEK_END)
     tail = _FOOTER.size + len(_MAGIC)
@@ -94,93 +65,74 @@ def read_summary(file: IO[bytes]) -> Summary:
     data_end = start - _HEAD.size - 4
     if opcode != Opcode.FOOTER or length != _FOOTER.size - _HEAD.size or not 0 < data_end < size:
         raise ValueError("the footer is damaged")
-    file.seek(data_end)
-    end = file.read(start - data_end)
-    summary = file.read(size - start - len(_MAGIC))
-    if zlib.crc32(summary[:-4]) != crc:
+    file.seek(start - 4)
+    (data_crc,) = struct.unpack("<I", file.read(4))
+    if zlib.crc32(file.read(size - start - len(_MAGIC) - 4)) != crc:
         raise ValueError("the summary is damaged: its checksum differs")
-    records = list(StreamReader(BytesIO(summary + _MAGIC), skip_magic=True).records)
-    counts = [record for record in records if isinstance(record, Statistics)]
-    if not counts:
-        raise ValueError("the summary has no statistics")
-    definitions = [record for record in records if isinstance(record, Schema | Channel)]
-    return Summary(counts[0], definitions, *struct.unpack("<I", end[-4:]), data_end)
+    file.seek(0)
+    found = 0
+    for first in range(0, data_end, _BLOCK):
+        found = zlib.crc32(file.read(min(_BLOCK, data_end - first)), found)
+    if found != data_crc:
+        raise ValueError("the data section is damaged: its checksum differs")
 
 
-@dataclass
-class Records:
-    """Records of the data section of a file, without indexes; iterate once.
+def intact_records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """Metadata, attachments, schemas, channels and messages of the data section, in order.
 
-    Yields `Metadata`, `Attachment`, `Schema`, `Channel` and `Message` records that are intact.
+    Raises:
+        FormatError: the file does not begin as an MCAP file.
+        ValueError: the next record is damaged or cut off; all before it are intact.
     """
+    size, content = os.fstat(file.fileno()).st_size, 0
+    file.seek(0)
+    if file.read(len(_MAGIC)) != _MAGIC:
+        raise FormatError("it is not an MCAP file: wrong magic bytes")
+    opcode = 0
+    while opcode != Opcode.DATA_END:
+        offset = file.tell()
+        head = file.read(_HEAD.size)
+        opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
+        if length > size - offset - _HEAD.size:
+            raise ValueError(f"unfinished or cut off: it ends within the record at byte {offset}")
+        data = file.read(length)
+        try:
+            if opcode == Opcode.CHUNK:
+                chunk = Chunk.read(ReadDataStream(BytesIO(data)))
+                content += chunk.uncompressed_size
+                if content > max(LARGEST_CHUNK, _DENSEST_FILE * size):
+                    raise ValueError(f"a file of {size} bytes would decompress to {content} bytes")
+                found = _opened(chunk)
+            else:
+                found = _parsed(opcode, data)
+        except Exception as error:  # any error of a parser
+            if machine_failed(error):
+                raise
+            # messages of a parser need their type to be understood
+            why = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
+            raise ValueError(f"the record at byte {offset} is damaged: {why}") from error
+        yield from found
 
-    file: IO[bytes]
-    """File, open for reading."""
-    problems: list[str] = field(default_factory=list)
-    """Damage, skipped or at the end of what can be read, except in attachments."""
-    bad_attachments: list[str] = field(default_factory=list)
-    """Damage of skipped attachments."""
-    bad_chunks: int = 0
-    """Number of skipped chunks."""
-    whole: bool = False
-    """True once the end of the data section is reached."""
-    _content: int = 0
 
-    def __iter__(self) -> Iterator[McapRecord]:
-        if not begins_as_mcap(self.file):
-            self.problems.append("not an MCAP file: wrong magic bytes")
-            return
-        size = os.fstat(self.file.fileno()).st_size
-        while not self.whole:
-            offset = self.file.tell()
-            head = self.file.read(_HEAD.size)
-            opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
-            if length > size - offset - _HEAD.size:
-                self.problems.append(
-                    f"the record at byte {offset} is cut off, or its length is wrong"
-                )
-                return
-            content = self.file.read(length)
-            try:
-                yield from self._intact(opcode, content)
-            except Exception as error:  # any error of a parser
-                if machine_failed(error):
-                    raise
-                self._skip(opcode, offset, error)
+def _parsed(opcode: int, data: bytes) -> list[McapRecord]:
+    """Record outside of chunks, if it has content.
 
-    def _intact(self, opcode: int, content: bytes) -> list[McapRecord]:
-        """Records of one record at the top level, such as the messages of a chunk."""
-        stream = ReadDataStream(BytesIO(content))
-        if opcode == Opcode.CHUNK:
-            chunk = Chunk.read(stream)
-            records = _opened(chunk)
-            self._content += chunk.uncompressed_size
-            size = os.fstat(self.file.fileno()).st_size
-            if self._content > max(LARGEST_CHUNK, _DENSEST_FILE * size):
-                raise ValueError(
-                    f"a file of {size} bytes would decompress to {self._content} bytes"
-                )
-            return records
-        if opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(stream)
-            if struct.pack("<I", zlib.crc32(content[:-4])) != content[-4:]:
-                raise ValueError(f"the checksum of {attachment.name!r} differs")
-            return [attachment]
-        if opcode == Opcode.METADATA:
-            return [_checked(Metadata.read(stream))]
-        if opcode == Opcode.DATA_END:
-            DataEnd.read(stream)
-            self.whole = True
-        elif opcode not in _IGNORED:
-            raise ValueError(f"its opcode {opcode} is unknown")
-        return []
-
-    def _skip(self, opcode: int, offset: int, error: Exception) -> None:
-        kinds = {int(Opcode.CHUNK): "chunk", int(Opcode.ATTACHMENT): "attachment"}
-        reason = str(error) if type(error) is ValueError else f"{type(error).__name__}: {error}"
-        to = self.bad_attachments if opcode == Opcode.ATTACHMENT else self.problems
-        to.append(f"the {kinds.get(opcode, 'record')} at byte {offset} is damaged: {reason}")
-        self.bad_chunks += opcode == Opcode.CHUNK
+    Raises:
+        ValueError: the record is damaged or unknown.
+    """
+    if opcode == Opcode.ATTACHMENT:
+        attachment = Attachment.read(ReadDataStream(BytesIO(data)))
+        if struct.pack("<I", zlib.crc32(data[:-4])) != data[-4:]:
+            raise ValueError(f"the checksum of {attachment.name!r} differs")
+        return [attachment]
+    if opcode == Opcode.METADATA:
+        metadata = Metadata.read(ReadDataStream(BytesIO(data)))
+        if metadata.metadata.get(METADATA_HASH) != metadata_hash(metadata.metadata):
+            raise ValueError(f"the SHA-256 of the metadata {metadata.name!r} differs")
+        return [metadata]
+    if opcode not in (Opcode.HEADER, Opcode.MESSAGE_INDEX, Opcode.DATA_END):
+        raise ValueError(f"its opcode {opcode} is unknown")
+    return []
 
 
 def _opened(chunk: Chunk) -> list[McapRecord]:
@@ -192,11 +144,9 @@ def _opened(chunk: Chunk) -> list[McapRecord]:
     size = chunk.uncompressed_size
     if chunk.compression != "zstd":
         raise ValueError(f"its compression is {chunk.compression!r}")
-    if size > min(LARGEST_CHUNK, _DENSEST * len(chunk.data)):
-        raise ValueError(f"it would decompress to {size} bytes")
     # decompression allocates the size in the compressed bytes, not that in the chunk
-    if zstandard.frame_content_size(chunk.data) != size:
-        raise ValueError("its size differs from that in its compressed data")
+    if size > LARGEST_CHUNK or zstandard.frame_content_size(chunk.data) != size:
+        raise ValueError(f"it would decompress to {size} bytes, or to another size")
     data = zstandard.decompress(chunk.data)
     if zlib.crc32(data) != chunk.uncompressed_crc:
         raise ValueError("its checksum differs")
@@ -204,15 +154,3 @@ def _opened(chunk: Chunk) -> list[McapRecord]:
     if not all(isinstance(record, Schema | Channel | Message) for record in records):
         raise ValueError("it has records other than messages")
     return records
-
-
-def _checked(metadata: Metadata) -> Metadata:
-    """Check the hash of a metadata record, if it has one.
-
-    Raises:
-        ValueError: the hash differs.
-    """
-    known = metadata.metadata.get(METADATA_HASH)
-    if known is not None and known != metadata_hash(metadata.metadata):
-        raise ValueError(f"the SHA-256 of the metadata {metadata.name!r} differs")
-    return metadata

@@ -1,10 +1,9 @@
-"""Recovery of the intact part of a truncated or damaged log."""
+"""Recovery of a log that was cut off, such as by a crash of the process that wrote it."""
 
 from __future__ import annotations
 
-import hashlib
-from contextlib import suppress
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -14,16 +13,9 @@ from mcap.writer import Writer
 from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.files.archive import open_file
 from aslip.files.assets import user_path
-from aslip.log import messages
-from aslip.log.records import METADATA_HASH, Records, read_summary
-from aslip.log.writer import (
-    END_METADATA,
-    HASH_KEY,
-    METADATA,
-    add_metadata,
-    finish_file,
-    open_writer,
-)
+from aslip.log.reader import check_metadata
+from aslip.log.records import intact_records
+from aslip.log.writer import METADATA, add_metadata, finish_file, open_writer
 
 RECOVERED_METADATA = "aslip/recovered"
 """Name of the metadata record that marks a recovered log."""
@@ -39,21 +31,12 @@ class Recovery:
     """Number of saved messages."""
     until: float
     """Simulated time of the last saved message [s]."""
-    complete: bool
-    """True if nothing was lost, except at most the summary at the end."""
-    skipped_chunks: int
-    """Number of damaged chunks left out; each holds at most a simulated second."""
-    dropped: tuple[str, ...]
-    """Names of damaged attachments left out."""
     reason: str
-    """Damage found in the file, or an empty string."""
+    """Damage at which the recovery ended, or an empty string."""
 
 
 def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
-    """Write the intact part of a damaged log to a new, complete one.
-
-    Damaged chunks, damaged attachments and the hashes of these attachments are left out, so that
-    `read` accepts the new log. Recovery ends at the first record whose length is wrong.
+    """Write all that comes before the first damage of a log to a new, complete one.
 
     Args:
         path: damaged log, often `<name>.mcap.part`.
@@ -62,136 +45,73 @@ def recover(path: str | Path, out: str | Path | None = None) -> Recovery:
     Raises:
         AssetError: there is no such file.
         ConfigurationError: `out` is the damaged file itself, or exists.
-        FileDamagedError: no message can be read, or the log has another format.
+        FileDamagedError: no message comes before the damage, or the log has another format.
     """
     path = user_path(path)
     out = path.with_name(path.name.split(".mcap")[0] + ".recovered.mcap") if out is None else out
     out = user_path(out)
     if out.exists():
         raise ConfigurationError(f"{str(out)!r} exists; give the recovered log another name")
+    with open_file(path) as damaged:
+        records, reason = _before_damage(damaged)
+    _check_content(path, records, reason)
+    times = [record.log_time for record in records if isinstance(record, Message)]
     # the damaged log itself may have a name that ends in ".part"
     temporary = out.with_name(out.name + ".recovering")
-    with open_file(path) as damaged:
-        found = _look(damaged)
+    try:
         with temporary.open("wb") as file:
-            try:
-                return _copy(damaged, found, file, out)
-            except BaseException:
-                temporary.unlink(missing_ok=True)
-                raise
+            writer = open_writer(file)
+            _copy(records, writer)
+            facts = {"messages": str(len(times)), "until_ns": str(max(times)), "reason": reason}
+            add_metadata(writer, RECOVERED_METADATA, facts)
+            finish_file(writer, file, out)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return Recovery(out, len(times), max(times) / 1e9, reason)
 
 
-@dataclass
-class _Found:
-    """Intact content of a damaged file besides its messages."""
-
-    records: Records
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    attachments: list[Attachment] = field(default_factory=list)
-    dropped: list[str] = field(default_factory=list)
-    schemas: dict[int, Schema] = field(default_factory=dict)
-    channels: dict[int, Channel] = field(default_factory=dict)
-
-    def add(self, record: McapRecord) -> None:
-        """Add the next record."""
-        if isinstance(record, Metadata) and METADATA_HASH in record.metadata:
-            self.metadata[record.name] = dict(record.metadata)
-        elif isinstance(record, Attachment):
-            self.attachments.append(record)
-        elif isinstance(record, Schema):
-            self.schemas.setdefault(record.id, record)
-        elif isinstance(record, Channel):
-            self.channels.setdefault(record.id, record)
-
-    def saved(self, record: McapRecord) -> bool:
-        """True if a record is a message of a known channel and schema."""
-        channel = self.channels.get(record.channel_id) if isinstance(record, Message) else None
-        return channel is not None and channel.schema_id in self.schemas
+def _before_damage(file: IO[bytes]) -> tuple[list[McapRecord], str]:
+    """Records before the first damage, and the damage."""
+    records: list[McapRecord] = []
+    try:
+        for record in intact_records(file):
+            records.append(record)
+    except ValueError as error:
+        return records, str(error)
+    return records, ""
 
 
-def _look(damaged: IO[bytes]) -> _Found:
-    """Read all records but messages.
+def _check_content(path: Path, records: Sequence[McapRecord], reason: str) -> None:
+    """Check that a log has this version's format, and messages.
 
     Raises:
-        FileDamagedError: there is no message, or the log has another format.
+        FileDamagedError: it has not.
     """
-    found = _Found(Records(damaged))
-    for record in found.records:
-        found.add(record)
-    # definitions from damaged chunks
-    with suppress(Exception):
-        for record in read_summary(damaged).definitions:
-            found.add(record)
-    if not any(found.saved(record) for record in Records(damaged)):
-        problems = "; ".join(found.records.problems) or "it is empty"
-        raise FileDamagedError(f"{damaged.name!r} has nothing to recover: {problems}")
-    known = found.metadata.get(METADATA, {}).get("format", messages.FORMAT)
-    if known != messages.FORMAT:
+    found = {r.name: dict(r.metadata) for r in records if isinstance(r, Metadata)}
+    if not any(isinstance(record, Message) for record in records):
         raise FileDamagedError(
-            f"{damaged.name!r} has format {known!r}, but this version of aslip recovers"
-            f" {messages.FORMAT!r}"
+            f"{str(path)!r} has nothing to recover: {reason or 'it has no messages'}"
         )
-    return found
+    try:
+        check_metadata(found.get(METADATA))
+    except ValueError as error:
+        raise FileDamagedError(f"{str(path)!r} cannot be recovered: {error}") from error
 
 
-def _copy(damaged: IO[bytes], found: _Found, file: IO[bytes], out: Path) -> Recovery:
-    writer = open_writer(file)
-    _copy_attachments(writer, found)
-    channels = _open_channels(writer, found)
-    count, until = 0, 0
-    for record in Records(damaged):
-        if isinstance(record, Message) and found.saved(record):
-            count, until = count + 1, max(until, record.log_time)
-            channel, time = channels[record.channel_id], record.log_time
-            writer.add_message(channel, time, record.data, record.publish_time, record.sequence)
-    source = found.records
-    reason = "; ".join([*source.problems, *source.bad_attachments])
-    told = {
-        "messages": str(count),
-        "until_ns": str(until),
-        "skipped_chunks": str(source.bad_chunks),
-        "dropped_attachments": " ".join(found.dropped),
-        "reason": reason,
-    }
-    add_metadata(writer, RECOVERED_METADATA, told)
-    add_metadata(writer, END_METADATA, found.metadata.get(END_METADATA, {"recovered": "true"}))
-    finish_file(writer, file, out)
-    complete = source.whole and not reason and not found.dropped
-    dropped = tuple(found.dropped)
-    return Recovery(out, count, until / 1e9, complete, source.bad_chunks, dropped, reason)
-
-
-def _copy_attachments(writer: Writer, found: _Found) -> None:
-    """Write the metadata and the intact attachments."""
-    metadata = found.metadata.get(METADATA, {"format": messages.FORMAT})
-    metadata = {key: text for key, text in metadata.items() if key != METADATA_HASH}
-    # without metadata there are no hashes; the checksums were verified on reading
-    known = {key: metadata.pop(key) for key in list(metadata) if key.startswith(HASH_KEY)}
-    kept = {}
-    for attachment in found.attachments:
-        key = HASH_KEY + attachment.name
-        digest = hashlib.sha256(attachment.data).hexdigest()
-        if known.pop(key, digest) == digest:
-            kept[key] = attachment, digest
-        else:
-            found.dropped.append(attachment.name)
-    found.dropped += [key.removeprefix(HASH_KEY) for key in known]
-    hashes = {key: digest for key, (_, digest) in kept.items()}
-    add_metadata(writer, METADATA, {**metadata, **hashes})
-    for attachment, _ in kept.values():
-        writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
-
-
-def _open_channels(writer: Writer, found: _Found) -> dict[int, int]:
-    """Register the channels in the new file; map old ids to new ones."""
-    schemas = {
-        old: writer.register_schema(schema.name, schema.encoding, schema.data)
-        for old, schema in found.schemas.items()
-    }
-    return {
-        old: writer.register_channel(
-            channel.topic, channel.message_encoding, schemas[channel.schema_id], channel.metadata
-        )
-        for old, channel in found.channels.items()
-        if channel.schema_id in schemas
-    }
+def _copy(records: Sequence[McapRecord], writer: Writer) -> None:
+    """Write records to a new file, in which schemas and channels may have other numbers."""
+    schemas: dict[int, int] = {}
+    channels: dict[int, int] = {}
+    for r in records:
+        if isinstance(r, Metadata):
+            add_metadata(writer, r.name, r.metadata)
+        elif isinstance(r, Attachment):
+            writer.add_attachment(r.create_time, r.log_time, r.name, r.media_type, r.data)
+        elif isinstance(r, Schema):
+            schemas[r.id] = writer.register_schema(r.name, r.encoding, r.data)
+        elif isinstance(r, Channel):
+            schema = schemas[r.schema_id]
+            channels[r.id] = writer.register_channel(r.topic, r.message_encoding, schema)
+        elif isinstance(r, Message):
+            channel = channels[r.channel_id]
+            writer.add_message(channel, r.log_time, r.data, r.publish_time, r.sequence)

@@ -1,12 +1,14 @@
-"""Simulation of a logged robot, with the model, dynamics and states of the log."""
+"""Simulation of a logged robot, with the dynamics and states of the log."""
 
 from __future__ import annotations
 
-import mujoco
+from functools import partial
+from pathlib import Path
+
 import numpy as np
 
-from aslip.errors import FileDamagedError
-from aslip.log.frozen_model import LONGEST_MEMORY, MODEL_FILE, SETTINGS_FILE, thaw_model
+from aslip.errors import ConfigurationError, FileDamagedError
+from aslip.log.frozen_model import LONGEST_MEMORY, is_known, thaw_model
 from aslip.log.messages import MEMORY
 from aslip.log.reader import Recording, Series
 from aslip.robot import CASSIE
@@ -16,7 +18,6 @@ from aslip.sim.dynamics import with_memory_of
 _ONE = np.zeros(1, dtype=int)
 # parameters that logs of earlier versions lack
 _GAINS = ("pd_stiffness", "pd_damping")
-_HISTORY = int(mujoco.mjtState.mjSTATE_HISTORY)
 
 
 class ReplayedRobot:
@@ -24,39 +25,32 @@ class ReplayedRobot:
 
     Args:
         recording: log whose `/dynamics` begins no later than the first state of a replay.
+        path: MJCF of the robot; by default the shipped one, if the log names it.
 
     Raises:
-        FileDamagedError: the log's model cannot be built, or its dynamics are not numbers.
+        ConfigurationError: the log is of another model, and `path` is not given.
+        FileDamagedError: the model cannot be compiled, or the log's dynamics are not numbers.
     """
 
-    def __init__(self, recording: Recording) -> None:
-        self._files = {n: recording.attachment(n) for n in (MODEL_FILE, SETTINGS_FILE)}
-        self.model = thaw_model(self._files)
+    def __init__(self, recording: Recording, path: Path | None = None) -> None:
+        self._thaw = partial(thaw_model, recording, path)
+        self.model = self._thaw()
         """Model of the robot at the beginning of the log."""
+        if path is None and not is_known(recording, self.model):
+            raise ConfigurationError(
+                f"the log is of another model than {CASSIE.mjcf.name}; give the MJCF of a log that"
+                ' you trust as `model`, such as its attachment "model.xml"'
+            )
         self._memory = self._shortest = int(self.model.actuator_history[0, 0])
         self._changes = _changes(recording["/dynamics"])
         self._dynamics = Dynamics(1, self.model)
         self._simulations = Simulations(1, model=self.model, num_threads=1)
         self._size = self._simulations.states().shape[1]
 
-    @property
-    def qpos(self) -> np.ndarray:
-        """Copy of the configuration (nq,)."""
-        return self._simulations.qpos[0].copy()
-
-    @property
-    def qvel(self) -> np.ndarray:
-        """Copy of the velocity (nv,)."""
-        return self._simulations.qvel[0].copy()
-
     def rows(self, states: Series) -> list[np.ndarray]:
-        """States of `/state`, after checks that they are safe to simulate.
-
-        Raises:
-            FileDamagedError: a row is not a state of this robot.
-        """
+        """States of `/state`, as `set_state` takes them."""
         pairs = zip(states["integration"], states["sensors"], strict=True)
-        return [self._checked(np.concatenate([np.ravel(part) for part in pair])) for pair in pairs]
+        return [np.concatenate([np.ravel(part) for part in pair]) for pair in pairs]
 
     def change(self, tick: int) -> None:
         """Set the last dynamics that were logged at or before an instant.
@@ -114,26 +108,12 @@ class ReplayedRobot:
             raise FileDamagedError(f"a motor cannot remember {memory:g} torque commands")
         return int(memory)
 
-    def _checked(self, row: np.ndarray) -> np.ndarray:
-        memory = self._memory_of(row)
-        if row.dtype != np.float64 or not np.isfinite(row).all():
-            raise FileDamagedError("a state of the log has non-finite numbers")
-        start = mujoco.mj_stateSize(self.model, _HISTORY - 1)
-        history = row[start : start + self.model.nu * (2 + 2 * memory)]
-        # MuJoCo does not check the index of the newest command
-        newest = history.reshape(self.model.nu, -1)[:, 1]
-        if not np.isin(newest, np.arange(memory)).all():
-            raise FileDamagedError(
-                "a state of the log has the index of a command outside of a motor's memory"
-            )
-        return row
-
     def _lengthen(self, memory: int) -> None:
         """Continue in a simulation with a longer memory of commands, as `SimulatedEnv` does."""
         if memory <= self._memory:
             return
         states = self._converted(self._simulations.states(), self._memory, memory)
-        model = thaw_model(self._files, memory=memory)
+        model = self._thaw(memory)
         self._simulations = Simulations(1, model=model, num_threads=1)
         self._simulations.write_fields(_ONE, self._dynamics.fields(_ONE))
         self._simulations.set_states(states)
@@ -143,7 +123,7 @@ class ReplayedRobot:
         """Convert states to a memory of `to` commands."""
         if memory == to:
             return states
-        models = (thaw_model(self._files, memory=number) for number in (memory, to))
+        models = (self._thaw(number) for number in (memory, to))
         return with_memory_of(states, *models)
 
 
@@ -151,11 +131,8 @@ def _changes(series: Series) -> dict[int, dict[str, float]]:
     """Policy step -> dynamics that hold from then on."""
     # logs of earlier versions lack the gains
     names = [*(n for n in DYNAMICS if n in series.columns or n not in _GAINS), MEMORY]
-    columns = {name: series[name] for name in names}
-    if any(column.dtype.kind != "f" or column.ndim != 1 for column in columns.values()):
-        raise FileDamagedError("/dynamics must have one number per message and parameter")
-    ticks = np.rint(series.time / CASSIE.policy_period).astype(int)
+    columns = {name: series.numbers(name) for name in names}
     return {
         int(tick): {name: float(column[i]) for name, column in columns.items()}
-        for i, tick in enumerate(ticks)
+        for i, tick in enumerate(series.ticks)
     }

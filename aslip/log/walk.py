@@ -29,13 +29,11 @@ def read_walk(recording: Recording) -> Walks:
         UnknownNameError: the log has no reference or no truth.
     """
     step, truth, reference = (recording[t] for t in ("/step", "/truth", "/reference"))
-    ticks, instants = (
-        np.rint(series.time / CASSIE.policy_period).astype(int) for series in (step, truth)
-    )
+    ticks = step.ticks
     # a reset takes the time of a policy step, so the first gap ends the episode
     gaps = np.flatnonzero(np.diff(ticks) > 1)
     count = int(gaps[0]) + 1 if len(gaps) else len(ticks)
-    rows = np.searchsorted(instants, ticks[:count])
+    rows = np.searchsorted(truth.ticks, ticks[:count])
 
     def columns(series: Any, names: Sequence[str], at: Any) -> np.ndarray:
         return np.stack([series[name][at] for name in names], axis=1)

@@ -6,7 +6,7 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,10 @@ from aslip.policy import (
 from aslip.training.provenance import provenance
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
 from benchmarks import policy_card
-from benchmarks.faults.trainings import TINY, train
 from benchmarks.policy_card import Config
 from recipes.ppo_settings import PRESETS
+from tests.helpers import TINY
+from tests.training.trainings import train
 
 
 def _card(run_folder: Path | None, assets: Path, **settings: Any) -> str:
@@ -78,7 +79,7 @@ def test_card_lists_interface_of_stack(
 
 
 def test_card_lists_training(tmp_path: Path) -> None:
-    config = TINY.__class__(**{**vars(TINY), "out": tmp_path / "run", "total_steps": 64})
+    config = replace(TINY, out=tmp_path / "run", total_steps=64)
     train(config)
     text = _card(config.out, tmp_path / "assets")
     made = read_card(config.out / "policy.zip")["made_by"]

@@ -30,10 +30,10 @@ from benchmarks import (
     learning_curves,
     throughput,
 )
-from benchmarks.faults.trainings import TINY
 from recipes import gait_library, ppo_aslip
 from recipes.ppo_directions import DirectionConfig
 from recipes.ppo_settings import PRESETS, training_settings
+from tests.helpers import TINY
 
 
 @pytest.mark.parametrize("kind", [ConfigurationError, FileExistsError])

@@ -17,7 +17,7 @@ from aslip.control.runner.load import load
 from aslip.errors import AslipError, AssetError
 from aslip.files.assets import UserPaths, asset_path
 from aslip.library import GaitFolder, GaitLibrary
-from aslip.log import Recorder, check, read, recover
+from aslip.log import Recorder, read, recover
 from aslip.policy import find_policy
 from aslip.robot import CASSIE
 from aslip.show.plots import save_figure
@@ -74,7 +74,7 @@ def test_files_are_read_from_the_home_folder(home: Path) -> None:
     shutil.copy(asset_path("gaits.npz"), home / "g.npz")
     assert len(GaitLibrary.load("~/g.npz").speeds) == 21
     assert replace(CASSIE, model_file=Path("~/m.xml")).mjcf == home / "m.xml"
-    for function in (check, read, recover):
+    for function in (read, recover):
         with pytest.raises(AssetError, match=re.escape(f"'{home}/w.mcap'")):
             function("~/w.mcap")
     with pytest.raises(AssetError, match=re.escape(f"'{home}/p.onnx'")):

@@ -13,7 +13,7 @@ from aslip.files.archive import npy
 from aslip.library import GaitLibrary, pendulum_library
 from aslip.library.table import ARRAYS
 from aslip.rom import SampledMotion
-from benchmarks.faults.archives import forge_archive, read_zip
+from tests.contracts.archives import forge_archive, read_zip
 
 
 def _assert_same(loaded: GaitLibrary, library: GaitLibrary) -> None:

@@ -38,7 +38,7 @@ def make_recorded(library: GaitLibrary) -> MakeRecorded:
             stack["time_limit"] = lambda: StepCounter(max_steps=max_steps)
         if dynamics:
             stack = randomise_stack(stack)
-        stack["recorder"] = lambda: Recorder(path, library=library, **settings)
+        stack["recorder"] = lambda: Recorder(path, **settings)
         return aslip.make_env(
             backend,  # pyright: ignore[reportArgumentType]
             num_envs=num_envs,

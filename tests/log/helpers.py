@@ -1,16 +1,20 @@
-"""Walks to record, and comparisons of logs."""
+"""Walks to record, records of logs, and comparisons of logs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import torch
+from mcap.records import Attachment, Channel, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from tensordict import TensorDict
 
 from aslip.envs import StackEnv
 from aslip.log import Recording
+from aslip.log.writer import add_metadata, open_writer
 from aslip.transforms.rewards import PAPER_WEIGHTS
 
 MakeRecorded = Callable[..., StackEnv]
@@ -54,3 +58,36 @@ def assert_subset(rest: Recording, whole: Recording) -> None:
             if topic != "/log":  # has several lines of one time
                 np.testing.assert_array_equal(column, whole[topic][name][rows], err_msg=name)
             assert set(map(str, column)) <= set(map(str, whole[topic][name]))
+
+
+def read_records(data: bytes) -> list[McapRecord]:
+    """Metadata, attachments, schemas, channels and messages of an intact log."""
+    kinds, records = (Metadata, Attachment, Schema, Channel, Message), []
+    for record in StreamReader(BytesIO(data)).records:
+        if isinstance(record, DataEnd):  # followed by the summary only
+            break
+        if isinstance(record, kinds):
+            records.append(record)
+    return records
+
+
+def write_records(records: Sequence[McapRecord]) -> bytes:
+    """Write a log of records with matching checksums, and unchanged hashes of attachments."""
+    file = BytesIO()
+    writer, schemas, channels = open_writer(file), {0: 0}, {}
+    for record in records:
+        if isinstance(record, Metadata):
+            add_metadata(writer, record.name, record.metadata)
+        elif isinstance(record, Attachment):
+            writer.add_attachment(0, 0, record.name, record.media_type, record.data)
+        elif isinstance(record, Schema):
+            new = writer.register_schema(record.name, record.encoding, record.data)
+            schemas[record.id] = new
+        elif isinstance(record, Channel):
+            encoding, schema = record.message_encoding, schemas[record.schema_id]
+            channels[record.id] = writer.register_channel(record.topic, encoding, schema)
+        elif isinstance(record, Message):
+            channel, time = channels[record.channel_id], record.log_time
+            writer.add_message(channel, time, record.data, record.publish_time, record.sequence)
+    writer.finish()
+    return file.getvalue()

@@ -23,7 +23,7 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.estimation import FAULTS
 from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
-from aslip.log import Recorder, Recording, check, read, replay
+from aslip.log import Recorder, Recording, read, replay
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
@@ -44,8 +44,7 @@ def _ends(seen: list[TensorDict]) -> np.ndarray:
 
 def _at(recording: Recording, topic: str, seen: list[TensorDict]) -> np.ndarray:
     """Rows of a topic that belong to the ends of the policy steps."""
-    ticks = np.rint(recording[topic].time / CASSIE.policy_period).astype(int)
-    return np.searchsorted(ticks, _ends(seen))
+    return np.searchsorted(recording[topic].ticks, _ends(seen))
 
 
 def test_step_topic_has_inputs_and_outcome(walk: Walk, recording: Recording) -> None:
@@ -233,7 +232,6 @@ def test_both_backends_write_the_same_messages(make_recorded: MakeRecorded, tmp_
         env = make_recorded(path, backend, num_envs=3, robot=2)
         run(env, 50)
         env.close()
-        assert check(path) == []
         logs.append(read(path))
     first, second = logs
     assert first.end == second.end
@@ -279,7 +277,7 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
     names = list(stack)
     ordered = {name: stack[name] for name in names[: names.index("action_diff") + 1]}
     ordered["reward"] = lambda: WeightedReward(weights)
-    ordered["recorder"] = lambda: Recorder(tmp_path / "a.mcap", library=library)
+    ordered["recorder"] = lambda: Recorder(tmp_path / "a.mcap")
     env = aslip.make_env(stack=ordered, num_threads=1, floor_friction=0.6, seed=0)
     run(env, 3)
     env.close()

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import subprocess
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.log import Recording, read, replay
-from aslip.log import replay as package
+from aslip.errors import ConfigurationError, UnknownNameError
+from aslip.log import Recording, replay
 from aslip.log.__main__ import main
-from aslip.log.playback import low_level_differs
 from aslip.sim import PD
-from tests.log.helpers import MakeRecorded, run
 
 
 def test_replay_from_any_state_is_bit_equal(recording: Recording) -> None:
@@ -27,29 +23,11 @@ def test_replay_from_any_state_is_bit_equal(recording: Recording) -> None:
     for time in states.time[states.time < recording["/step"].time[-1]]:
         result = replay(recording, float(time))
         assert result.equal
+        assert result.doubts == ()
         assert result.start == pytest.approx(time)
         assert result.compared >= 1
         assert result.steps > 0
     assert replay(recording).steps == 80
-
-
-@pytest.mark.parametrize("backend", ["batch", "dm_control"])
-def test_logs_of_both_backends_replay(
-    make_recorded: MakeRecorded, tmp_path: Path, backend: str
-) -> None:
-    path = tmp_path / "walk.mcap"
-    env = make_recorded(path, backend, num_envs=2, robot=1)
-    run(env, 40)
-    env.close()
-    result = replay(path)
-    assert result.equal
-    assert result.compared >= 2
-    # the result has the path of the robot
-    truth = read(path)["/truth"]
-    rows = np.searchsorted(np.rint(truth.time / 0.03), np.rint(result.time / 0.03))
-    np.testing.assert_array_equal(
-        result.qpos[:, 2].astype(np.float32), truth["pelvis_position_z"][rows].astype(np.float32)
-    )
 
 
 def _changed(
@@ -88,63 +66,51 @@ def test_replay_detects_one_changed_bit_of_a_state(recording: Recording) -> None
     assert result.diverged_at == pytest.approx(states.time[last])
 
 
-def test_other_mujoco_version_is_reported(recording: Recording) -> None:
-    other = replace(recording, metadata={**recording.metadata, "version/mujoco": "3.99.0"})
-    with pytest.raises(ConfigurationError, match=r"mujoco==3\.99\.0.*strict=False"):
-        replay(other)
-    result = replay(other, strict=False)
+@pytest.mark.parametrize(
+    ("entry", "other", "reason"),
+    [
+        ("version/mujoco", "3.99.0", r"pip install mujoco==3\.99\.0"),
+        ("model_digest", "0", "compiles differently"),
+        ("low_level_digest", "0", "other code of the drive"),
+    ],
+)
+def test_reasons_for_a_difference_are_named(
+    recording: Recording, entry: str, other: str, reason: str
+) -> None:
+    changed = replace(recording, metadata={**recording.metadata, entry: other})
+    result = replay(changed, float(recording["/state"].time[-3]))
     assert result.equal
-    assert "3.99.0" in result.doubts[0]
+    assert len(result.doubts) == 1
+    assert re.search(reason, result.doubts[0])
 
 
-def test_drift_is_measured_for_every_state(recording: Recording) -> None:
-    """Drift begins at the changed target and ends with the episode."""
+def test_replay_goes_on_after_a_difference(recording: Recording) -> None:
+    """To the end, where episodes begin from the log's own states."""
     row = int(np.searchsorted(recording["/step"].time, 1.0))
     other = _changed(recording, "/step", "motor_target_left_knee", row, 1e-9)
-    whole, first = replay(other, strict=False), replay(other)
-    assert whole.steps == 80 > first.steps
-    assert whole.diverged_at == first.diverged_at
-    states = recording["/state"]
-    np.testing.assert_allclose(whole.state_time, states.time[states["step"] > 0])
-    before = whole.state_time < 1.0
-    assert (whole.drift[before] == 0).all()
-    assert whole.drift.max() == whole.largest_difference > 0
-    assert (whole.qpos_drift <= whole.drift).all()
-    # episodes begin from the log's own states
-    falls = recording["/step"].time[recording["/step"]["terminated"] > 0]
-    later = whole.state_time > falls[falls > 1.0][0] + 1e-9
-    assert later.any()
-    assert (whole.drift[later] == 0).all()
-    assert len(whole.time) == 80
+    result, whole = replay(other), replay(recording)
+    assert (result.steps, result.compared) == (whole.steps, whole.compared) == (80, whole.compared)
 
 
 @pytest.mark.parametrize(("place", "moves"), [(0, 0), (1, 1), (35, 1), (36, 0), (-1, 0)])
-def test_drift_of_the_configuration_ignores_velocities(
+def test_difference_of_the_configuration_ignores_velocities(
     recording: Recording, place: int, moves: int
 ) -> None:
     """In a state, time comes before the configuration, velocities and other numbers after it."""
     states = recording["/state"]
     last = np.searchsorted(states.time, recording["/step"].time[-1], side="right") - 1
     other = _changed(recording, "/state", "integration", (last, place), 1e-3)
-    result = replay(other, float(states.time[last - 1]), strict=False)
+    result = replay(other, float(states.time[last - 1]))
     assert result.diverged_at == pytest.approx(states.time[last])
-    np.testing.assert_allclose(result.drift[-1], 1e-3, rtol=1e-6)
-    np.testing.assert_allclose(result.qpos_drift[-1], 1e-3 * moves, rtol=1e-6)
+    np.testing.assert_allclose(result.largest_difference, 1e-3 * moves, rtol=1e-6)
 
 
 def test_log_without_states_is_reported(recording: Recording) -> None:
     series = {topic: s for topic, s in recording.series.items() if topic != "/state"}
-    with pytest.raises(FileDamagedError, match="/state"):
+    with pytest.raises(UnknownNameError, match=r"cannot replay .* no topic '/state'"):
         replay(replace(recording, series=series))
     with pytest.raises(ConfigurationError, match="no state at -1"):
         replay(recording, -1.0)
-
-
-def test_changed_low_level_code_is_detected(recording: Recording) -> None:
-    assert not low_level_differs(recording)
-    digest = hashlib.sha256(b"other").hexdigest()
-    other = {**recording.metadata, "low_level_digest": digest}
-    assert low_level_differs(replace(recording, metadata=other))
 
 
 def test_replay_resumes_after_a_gap(recording: Recording) -> None:
@@ -173,10 +139,6 @@ def test_commands_report_a_complete_log(
     assert "term_com_vel" in output  # columns by name
     assert main(["check", log]) == 0
     assert "complete and intact" in capsys.readouterr().out
-    assert main(["replay", "--drift", log]) == 0
-    drift = capsys.readouterr().out
-    assert len(drift.splitlines()) == 3 + replay(log).compared
-    assert "| 0.99 | 0 | 0 |" in drift
     assert main(["replay", "--verify", log]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2
@@ -196,18 +158,9 @@ def test_commands_fail_on_a_damaged_log(
     assert f"python -m aslip.log recover {cut}" in output
     assert main(["replay", "--verify", str(cut)]) == 2
     assert "recover" in capsys.readouterr().err
-    assert main(["recover", str(cut)]) == 0
-    assert "walk.recovered.mcap" in capsys.readouterr().out
-    assert main(["replay", "--verify", str(tmp_path / "walk.recovered.mcap")]) == 0
-
-
-def test_recovered_log_can_take_the_original_name(
-    walk: tuple[Path, list], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    cut = tmp_path / "walk.mcap.part"
-    cut.write_bytes(walk[0].read_bytes()[:-1000])
     kept = cut.read_bytes()
     assert main(["recover", str(cut), "--out", str(tmp_path / "walk.mcap")]) == 0
+    assert "walk.mcap: " in capsys.readouterr().out
     assert main(["check", str(tmp_path / "walk.mcap")]) == 0
     assert cut.read_bytes() == kept
     assert sorted(file.name for file in tmp_path.iterdir()) == ["walk.mcap", "walk.mcap.part"]
@@ -237,13 +190,5 @@ def test_verification_fails_when_the_simulation_differs(
     monkeypatch.setattr(module, "low_level_digest", lambda: "other")
     assert main(["replay", "--verify", str(walk[0])]) == 1
     output = capsys.readouterr().out
-    assert "differs at" in output
+    assert "differs from" in output
     assert "with other code of the drive" in output
-
-
-def test_package_runs_from_a_shell(walk: tuple[Path, list]) -> None:
-    command = [sys.executable, "-m", "aslip.log", "check", str(walk[0])]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
-    assert "intact" in result.stdout
-    assert package is replay

@@ -13,11 +13,10 @@ import numpy as np
 import pytest
 import torch
 
-from aslip.errors import AslipError, ConfigurationError, FileDamagedError
+from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.files.assets import asset_path
-from aslip.log import Recording, check, read, replay
+from aslip.log import Recording, read, replay
 from aslip.robot.model import load_model, physics_timesteps
-from aslip.sim import DYNAMICS
 from tests.log.helpers import MakeRecorded, run
 
 
@@ -31,7 +30,6 @@ def test_randomised_robots_are_recorded(
     run(env, 60)
     last = {name: values[1] for name, values in env.base_env.dynamics.items()}
     env.close()
-    assert check(path) == []
     log = read(path)
     rows = log["/dynamics"]
     assert {name: rows[name][-1] for name in last} == last
@@ -59,7 +57,7 @@ def test_changes_of_dynamics_in_an_episode_are_recorded(
     env.close()
     log = read(path)
     rows = log["/dynamics"]
-    ticks = np.rint(rows.time / 0.03).astype(int)
+    ticks = rows.ticks
     assert rows["payload"][ticks <= 9].tolist() == [0.0] * int((ticks <= 9).sum())
     assert rows["payload"][ticks == 10].tolist() == [7.0]
     assert [rows["memory"][ticks == at][-1] for at in (33, 40, 50)] == [8, 16, 32]
@@ -100,93 +98,61 @@ def test_physics_at_1_khz_is_recorded(make_recorded: MakeRecorded, tmp_path: Pat
     assert replay(log).equal
     settings = {**json.loads(log.attachments["model.json"]), "timestep": physics_timesteps()[0]}
     files = {**log.attachments, "model.json": json.dumps(settings).encode()}
-    assert not replay(replace(log, attachments=files), strict=False).equal
+    assert not replay(replace(log, attachments=files)).equal
 
 
-# ------------------------------------------------------------------ forged logs
-
-
-def _with_file(recording: Recording, name: str, data: bytes) -> Recording:
-    return replace(recording, attachments={**recording.attachments, name: data})
+# ------------------------------------------------------- other models, forged logs
 
 
 def _settings(recording: Recording, **changes: Any) -> Recording:
     settings = {**json.loads(recording.attachments["model.json"]), **changes}
-    return _with_file(recording, "model.json", json.dumps(settings).encode())
+    files = {**recording.attachments, "model.json": json.dumps(settings).encode()}
+    return replace(recording, attachments=files)
 
 
-def test_changed_model_is_reported(recording: Recording) -> None:
-    slippery = _settings(recording, floor_friction=0.5)
-    with pytest.raises(ConfigurationError, match="compiles differently"):
-        replay(slippery)
-    assert "compiles differently" in replay(slippery, strict=False).doubts[0]
+def test_another_model_is_refused_unless_it_is_given(recording: Recording, tmp_path: Path) -> None:
+    """The model attached to a log is named by its hash, and not compiled."""
+    xml = asset_path("cassie.xml").read_bytes()
+    (tmp_path / "heavy.xml").write_bytes(
+        re.sub(rb' mass="([\d.]+)"', lambda old: b' mass="%.4f"' % (1.5 * float(old[1])), xml)
+    )
+    (tmp_path / "same.xml").write_bytes(xml)
+    metadata = {"sha256/model.xml": "0" * 64, "model_digest": "0" * 64}
+    other = replace(recording, metadata={**recording.metadata, **metadata})
+    with pytest.raises(ConfigurationError, match=r"another model than cassie\.xml; give the MJCF"):
+        replay(other)
+    assert replay(other, model=tmp_path / "same.xml").equal
+    heavy = replay(recording, model=tmp_path / "heavy.xml")
+    assert not heavy.equal
+    assert "compiles differently" in heavy.doubts[0]
+    with pytest.raises(FileDamagedError, match=r"compiled from .*gone\.xml"):
+        replay(recording, model=tmp_path / "gone.xml")
 
 
 @pytest.mark.parametrize(
     "settings",
     [
-        {"fields": [["jnt_qposadr", [5], 200000000]]},
-        {"fields": [["opt.gravity", [2], 9.81]]},
-        {"__class__": "int"},
         {"gravity": [0, 0, 9.81]},
+        {"robot": "mine"},
         {"timestep": 0.05},
-        {"timestep": float("nan")},
-        {"timestep": True},
         {"memory": 10**9},
-        {"memory": 0},
         {"memory": 8.5},
-        {"visual": "yes"},
-        {"floor_friction": -1.0},
         {"floor_friction": float("inf")},
-        {"floor_friction": float("nan")},
         {"floor_friction": [1.0]},
     ],
-)  # fmt: skip
-def test_model_with_forged_settings_is_refused(
+)
+def test_settings_of_the_model_out_of_range_are_refused(
     recording: Recording, settings: dict[str, Any]
 ) -> None:
     with pytest.raises(FileDamagedError, match="model of the log"):
-        replay(_settings(recording, **settings), strict=False)
+        replay(_settings(recording, **settings))
 
 
-@pytest.mark.parametrize("damage", [b"", b"{", b"[]", b"{}", b"[" * 100_000])
-def test_model_that_does_not_compile_is_reported(recording: Recording, damage: bytes) -> None:
-    for name in ("model.json", "model.xml"):
-        with pytest.raises(FileDamagedError, match="model of the log"):
-            replay(_with_file(recording, name, damage), strict=False)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('name="left_knee"', 'name="left_elbow"'),
-        ("<worldbody>", '<worldbody><light name="more"/>'),
-        ("<worldbody>", '<include file="/etc/hosts"/><worldbody>'),
-        ('nsample="', 'nsample="99999'),
-        ('nuserdata="', 'nuserdata="-'),
-        ("<mujoco", '<mujoco more="1"'),
-        ("</worldbody>", ""),
-    ],
-)
-def test_model_with_forged_structure_is_refused(recording: Recording, old: str, new: str) -> None:
-    xml = recording.attachments["model.xml"].decode()
-    if old not in xml:
-        old, new = "<option ", '<option nonsense="1" '
-    forged = _with_file(recording, "model.xml", xml.replace(old, new, 1).encode())
+@pytest.mark.parametrize("damage", [b"", b"[]", b"{}", b"[" * 100_000])
+def test_damaged_settings_of_the_model_are_refused(recording: Recording, damage: bytes) -> None:
+    files = {**recording.attachments, "model.json": damage}
     with pytest.raises(FileDamagedError, match="model of the log"):
-        replay(forged, strict=False)
-
-
-def test_model_with_other_numbers_is_simulated(recording: Recording) -> None:
-    """The replay uses the MJCF of the log, not the shipped one."""
-    xml = asset_path("cassie.xml").read_bytes()
-    heavier = re.sub(
-        rb' mass="([\d.]+)"', lambda found: b' mass="%.4f"' % (1.5 * float(found[1])), xml
-    )
-    assert heavier != xml
-    result = replay(_with_file(recording, "model.xml", heavier), strict=False)
-    assert not result.equal
-    assert "compiles differently" in result.doubts[0]
+        replay(replace(recording, attachments=files))
 
 
 def _with_column(recording: Recording, topic: str, name: str, column: np.ndarray) -> Recording:
@@ -195,48 +161,34 @@ def _with_column(recording: Recording, topic: str, name: str, column: np.ndarray
     return replace(recording, series={**recording.series, topic: other})
 
 
-@pytest.mark.parametrize("value", [1e9, -1.0, 0.5, np.nan, np.inf])
-@pytest.mark.parametrize("place", [1, 2, 68, 69, 70, 100, -1])
-def test_forged_states_are_refused_or_simulated_safely(
-    recording: Recording, place: int, value: float
-) -> None:
-    """Among the numbers is the index of the newest command in a motor's memory."""
-    integration = recording["/state"]["integration"].copy()
-    integration[:, place] = value
-    try:
-        replay(_with_column(recording, "/state", "integration", integration), strict=False)
-    except AslipError as error:
-        assert "state of the log" in str(error)
-
-
-def test_forged_index_of_a_command_is_refused(recording: Recording) -> None:
-    """An index outside the memory of commands is refused."""
+@pytest.mark.parametrize("value", [10_000_000, -3, np.nan])
+def test_forged_states_do_not_end_the_process(recording: Recording, value: float) -> None:
+    """MuJoCo reads the memory of a motor's commands at an index in the state."""
     integration = recording["/state"]["integration"].copy()
     # time, positions, velocities; then per motor a number for users and the index
-    integration[:, 1 + 35 + 32 + 1] = 10_000_000
-    with pytest.raises(FileDamagedError, match="outside of a motor's memory"):
-        replay(_with_column(recording, "/state", "integration", integration))
+    integration[:, 1 + 35 + 32 + 1] = value
+    assert not replay(_with_column(recording, "/state", "integration", integration)).equal
 
 
-@pytest.mark.parametrize("size", [0, 1, 10, 301, 322])
+@pytest.mark.parametrize("size", [0, 301, 322])
 def test_states_of_wrong_size_are_refused(recording: Recording, size: int) -> None:
     integration = np.resize(recording["/state"]["integration"], (len(recording["/state"]), size))
     with pytest.raises(FileDamagedError, match=r"state of the log|remember .* commands"):
         replay(_with_column(recording, "/state", "integration", integration))
 
 
-@pytest.mark.parametrize("name", [*DYNAMICS, "memory"])
+@pytest.mark.parametrize("name", ["payload", "memory"])
 def test_dynamics_out_of_range_are_refused(recording: Recording, name: str) -> None:
-    for value in (1e9, -1e9, np.nan, np.inf):
+    for value in (1e9, np.nan):
         column = np.full(len(recording["/dynamics"]), value)
         with pytest.raises(FileDamagedError, match=f"{name}|commands"):
             replay(_with_column(recording, "/dynamics", name, column))
-    text = np.array(["much"] * len(recording["/dynamics"]))
-    with pytest.raises(FileDamagedError, match="/dynamics must have one number"):
-        replay(_with_column(recording, "/dynamics", name, text))
 
 
-def test_non_numeric_targets_are_refused(recording: Recording) -> None:
-    column = np.array(["far"] * len(recording["/step"]))
-    with pytest.raises(FileDamagedError, match="motor_target_left_knee"):
-        replay(_with_column(recording, "/step", "motor_target_left_knee", column))
+@pytest.mark.parametrize(
+    ("topic", "name"), [("/dynamics", "payload"), ("/step", "motor_target_left_knee")]
+)
+def test_columns_of_text_are_refused(recording: Recording, topic: str, name: str) -> None:
+    column = np.array(["much"] * len(recording[topic]))
+    with pytest.raises(FileDamagedError, match=f"{topic} must have one number"):
+        replay(_with_column(recording, topic, name, column))

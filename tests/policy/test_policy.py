@@ -35,7 +35,7 @@ from aslip.policy import (
     save_policy,
 )
 from aslip.transforms import DIRECTION_TABLE
-from benchmarks.faults.archives import forge_archive, read_zip
+from tests.contracts.archives import forge_archive, read_zip
 from tests.helpers import MakeEnv
 from tests.policy.inputs import random_observations
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from collections.abc import Callable
@@ -17,26 +18,29 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.checkpoint import GlobalRNGState
 from torchrl.collectors import Collector
-from torchrl.envs.transforms import Compose
+from torchrl.envs.transforms import Compose, Transform
 
 import aslip
-from aslip.envs import SimulatedEnv, Stack, default_stack, insert_before, randomise_stack
+from aslip.envs import (
+    BatchEnv,
+    SimulatedEnv,
+    Stack,
+    StackEnv,
+    default_stack,
+    insert_before,
+    randomise_stack,
+)
 from aslip.errors import ConfigurationError
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor
 from aslip.training.checkpoint import CollectorState, load_checkpoint, save_checkpoint, snapshot
+from aslip.training.collectors import LocalCollector
+from aslip.training.progress import read_progress
 from aslip.training.run import TrainingRun
 from aslip.transforms import Difficulty, ObservationNoise, RandomDynamics, RandomPushes
-from benchmarks.faults.trainings import (
-    TINY,
-    Holder,
-    count_updates,
-    identical,
-    kill_training,
-    resume_training,
-    train,
-)
+from benchmarks.common import Holder
 from recipes import ppo_aslip
-from tests.helpers import MakeEnv, differing
+from tests.helpers import MakeEnv, differing, identical
+from tests.training.trainings import TINY, count_updates, kill_training, resume_training, train
 
 ROBOTS, STEPS = 4, 8
 
@@ -286,3 +290,42 @@ def test_resuming_a_finished_training_changes_nothing(
     assert "of 21 speeds" in summary
     assert resume_training(config) == before
     assert (config.out / "summary.md").read_text().rpartition("\n\n")[0] == summary
+
+
+class Spoiling(Transform):
+    """Put NaN into one robot's state at three policy steps."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._taken = 0
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        del tensordict
+        self._taken += 1
+        base: Any = self.parent
+        while not isinstance(base, BatchEnv):
+            base = base.base_env
+        if self._taken in (8, 12, 19):
+            states = base.states()
+            states[self._taken % base.num_envs, 3] = math.nan
+            base.set_states(states)
+        return next_tensordict
+
+
+def _spoiled_collector(make_env: Any, actor: Any, **settings: Any) -> LocalCollector:
+    def make(**keywords: Any) -> StackEnv:
+        env = make_env(**keywords)
+        env.append_transform(Spoiling())
+        return env
+
+    return LocalCollector(make, actor, **settings)
+
+
+def test_training_continues_after_divergence(tmp_path: Path) -> None:
+    """Three NaN states of one robot cause three divergences, and all numbers stay finite."""
+    config = replace(TINY, out=tmp_path / "run", total_steps=128)
+    train(config, make_collector=_spoiled_collector)
+    progress = read_progress(config.out)
+    assert progress["divergences"] == [2, 3]
+    for name, column in progress.items():
+        assert "eval" in name or all(map(math.isfinite, column)), name

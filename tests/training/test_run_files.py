@@ -17,6 +17,7 @@ from aslip.training import run as run_module
 from aslip.training.provenance import peak_memory
 from aslip.training.run import TrainingStoppedError, write_text
 from benchmarks.common import quiet
+from tests.helpers import full_disk
 from tests.training.run_folder import (
     Settings,
     checkpoints,
@@ -108,14 +109,8 @@ def test_a_partly_written_row_is_removed(
     run.log(10, {"value": 1.0})
     before = (settings.out / "progress.csv").read_bytes()
     run.close()  # TensorBoard writes in a thread, to which the limit must not apply
-    resource = pytest.importorskip("resource")
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with quiet() as said:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 3, limits[1]))
-        try:
-            run.log(20, {"value": 2.0})
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    with quiet() as said, full_disk(len(before) + 3):
+        run.log(20, {"value": 2.0})
     assert "could not be written" in said[0]
     assert (settings.out / "progress.csv").read_bytes() == before
     run.log(30, {"value": 3.0})

@@ -31,7 +31,7 @@ from aslip.control.runner.record import RunLog, replay, run_metadata
 from aslip.control.runner.supervisor import Limits, Request, Stage, Supervisor
 from aslip.errors import ConfigurationError, FileDamagedError, NetworkError
 from aslip.library import GaitLibrary, Schedule
-from aslip.log import check, read
+from aslip.log import read
 from aslip.robot import CASSIE
 from aslip.twin import TwinRobot, serve_lockstep
 from aslip.wire import (
@@ -127,7 +127,7 @@ def test_a_log_replays_bit_for_bit(lockstep: SimpleNamespace, tmp_path: Path) ->
     result = replay(lockstep.path, make, tmp_path)
     assert made == [["policy.zip", "library.npz"]]
     assert (result.different, result.walked) == (0, len(lockstep.run.tally.work) - 2)
-    assert check(lockstep.path) == []
+    read(lockstep.path)
 
 
 def test_a_replay_finds_another_controller(

@@ -1,9 +1,10 @@
-"""ZIP archives: reading, writing, and forging with a hidden program inside."""
+"""ZIP archives: reading, writing, and forging, also with a hidden program inside."""
 
 from __future__ import annotations
 
 import io
 import pickle
+import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -75,3 +76,20 @@ def programs(data: bytes, program: Program) -> Iterator[bytes]:
     yield forge_archive(
         {**parts, **{f"{f}/{name}": c for f in folders for name, c in beside.items()}}
     )
+
+
+def forgeries(data: bytes, rng: np.random.Generator) -> Iterator[bytes]:
+    """Change, swap or remove entries of an archive, with matching hashes."""
+    parts = read_zip(data)
+    names = sorted(parts.keys() - {SUMS})
+    for name in rng.choice(names, min(8, len(names)), replace=False).tolist():
+        content, other = parts[name], str(rng.choice(names))
+        # NaN in any precision, and numbers of texts and of shapes
+        changes = [b"", content[:-8] + b"\xff" * 8]
+        numbers = list(re.finditer(rb"\d+", content))
+        for number in (b"-1", b"1" + 30 * b"0") if numbers else ():
+            start, end = numbers[int(rng.integers(len(numbers)))].span()
+            changes.append(content[:start] + number + content[end:])
+        yield from (forge_archive({**parts, name: change}) for change in changes)
+        yield forge_archive({**parts, name: parts[other], other: content})
+        yield forge_archive({key: part for key, part in parts.items() if key != name})

@@ -1,4 +1,4 @@
-"""Tiny trainings for fault injection, and comparison of their results."""
+"""Tiny trainings, killed or not, and comparison of their results."""
 
 from __future__ import annotations
 
@@ -7,22 +7,17 @@ import subprocess
 import sys
 import time
 import zipfile
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import torch
 
 from aslip.training.checkpoint import load_checkpoint
 from aslip.training.progress import read_progress
 from benchmarks.common import Holder, quiet
 from recipes import ppo_aslip
+from tests.helpers import TINY as TWO_UPDATES
 
-TINY = ppo_aslip.Config(
-    num_envs=8, samples=64, total_steps=512, minibatch=32, eval_interval=400, checkpoint_minutes=0,
-    eval_steps=5,
-)  # fmt: skip
+TINY = replace(TWO_UPDATES, total_steps=512, eval_interval=400)
 """Settings of a training of eight updates with a checkpoint after each."""
 
 PATIENCE = 120.0
@@ -39,12 +34,6 @@ def train(config: ppo_aslip.Config, **parts: Any) -> dict[str, Any]:
 def resume_training(config: ppo_aslip.Config) -> dict[str, Any]:
     """Resume a training to its end; returns the `fingerprint`."""
     return train(replace(config, resume=True))
-
-
-def reference_result(folder: Path) -> dict[str, Any]:
-    """Fingerprint of an uninterrupted training, run once per folder."""
-    config = replace(TINY, out=folder / "reference")
-    return fingerprint(config.out) if config.out.exists() else train(config)
 
 
 def fingerprint(out: Path) -> dict[str, Any]:
@@ -82,7 +71,7 @@ import sys, torch
 from dataclasses import replace
 from pathlib import Path
 torch.set_num_threads(1)
-from benchmarks.faults.trainings import TINY, train
+from tests.training.trainings import TINY, train
 train(replace(TINY, out=Path(sys.argv[1])))
 """
 
@@ -113,14 +102,3 @@ def count_updates(out: Path) -> int:
         return len(read_progress(out).get("step", ()))
     except (OSError, ValueError):  # a row is being written
         return 0
-
-
-def identical(a: Any, b: Any) -> bool:
-    """Compare two states bit for bit."""
-    if isinstance(a, torch.Tensor):
-        return a.dtype == b.dtype and torch.equal(a, b)
-    if isinstance(a, Mapping):
-        return a.keys() == b.keys() and all(identical(a[key], b[key]) for key in a)
-    if isinstance(a, list | tuple):
-        return len(a) == len(b) and all(map(identical, a, b))
-    return a == b

@@ -1,13 +1,15 @@
-"""Kinds of files for tests and fault injection: writing, reading and comparison.
+"""Kinds of files: writing, reading and comparison.
 
 To add a kind, add a `Kind` to `KINDS`.
 """
 
 from __future__ import annotations
 
-import json
+import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +18,16 @@ import torch
 from tensordict import TensorDict
 
 import aslip
-from aslip.files.archive import as_json
+from aslip.envs import default_stack
+from aslip.errors import ConfigurationError, FileDamagedError
 from aslip.library import GaitLibrary
 from aslip.library.table import ARRAYS
-from aslip.policy import CARD, PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
+from aslip.log import Recorder, read, recover, replay
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, read_card, save_policy
 from aslip.rom import SampledMotion
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint
-from benchmarks.faults.archives import forge_archive, read_zip
-from benchmarks.faults.logs import FORGED_LOGS, load_log, write_log
-from benchmarks.faults.trainings import Holder, identical
+from benchmarks.common import Holder
+from tests.helpers import identical
 
 
 @dataclass(frozen=True)
@@ -45,10 +48,6 @@ class Kind:
     """Whether files of the kind are ZIP archives."""
     makes_folders: bool = False
     """Whether `write` creates a missing folder."""
-    damages: Mapping[str, Callable[[bytes, np.random.Generator], bytes]] = field(
-        default_factory=dict
-    )
-    """Damage particular to the kind, by name."""
 
 
 def _require_finite(content: Any) -> Any:
@@ -83,21 +82,6 @@ def _load_policy(path: Path) -> Any:
     observation = torch.linspace(-1, 1, 64).expand(2, -1)
     action = actor(TensorDict(observation=observation, batch_size=2))["action"]
     return {"card": read_card(path), "weights": _require_finite(actor.state_dict()), "act": action}
-
-
-def _forge_sizes(data: bytes, rng: np.random.Generator) -> bytes:
-    """Damage that enlarges the network in the card, up to 10^18 weights, with matching hashes."""
-    parts = read_zip(data)
-    card = json.loads(parts[CARD])
-    widths = [10 ** int(rng.integers(0, 10)) for _ in range(int(rng.integers(4)))]
-    card["shape"] |= [
-        {"hidden": widths},
-        {"observation_size": 10 ** int(rng.integers(1, 10))},
-        {"action_size": 10 ** int(rng.integers(2, 10))},
-        {"hidden": [1] * 10 ** int(rng.integers(1, 6))},
-    ][int(rng.integers(4))]
-    card["shape"]["symmetric"] = bool(rng.integers(2))
-    return forge_archive({**parts, CARD: as_json(card)})
 
 
 def _write_library(path: Path) -> None:
@@ -153,27 +137,59 @@ def _load_checkpoint(path: Path) -> Any:
     return {"metadata": metadata, **{name: holder.state for name, holder in holders.items()}}
 
 
+def _write_log(path: Path) -> None:
+    """Log one fall, replacing an existing file.
+
+    Raises:
+        OSError: the file cannot be written, and the partial file is deleted. (The recorder itself
+            only warns.)
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", RuntimeWarning)
+            _log_fall(path)
+    except (ConfigurationError, RuntimeWarning) as error:
+        path.with_name(path.name + ".part").unlink(missing_ok=True)
+        raise OSError(str(error)) from error
+
+
+def _log_fall(path: Path) -> None:
+    library = GaitLibrary.load()
+    recorder = partial(Recorder, path, overwrite=True)
+    stack = {**default_stack(library), "recorder": recorder}
+    env = aslip.make_env(stack=stack, num_threads=1, seed=0)
+    td = env.reset()
+    for _ in range(36):
+        _, td = env.step_and_maybe_reset(td.set("action", torch.zeros(1, 10)))
+    env.close()
+
+
+def _load_log(path: Path) -> Any:
+    """Content of a log, except for the date of writing, and whether its replay is equal."""
+    recovered = path.with_name("recovered.mcap")
+    with suppress(FileDamagedError):
+        recover(path, recovered)
+    recovered.unlink(missing_ok=True)
+    log = read(path)
+    return {
+        "metadata": {key: text for key, text in log.metadata.items() if key != "started_utc"},
+        "end": log.end,
+        "files": log.attachments,
+        "series": {
+            topic: {key: value.tolist() for key, value in {"time": s.time, **s.columns}.items()}
+            for topic, s in log.series.items()
+        },
+        "replay": replay(log).equal,
+    }
+
+
 KINDS: dict[str, Kind] = {
     kind.name: kind
     for kind in (
-        Kind(
-            "policy",
-            ".zip",
-            _write_policy,
-            _load_policy,
-            damages={"forged sizes": _forge_sizes},
-        ),
+        Kind("policy", ".zip", _write_policy, _load_policy),
         Kind("library", ".npz", _write_library, _load_library),
         Kind("checkpoint", ".zip", _write_checkpoint, _load_checkpoint),
-        Kind(
-            "log",
-            ".mcap",
-            write_log,
-            load_log,
-            archive=False,
-            makes_folders=True,
-            damages=FORGED_LOGS,
-        ),
+        Kind("log", ".mcap", _write_log, _load_log, archive=False, makes_folders=True),
     )
 }
 """Every kind of file, by name."""
