@@ -9,7 +9,7 @@ from aslip.ik.clearance import LegClearance
 from aslip.ik.dynamics import leg_torque, pelvis_axes
 from aslip.ik.kinematics import Kinematics
 from aslip.ik.solve import IkResidual, IkSolution, solve
-from aslip.ik.statics import share_friction, standing_pose, static_torque
+from aslip.ik.statics import share_friction, static_torque
 from aslip.ik.target import BodyTarget
 
 __all__ = [
@@ -22,6 +22,5 @@ __all__ = [
     "pelvis_axes",
     "share_friction",
     "solve",
-    "standing_pose",
     "static_torque",
 ]
