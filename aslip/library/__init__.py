@@ -4,7 +4,7 @@
     library = GaitLibrary.from_motions(walks)      # inverse kinematics
     library.save("gaits.npz")
     library = GaitLibrary.load("gaits.npz")        # without a path, the shipped one
-    library(phase, command).motor_position
+    library.lookup(phase, command).motor_position
 
 A library is made of motions of any reduced-order model, see `aslip.rom.Motion`. Looking motions up
 imports none of CasADi, Pinocchio and MuJoCo.
