@@ -203,9 +203,9 @@ def reset_walks(
         ConfigurationError: a robot shall stand, and the stack has no wish to stand.
     """
     values = {"command": command, "phase": np.broadcast_to(phase, len(command))}
-    stand = checked_wishes(env, np.broadcast_to(stand, len(command)), (len(command),))
-    if stand is not None:
-        values["stand"] = stand
+    wishes = checked_wishes(env, np.broadcast_to(stand, len(command)), (len(command),))
+    if wishes is not None:
+        values["stand"] = wishes
     request = {name: _columns(value) for name, value in values.items()}
     return env.reset(TensorDict(request, batch_size=env.num_envs))
 
