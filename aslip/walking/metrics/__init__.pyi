@@ -10,7 +10,6 @@ from .directions import mean_twist as mean_twist
 from .directions import tracking_errors as tracking_errors
 from .effort import action_roughness as action_roughness
 from .effort import cost_of_transport as cost_of_transport
-from .effort import jerk as jerk
 from .effort import mechanical_power as mechanical_power
 from .footsteps import Footsteps as Footsteps
 from .footsteps import Placement as Placement
