@@ -80,7 +80,7 @@ _USES = {
     "from aslip.control.runner.load import _of_export; _of_export('', None)": "onnxruntime control",
     "from aslip.control.export import export_policy": "onnx export",
     "from aslip.twin import ENGINES; ENGINES['drake'](None, None)": "pydrake drake",
-    "import aslip.training.ray as r; r.RayCollectors(None, None)": "ray ray",
+    "import aslip.training.ray as r; r.RayCollectors(None, None, num_envs=2, samples=2)": "ray ray",
 }
 
 
