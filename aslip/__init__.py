@@ -11,53 +11,11 @@ A library of optimal actuated-SLIP walking gaits guides a policy for the biped C
 Names are imported on first use: `import aslip` alone loads no library.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from aslip import errors
 from aslip.imports import attach, mujoco_gl_problem
-
-if TYPE_CHECKING:
-    from aslip.control import Controller
-    from aslip.envs import GymEnv, GymVectorEnv, RobotEnv, default_stack, make_env
-    from aslip.library import GaitLibrary, Reference
-    from aslip.policy import load_policy
-    from aslip.rom import Gait, Motion
 
 __version__ = "0.1.0"
 
 # before anything imports MuJoCo
 mujoco_gl_problem()
 
-__all__ = [
-    "Controller",
-    "Gait",
-    "GaitLibrary",
-    "GymEnv",
-    "GymVectorEnv",
-    "Motion",
-    "Reference",
-    "RobotEnv",
-    "__version__",
-    "default_stack",
-    "errors",
-    "load_policy",
-    "make_env",
-]
-
-
-__getattr__, _ = attach(
-    "aslip",
-    {
-        "control": ["Controller"],
-        "envs": ["GymEnv", "GymVectorEnv", "RobotEnv", "default_stack", "make_env"],
-        "library": ["GaitLibrary", "Reference"],
-        "policy": ["load_policy"],
-        "rom": ["Gait", "Motion"],
-    },
-)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

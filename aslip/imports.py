@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import ctypes
 import functools
-import logging
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -51,35 +49,36 @@ def extras() -> Iterator[None]:
 
 
 def attach(
-    package: str, names: Mapping[str, Sequence[str]]
-) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package that imports its modules on first use.
+    package: str, file: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """`__getattr__`, `__dir__` and `__all__` of a package that imports its modules on first use.
+
+    Its names, and the module of each, stand in the stub `__init__.pyi` beside its `__init__.py`.
 
     Args:
-        package: name of the package.
-        names: module -> names that the package has from it.
+        package: `__name__` of the package.
+        file: its `__file__`.
 
     Raises:
+        ValueError: there is no stub.
         ImportError: from `__getattr__`: a module raised an `AttributeError` on import. Python would
             hide it behind "cannot import name".
         MissingExtraError: from `__getattr__`: a library of an extra is not installed.
     """
-    load, list_names, _ = lazy_loader.attach(package, submod_attrs=names)
-    homes = {name: module for module, own in names.items() for name in own}
+    load, _, names = lazy_loader.attach_stub(package, file)
 
     def get(name: str) -> Any:
-        if name not in homes:
-            known = list_names()
-            raise AttributeError(f"module {package!r} has no attribute {name!r}; there are {known}")
+        if name not in names:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}; there are {names}")
         try:
             with extras():
                 return load(name)
         except AttributeError as error:
             raise ImportError(
-                f"{package}.{homes[name]} cannot be imported: AttributeError: {error}"
+                f"{package}.{name} cannot be imported: AttributeError: {error}"
             ) from error
 
-    return get, list_names
+    return get, lambda: sorted({*vars(sys.modules[package]), *names}), names
 
 
 LIBRARIES = {"egl": "libEGL", "osmesa": "libOSMesa"}
@@ -109,6 +108,8 @@ def mujoco_gl_problem() -> str:
     else:
         return ""
     problem = f"the environment variable MUJOCO_GL = {value!r} {problem}"
+    import logging
+
     logging.getLogger(__name__).warning("no pictures: %s", problem)
     os.environ["MUJOCO_GL"] = "disable"
     return problem
@@ -116,6 +117,8 @@ def mujoco_gl_problem() -> str:
 
 def loads(library: str) -> bool:
     """Check that a shared library can be loaded, by the names that PyOpenGL tries."""
+    import ctypes
+
     for suffix in ("", *(f".{version}" for version in range(10))):
         with suppress(OSError):
             ctypes.CDLL(f"{library}.so{suffix}")

@@ -12,8 +12,9 @@ import pytest
 _ATTACHED = """
 from aslip.imports import attach
 
-__getattr__, __dir__ = attach(__name__, {"broken": ["THING"], "whole": ["OTHER"]})
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
 """
+_STUB = "from .broken import THING as THING\nfrom .whole import OTHER as OTHER\n"
 
 
 def test_an_attribute_error_in_a_module_is_not_hidden(
@@ -22,16 +23,22 @@ def test_an_attribute_error_in_a_module_is_not_hidden(
     package = tmp_path / "attached"
     package.mkdir()
     (package / "__init__.py").write_text(_ATTACHED)
+    (package / "__init__.pyi").write_text(_STUB)
     (package / "broken.py").write_text("import math\nTHING = math.no_such_function\n")
     (package / "whole.py").write_text("OTHER = 1\n")
     monkeypatch.syspath_prepend(tmp_path)
-    cause = r"attached.broken cannot be imported: AttributeError: .*'no_such_function'"
+    cause = r"attached.THING cannot be imported: AttributeError: .*'no_such_function'"
     with pytest.raises(ImportError, match=cause):
         exec("from attached import THING")
     module = importlib.import_module("attached")
     with pytest.raises(ImportError, match=cause):
         hasattr(module, "THING")
     assert module.OTHER == 1
+    assert module.__all__ == ["OTHER", "THING"]
+    assert {"OTHER", "THING", "whole"} <= {*dir(module)}
+    (package / "__init__.pyi").unlink()
+    with pytest.raises(ValueError, match=r"non-existent stub '.*__init__\.pyi'"):
+        importlib.reload(module)
     assert not hasattr(module, "NEITHER")
     with pytest.raises(AttributeError, match=r"'NEITHER'; there are \['OTHER', 'THING'\]"):
         _ = module.NEITHER

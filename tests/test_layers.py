@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import functools
 import subprocess
+import symtable
 import sys
 from pathlib import Path
 
@@ -276,7 +277,7 @@ def test_a_look_up_needs_torch_only() -> None:
 
 
 def test_the_inverse_kinematics_needs_pinocchio_only() -> None:
-    loaded = _loaded_after("import aslip.ik")
+    loaded = _loaded_after("from aslip.ik import solve")
     assert "pinocchio" in loaded
     assert not loaded & {"torch", "torchrl", "tensordict", "mujoco", "casadi", "dm_control"}
 
@@ -309,6 +310,22 @@ def test_the_runner_of_an_exported_policy_needs_numpy_only() -> None:
     loaded = _loaded_after("from aslip.control.__main__ import Config, main")
     assert "numpy" in loaded
     assert not loaded & (_HEAVY | {"numba", "scipy"})
+
+
+def test_modules_have_the_names_that_stubs_take_from_them() -> None:
+    stubs = sorted(PACKAGE.rglob("__init__.pyi"))
+    assert len(stubs) > 10
+    for stub in stubs:
+        for node in ast.parse(stub.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom) and node.module:
+                file = stub.with_name(f"{node.module}.py")
+                if not file.is_file():
+                    continue  # a package, whose own stub is checked
+                table = symtable.symtable(file.read_text(encoding="utf-8"), str(file), "exec")
+                for name in (alias.name for alias in node.names):
+                    assert name in table.get_identifiers(), f"{stub} takes {name} from {file}"
+                    found = table.lookup(name)
+                    assert found.is_assigned() or found.is_imported(), f"{file} lacks {name}"
 
 
 def test_an_unknown_public_name_lists_the_known_ones() -> None:

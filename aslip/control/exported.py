@@ -26,7 +26,6 @@ from aslip.control.own_estimate import (
 from aslip.errors import AssetError, ConfigurationError, ShapeError
 from aslip.files.assets import user_path
 from aslip.robot import CASSIE, Robot
-from aslip.robot.rotation import normalize
 
 if TYPE_CHECKING:
     from aslip.estimation import Estimate, StateEstimator, Tracking
@@ -262,8 +261,6 @@ class ExportedController:
         entries, state = [], None
         for row, heading, command, start, stand in columns:
             estimate = split_estimate(row[None], self.robot)
-            # traces of earlier versions have noise on all four numbers
-            estimate["orientation"] = normalize(estimate["orientation"])
             wish: dict[str, Any] = {"stand": stand, "heading": heading[None]}
             if state is None or start:
                 state = self.start(estimate, command[None], phase=trace["phase"], **wish)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import partial
 from pathlib import Path
-from types import CodeType, FunctionType, MethodType
 from typing import Any, TypeVar
 
 import torch
@@ -210,8 +207,8 @@ def library_of(env: StackEnv) -> GaitLibrary:
 def describe_transforms(env: StackEnv) -> dict[str, str]:
     """Transforms of an environment: name -> class and settings.
 
-    A function is described by its name and a hash of its code (`function_text`), a value without a
-    short text by its class.
+    A function is described by its qualified name, so a change of its code does not show; a value
+    without a short text by its class.
     """
     return {
         name: f"{type(t).__name__}({', '.join(_settings(t))})"
@@ -250,8 +247,9 @@ def _text(value: Any) -> str:
         return f"({', '.join(map(_text, value))})"
     if isinstance(value, str | int | float | None) or is_dataclass(value):
         return str(value)
-    if isinstance(value, FunctionType | MethodType | partial):
-        return function_text(value, _text)
+    if isinstance(value, partial):
+        given = ", ".join([*map(_text, value.args), _text(value.keywords)])
+        return f"partial({_text(value.func)}, {given})"
     return getattr(value, "__qualname__", type(value).__name__)
 
 
@@ -283,61 +281,3 @@ def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
     points = torch.cartesian_prod(torch.arange(4) / 4, *ends)
     motion = library.lookup(points[:, :1], points[:, 1:])
     return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()
-
-
-def function_text(function: Callable[..., Any], text: Callable[[Any], str]) -> str:
-    """Name of a function and hash of its code; the same in every process.
-
-    The hash covers byte code, constants, names, default arguments and closure, but not the line in
-    the file. It differs between minor versions of Python. It does not cover other functions that
-    this one calls.
-
-    Args:
-        function: function, lambda, bound method or `functools.partial`.
-        text: gives the text of a bound value, the same in every process.
-    """
-    if isinstance(function, partial):
-        given = ", ".join([*map(text, function.args), text(function.keywords)])
-        return f"partial({text(function.func)}, {given})"
-    if isinstance(function, MethodType):
-        return f"{text(function.__self__)}.{function_text(function.__func__, text)}"
-    assert isinstance(function, FunctionType)
-    return _named_hash(function, text, ())
-
-
-def _named_hash(
-    function: FunctionType, text: Callable[[Any], str], within: tuple[FunctionType, ...]
-) -> str:
-    """Name and hash of a function that the functions `within` have bound."""
-    if function in within:
-        return function.__qualname__  # recursion
-    bound = [*(function.__defaults__ or ()), *(function.__kwdefaults__ or {}).items()]
-    values = [
-        _named_hash(value, text, (*within, function))
-        if isinstance(value, FunctionType)
-        else text(value)
-        for value in [*bound, *_closure(function)]
-    ]
-    digest = hashlib.sha256("\n".join([*_code_parts(function.__code__), *values]).encode())
-    return f"{function.__qualname__}#{digest.hexdigest()[:12]}"
-
-
-def _closure(function: FunctionType) -> Iterator[Any]:
-    """Values of a function's free variables that are bound."""
-    for cell in function.__closure__ or ():
-        with contextlib.suppress(ValueError):
-            yield cell.cell_contents
-
-
-def _code_parts(code: CodeType) -> Iterator[str]:
-    yield code.co_code.hex()
-    yield repr([code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars])
-    yield repr([code.co_argcount, code.co_posonlyargcount, code.co_kwonlyargcount, code.co_flags])
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            yield from _code_parts(constant)
-        elif isinstance(constant, frozenset):
-            # the order of a set follows hashes, which differ between processes
-            yield repr(sorted(map(repr, constant)))
-        else:
-            yield repr(constant)

@@ -4,19 +4,6 @@ Robots and simulations run `StateEstimator`. It screens the packets (`packets`),
 positions and forces (`legs`), and fuses them with the IMU (`filter`).
 """
 
-from aslip.estimation.estimator import StateEstimator
-from aslip.estimation.filter import Belief, FilterNoise
-from aslip.estimation.legs import LegKinematics
-from aslip.estimation.packets import FAULTS
-from aslip.estimation.state import Estimate, Tracking, tracking_size
+from aslip.imports import attach
 
-__all__ = [
-    "FAULTS",
-    "Belief",
-    "Estimate",
-    "FilterNoise",
-    "LegKinematics",
-    "StateEstimator",
-    "Tracking",
-    "tracking_size",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

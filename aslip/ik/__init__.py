@@ -5,23 +5,6 @@ closures. All arguments and results follow MuJoCo's conventions (wxyz quaternion
 as in `mujoco.MjData`).
 """
 
-from aslip.ik.clearance import LegClearance
-from aslip.ik.dynamics import leg_torque, pelvis_axes
-from aslip.ik.kinematics import Kinematics
-from aslip.ik.solve import IkResidual, IkSolution, solve
-from aslip.ik.statics import share_friction, standing_pose, static_torque
-from aslip.ik.target import BodyTarget
+from aslip.imports import attach
 
-__all__ = [
-    "BodyTarget",
-    "IkResidual",
-    "IkSolution",
-    "Kinematics",
-    "LegClearance",
-    "leg_torque",
-    "pelvis_axes",
-    "share_friction",
-    "solve",
-    "standing_pose",
-    "static_torque",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from aslip.errors import ShapeError
 from aslip.robot import CASSIE, SIDES, Robot
 from aslip.robot.rotation import cross
 
@@ -70,7 +69,6 @@ class Kinematics:
         leg_joints: (2, k) names of the joints.
         subtrees: numbers of the joints of each leg in `model`, springs included.
         loop_rows: number of first rows of `LegState.closure` that are gaps of loops.
-        hips: (2, 3) position of the first joint of each leg, pelvis frame [m].
         lower: (2, k) lower limits of the angles, -inf for none.
         upper: (2, k) upper limits of the angles, inf for none.
     """
@@ -101,7 +99,6 @@ class Kinematics:
             self._wxyz_to_xyzw[quaternion] = np.roll(self._wxyz_to_xyzw[quaternion], -1)
         self._xyzw_to_wxyz = np.argsort(self._wxyz_to_xyzw)
         hips = [model.supports[model.frames[foot].parentJoint][_HIP] for foot in self._feet]
-        self.hips = np.array([model.jointPlacements[hip].translation for hip in hips])
         self.subtrees = [frozenset(model.subtrees[hip]) for hip in hips]
         springs = [model.getJointId(name) for name in self.robot.spring_names]
         self._joints = [[j for j in model.subtrees[hip] if j not in springs] for hip in hips]
@@ -228,13 +225,3 @@ class Kinematics:
         velocity[:, self.leg_v] = step
         pairs = zip(configuration, velocity, strict=True)
         return np.array([pin.integrate(self.model, q, v) for q, v in pairs])
-
-    def centre_of_mass(self, qpos: np.ndarray) -> np.ndarray:
-        """Centre of mass (3,) of a configuration `qpos` (nq,), world frame [m].
-
-        Raises:
-            ShapeError: `qpos` is not (nq,).
-        """
-        if qpos.shape != (self.model.nq,):
-            raise ShapeError(f"qpos must have shape ({self.model.nq},), got {qpos.shape}")
-        return np.array(pin.centerOfMass(self.model, self._data, self.to_pinocchio(qpos)))

@@ -7,10 +7,11 @@ from typing import Final
 
 import numpy as np
 
+from aslip.errors import UnreachablePoseError
 from aslip.ik.equations import POSITION, Equations, least_squares
 from aslip.ik.kinematics import Kinematics
-from aslip.ik.reach import unreachable
 from aslip.ik.target import BodyMotion, BodyTarget, FootMotion
+from aslip.robot import SIDES
 from aslip.robot.rotation import quaternion_to_matrix, rotate_back
 
 TOLERANCE: Final = 1e-13
@@ -80,7 +81,10 @@ def solve(
     inside = ((kinematics.lower <= angle) & (angle <= kinematics.upper)).all(-1)
     if not (solved & inside).all():
         pose, side = (int(i) for i in np.argwhere(~(solved & inside))[0])
-        raise unreachable(kinematics, feet, pose, side)
+        raise UnreachablePoseError(
+            f"pose {pose}: the {SIDES[side]} foot cannot get to its target:"
+            f" {_obstacle(kinematics, feet.take([pose]), configuration[[pose]], side)}"
+        )
     equations = Equations.at(kinematics, configuration, feet)
     qpos, qvel = _whole_body(kinematics, base, configuration, _leg_velocity(equations, feet))
     return IkSolution(
@@ -115,6 +119,23 @@ def newton(kinematics: Kinematics, feet: FootMotion) -> tuple[np.ndarray, np.nda
         step *= MAX_STEP / np.maximum(np.abs(step).max(-1, keepdims=True), MAX_STEP)
         configuration[left] = kinematics.integrate(configuration[left], step)
     return configuration, solved
+
+
+def _obstacle(
+    kinematics: Kinematics, foot: FootMotion, configuration: np.ndarray, side: int
+) -> str:
+    """What keeps a leg from the target of one pose: joint limits, or distance, in words."""
+    equations = Equations.at(kinematics, configuration, foot)
+    if not equations.solved(TOLERANCE)[0, side]:
+        miss, turn = np.linalg.norm(equations.residual[0, side, POSITION]), equations.toe_angle()
+        return f"Newton's method ends {miss:.4f} m and {turn[0, side]:.4f} rad away from it"
+    legs = (kinematics.leg_joints, kinematics.leg_q, kinematics.lower, kinematics.upper)
+    angles = zip(*(values[side] for values in legs), strict=True)
+    return ", ".join(
+        f"{name} would be at {angle:.4f} rad, and must be from {lower:.4f} to {upper:.4f} rad"
+        for name, index, lower, upper in angles
+        if not lower <= (angle := configuration[0, index]) <= upper
+    )
 
 
 def _leg_velocity(equations: Equations, feet: FootMotion) -> np.ndarray:

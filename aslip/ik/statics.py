@@ -1,44 +1,13 @@
-"""Statics: standing pose, ground forces of both feet, and motor torques that balance them."""
+"""Statics: ground forces of both feet, and motor torques that balance them."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from aslip.errors import ShapeError, UnreachablePoseError
+from aslip.errors import ShapeError
 from aslip.ik.dynamics import motor_motion
 from aslip.ik.kinematics import Kinematics
-from aslip.ik.solve import IkSolution, solve
-from aslip.ik.target import BodyTarget
 from aslip.robot.rotation import quaternion_to_matrix, rotate_back
-
-_TOLERANCE = 1e-12
-_MAX_ITERATIONS = 50
-
-
-def standing_pose(kinematics: Kinematics, height: float = 0.95) -> IkSolution:
-    """One pose (n = 1) with an upright pelvis above the origin and level soles on the floor z = 0.
-
-    The lateral distance of the soles is that of the MJCF's keyframe "standing". Their centres are
-    below the centre of mass, which moves with the legs, so the pose is found by iteration.
-
-    Args:
-        kinematics: the robot.
-        height: height of the pelvis above the floor [m].
-
-    Raises:
-        UnreachablePoseError: the legs are too short or too long for that height.
-    """
-    pelvis = BodyTarget(np.array([[0.0, 0.0, height]]))
-    lateral = kinematics.legs(kinematics.start[None]).position[0, :, 1]
-    forward = 0.0
-    for _ in range(_MAX_ITERATIONS):
-        feet = [BodyTarget(np.array([[forward, y, 0.0]])) for y in lateral]
-        solution = solve(kinematics, pelvis, *feet)
-        centre = float(kinematics.centre_of_mass(solution.qpos[0])[0])
-        if abs(centre - forward) < _TOLERANCE:
-            return solution
-        forward = centre
-    raise UnreachablePoseError(f"no standing pose found at height {height!r}")
 
 
 def share_friction(force: np.ndarray) -> np.ndarray:

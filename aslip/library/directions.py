@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import asdict, dataclass
@@ -44,7 +43,6 @@ from aslip.rom import (
     mirror,
     optimize_gait,
 )
-from aslip.rom.optimize import ABOUT_THE_PROBLEM
 
 Point = tuple[int, int, int]
 """Place on a grid along forward speed, sideways speed and yaw rate."""
@@ -176,10 +174,7 @@ class GaitFolder(UserPaths):
         try:
             entries = _FORMAT.read(file)
             if _REASON in entries:
-                reason = str(json.loads(entries[_REASON]))
-                # earlier versions also kept interrupted solves
-                status = re.search(r"IPOPT stopped with (\w+)", reason)
-                return None if status and status[1] not in ABOUT_THE_PROBLEM else reason
+                return str(json.loads(entries[_REASON]))
             arrays = {name.removesuffix(".npy"): from_npy(data) for name, data in entries.items()}
             return Gait.from_arrays(arrays)
         except (FileDamagedError, ValueError):

@@ -245,10 +245,6 @@ class GaitLibrary(nn.Module):
             )
         return numbers
 
-    def forward(self, phase: Tensor, command: Tensor) -> Reference:
-        """Reference motion, see `lookup`."""
-        return self.lookup(phase, command)
-
     def lookup(self, phase: Tensor, command: Tensor, mode: Tensor | None = None) -> Reference:
         """Reference motion at a phase and a command (Sec. III-A).
 

@@ -45,9 +45,6 @@ _WEIGHTS = "weights/"
 _TABLES = (OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE, DIRECTION_TABLE)
 _KNOWN_BASELINES = ("reference/motor_target", "reference/motor_position")
 
-# stacks under the names of earlier versions
-_RENAMED = {"aslip": "default"}
-
 _NETWORKS: Mapping[str, MakeActor] = {"mlp": make_actor, "gru": make_recurrent_actor}
 
 
@@ -311,7 +308,7 @@ def _known_observations() -> list[list[str]]:
 def check_policy_library(
     name_or_path: str | Path, card: Mapping[str, Any], sha256: Callable[[], str]
 ) -> None:
-    """Check that a policy was trained on given gaits; files of older versions do not tell.
+    """Check that a policy was trained on given gaits, if its file tells.
 
     Args:
         name_or_path: name or path, for the message.
@@ -358,9 +355,7 @@ def read_card(name_or_path: str | Path) -> dict[str, Any]:
     """Card of a policy: network, interface and provenance.
 
     Returns:
-        The arguments of `save_policy`: `shape`, `made_by`, `stack`; `network`, `observation` and
-        `baseline` as text; in files without them, `command_rates` and `library_sha256` are None and
-        `stands` is False.
+        The arguments of `save_policy`, but `network`, `observation` and `baseline` as text.
 
     Raises:
         AssetError: there is no such policy.
@@ -378,22 +373,18 @@ def _card(path: Path, entries: Mapping[str, bytes]) -> dict[str, Any]:
     """
     try:
         card = json.loads(entries[CARD])
-        shape, gaits = card["shape"], card.get("library_sha256")
-        texts = card["stack"], card["baseline"], gaits
-        rates, stands = card.get("command_rates"), card.get("stands", False)
+        shape, rates = card["shape"], card["command_rates"]
+        texts = card["stack"], card["baseline"], card["library_sha256"]
         typed = all(isinstance(text, str | None) for text in texts)
         typed = typed and isinstance(card["network"], str) and isinstance(card["made_by"], dict)
-        typed = typed and isinstance(stands, bool)
+        typed = typed and isinstance(card["stands"], bool)
         if not typed:
             raise ValueError("its card has items of wrong types")
         return {
             **card,
-            "stack": _RENAMED.get(card["stack"], card["stack"]),
             "shape": PolicyShape(**{**shape, "hidden": tuple(shape["hidden"])}),
             "observation": [str(name) for name in card["observation"]],
             "command_rates": None if rates is None else checked_rates(rates),
-            "stands": stands,
-            "library_sha256": gaits,
         }
     except Exception as error:  # an untrusted card may fail in many ways
         raise POLICY_FORMAT.damaged(path, error) from error

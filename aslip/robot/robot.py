@@ -39,6 +39,8 @@ LARGEST: Final[Mapping[str, float]] = MappingProxyType(
 )
 """Entry of packets and estimates -> largest absolute value that a robot can have, with a margin
 [SI units]; greater ones are faults of a device or of its driver."""
+STANDARD_GRAVITY: Final = 9.81
+"""Gravity of robots and reduced-order models [m/s^2] (Table I)."""
 UNIT_TOLERANCE: Final = 0.02
 """Tolerance on the squared norm of the quaternion of an attitude."""
 # depth of the pelvis below the ground by errors of the estimated height [m]

@@ -10,60 +10,6 @@ Sampling a motion needs NumPy and SciPy only; CasADi is imported when a gait is 
 package imports neither the robot nor a learning library.
 """
 
-from typing import TYPE_CHECKING
-
 from aslip.imports import attach
 
-if TYPE_CHECKING:
-    from aslip.rom.certificate import Certificate
-    from aslip.rom.gait import Gait, GaitSample
-    from aslip.rom.mirror import mirror
-    from aslip.rom.motion import (
-        PHASE_SAMPLES,
-        Angle,
-        Motion,
-        MotionSample,
-        SampledMotion,
-        Track,
-    )
-    from aslip.rom.optimize import optimize_gait, optimize_gaits, optimize_transitions
-    from aslip.rom.pendulum import PendulumWalk, pendulum_walks
-    from aslip.rom.slip import DIRECTION_MODEL, Mode, Objective, SlipParameters
-    from aslip.rom.standing import Standing, Transition
-
-_FILES = {
-    "certificate": ["Certificate"],
-    "gait": ["Gait", "GaitSample"],
-    "mirror": ["mirror"],
-    "motion": ["PHASE_SAMPLES", "Angle", "Motion", "MotionSample", "SampledMotion", "Track"],
-    "optimize": ["optimize_gait", "optimize_gaits", "optimize_transitions"],
-    "pendulum": ["PendulumWalk", "pendulum_walks"],
-    "slip": ["DIRECTION_MODEL", "Mode", "Objective", "SlipParameters"],
-    "standing": ["Standing", "Transition"],
-}
-
-__all__ = [
-    "DIRECTION_MODEL",
-    "PHASE_SAMPLES",
-    "Angle",
-    "Certificate",
-    "Gait",
-    "GaitSample",
-    "Mode",
-    "Motion",
-    "MotionSample",
-    "Objective",
-    "PendulumWalk",
-    "SampledMotion",
-    "SlipParameters",
-    "Standing",
-    "Track",
-    "Transition",
-    "mirror",
-    "optimize_gait",
-    "optimize_gaits",
-    "optimize_transitions",
-    "pendulum_walks",
-]
-
-__getattr__, __dir__ = attach(__name__, _FILES)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -34,7 +34,7 @@ _SEGMENTS_PER_COIL = 12
 _ROD_SHARE = 0.2
 
 
-def render_robot(
+def render_frames(
     qpos: np.ndarray,
     *,
     camera: str = "side",
@@ -44,8 +44,8 @@ def render_robot(
     ghosts: Sequence[Ghost] | None = None,
     robot: bool = True,
     supersampling: int = 1,
-) -> np.ndarray:
-    """Draw one picture of the robot for each configuration; the cameras follow it.
+) -> Iterator[np.ndarray]:
+    """Draw a picture of the robot for each configuration; the cameras follow it.
 
     Args:
         qpos: (n, nq) configurations, MuJoCo's conventions.
@@ -58,7 +58,8 @@ def render_robot(
         supersampling: side of the squares of pixels averaged into one, for smooth edges.
 
     Returns:
-        (n, height, width, 3) uint8, red, green, blue.
+        Iterator over pictures (height, width, 3) uint8, red, green, blue; each is drawn when it is
+        taken.
 
     Raises:
         ShapeError: `qpos` does not fit the model, or the number of ghosts is not n.
@@ -66,31 +67,6 @@ def render_robot(
         ConfigurationError: a size is less than 1, or exceeds the model's off-screen buffer.
         RenderingError: OpenGL does not work.
     """
-    frames = render_frames(
-        qpos,
-        camera=camera,
-        width=width,
-        height=height,
-        model=model,
-        ghosts=ghosts,
-        robot=robot,
-        supersampling=supersampling,
-    )
-    return np.stack(list(frames))
-
-
-def render_frames(
-    qpos: np.ndarray,
-    *,
-    camera: str = "side",
-    width: int = 640,
-    height: int = 480,
-    model: mujoco.MjModel | None = None,
-    ghosts: Sequence[Ghost] | None = None,
-    robot: bool = True,
-    supersampling: int = 1,
-) -> Iterator[np.ndarray]:
-    """Draw like `render_robot`, one picture (height, width, 3) at a time, for films."""
     model = load_model() if model is None else model
     qpos = np.atleast_2d(np.asarray(qpos, dtype=np.float64))
     _check(model, qpos, camera, (width, height, supersampling), ghosts)

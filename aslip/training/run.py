@@ -100,9 +100,8 @@ class TrainingRun:
         self.go_on = go_on
         self.changes: list[str] = []
         """Settings changed by resuming, such as `total_steps 100 -> 200`."""
-        self.command: str | None = this_command()
-        """Command that started the run; None if it was started by a version that did not record
-        it."""
+        self.command = this_command()
+        """Command that started the run."""
         self._log = ProgressLog(self.folder, logger)
         self._state: tuple[int, dict[str, Any], dict[str, Any]] | None = None
         self._saved = -1  # policy steps of the newest checkpoint

@@ -34,21 +34,23 @@ def read_settings(folder: Path) -> tuple[dict[str, Any], dict[str, str]]:
     return settings, transforms
 
 
-def read_first_command(folder: Path) -> str | None:
-    """Command that started the run in a folder; None if its version did not record it.
+def read_first_command(folder: Path) -> str:
+    """Command that started the run in a folder.
 
     Raises:
         ConfigurationError: the folder holds no run.
         FileDamagedError: the file cannot be read.
     """
-    command = _read(folder).get(_COMMAND)
-    return None if command is None else str(command)
+    try:
+        return str(_read(folder)[_COMMAND])
+    except KeyError as error:
+        raise _damaged(folder, error) from error
 
 
-def settings_text(settings: dict[str, Any], transforms: dict[str, str], command: str | None) -> str:
+def settings_text(settings: dict[str, Any], transforms: dict[str, str], command: str) -> str:
     """Content of the file that `read_settings` and `read_first_command` read."""
-    about = settings | ({_TRANSFORMS: transforms} if transforms else {})
-    return json.dumps(about | ({_COMMAND: command} if command else {}), indent=1) + "\n"
+    about = {**settings, _TRANSFORMS: transforms, _COMMAND: command}
+    return json.dumps(about, indent=1) + "\n"
 
 
 def _read(folder: Path) -> dict[str, Any]:

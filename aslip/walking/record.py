@@ -29,7 +29,6 @@ from aslip.robot import SIDES
 from aslip.robot.rotation import rotate_level
 from aslip.transforms import RandomCommand, StandCommand
 from aslip.transforms.base import on_cpu_in_single
-from aslip.walking.wishes import can_stand, checked_wishes, refuse_wish
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")
@@ -204,12 +203,35 @@ def reset_walks(
         ConfigurationError: a robot shall stand, and the stack has no wish to stand.
     """
     values = {"command": command, "phase": np.broadcast_to(phase, len(command))}
-    if can_stand(env):
-        values["stand"] = np.broadcast_to(stand, len(command))
-    else:
-        refuse_wish(stand)
+    wishes = checked_wishes(env, np.broadcast_to(stand, len(command)), (len(command),))
+    if wishes is not None:
+        values["stand"] = wishes
     request = {name: _columns(value) for name, value in values.items()}
     return env.reset(TensorDict(request, batch_size=env.num_envs))
+
+
+def can_stand(env: StackEnv) -> bool:
+    """True if robots of an environment stand on a wish, see `aslip.transforms.StandClock`."""
+    return "stand" in env.observation_spec.keys()  # noqa: SIM118
+
+
+def checked_wishes(
+    env: StackEnv, stand: np.ndarray | None, shape: tuple[int, ...]
+) -> np.ndarray | None:
+    """Wishes to stand of a shape; None for robots that cannot stand, which walk.
+
+    Raises:
+        ShapeError: `stand` has another shape.
+        ConfigurationError: a robot shall stand, and the stack has no wish to stand.
+    """
+    wishes = np.zeros(shape) if stand is None else np.asarray(stand)
+    if wishes.shape != shape:
+        raise ShapeError(f"stand must be {shape} as the command, got {wishes.shape}")
+    if can_stand(env):
+        return wishes
+    if np.any(wishes > 0):
+        raise ConfigurationError("robots of this stack cannot stand; see aslip.envs.standing_stack")
+    return None
 
 
 def _columns(values: np.ndarray) -> torch.Tensor:

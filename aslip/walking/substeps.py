@@ -18,8 +18,13 @@ from aslip.envs import SimulatedEnv, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.policy import add_memory
 from aslip.robot import CASSIE
-from aslip.walking.record import checked_commands, commands_kept, reset_walks, walk
-from aslip.walking.wishes import checked_wishes
+from aslip.walking.record import (
+    checked_commands,
+    checked_wishes,
+    commands_kept,
+    reset_walks,
+    walk,
+)
 
 _FORCES: Final = 6  # last columns of `SimulatedEnv.watched`, before them the torques
 

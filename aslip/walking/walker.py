@@ -26,8 +26,7 @@ from aslip.policy import add_memory, forget, load_policy, policy_library, policy
 from aslip.robot import CASSIE
 from aslip.transforms.base import on_cpu_in_single
 from aslip.walking.push import policy_steps
-from aslip.walking.record import next_start, reset_walks, take_step
-from aslip.walking.wishes import can_stand
+from aslip.walking.record import can_stand, next_start, reset_walks, take_step
 
 
 def command_library(policy: TensorDictModuleBase | str | Path) -> GaitLibrary:

@@ -51,8 +51,6 @@ SIMULATOR: Final = Address(LOOPBACK, 25000)
 """Address of the simulated robot."""
 CLIENT: Final = Address(LOOPBACK, 25001)
 """Address of its client."""
-ROBOT_PORTS: Final = (25010, 25011)
-"""Ports of a real robot and of its client."""
 
 
 class Endpoint:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from aslip.ik import BodyTarget, Kinematics, leg_torque, pelvis_axes, solve, standing_pose
+from aslip.ik import BodyTarget, Kinematics, leg_torque, pelvis_axes, solve
 from aslip.library.interpolation import open_slopes
+from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 
 STEP = 2e-3  # [s]
@@ -76,7 +77,7 @@ def test_a_turned_robot_needs_the_same_torques() -> None:
 def test_legs_at_rest_need_the_torques_that_carry_them() -> None:
     """A leg that hangs pulls at its knee with its weight alone."""
     kinematics = Kinematics()
-    qpos = standing_pose(kinematics).qpos.reshape(1, -1)
+    qpos = CASSIE.standing[None]
     still = np.zeros((1, kinematics.model.nv))
     torque = leg_torque(kinematics, qpos, still, still).reshape(2, 5)
     np.testing.assert_allclose(torque[0], torque[1] * [-1, -1, 1, 1, 1], atol=0.05)

@@ -49,12 +49,6 @@ def test_soles_and_loop_gaps_match_mujoco(kinematics, mujoco_model, random_qpos)
         np.testing.assert_allclose(np.sort(own), np.sort(gaps), atol=1e-12)
 
 
-def test_centre_of_mass_matches_mujoco(kinematics, mujoco_model, random_qpos):
-    states = _mujoco_states(mujoco_model, random_qpos)
-    for qpos, data in zip(random_qpos, states, strict=True):
-        np.testing.assert_allclose(kinematics.centre_of_mass(qpos), data.subtree_com[1], atol=1e-12)
-
-
 def test_joint_limits_match_mujoco(kinematics, mujoco_model):
     limits = {}
     for joint in range(mujoco_model.njnt):

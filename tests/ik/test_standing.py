@@ -1,4 +1,4 @@
-"""Standing pose, and the keyframe of the MJCF that stores it."""
+"""Standing pose: the keyframe of the MJCF."""
 
 # pyright: reportAttributeAccessIssue=false
 # MuJoCo and Pinocchio are compiled modules without type stubs
@@ -9,8 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.errors import UnreachablePoseError
-from aslip.ik import standing_pose
 from aslip.robot import CASSIE
 
 
@@ -20,11 +18,6 @@ def standing(mujoco_model) -> mujoco.MjData:
     mujoco.mj_resetDataKeyframe(mujoco_model, data, mujoco_model.key("standing").id)
     mujoco.mj_forward(mujoco_model, data)
     return data
-
-
-def test_keyframe_is_the_standing_pose(kinematics, mujoco_model):
-    pose = standing_pose(kinematics).qpos[0]
-    np.testing.assert_allclose(mujoco_model.key("standing").qpos, pose, atol=1e-14)
 
 
 def test_loops_are_closed(standing):
@@ -61,18 +54,3 @@ def test_pinocchio_reads_the_model_with_its_keyframe(kinematics, mujoco_model):
     qpos = mujoco_model.key("standing").qpos[None]
     closure = kinematics.legs(kinematics.to_pinocchio(qpos)).closure
     np.testing.assert_allclose(closure, 0, atol=1e-12)
-
-
-@pytest.mark.parametrize("height", [0.7, 0.8, 1.0])
-def test_feet_are_below_the_centre_of_mass_at_any_height(kinematics, height):
-    pose = standing_pose(kinematics, height).qpos
-    assert pose[0, 2] == height
-    feet = kinematics.legs(kinematics.to_pinocchio(pose)).position[0]
-    centre = kinematics.centre_of_mass(pose[0])
-    np.testing.assert_allclose(feet[:, 0], centre[0], atol=1e-12)
-
-
-@pytest.mark.parametrize("height", [0.2, 1.5])
-def test_impossible_heights_are_refused(kinematics, height):
-    with pytest.raises(UnreachablePoseError):
-        standing_pose(kinematics, height)

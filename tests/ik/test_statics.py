@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from aslip.ik import Kinematics, share_friction, standing_pose, static_torque
+from aslip.ik import Kinematics, share_friction, static_torque
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 
@@ -39,7 +39,7 @@ def test_library_torques_carry_the_load_of_the_model(library: GaitLibrary) -> No
 
 def test_both_legs_carry_a_standing_robot_equally() -> None:
     kinematics = Kinematics()
-    qpos = standing_pose(kinematics).qpos.reshape(1, -1)
+    qpos = CASSIE.standing[None]
     force = np.zeros((1, 2, 3))
     force[..., 2] = CASSIE.total_mass * STANDARD_GRAVITY / 2
     torque = static_torque(kinematics, qpos, force).reshape(2, 5)
@@ -50,7 +50,7 @@ def test_both_legs_carry_a_standing_robot_equally() -> None:
 
 def test_torques_do_not_depend_on_the_heading_or_tilt() -> None:
     kinematics = Kinematics()
-    qpos = standing_pose(kinematics).qpos.reshape(1, -1)
+    qpos = CASSIE.standing[None]
     force = np.array([[[10.0, 20.0, 160.0], [-5.0, 8.0, 170.0]]])
     turn = Rotation.from_euler("xyz", [0.2, -0.3, 1.0])
     turned = qpos.copy()

@@ -343,12 +343,6 @@ def _reference_bits(library: GaitLibrary) -> list[Tensor]:
     return [*(getattr(reference, name) for name in NAMES), *library.initial_state(phase, speed)]
 
 
-def test_calling_a_library_equals_lookup(library: GaitLibrary) -> None:
-    phase, speed = _random(5)
-    called, looked_up = library(phase, speed), library.lookup(phase, speed)
-    assert all(torch.equal(getattr(called, n), getattr(looked_up, n)) for n in NAMES)
-
-
 def test_all_tables_move_to_another_device(small: GaitLibrary) -> None:
     """Checked on the meta device, which refuses tensors of other devices."""
     moved = copy.deepcopy(small).to("meta")

@@ -16,7 +16,7 @@ from aslip.errors import ConfigurationError, RenderingError, ShapeError
 from aslip.robot import opengl
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
-from aslip.show.render import add_ghost, render_robot, spring_path, strip
+from aslip.show.render import add_ghost, render_frames, spring_path, strip
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
 
@@ -32,6 +32,11 @@ def standing(model: mujoco.MjModel, pictures: None) -> np.ndarray:
     return model.key("standing").qpos[None].copy()
 
 
+def drawn(qpos: np.ndarray, **options: Any) -> np.ndarray:
+    """(n, height, width, 3)."""
+    return np.stack(list(render_frames(qpos, **options)))
+
+
 def ghost(qpos: np.ndarray, **stance: bool) -> Ghost:
     x, y, z = qpos[0, :3]
     return Ghost(np.array([x, y, z]), np.array([x, 0.13, 0]), np.array([x, -0.13, 0]), **stance)
@@ -39,8 +44,8 @@ def ghost(qpos: np.ndarray, **stance: bool) -> Ghost:
 
 @pytest.mark.parametrize("camera", ["side", "follow", "front"])
 def test_robot_is_in_the_middle_of_every_camera(model, standing, camera):
-    frames = render_robot(standing, camera=camera, model=model, **SIZE)
-    empty = render_robot(standing, camera=camera, model=model, robot=False, **SIZE)
+    frames = drawn(standing, camera=camera, model=model, **SIZE)
+    empty = drawn(standing, camera=camera, model=model, robot=False, **SIZE)
     assert frames.shape == (1, 72, 96, 3)
     assert frames.dtype == np.uint8
     rows, columns = np.nonzero((frames[0].astype(int) - empty[0]).any(-1))
@@ -52,24 +57,24 @@ def test_cameras_follow_the_robot(model, standing):
     far = standing.copy()
     # whole squares of the floor, so that the same picture is expected
     far[:, 0] += 10.0
-    near, away = render_robot(np.concatenate([standing, far]), model=model, **SIZE).astype(int)
+    near, away = drawn(np.concatenate([standing, far]), model=model, **SIZE).astype(int)
     assert np.abs(near - away).mean() < 2.0
 
 
 def test_collision_geoms_and_sites_are_hidden(standing):
     garish = load_model()
-    visible = render_robot(standing, model=garish, **SIZE)
+    visible = drawn(standing, model=garish, **SIZE)
     for i in range(garish.ngeom):
         if garish.geom_group[i] == 3:
             garish.geom_rgba[i] = 1, 0, 1, 1
     garish.site_rgba[:] = 1, 0, 1, 1
-    np.testing.assert_array_equal(render_robot(standing, model=garish, **SIZE), visible)
+    np.testing.assert_array_equal(drawn(standing, model=garish, **SIZE), visible)
 
 
 def test_ghosts_are_drawn_and_show_stance(model, standing):
-    alone = render_robot(standing, model=model, robot=False, **SIZE)
+    alone = drawn(standing, model=model, robot=False, **SIZE)
     stance, swing = (
-        render_robot(standing, model=model, robot=False, ghosts=[g], **SIZE)
+        drawn(standing, model=model, robot=False, ghosts=[g], **SIZE)
         for g in (ghost(standing), ghost(standing, right_stance=False))
     )
     assert (stance != alone).any()

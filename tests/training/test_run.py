@@ -132,12 +132,6 @@ def test_the_card_of_a_resumed_run_has_the_command_that_started_it(
     monkeypatch.setattr("sys.argv", ["recipe.py", "--resume"])
     for _ in range(2):
         assert open_run(settings, resume=True).about(Progress(10, 1))["command"] == first
-    # a run of an earlier version
-    file = settings.out / "config.json"
-    kept = json.loads(file.read_text())
-    del kept["first_command"]
-    file.write_text(json.dumps(kept))
-    assert open_run(settings, resume=True).about(Progress(10, 1))["command"] is None
 
 
 def test_an_error_lists_some_differences_and_a_remedy(settings: Settings) -> None:

@@ -236,8 +236,7 @@ def _compare(series: Mapping[str, Any], supervisor: Supervisor, raw: bool) -> Re
             record = readings.receives.unpack(payload)
             readings.take(float(arrivals[waiting]), int(received["step"][waiting]), record)
             waiting += 1
-        # logs of earlier versions have no wish to stand
-        numbers = [float(ticks[n][k]) if n in ticks.columns else 0.0 for n in _REQUEST]
+        numbers = [float(ticks[n][k]) for n in _REQUEST]
         damp = "operator" if numbers[5] else ""
         forward, sideways, yaw_rate = numbers[:3]
         walk, stop = map(bool, numbers[3:5])

@@ -6,19 +6,9 @@
 Needs viser: `pip install 'aslip[live]'`.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from aslip.imports import attach, extras
 
 with extras():
     import viser as _viser  # noqa: F401
 
-if TYPE_CHECKING:
-    from aslip.show.live.page import LivePage
-    from aslip.show.live.robot_page import RobotPage
-
-__all__ = ["LivePage", "RobotPage"]
-
-__getattr__, __dir__ = attach(__name__, {"page": ["LivePage"], "robot_page": ["RobotPage"]})
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

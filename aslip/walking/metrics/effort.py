@@ -52,13 +52,3 @@ def action_roughness(action: np.ndarray) -> float:
         action: (m, 10) actions [rad].
     """
     return float(np.sqrt(np.mean(np.sum(np.diff(action, axis=0) ** 2, axis=1))))
-
-
-def jerk(velocity: np.ndarray, period: float) -> float:
-    """Root mean square of the second difference of a velocity over time squared [m/s^3].
-
-    Args:
-        velocity: (m, ...) velocity, time first [m/s].
-        period: time between samples [s].
-    """
-    return float(np.sqrt(np.mean(np.square(np.diff(velocity, n=2, axis=0)))) / period**2)

@@ -11,7 +11,6 @@ from aslip.errors import ShapeError
 from aslip.walking.metrics import (
     action_roughness,
     cost_of_transport,
-    jerk,
     leg_length_correlation,
     mechanical_power,
     root_mean_square,
@@ -119,8 +118,3 @@ def test_action_roughness() -> None:
     action[1::2, :4] = 0.5
     assert action_roughness(action) == pytest.approx(1.0)
     assert action_roughness(np.ones((5, 10))) == 0.0
-
-
-def test_jerk_of_a_parabola_is_its_second_derivative() -> None:
-    assert jerk(1.5 * TIME**2, PERIOD) == pytest.approx(3.0)
-    assert jerk(2 * TIME, PERIOD) == pytest.approx(0.0, abs=1e-9)

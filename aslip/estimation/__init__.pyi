@@ -1,0 +1,8 @@
+from .estimator import StateEstimator as StateEstimator
+from .filter import Belief as Belief
+from .filter import FilterNoise as FilterNoise
+from .legs import LegKinematics as LegKinematics
+from .packets import FAULTS as FAULTS
+from .state import Estimate as Estimate
+from .state import Tracking as Tracking
+from .state import tracking_size as tracking_size

@@ -1,0 +1,10 @@
+from .clearance import LegClearance as LegClearance
+from .dynamics import leg_torque as leg_torque
+from .dynamics import pelvis_axes as pelvis_axes
+from .kinematics import Kinematics as Kinematics
+from .solve import IkResidual as IkResidual
+from .solve import IkSolution as IkSolution
+from .solve import solve as solve
+from .statics import share_friction as share_friction
+from .statics import static_torque as static_torque
+from .target import BodyTarget as BodyTarget

@@ -1,0 +1,17 @@
+from .directions import DirectionGrid as DirectionGrid
+from .directions import GaitFolder as GaitFolder
+from .directions import convex_gaits as convex_gaits
+from .directions import solve_directions as solve_directions
+from .library import GaitLibrary as GaitLibrary
+from .pendulum import pendulum_library as pendulum_library
+from .pendulum import single_reference_library as single_reference_library
+from .reference import Reference as Reference
+from .schedule import Command as Command
+from .schedule import Schedule as Schedule
+from .schedule import numbers as numbers
+from .table import PAPER_SPEEDS as PAPER_SPEEDS
+from .table import GaitTable as GaitTable
+from .tabulate import tabulate as tabulate
+from .tabulate import tabulate_transitions as tabulate_transitions
+from .transitions import TransitionTable as TransitionTable
+from .transitions import WalkMode as WalkMode

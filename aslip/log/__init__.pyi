@@ -1,0 +1,10 @@
+from .choices import JointRate as JointRate
+from .playback import Replay as Replay
+from .playback import replay as replay
+from .reader import Recording as Recording
+from .reader import Series as Series
+from .reader import read as read
+from .recorder import Recorder as Recorder
+from .recovery import Recovery as Recovery
+from .recovery import recover as recover
+from .walk import read_walk as read_walk

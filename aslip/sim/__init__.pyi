@@ -1,0 +1,11 @@
+from .drive import PD as PD
+from .drive import Drive as Drive
+from .drive import MakeDrive as MakeDrive
+from .drive import Torque as Torque
+from .dynamics import Dynamics as Dynamics
+from .parameters import DYNAMICS as DYNAMICS
+from .pool import SimulationPool as SimulationPool
+from .sensors import Sensors as Sensors
+from .simulations import Simulations as Simulations
+from .truth import Snapshot as Snapshot
+from .truth import true_state as true_state
