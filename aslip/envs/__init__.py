@@ -14,8 +14,9 @@ An experiment changes the default stack in a line or two:
     make_env(stack="single_reference")                           # the paper's baseline
     make_env(stack="standing")                                   # all directions, and standing
 
-A stack is an ordered dict, name -> function that makes a transform. The transforms of an
-environment are never edited in place, as TorchRL would keep stale specs: make another environment.
+A stack is an ordered dict, name -> transform, of which each environment gets copies. The transforms
+of an environment are never edited in place, as TorchRL would keep stale specs: edit the stack, and
+make another environment.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from aslip.envs.batch import BatchEnv
     from aslip.envs.directions import directions_stack, standing_stack
     from aslip.envs.dm_control import DmControlEnv, Walk, walk_environment
+    from aslip.envs.edit import Stack, edit_stack, insert_before, randomise_stack
     from aslip.envs.gymnasium import GymEnv, GymVectorEnv
     from aslip.envs.interface import (
         baseline_key,
@@ -47,18 +49,16 @@ if TYPE_CHECKING:
     from aslip.envs.stack_env import StackEnv, check_seed
     from aslip.envs.stacks import (
         EPISODE_ENDS,
-        MAX_EPISODE_STEPS,
         ON_TRUTH,
         STACKS,
-        Stack,
-        default_stack,
-        edit_stack,
         evaluation_stack,
-        insert_before,
-        paper_stack,
-        randomise_stack,
-        reward_terms,
         robot_stack,
+    )
+    from aslip.envs.straight import (
+        MAX_EPISODE_STEPS,
+        default_stack,
+        paper_stack,
+        reward_terms,
         shipped_library,
         single_reference_stack,
     )
@@ -118,6 +118,7 @@ __getattr__, __dir__ = attach(
         "batch": ["BatchEnv"],
         "directions": ["directions_stack", "standing_stack"],
         "dm_control": ["DmControlEnv", "Walk", "walk_environment"],
+        "edit": ["Stack", "edit_stack", "insert_before", "randomise_stack"],
         "gymnasium": ["GymEnv", "GymVectorEnv"],
         "interface": [
             "baseline_key",
@@ -137,18 +138,16 @@ __getattr__, __dir__ = attach(
         "stack_env": ["StackEnv", "check_seed"],
         "stacks": [
             "EPISODE_ENDS",
-            "MAX_EPISODE_STEPS",
             "ON_TRUTH",
             "STACKS",
-            "Stack",
-            "default_stack",
-            "edit_stack",
             "evaluation_stack",
-            "insert_before",
-            "paper_stack",
-            "randomise_stack",
-            "reward_terms",
             "robot_stack",
+        ],
+        "straight": [
+            "MAX_EPISODE_STEPS",
+            "default_stack",
+            "paper_stack",
+            "reward_terms",
             "shipped_library",
             "single_reference_stack",
         ],

@@ -35,7 +35,7 @@ from aslip.transforms.observation import (
     AssembleObservation,
 )
 from aslip.transforms.pushes import RandomPushes
-from aslip.transforms.randomise import DYNAMICS_RANGES, WIDE_RANGES, RandomDynamics, RandomNoise
+from aslip.transforms.randomise import DYNAMICS_RANGES, WIDE_RANGES, RandomDynamics
 from aslip.transforms.reference import (
     Feedforward,
     ReferenceDistance,
@@ -74,7 +74,6 @@ __all__ = [
     "PhaseClock",
     "RandomCommand",
     "RandomDynamics",
-    "RandomNoise",
     "RandomPushes",
     "ReferenceDistance",
     "ReferenceInjection",

@@ -2,10 +2,10 @@
 
 In a stack, in this order:
 
-    "command_filter": StandFilter,
-    "clock": lambda: StandClock(library),
-    "stand": StandCommand,
-    "reference": lambda: ReferenceInjection(
+    "command_filter": StandFilter(),
+    "clock": StandClock(library),
+    "stand": StandCommand(),
+    "reference": ReferenceInjection(
         library, in_keys=["filtered_command", "phase", "mode", "stand"]
     ),
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -64,7 +64,7 @@ def _make() -> StackEnv:
         seed=9,
         num_threads=1,
         drop=["low_reward"],
-        replace={"stand": partial(StandCommand, share=0.5)},
+        replace={"stand": StandCommand(share=0.5)},
     )
 
 

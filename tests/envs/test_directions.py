@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import cast
 
 import pytest
@@ -133,9 +132,9 @@ def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> 
     """Randomised robots, pushes and other rewards of a training are left out."""
     library = symmetric_library()
     stack = directions_stack(library)
-    trained = insert_before(randomise_stack(stack), "command", pushes=RandomPushes)
-    trained["path_diff"] = partial(RewardTerm, "path_diff", torch.zeros_like, ["phase"])
-    own = partial(RewardTerm, "own", torch.zeros_like, ["phase"])
+    trained = insert_before(randomise_stack(stack), "command", pushes=RandomPushes())
+    trained["path_diff"] = RewardTerm("path_diff", torch.zeros_like, ["phase"])
+    own = RewardTerm("own", torch.zeros_like, ["phase"])
     trained = insert_before(trained, "reward", own=own)
     assert evaluation_stack(trained, library)["noise"] is stack["noise"]
     drop = (*EPISODE_ENDS, "noise", "fall")
@@ -150,7 +149,7 @@ def test_an_evaluation_has_the_task_of_all_directions_for_every_experiment() -> 
     assert torch.equal(first["observation"], second["observation"])
     # commands are of the common library, whatever the policy was trained on
     other = evaluation_stack(directions_stack(standing_library()), library)
-    command = other["command"]()
+    command = other["command"]
     assert isinstance(command, VelocityCommand)
     assert command.library is library
 
