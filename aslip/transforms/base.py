@@ -31,6 +31,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.robot import CASSIE
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -309,17 +310,17 @@ def check_number(
     return number
 
 
-def check_interval(interval: Any, period: float) -> float:
+def check_interval(interval: Any) -> float:
     """Mean time between random events, which may be infinite [s].
 
     Raises:
-        ConfigurationError: it is no number, or shorter than a policy step of duration `period`.
+        ConfigurationError: it is no number, or shorter than a policy step.
     """
     real = isinstance(interval, Real) and not isinstance(interval, bool)
     number = float(interval) if real else math.nan
-    if not number >= period:
+    if not number >= CASSIE.policy_period:
         raise ConfigurationError(
-            f"interval must be at least one policy step, {period} s, got {interval!r}"
+            f"interval must be at least one policy step, {CASSIE.policy_period} s, got {interval!r}"
         )
     return number
 

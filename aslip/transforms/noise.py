@@ -52,7 +52,6 @@ class ObservationNoise(SeededTransform):
         levels: sensor -> level, which replaces that of `Robot.sensor_noise`.
         scale: factor on all levels; 0 is a robot without noise.
         bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
-        period: duration of a policy step [s].
 
     Raises:
         UnknownNameError: a level is for a sensor that the robot lacks.
@@ -68,8 +67,6 @@ class ObservationNoise(SeededTransform):
         levels: Mapping[str, NoiseLevel] | None = None,
         scale: float = 1.0,
         bias_time: float = 10.0,
-        *,
-        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=_SENSOR_KEYS, out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
         scale = check_number("scale", scale, low=0)
@@ -77,8 +74,8 @@ class ObservationNoise(SeededTransform):
         if not number or not bias_time > 0:
             raise ConfigurationError(f"bias_time must be more than 0 s, got {bias_time!r}")
         self.levels = dict(CASSIE.sensor_noise) | _checked(levels or {})
-        self._decay = math.exp(-period / bias_time)
-        self._renewal = math.sqrt(-math.expm1(-2 * period / bias_time))
+        self._decay = math.exp(-CASSIE.policy_period / bias_time)
+        self._renewal = math.sqrt(-math.expm1(-2 * CASSIE.policy_period / bias_time))
         # settings, so not stored in checkpoints
         self._levels: dict[str, tuple[Tensor, Tensor]] = {}
         for sensor, channels in CASSIE.noise_channels.items():

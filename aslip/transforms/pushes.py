@@ -37,7 +37,6 @@ class RandomPushes(SeededTransform):
             impulses; or none.
         out_keys: keys of the force (n, 3) during the next policy step [N, world], an input of
             simulated robots; and of the number (n, 1) of policy steps that it still acts.
-        period: duration of a policy step [s].
 
     Raises:
         ConfigurationError: `impulse` is negative, or `interval` or `duration` is shorter than a
@@ -55,14 +54,12 @@ class RandomPushes(SeededTransform):
         *,
         in_keys: Sequence[NestedKey] = (),
         out_keys: Sequence[NestedKey] = ("push", "push_steps"),
-        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
-        self.interval = check_interval(interval, period)
-        self.duration = check_number("duration", duration, period, what="in s")
-        self._steps = round(self.duration / period)
-        self._period = period
+        self.interval = check_interval(interval)
+        self.duration = check_number("duration", duration, CASSIE.policy_period, what="in s")
+        self._steps = round(self.duration / CASSIE.policy_period)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -81,9 +78,9 @@ class RandomPushes(SeededTransform):
         )
         steps = (steps - 1).clamp(min=0)
         chance, share, turn = torch.rand((*shape[:-1], 3), generator=self.generator).split(1, -1)
-        begins = (steps == 0) & (chance < self._period / self.interval)
+        begins = (steps == 0) & (chance < CASSIE.policy_period / self.interval)
         angle = 2 * math.pi * turn
-        size = share * self.impulse / (self._steps * self._period)
+        size = share * self.impulse / (self._steps * CASSIE.policy_period)
         size = size * difficulty_of(tensordict, self.in_keys)
         drawn = size * torch.cat([angle.cos(), angle.sin(), torch.zeros(shape)], dim=-1)
         force = torch.where(begins, drawn, torch.where(steps > 0, force, 0.0))

@@ -125,7 +125,7 @@ def test_robots_stand_before_the_runner_damps_them() -> None:
     """From the corners of the region, at any phase, with half a second to spare."""
     library = GaitLibrary.load("directions")
     rates, motor_lead, period = COMMAND_RATES, 0.0, CASSIE.policy_period
-    steering = Steering(library, rates, True, motor_lead, period)
+    steering = Steering(library, rates, True, motor_lead)
     low, high = (torch.tensor([axis[i] for axis in library.table.axes]) for i in (0, -1))
     corners = torch.cartesian_prod(*torch.stack([low, torch.zeros(3), high]).T).float()
     corners = library.nearest(torch.cat([corners, torch.tensor([[2.2, 0.0, 0.0]])]))
