@@ -122,15 +122,14 @@ class EstimatedState(_Estimator):
     `aslip.estimation.FAULTS`; `("estimator", "contact")` (n, 2), loaded feet. After a reset the
     estimate starts afresh from the robot's first packets.
 
+    The yaw that counts as straight ahead is `heading` (n, 1) [rad], as `HeadingFrame` writes it;
+    without this entry, it is that of the first packet's orientation.
+
     With a `command_key` the odometry moves along the path of that command, as the true one of
     `HeadingFrame` does; it has the entries of `PATH_SIZES`, too.
 
     Args:
         estimator: state estimator, whose robot gives the sizes of the entries.
-        in_keys: keys of the packets (n, w, k), in the order of `Robot.packet_sizes`.
-        out_keys: keys of estimate, odometry, and the estimator's own entries.
-        heading_key: key of the yaw (n, 1) that counts as straight ahead [rad], as `HeadingFrame`
-            writes it; without this entry, the yaw of the first packet's orientation is used.
         command_key: key of the command (n, c) whose path the odometry follows; None for odometry
             from the start.
         mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it;
@@ -144,15 +143,12 @@ class EstimatedState(_Estimator):
         self,
         estimator: StateEstimator | None = None,
         *,
-        in_keys: Sequence[NestedKey] = tuple(("sensors", name) for name in CASSIE.packet_sizes),
-        out_keys: Sequence[NestedKey] = ("estimate", "odometry", "estimator"),
-        heading_key: NestedKey = "heading",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self._heading_key, self._command_key = heading_key, command_key
-        self._mode_key = mode_key
+        keys = [("sensors", name) for name in CASSIE.packet_sizes]
+        super().__init__(in_keys=keys, out_keys=["estimate", "odometry", "estimator"])
+        self._command_key, self._mode_key = command_key, mode_key
         self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
         self._robot = self.estimator.robot
@@ -162,11 +158,11 @@ class EstimatedState(_Estimator):
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
         origin = None
         if self._command_key is not None:
-            before = tensordict.get(self._heading_key, None)
+            before = tensordict.get("heading", None)
             past = cast("TensorDictBase", tensordict[self.out_keys[1]])
             command = cast("Tensor", tensordict[self._command_key])
             origin = follow_path(tracking, past, command, before)
-        heading = next_tensordict.get(self._heading_key, None)
+        heading = next_tensordict.get("heading", None)
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
@@ -180,7 +176,7 @@ class EstimatedState(_Estimator):
         # TorchRL uses only the rows of reset robots, so the others are not started
         rows = reset_rows(tensordict)
         packets = self._packets(tensordict_reset)
-        heading = tensordict_reset.get(self._heading_key, None)
+        heading = tensordict_reset.get("heading", None)
         if rows is not None:
             packets = packets[rows.numpy()]
             heading = None if heading is None else heading[rows]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final, cast
 
 import torch
@@ -59,11 +59,9 @@ class HeadingFrame(SeededTransform):
     move the origin below the pelvis.
 
     Args:
-        truth_key: key of the truth; the entries of `ODOMETRY_SIZES` and `slope` are read.
         command_key: key of the command (n, c) whose path the frame follows; None for a frame at
             rest.
         mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it.
-        out_keys: keys of heading and perfect odometry.
     """
 
     num_out_keys = 2
@@ -72,21 +70,19 @@ class HeadingFrame(SeededTransform):
     def __init__(
         self,
         *,
-        truth_key: str = "truth",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
-        out_keys: Sequence[NestedKey] = ("heading", "true_odometry"),
     ) -> None:
-        keys: list[NestedKey] = [(truth_key, name) for name in (*ODOMETRY_SIZES, "slope")]
+        keys: list[NestedKey] = [("truth", name) for name in (*ODOMETRY_SIZES, "slope")]
         keys += [key for key in (command_key, mode_key) if key is not None]
-        super().__init__(in_keys=keys, out_keys=out_keys)
-        self._truth_key, self._command_key, self._mode_key = truth_key, command_key, mode_key
+        super().__init__(in_keys=keys, out_keys=["heading", "true_odometry"])
+        self._command_key, self._mode_key = command_key, mode_key
         self._origin_key = unravel_key((self.out_keys[1], "origin"))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        truth = cast("Mapping[str, Tensor]", tensordict_reset[self._truth_key])
+        truth = cast("Mapping[str, Tensor]", tensordict_reset["truth"])
         key = self.out_keys[0]
         # with a `_reset` mask, the entry is left over from the episode before, not chosen
         chosen = "_reset" not in tensordict and tensordict.get(key, None) is not None
@@ -98,14 +94,14 @@ class HeadingFrame(SeededTransform):
         origin = cast("Tensor", tensordict[self._origin_key])
         if self._command_key is not None:
             command = cast("Tensor", tensordict[self._command_key])
-            slope = cast("Tensor", next_tensordict[self._truth_key, "slope"])
+            slope = cast("Tensor", next_tensordict["truth", "slope"])
             error = cast("Tensor", tensordict[unravel_key((self.out_keys[1], "path_error"))])
             origin = move_origin(origin, heading, advance(command, error), slope)
             heading = advance_heading(heading, command)
         return self._written(next_tensordict, heading, origin)
 
     def _written(self, into: TensorDictBase, heading: Tensor, origin: Tensor) -> TensorDictBase:
-        truth = cast("Mapping[str, Tensor]", into[self._truth_key])
+        truth = cast("Mapping[str, Tensor]", into["truth"])
         into.set(self.out_keys[0], heading)
         entries = {"origin": origin, **in_heading_frame(truth, heading, origin)}
         if self._command_key is not None:

@@ -29,14 +29,15 @@ class RandomPushes(SeededTransform):
     At each policy step without a push, one begins with the same probability. Its force is constant,
     and its impulse uniform between zero and the largest. No push begins at a reset.
 
+    Writes `push` (n, 3), the force during the next policy step [N, world], and `push_steps` (n, 1),
+    the number of policy steps that it still acts.
+
     Args:
         impulse: largest impulse of a push [N s].
         interval: mean time from the end of a push to the next [s].
         duration: duration of a push [s], rounded to whole policy steps.
         in_keys: key of the difficulty (n, 1), see `aslip.transforms.Difficulty`, which scales the
             impulses; or none.
-        out_keys: keys of the force (n, 3) during the next policy step [N, world], an input of
-            simulated robots; and of the number (n, 1) of policy steps that it still acts.
 
     Raises:
         ConfigurationError: `impulse` is negative, or `interval` or `duration` is shorter than a
@@ -53,9 +54,8 @@ class RandomPushes(SeededTransform):
         duration: float = 0.21,
         *,
         in_keys: Sequence[NestedKey] = (),
-        out_keys: Sequence[NestedKey] = ("push", "push_steps"),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=in_keys, out_keys=["push", "push_steps"])
         self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
         self.interval = check_interval(interval)
         self.duration = check_number("duration", duration, CASSIE.policy_period, what="in s")

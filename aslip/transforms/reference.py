@@ -170,6 +170,8 @@ def feedforward_target(
 class Feedforward(SeededTransform):
     r"""Write the motor targets with which PD loops follow the reference.
 
+    They are `("reference", "motor_target")` (n, m) [rad].
+
     .. math:: \hat a = \hat q + K_p^{-1} (\hat\tau + K_d \dot{\hat q})
 
     In the paper, the targets are the reference's motor angles. With these the legs lag 0.1 s
@@ -180,8 +182,6 @@ class Feedforward(SeededTransform):
     Args:
         stiffness: (m,) gains K_p of the PD loops [N m/rad].
         damping: (m,) gains K_d [N m s/rad].
-        in_keys: key of the reference; its motor positions, velocities and torques are read.
-        out_keys: key of the targets (n, m) [rad].
     """
 
     num_in_keys, num_out_keys = 1, 1
@@ -191,11 +191,8 @@ class Feedforward(SeededTransform):
         self,
         stiffness: ArrayLike = CASSIE.stiffness,
         damping: ArrayLike = CASSIE.damping,
-        *,
-        in_keys: Sequence[NestedKey] = ("reference",),
-        out_keys: Sequence[NestedKey] = (("reference", "motor_target"),),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["reference"], out_keys=[("reference", "motor_target")])
         self._stiffness, self._damping = (
             torch.tensor(np.asarray(gain), dtype=torch.float32) for gain in (stiffness, damping)
         )
@@ -213,26 +210,22 @@ class Feedforward(SeededTransform):
 
 
 class ReferenceDistance(SeededTransform):
-    """Write the distance that the reference has walked since the reset [m].
+    """Write the distance (n, 1) that the reference has walked since the reset [m].
+
+    `("reference", "distance")` is that of now, `("goal", "distance")` that at the end of the coming
+    policy step.
 
     The x of the reference is its deviation from uniform motion; the distance plus this x is its
     position in the world. Must come after `ReferenceInjection`, which replaces the groups
     `reference` and `goal`.
-
-    Args:
-        in_keys: key of the command (n, 1) [m/s].
-        out_keys: keys of the distance (n, 1) now, and at the end of the coming policy step.
     """
 
     num_in_keys, num_out_keys = 1, 2
 
     def __init__(
         self,
-        *,
-        in_keys: Sequence[NestedKey] = ("command",),
-        out_keys: Sequence[NestedKey] = (("reference", "distance"), ("goal", "distance")),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(["command"], [("reference", "distance"), ("goal", "distance")])
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase

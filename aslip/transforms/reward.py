@@ -97,8 +97,6 @@ class WeightedReward(SeededTransform):
 
     Args:
         weights: name of a term -> weight.
-        in_keys: key of the group of terms.
-        out_keys: key of the reward (n, 1).
 
     Raises:
         ConfigurationError: a weight is not finite.
@@ -110,11 +108,8 @@ class WeightedReward(SeededTransform):
     def __init__(
         self,
         weights: Mapping[str, float],
-        *,
-        in_keys: Sequence[NestedKey] = ("reward_terms",),
-        out_keys: Sequence[NestedKey] = ("reward",),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["reward_terms"], out_keys=["reward"])
         if not isinstance(weights, Mapping) or not weights:
             raise ConfigurationError(
                 f"weights must map names of terms to weights, at least one, got {weights!r}"
@@ -158,21 +153,14 @@ class EpisodeSum(SeededTransform):
 
     It does what TorchRL's `RewardSum` does, but making an environment takes half as long:
     `RewardSum` computes the specs of the whole stack twice to find the shape of a reward.
-
-    Args:
-        in_keys: key of the reward (n, 1).
-        out_keys: key of the sum (n, 1).
     """
 
     num_in_keys, num_out_keys = 1, 1
 
     def __init__(
         self,
-        *,
-        in_keys: Sequence[NestedKey] = ("reward",),
-        out_keys: Sequence[NestedKey] = ("episode_reward",),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["reward"], out_keys=["episode_reward"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         total = tensordict.get(self.out_keys[0], 0.0) + next_tensordict[self.in_keys[0]]

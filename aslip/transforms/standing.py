@@ -191,13 +191,14 @@ def _chosen(mode: Tensor, *values: Tensor | float) -> Tensor:
 class StandCommand(SeededTransform):
     """Draw the wish to stand at each reset, and at random times if `interval` is finite.
 
+    The wish is `stand` (n, 1): 1 to stand, 0 to walk.
+
     To choose yourself, write `td["stand"]` between steps, or pass it to `env.reset`. A partial
     reset (with a `_reset` mask) draws for the reset robots only.
 
     Args:
         share: share of draws that wish to stand.
         interval: mean time between draws within an episode [s].
-        out_keys: key of the wish (n, 1): 1 to stand, 0 to walk.
 
     Raises:
         ConfigurationError: `share` is no share, or `interval` is shorter than a policy step.
@@ -210,10 +211,8 @@ class StandCommand(SeededTransform):
         self,
         share: float = 0.1,
         interval: float = math.inf,
-        *,
-        out_keys: Sequence[NestedKey] = ("stand",),
     ) -> None:
-        super().__init__(in_keys=[], out_keys=out_keys)
+        super().__init__(in_keys=[], out_keys=["stand"])
         self.share = check_number("share", share, 0, 1)
         self.interval = check_interval(interval)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import partial
+from typing import Any
 
 import pytest
 import torch
@@ -211,12 +212,12 @@ def test_scales_of_terms_are_arguments() -> None:
     orientation, heading = torch.tensor([[1.0, 0, 0, 0]]), torch.tensor([[0.05]])
     found = rewards.heading_diff(orientation, heading, scale=0.1 / 3)
     torch.testing.assert_close(found, rewards.heading_diff(orientation, heading) ** 3)
-    for term, seen in (
-        (rewards.power, (torch.full((1, 10), 20.0), torch.zeros(1, 3))),
-        (rewards.landing, (torch.full((1, 2), 500.0),)),
-        (rewards.squeeze, (torch.tensor([[[3.0, 4.0, 300.0], [-3.0, -4.0, 300.0]]]),)),
-    ):
-        scale = {rewards.power: 0.4, rewards.landing: 0.6, rewards.squeeze: 10.0}[term]
+    cases: list[tuple[Any, float, list[torch.Tensor]]] = [
+        (rewards.power, 0.4, [torch.full((1, 10), 20.0), torch.zeros(1, 3)]),
+        (rewards.landing, 0.6, [torch.full((1, 2), 500.0)]),
+        (rewards.squeeze, 10.0, [torch.tensor([[[3.0, 4.0, 300.0], [-3.0, -4.0, 300.0]]])]),
+    ]
+    for term, scale, seen in cases:
         found = term(*seen, scale=scale / 3)
         assert 0 < found < 1
         torch.testing.assert_close(found, term(*seen) ** 3)
