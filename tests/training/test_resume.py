@@ -57,7 +57,7 @@ STACKS: dict[str, Callable[[], dict[str, Any]]] = {
     "aslip": dict,
     "single_reference": lambda: {"stack": "single_reference"},
     "random robots": lambda: {"stack": _harder(randomise_stack(default_stack()))},
-    "compose": lambda: {"replace": {"noise": Compose(ObservationNoise())}},
+    "compose": lambda: {"replace": {"noise": Compose(ObservationNoise())}},  # pyright: ignore[reportArgumentType]
     "dm_control": lambda: {"backend": "dm_control"},
 }
 
