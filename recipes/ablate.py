@@ -123,29 +123,29 @@ def without_term(name: str) -> Variant:
     """Variant without a reward term; the others share its weight, so the largest reward is 1."""
     rest = 1 - PAPER_WEIGHTS[name]
     weights = {key: 0.0 if key == name else w / rest for key, w in PAPER_WEIGHTS.items()}
-    reward = partial(WeightedReward, weights)
-    return Variant(f"no reward for {name}", edits=lambda: {"replace": {"reward": reward}})
+    replaced = {"reward": WeightedReward(weights)}
+    return Variant(f"no reward for {name}", edits=lambda: {"replace": replaced})
 
 
 def with_dynamics(name: str, value: float) -> Callable[[], dict[str, Any]]:
     """Function that makes the edits for robots with other dynamics."""
 
     def edits() -> dict[str, Any]:
-        dynamics = partial(RandomDynamics, {name: (value, value)})
+        dynamics = RandomDynamics({name: (value, value)})
         return {"stack": insert_before(default_stack(), "start", dynamics=dynamics)}
 
     return edits
 
 
 def _absolute_actions() -> dict[str, Any]:
-    stack: Stack = insert_before(default_stack(), "action", standing=StandingBaseline)
-    stack["action"] = lambda: ActionDelta(("baseline", "motor_position"))
+    stack = insert_before(default_stack(), "action", standing=StandingBaseline())
+    stack["action"] = ActionDelta(("baseline", "motor_position"))
     return {"stack": stack}
 
 
 def _blind_to_the_model() -> dict[str, Any]:
-    stack = insert_before(default_stack(), "observation", clock_input=ClockInput)
-    stack["observation"] = lambda: AssembleObservation(SINGLE_REFERENCE_TABLE)
+    stack = insert_before(default_stack(), "observation", clock_input=ClockInput())
+    stack["observation"] = AssembleObservation(SINGLE_REFERENCE_TABLE)
     return {"stack": stack}
 
 

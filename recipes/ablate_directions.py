@@ -165,29 +165,24 @@ def in_world_frame(library: GaitLibrary) -> Stack:
         ("estimate", name): ("world", name) for name in ("orientation", "velocity")
     }
     table = [*(moved.get(key, key) for key in DIRECTION_TABLE), ("world", "direction")]
-    stack = insert_before(standing_stack(library), "observation", world=WorldFrame)
-    return {**stack, "observation": partial(AssembleObservation, table)}
+    stack = insert_before(standing_stack(library), "observation", world=WorldFrame())
+    return {**stack, "observation": AssembleObservation(table)}
 
 
 def with_independent_gaits(library: GaitLibrary) -> Stack:
     """Stack whose reference is always a gait of the library, and jumps between them."""
-    stack = insert_before(
-        standing_stack(library), "clock", nearest_gait=partial(NearestGait, library)
-    )
-    clock = partial(StandClock, library, in_keys=["gait_command", "stand", "estimate"])
+    stack = insert_before(standing_stack(library), "clock", nearest_gait=NearestGait(library))
+    stack["clock"] = StandClock(library, in_keys=["gait_command", "stand", "estimate"])
     keys: list[NestedKey] = ["gait_command", "phase", "mode", "stand"]
-    return {
-        **stack,
-        "clock": clock,
-        "reference": partial(ReferenceInjection, library, in_keys=keys),
-    }
+    stack["reference"] = ReferenceInjection(library, in_keys=keys)
+    return stack
 
 
 def without_terms(library: GaitLibrary, names: Sequence[str]) -> Stack:
     """Stack without some reward terms; the weights of the others are scaled to a sum of 1."""
     rest = 1 - sum(DIRECTION_WEIGHTS[name] for name in names)
     weights = {k: 0.0 if k in names else w / rest for k, w in DIRECTION_WEIGHTS.items()}
-    return {**standing_stack(library), "reward": partial(WeightedReward, weights)}
+    return {**standing_stack(library), "reward": WeightedReward(weights)}
 
 
 @dataclass(frozen=True)

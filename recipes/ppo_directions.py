@@ -95,7 +95,7 @@ if __name__ == "__main__":
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import ppo_aslip
 
@@ -107,6 +107,7 @@ from aslip.training.settings import read_settings
 from aslip.transforms import (
     WIDE_RANGES,
     AssembleObservation,
+    CommandFilter,
     Difficulty,
     EncoderOffsets,
     RandomDynamics,
@@ -159,38 +160,32 @@ def training_stack(config: DirectionConfig, stack: Stack) -> Stack:
     It differs in rates of the command, and has wishes to stand, other robots, pushes and entries
     for the critic.
     """
-    hurried = partial(_hurried, stack["command_filter"], config.command_rates)
-    stack = {**stack, "command_filter": hurried}
+    limits = cast("CommandFilter", stack["command_filter"].clone())
+    limits.rates = tuple(config.command_rates * rate for rate in limits.rates)
+    stack = {**stack, "command_filter": limits}
     if config.stand:
-        stack = {**stack, "stand": partial(StandCommand, config.stand, config.stand_interval)}
+        stack["stand"] = StandCommand(config.stand, config.stand_interval)
     steps = config.schedule_steps or config.total_steps
     ramp = round(config.ramp * steps / config.num_envs)
     scaled: dict[str, Any] = {"in_keys": ["difficulty"]} if ramp else {}
     share = config.randomise_share
     if ramp and (config.randomise or config.push_impulse):
         # after the dynamics, which read it
-        stack = insert_before(stack, "command", difficulty=partial(Difficulty, ramp))
+        stack = insert_before(stack, "command", difficulty=Difficulty(ramp))
     if config.randomise:
         stack = randomise_stack(stack, WIDE_RANGES)
-        stack["dynamics"] = partial(RandomDynamics, WIDE_RANGES, share=share, **scaled)
+        stack["dynamics"] = RandomDynamics(WIDE_RANGES, share=share, **scaled)
         readings = [("sensors", "motor_position"), *scaled.get("in_keys", [])]
         largest = config.encoder_offset
-        offsets = partial(EncoderOffsets, largest, share=share, in_keys=readings)
+        offsets = EncoderOffsets(largest, share=share, in_keys=readings)
         stack = insert_before(stack, "estimator", encoders=offsets)
     if config.push_impulse:
-        pushes = partial(RandomPushes, config.push_impulse, config.push_interval, **scaled)
+        pushes = RandomPushes(config.push_impulse, config.push_interval, **scaled)
         stack = insert_before(stack, "command", pushes=pushes)
     if config.privileged:
-        seen = partial(AssembleObservation, privileged_table(drawn(config)), out_keys=[PRIVILEGED])
+        seen = AssembleObservation(privileged_table(drawn(config)), out_keys=[PRIVILEGED])
         stack = insert_before(stack, "action", privileged=seen)
     return stack
-
-
-def _hurried(make: Callable[[], Any], factor: float) -> Any:
-    """Make a filter of the command, and multiply its rates."""
-    made = make()
-    made.rates = tuple(factor * rate for rate in made.rates)
-    return made
 
 
 def drawn(config: DirectionConfig) -> list[str]:

@@ -114,7 +114,7 @@ def main(config: Config) -> None:
             raise ConfigurationError(f"{str(config.out)!r} holds a run; give another --out")
     config.out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(config.seed)
-    bounded = {"action": partial(ActionDelta, ("reference", "motor_target"), limit=_LIMIT)}
+    bounded = {"action": ActionDelta(("reference", "motor_target"), limit=_LIMIT)}
     env = aslip.make_env(replace=bounded, seed=config.seed)
     interface, spec = policy_interface(env), env.action_spec_unbatched
     size = env.observation_spec["observation"].shape[-1]

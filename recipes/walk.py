@@ -117,7 +117,6 @@ if __name__ == "__main__":
     CONFIG = command_line(Config)
 
 import contextlib
-from functools import partial
 from typing import cast
 
 import numpy as np
@@ -259,8 +258,7 @@ def make_walker(config: Config, schedule: Schedule) -> Walker:
         library.check_command(command)
     edits = ON_TRUTH if config.truth else {}
     if config.log is not None:
-        stack["recorder"] = partial(
-            Recorder,
+        stack["recorder"] = Recorder(
             config.log,
             joint_rate=config.joint_rate,
             policy=config.policy,

@@ -14,7 +14,6 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 
 from aslip.envs import STACKS, StackEnv
-from aslip.envs.stacks import TURNING
 from aslip.robot import CASSIE
 from aslip.sim import PD
 from aslip.transforms import SeededTransform
@@ -22,7 +21,7 @@ from recipes.ppo_settings import Config
 
 MakeEnv = Callable[..., StackEnv]
 
-STRAIGHT_STACKS = [name for name in STACKS if name not in TURNING]
+STRAIGHT_STACKS = [name for name in STACKS if name not in ("directions", "standing")]
 """Stacks of straight walks."""
 
 MADE_BY = {"command": "python recipes/gait_library.py", "aslip": "0.1.0"}

@@ -68,7 +68,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def _record(path: Path) -> None:
     """Write a short log, as `recipes/walk.py --log` does."""
-    stack = {**aslip.default_stack(), "recorder": lambda: Recorder(path, policy="straight")}
+    stack = {**aslip.default_stack(), "recorder": Recorder(path, policy="straight")}
     with contextlib.closing(aslip.make_env(stack=stack, num_threads=1, seed=0)) as env:
         env.rollout(4, aslip.load_policy("straight"))
 

@@ -85,8 +85,8 @@ def train_with_air_time(config: Config) -> MakeEnv:
         def transform_observation_spec(self, observation_spec: Composite) -> Composite:
             return extend_spec(observation_spec, {"air_time": 2, term: 1})
 
-    stack = insert_before(default_stack(), "reward", air_time=AirTime)
-    stack["reward"] = lambda: WeightedReward({**PAPER_WEIGHTS, "air_time": -0.1})
+    stack = insert_before(default_stack(), "reward", air_time=AirTime())
+    stack["reward"] = WeightedReward({**PAPER_WEIGHTS, "air_time": -0.1})
     make_env = partial(aslip.make_env, stack=stack)
     ppo_aslip.main(config, make_env)
     return make_env
@@ -95,7 +95,7 @@ def train_with_air_time(config: Config) -> MakeEnv:
 def train_with_history(config: Config) -> MakeEnv:
     """History: the last three observations instead of one."""
     stack = insert_before(
-        default_stack(), "action", history=lambda: CatFrames(3, -1, in_keys=["observation"])
+        default_stack(), "action", history=CatFrames(3, -1, in_keys=["observation"])
     )
     make_env = partial(aslip.make_env, stack=stack)
     # the mirror image that makes the default network symmetric is that of one observation
@@ -115,7 +115,7 @@ def train_with_torques(config: Config) -> MakeEnv:
     """Torques instead of angles: actions are added to the reference's motor torques."""
     stack = default_stack()
     del stack["feedforward"]
-    stack["action"] = lambda: ActionDelta(("reference", "motor_torque"), limit=50.0)
+    stack["action"] = ActionDelta(("reference", "motor_torque"), limit=50.0)
     make_env = partial(aslip.make_env, base=partial(BatchEnv, drive=Torque), stack=stack)
     config = replace(config, std=5.0, last_std=2.0)  # [N m]
     ppo_aslip.main(replace(config, physics_timestep=CASSIE.physics_timestep), make_env)
@@ -125,7 +125,7 @@ def train_with_torques(config: Config) -> MakeEnv:
 def train_with_sac(config: Config) -> MakeEnv:
     """Soft actor-critic instead of PPO; `recipes/sac_aslip.py` also logs and normalises."""
     stack = default_stack()
-    stack["action"] = lambda: ActionDelta(("reference", "motor_target"), limit=0.4)
+    stack["action"] = ActionDelta(("reference", "motor_target"), limit=0.4)
     make_env = partial(aslip.make_env, stack=stack)
     env = make_env(num_envs=config.num_envs, keep=["observation"], seed=0)
     spec = env.action_spec_unbatched

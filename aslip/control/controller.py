@@ -160,10 +160,7 @@ class Controller:
             COMMAND_RATES if command_rates is None else command_rates
         )
         robot = self.estimator.robot
-        self._period = robot.policy_period
-        self.steering = Steering(
-            library, self.command_rates, bool(stands), motor_lead, self._period
-        )
+        self.steering = Steering(library, self.command_rates, bool(stands), motor_lead)
         self._along_path = self.steering.along_path
         self._gains = [
             torch.from_numpy(gain.copy()).float() for gain in (robot.stiffness, robot.damping)
@@ -263,7 +260,7 @@ class Controller:
         if rows.ndim == 3:
             origin = torch.zeros(len(rows), 3) if self._along_path else None
             begun = self.estimator.start(rows, heading)
-            entries = estimate_entries(*begun, origin, period=self._period)
+            entries = estimate_entries(*begun, origin)
         else:
             entries = start_entries(rows, heading, self.estimator.robot, self._along_path)
         first = torch.ones(len(rows), 1, dtype=torch.bool)
@@ -306,11 +303,11 @@ class Controller:
         origin = None
         if command is not None:
             before = cast("TensorDictBase", past["odometry"])
-            origin = follow_path(tracking, before, command, heading, self._period)
+            origin = follow_path(tracking, before, command, heading)
         elif heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, rows)
-        return estimate_entries(tracking, estimate, origin, mode, period=self._period)
+        return estimate_entries(tracking, estimate, origin, mode)
 
     @torch.no_grad()
     @on_cpu_in_single

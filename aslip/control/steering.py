@@ -46,8 +46,6 @@ class Steering:
     """True for robots that stand on a wish."""
     motor_lead: float
     """Lead of the motor references over the phase, in policy steps."""
-    period: float
-    """Duration of a policy step [s]."""
 
     def __post_init__(self) -> None:
         """Check that the library has what standing needs."""
@@ -99,20 +97,18 @@ class Steering:
         phase, mode = past["phase"], None
         steer = past["filtered_command"] if self.along_path else command
         if stand is None:
-            phase = advance_phase(self.library, phase, steer, self.period)
+            phase = advance_phase(self.library, phase, steer)
         else:
             mode = past["mode"]
             balance = find_balance(past["estimate"])
-            phase, mode = advance_mode(
-                self.library, phase, mode, steer, stand, self.period, balance
-            )
+            phase, mode = advance_mode(self.library, phase, mode, steer, stand, balance=balance)
         entries = self._entries(command, phase, stand, mode)
         if self.along_path:
             aim, rates = command, self.rates
             if stand is not None:
                 aim = led_command(command, stand, past["mode"])
                 rates = led_rates(self.rates, stand, past["mode"])
-            entries["filtered_command"] = approach_command(steer, aim, rates, self.period)
+            entries["filtered_command"] = approach_command(steer, aim, rates)
         return entries
 
     def reference(self, present: Mapping[str, Any]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
@@ -128,7 +124,6 @@ class Steering:
             steer,
             present["phase"],
             motor_lead=self.motor_lead,
-            period=self.period,
             standing=standing,
         )
 

@@ -12,7 +12,7 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from aslip.control.own_estimate import POSITION, mark_lost, split_estimate, start_heading
-from aslip.robot import CASSIE, Robot
+from aslip.robot import Robot
 from aslip.transforms.estimate import PATH_SIZES
 from aslip.transforms.path import advance_frame, advance_heading, place_in_path
 from aslip.transforms.rotation import (
@@ -44,7 +44,7 @@ def start_entries(
     if along_path and position is not None:
         place = rotate_about_vertical(position, -ahead)
         begun = start_origin(position)
-        entries["odometry"] = place_on_path(place, begun, ahead.float(), period=robot.policy_period)
+        entries["odometry"] = place_on_path(place, begun, ahead.float())
     return entries
 
 
@@ -71,7 +71,7 @@ def next_entries(
     before = cast("Tensor", past["heading"] if heading is None else heading)
     ahead = before
     if command is not None:
-        ahead = advance_heading(before, command, robot.policy_period)
+        ahead = advance_heading(before, command)
     ahead = ahead.double()
     last = {name: cast("Tensor", past["estimate", name]) for name in robot.estimate_sizes}
     part, position = _tensors(mark_lost(rows, robot), robot)
@@ -81,8 +81,8 @@ def next_entries(
             position = torch.full((len(rows), 3), torch.nan, dtype=torch.float64)
         origin, error = (cast("Tensor", past["odometry", name]) for name in PATH_SIZES)
         place = rotate_about_vertical(position, -ahead)
-        moved = advance_frame(origin, before.float(), command, error, robot.policy_period)
-        entries["odometry"] = place_on_path(place, *moved, error, mode, robot.policy_period)
+        moved = advance_frame(origin, before.float(), command, error)
+        entries["odometry"] = place_on_path(place, *moved, error, mode)
     return entries
 
 
@@ -97,7 +97,6 @@ def place_on_path(
     heading: Tensor,
     last_error: Tensor | None = None,
     mode: Tensor | None = None,
-    period: float = CASSIE.policy_period,
 ) -> dict[str, Tensor]:
     """Odometry of robots along the path of a command, see `aslip.transforms.path`.
 
@@ -107,14 +106,13 @@ def place_on_path(
         heading: (n, 1) yaw of the frame [rad].
         last_error: (n, 2) distance from the path a policy step ago, which lost robots keep [m].
         mode: (n, 1) mode of robots that stand on a wish.
-        period: duration of a policy step [s].
 
     Returns:
         `origin` (n, 3), and `path_error` (n, 2) as in `aslip.transforms.PATH_SIZES`.
     """
     way = rotate_about_vertical(origin, -heading)
     entries = {"pelvis_position": place.float() - way}
-    placed = place_in_path(entries, origin, heading, mode=mode, period=period)
+    placed = place_in_path(entries, origin, heading, mode=mode)
     found = {name: placed[name] for name in PATH_SIZES}
     if last_error is None:
         return found

@@ -14,8 +14,9 @@ An experiment changes the default stack in a line or two:
     make_env(stack="single_reference")                           # the paper's baseline
     make_env(stack="standing")                                   # all directions, and standing
 
-A stack is an ordered dict, name -> function that makes a transform. The transforms of an
-environment are never edited in place, as TorchRL would keep stale specs: make another environment.
+A stack is an ordered dict, name -> transform, of which each environment gets copies. The transforms
+of an environment are never edited in place, as TorchRL would keep stale specs: edit the stack, and
+make another environment.
 """
 
 from aslip.imports import attach

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from types import MappingProxyType
-from typing import Final
+from typing import Final, cast
 
 from tensordict.utils import NestedKey
 from torch import Tensor
-from torchrl.envs.transforms import Transform
 
 from aslip.envs import RewardSource
-from aslip.envs.stacks import Stack, default_stack, insert_before, shipped_library
+from aslip.envs.edit import Stack, insert_before
+from aslip.envs.straight import shipped_library, stack_of
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms import (
@@ -68,23 +67,25 @@ def directions_stack(
             "a stack for all directions needs a library over forward speed, sideways speed and yaw"
             f" rate, got one whose commands have {library.command_size} numbers"
         )
-    stack = default_stack(library, reward_on) | {
-        "command": lambda: VelocityCommand(library),
-        "clock": lambda: PhaseClock(library, in_keys=[_STEER]),
-        "reference": lambda: ReferenceInjection(library, in_keys=[_STEER, "phase"]),
-        "heading": lambda: HeadingFrame(command_key=_STEER),
-        "estimator": lambda: EstimatedState(command_key=_STEER),
-        "observation": lambda: AssembleObservation(DIRECTION_TABLE),
-        "reward": lambda: WeightedReward(DIRECTION_WEIGHTS),
+    stack = stack_of(library, VelocityCommand(library), reward_on) | {
+        "clock": PhaseClock(library, in_keys=[_STEER]),
+        "reference": ReferenceInjection(library, in_keys=[_STEER, "phase"]),
+        "heading": HeadingFrame(command_key=_STEER),
+        "estimator": EstimatedState(command_key=_STEER),
+        "observation": AssembleObservation(DIRECTION_TABLE),
+        "reward": WeightedReward(DIRECTION_WEIGHTS),
     }
     # the observation has the last action
     moved = {name: stack.pop(name) for name in ("action", "last_action")}
     stack = insert_before(stack, "observation", **moved)
-    for name in _HEADINGS:
-        stack[name] = partial(_turning_term, stack[name])
-    stack = insert_before(stack, "clock", command_filter=CommandFilter)
+    for name, headings in _HEADINGS.items():
+        term = cast("RewardTerm", stack[name])
+        keys = [*term.root_keys, *(("goal", heading) for heading in headings)]
+        stack[name] = RewardTerm(name, term.function, term.next_keys, keys)
+    stack = insert_before(stack, "clock", command_filter=CommandFilter())
     stack = insert_before(stack, "straight_diff", **_terms())
-    return {name: make for name, make in stack.items() if name != "straight_diff"}
+    del stack["straight_diff"]
+    return stack
 
 
 def _terms() -> Stack:
@@ -98,7 +99,7 @@ def _terms() -> Stack:
         rewards.squeeze: ([("truth", "ground_force")], []),
     }
     return {
-        function.__name__: partial(RewardTerm, function.__name__, function, *keys)
+        function.__name__: RewardTerm(function.__name__, function, *keys)
         for function, keys in reads.items()
     }
 
@@ -118,20 +119,11 @@ def standing_stack(library: GaitLibrary | None = None, reward_on: RewardSource =
     transitions_of(library)
     steered: list[NestedKey] = [_STEER, "phase", "mode", "stand"]
     stack = directions_stack(library, reward_on) | {
-        "start": lambda: ReferenceStart(library, in_keys=["command", "phase", "mode"]),
-        "command_filter": StandFilter,
-        "clock": lambda: StandClock(library),
-        "reference": lambda: ReferenceInjection(library, in_keys=steered),
-        "heading": lambda: HeadingFrame(command_key=_STEER, mode_key="mode"),
-        "estimator": lambda: EstimatedState(command_key=_STEER, mode_key="mode"),
+        "start": ReferenceStart(library, in_keys=["command", "phase", "mode"]),
+        "command_filter": StandFilter(),
+        "clock": StandClock(library),
+        "reference": ReferenceInjection(library, in_keys=steered),
+        "heading": HeadingFrame(command_key=_STEER, mode_key="mode"),
+        "estimator": EstimatedState(command_key=_STEER, mode_key="mode"),
     }
-    return insert_before(stack, "reference", stand=StandCommand)
-
-
-def _turning_term(make: Callable[[], Transform]) -> RewardTerm:
-    """Make a reward term for turns: it reads headings of the goal, too."""
-    term = make()
-    assert isinstance(term, RewardTerm)
-    name = str(term.out_keys[0][-1])
-    goals: list[NestedKey] = [("goal", heading) for heading in _HEADINGS[name]]
-    return RewardTerm(name, term.function, term.next_keys, [*term.root_keys, *goals])
+    return insert_before(stack, "reference", stand=StandCommand())

@@ -15,7 +15,7 @@ from torchrl.envs.transforms import Transform
 
 from aslip.envs.keep import KeepKeys
 from aslip.envs.stack_env import StackEnv
-from aslip.envs.stacks import STACKS, TURNING
+from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.policy import check_policy_library, entry_names, observation_difference, read_card
@@ -61,14 +61,13 @@ def stack_name(env: StackEnv) -> str | None:
         return None
     libraries = _reference_libraries(env.transforms)
     turning = any(library.command_size == 3 for library in libraries)
-    possible = STACKS.keys() - {*TURNING}
+    possible = ["default", "paper", "single_reference"]
     if turning:
-        possible = {"standing" if stands(env) else "directions"}
-    for name in (name for name in STACKS if name in possible):
-        make = STACKS[name]
+        possible = ["standing" if stands(env) else "directions"]
+    for name in possible:
         # walks in all directions may follow any library, whose hash is in the policy file
-        stack = make(libraries[0]) if turning else make()
-        named = [stack[part]() for part in ("observation", "action", "reference")]
+        stack = STACKS[name](libraries[0] if turning else None)
+        named = [stack[part] for part in ("observation", "action", "reference")]
         same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
         if same_keys and _motion(env.transforms) == _motion(named):
             return name

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from inspect import signature
 from typing import Any, get_args
 
 from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor
+from torch.nn.parameter import is_lazy
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
 from aslip.envs import Backend, BatchEnv, RewardSource, RobotEnv, SimulatedEnv
+from aslip.envs.edit import Stack, edit_stack
 from aslip.envs.keep import KeepKeys
 from aslip.envs.stack_env import StackEnv, check_seed, check_wiring, random_seed
-from aslip.envs.stacks import STACKS, Stack, edit_stack
+from aslip.envs.stacks import STACKS
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 from aslip.transforms.base import check_types, on_cpu_in_single
-
-MakeTransform = Transform | Callable[[], Transform]
-"""Transform, or function that makes it."""
 
 
 @check_types
@@ -32,8 +33,8 @@ def make_env(
     num_envs: int = 1,
     seed: int | None = None,
     drop: Iterable[str] = (),
-    replace: Mapping[str, MakeTransform] | None = None,
-    stack: Stack | str = "default",
+    replace: Mapping[str, Transform] | None = None,
+    stack: Mapping[str, Transform] | str = "default",
     reward_on: RewardSource = "truth",
     library: GaitLibrary | None = None,
     keep: Iterable[NestedKey] | None = None,
@@ -56,8 +57,9 @@ def make_env(
             draws its own, so that workers differ; it is in `env.seed`.
         drop: names of transforms to leave out. Without a reward term, rewards are smaller, but
             `LowReward` still ends episodes below 0.3: consider dropping or replacing it, too.
-        replace: name of a transform in the stack -> transform, or function that makes it.
-        stack: stack, or the name of one in `STACKS`.
+        replace: name of a transform in the stack -> transform.
+        stack: stack, or the name of one in `STACKS`. The environment gets copies of its transforms,
+            so that several environments may be made of it.
         reward_on: state that rewards read, "truth" or "estimate"; for stacks given by name.
         library: gait library, by default the stack's own; for stacks given by name.
         keep: entries of the transitions, all by default. With `["observation"]` transitions are
@@ -71,7 +73,7 @@ def make_env(
 
     Raises:
         ConfigurationError: a setting is invalid, two settings exclude each other, or a transform
-            belongs to another environment or has no effect at its place.
+            has no effect at its place.
         UnknownNameError: a stack or transform of that name does not exist, or a transform reads an
             entry that no other writes.
     """
@@ -82,12 +84,32 @@ def make_env(
         robot = _make_simulator(backend, num_envs, **simulator)
     else:
         robot = _make_robot(base, num_envs, {"backend": backend, **simulator})
-    env = StackEnv(robot, _make_transforms(chosen))
+    env = StackEnv(robot, {name: _copy(transform) for name, transform in chosen.items()})
     check_wiring(env)
     if keep is not None:
         _hide_others(env, [keep] if isinstance(keep, str) else list(keep))
     env.set_seed(seed)
     return env
+
+
+def _copy(transform: Transform) -> Transform:
+    """Copy of a transform that shares gait libraries and networks, but nothing that changes.
+
+    Copies of TorchRL (`clone`) share lists, dicts and tensors, too.
+    """
+    copied = transform.clone()
+    for part in copied.modules():
+        if isinstance(part, Transform):
+            vars(part).update({name: _own(value) for name, value in vars(part).items()})
+            part._buffers = {name: _own(value) for name, value in part._buffers.items()}
+    return copied
+
+
+def _own(value: Any) -> Any:
+    """Copy of a list, dict or tensor; other values themselves."""
+    if isinstance(value, Tensor) and not is_lazy(value):
+        return value.clone()
+    return copy(value) if isinstance(value, list | dict | Tensor) else value
 
 
 def _hide_others(env: StackEnv, keep: list[NestedKey]) -> None:
@@ -106,7 +128,9 @@ def _hide_others(env: StackEnv, keep: list[NestedKey]) -> None:
     env.append_transform(KeepKeys([*keep, *requested]))
 
 
-def _find_stack(stack: Stack | str, library: GaitLibrary | None, reward_on: RewardSource) -> Stack:
+def _find_stack(
+    stack: Mapping[str, Transform] | str, library: GaitLibrary | None, reward_on: RewardSource
+) -> Stack:
     """Stack of a name; a stack is returned as it is."""
     if reward_on not in get_args(RewardSource):
         raise ConfigurationError(
@@ -121,7 +145,7 @@ def _find_stack(stack: Stack | str, library: GaitLibrary | None, reward_on: Rewa
             "library and reward_on need a stack given by name; for another stack, pass them to the"
             " function that makes it, such as default_stack(library, reward_on)"
         )
-    return stack
+    return dict(stack)
 
 
 def _make_simulator(
@@ -165,19 +189,3 @@ def _make_robot(
     if num_envs not in (1, robot.num_envs):
         raise ConfigurationError(f"base has {robot.num_envs} robots, but num_envs is {num_envs}")
     return robot
-
-
-def _make_transforms(stack: Mapping[str, MakeTransform]) -> dict[str, Transform]:
-    """Make the transforms of a stack.
-
-    Raises:
-        ConfigurationError: a transform belongs to another environment.
-    """
-    transforms = {name: t if isinstance(t, Transform) else t() for name, t in stack.items()}
-    for name, transform in transforms.items():
-        if transform.container is not None:
-            raise ConfigurationError(
-                f"the transform {name!r} belongs to another environment; to use it in several, give"
-                f" a function that makes it, such as lambda: {type(transform).__name__}(...)"
-            )
-    return transforms

@@ -47,8 +47,8 @@ class Recorder(Transform):
 
     The recorder must be the last transform of a stack, on any backend:
 
-        stack = {**default_stack(library), "recorder": lambda: Recorder("walk.mcap")}
-        env = make_env(stack=stack)
+        stack = {**default_stack(library), "recorder": Recorder("walk.mcap")}
+        env = make_env(stack=stack)  # env.transforms[-1] is its copy of the recorder
         env.rollout(400, load_policy("straight"))
         env.close()
 

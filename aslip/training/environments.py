@@ -10,7 +10,6 @@ from typing import Any, Final
 from torchrl.envs.transforms import StepCounter
 
 from aslip.envs import StackEnv, command_speeds, describe_transforms
-from aslip.robot import CASSIE
 from aslip.transforms import RandomCommand, StaggeredEnds, VelocityCommand
 from aslip.transforms.base import check_interval
 
@@ -36,7 +35,7 @@ def make_training_env(
     Raises:
         ConfigurationError: `command_interval` is shorter than a policy step.
     """
-    check_interval(command_interval, CASSIE.policy_period)
+    check_interval(command_interval)
     env = make_env(**settings)
     limits = [t.max_steps for t in env.transforms if isinstance(t, StepCounter)]
     if limits and limits[0] is not None:

@@ -32,7 +32,6 @@ from .pushes import RandomPushes as RandomPushes
 from .randomise import DYNAMICS_RANGES as DYNAMICS_RANGES
 from .randomise import WIDE_RANGES as WIDE_RANGES
 from .randomise import RandomDynamics as RandomDynamics
-from .randomise import RandomNoise as RandomNoise
 from .reference import Feedforward as Feedforward
 from .reference import ReferenceDistance as ReferenceDistance
 from .reference import ReferenceInjection as ReferenceInjection

@@ -29,8 +29,6 @@ class ActionDelta(SeededTransform):
     Args:
         baseline_key: key of the angles (n, m) to which the action is added [rad].
         limit: bound +- `limit` of the action spec, one for all motors or one for each [rad].
-        in_keys_inv: key of the motor targets (n, m), which the robot takes [rad].
-        out_keys_inv: key of the action (n, m), which the policy gives [rad].
 
     Raises:
         ConfigurationError: a limit is not a finite number above 0, or (raised when added to a
@@ -44,13 +42,9 @@ class ActionDelta(SeededTransform):
         baseline_key: NestedKey = ("reference", "motor_position"),
         *,
         limit: float | Sequence[float] = math.pi / 2,
-        in_keys_inv: Sequence[NestedKey] = ("motor_target",),
-        out_keys_inv: Sequence[NestedKey] = ("action",),
     ) -> None:
         super().__init__(in_keys=[baseline_key], out_keys=[])
-        for which, keys in (("in_keys_inv", in_keys_inv), ("out_keys_inv", out_keys_inv)):
-            self._check_keys(which, keys, 1)
-        self.in_keys_inv, self.out_keys_inv = list(in_keys_inv), list(out_keys_inv)
+        self.in_keys_inv, self.out_keys_inv = ["motor_target"], ["action"]
         self.baseline_key = baseline_key
         self.limit = _checked(limit)
 
@@ -104,22 +98,14 @@ def _checked(limit: float | Sequence[float]) -> float | tuple[float, ...]:
 
 
 class LastAction(SeededTransform):
-    """Write the action of the last policy step; zero after a reset.
-
-    Args:
-        in_keys: key of the action (n, m).
-        out_keys: key of the last action (n, m).
-    """
+    """Write the action of the last policy step as `last_action` (n, m); zero after a reset."""
 
     num_in_keys, num_out_keys = 1, 1
 
     def __init__(
         self,
-        *,
-        in_keys: Sequence[NestedKey] = ("action",),
-        out_keys: Sequence[NestedKey] = ("last_action",),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["action"], out_keys=["last_action"])
         self._size = 0
 
     def _reset(

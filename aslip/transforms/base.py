@@ -13,6 +13,7 @@ from typing import (
     Any,
     ClassVar,
     Literal,
+    Self,
     TypeVar,
     Union,
     cast,
@@ -30,6 +31,7 @@ from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs.transforms import Transform
 
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
+from aslip.robot import CASSIE
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -71,14 +73,17 @@ def check_types(function: Function) -> Function:
         with contextlib.suppress(TypeError):  # of other arguments, about which Python tells
             given = signature.bind(*args, **kwargs).arguments
             for name, kind in get_type_hints(function).items():
-                if name in given and not _is_a(given[name], kind):
+                if name in given and not _is_a(got := given[name], kind):
+                    if isinstance(got, Mapping):
+                        items = ({key: value} for key, value in got.items())
+                        got = next((item for item in items if not _is_a(item, kind)), got)
                     text = _WORDS.get(kind) or str(signature.parameters[name].annotation)
                     text = f"one of {get_args(kind)}" if get_origin(kind) is Literal else text
                     makers = [
                         f"{maker} makes one" for word, maker in _MAKERS.items() if word in text
                     ]
                     raise ConfigurationError(
-                        "; ".join([f"{name} must be {text}, got {given[name]!r:.80}", *makers])
+                        "; ".join([f"{name} must be {text}, got {got!r:.80}", *makers])
                     )
         return function(*args, **kwargs)
 
@@ -128,7 +133,9 @@ class SeededTransform(Transform):
     previous step. Keep the state of an episode in the tensordict, not in the transform; then
     partial resets, worker processes and replay just work.
 
-    Until it is seeded, each transform draws numbers of its own.
+    Until it is seeded, each transform draws numbers of its own. `make_env` adds a copy to each
+    environment: lists, dicts and tensors of the transform are its own, other objects are shared,
+    such as gait libraries and networks.
 
     Without an environment, as in a replay buffer or a model, `transform(tensordict)` applies
     `_call` to the tensordict, or `_step` to the tensordict and its `"next"`.
@@ -162,6 +169,14 @@ class SeededTransform(Transform):
             raise ConfigurationError(f"{which} of {kind} must be a list of keys, got {keys!r}")
         if number is not None and len(keys) != number:
             raise ConfigurationError(f"{which} of {kind} must be {number} keys, got {keys!r}")
+
+    @on_cpu_in_single
+    def clone(self) -> Self:
+        """Copy without an environment, with random numbers of its own."""
+        copied = super().clone()
+        copied.generator = torch.Generator()
+        copied.set_seed(copied.generator.seed())
+        return copied
 
     @on_cpu_in_single
     def set_seed(self, seed: int) -> None:
@@ -295,17 +310,17 @@ def check_number(
     return number
 
 
-def check_interval(interval: Any, period: float) -> float:
+def check_interval(interval: Any) -> float:
     """Mean time between random events, which may be infinite [s].
 
     Raises:
-        ConfigurationError: it is no number, or shorter than a policy step of duration `period`.
+        ConfigurationError: it is no number, or shorter than a policy step.
     """
     real = isinstance(interval, Real) and not isinstance(interval, bool)
     number = float(interval) if real else math.nan
-    if not number >= period:
+    if not number >= CASSIE.policy_period:
         raise ConfigurationError(
-            f"interval must be at least one policy step, {period} s, got {interval!r}"
+            f"interval must be at least one policy step, {CASSIE.policy_period} s, got {interval!r}"
         )
     return number
 

@@ -28,7 +28,6 @@ class PhaseClock(SeededTransform):
         library: gaits, which give the stride duration T at command v.
         in_keys: key of the command (n, c).
         out_keys: key of the phase (n, 1).
-        period: duration of a policy step [s].
     """
 
     num_in_keys, num_out_keys = 1, 1
@@ -40,11 +39,9 @@ class PhaseClock(SeededTransform):
         *,
         in_keys: Sequence[NestedKey] = ("command",),
         out_keys: Sequence[NestedKey] = ("phase",),
-        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.library = library
-        self._period = period
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
@@ -63,7 +60,7 @@ class PhaseClock(SeededTransform):
         # a caller may have overwritten phase and command, even with integers
         command = checked_column(tensordict, self.in_keys[0], self.library.command_size)
         phase = checked_column(tensordict, self.out_keys[0])
-        following = advance_phase(self.library, phase, command, self._period)
+        following = advance_phase(self.library, phase, command)
         return next_tensordict.set(self.out_keys[0], following)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
@@ -75,18 +72,15 @@ class PhaseClock(SeededTransform):
         return extend_spec(state_spec, {self.out_keys[0]: 1})
 
 
-def advance_phase(
-    library: GaitLibrary, phase: Tensor, command: Tensor, period: float = CASSIE.policy_period
-) -> Tensor:
+def advance_phase(library: GaitLibrary, phase: Tensor, command: Tensor) -> Tensor:
     """Stride fraction (*b, 1) a policy step later.
 
     Args:
         library: gaits, which give the stride duration.
         phase: (*b, 1) stride fraction.
         command: (*b, c) one value per axis of the library.
-        period: duration of a policy step [s].
     """
-    return (phase + period / library.stride(command)) % 1.0
+    return (phase + CASSIE.policy_period / library.stride(command)) % 1.0
 
 
 def clock_entries(phase: Tensor) -> dict[str, Tensor]:

@@ -45,7 +45,6 @@ class RandomCommand(SeededTransform):
         interval: mean time between changes within an episode [s]; each policy step has the same
             probability of a change. By default the command is constant in an episode.
         out_keys: key of the command (n, c): forward speed, sideways speed [m/s], yaw rate [rad/s].
-        period: duration of a policy step [s].
 
     Raises:
         SpeedOutOfRangeError: a command is outside the region of the library.
@@ -61,10 +60,9 @@ class RandomCommand(SeededTransform):
         interval: float = math.inf,
         *,
         out_keys: Sequence[NestedKey] = ("command",),
-        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=[], out_keys=out_keys)
-        self.interval, self._period = check_interval(interval, period), period
+        self.interval = check_interval(interval)
         self.library = library
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
@@ -82,7 +80,7 @@ class RandomCommand(SeededTransform):
         command = self._checked(tensordict)
         if math.isfinite(self.interval):
             chance = torch.rand((*tensordict.batch_size, 1), generator=self.generator)
-            changes = chance < self._period / self.interval
+            changes = chance < CASSIE.policy_period / self.interval
             command = torch.where(changes, self.draw(self._shape(tensordict)), command)
         return next_tensordict.set(self.out_keys[0], command)
 
@@ -123,7 +121,6 @@ class SpeedCommand(RandomCommand):
             trajectory is randomly selected from the reduced-order model library", Sec. IV-B).
         interval: mean time between changes within an episode [s]; infinite in the paper.
         out_keys: key of the command (n, 1) [m/s].
-        period: duration of a policy step [s].
 
     Raises:
         SpeedOutOfRangeError: a speed, or later a command, is outside the library's range.
@@ -139,9 +136,8 @@ class SpeedCommand(RandomCommand):
         interval: float = math.inf,
         *,
         out_keys: Sequence[NestedKey] = ("command",),
-        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(library, interval, out_keys=out_keys, period=period)
+        super().__init__(library, interval, out_keys=out_keys)
         if library.command_size > 1:
             raise ConfigurationError(
                 "SpeedCommand draws forward speeds only, and commands of this library have"
@@ -175,7 +171,6 @@ class VelocityCommand(RandomCommand):
         turning: share of commands with a yaw rate only.
         in_place: share of zero commands.
         out_keys: key of the command (n, c).
-        period: duration of a policy step [s].
 
     Raises:
         SpeedOutOfRangeError: a share is positive and the zero command is outside the region; later,
@@ -194,9 +189,8 @@ class VelocityCommand(RandomCommand):
         turning: float = 0.1,
         in_place: float = 0.05,
         out_keys: Sequence[NestedKey] = ("command",),
-        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(library, interval, out_keys=out_keys, period=period)
+        super().__init__(library, interval, out_keys=out_keys)
         shares = {"straight": straight, "turning": turning, "in_place": in_place}
         shares = {name: check_number(name, share, 0, 1) for name, share in shares.items()}
         self.straight, self.turning, self.in_place = shares.values()
@@ -242,7 +236,6 @@ class CommandFilter(SeededTransform):
         rates: largest change of forward speed, sideways speed [m/s^2] and yaw rate [rad/s^2].
         in_keys: key of the command (n, c).
         out_keys: key of the filtered command (n, c).
-        period: duration of a policy step [s].
 
     Raises:
         ConfigurationError: a rate is not a positive finite number.
@@ -256,11 +249,9 @@ class CommandFilter(SeededTransform):
         *,
         in_keys: Sequence[NestedKey] = ("command",),
         out_keys: Sequence[NestedKey] = ("filtered_command",),
-        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.rates = checked_rates(rates)
-        self._period = period
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -271,7 +262,7 @@ class CommandFilter(SeededTransform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         past = cast("Tensor", tensordict[self.out_keys[0]])
         command = self._aim(tensordict, cast("Tensor", next_tensordict[self.in_keys[0]]))
-        following = approach_command(past, command, self._rates(tensordict), self._period)
+        following = approach_command(past, command, self._rates(tensordict))
         return next_tensordict.set(self.out_keys[0], following)
 
     def _rates(self, tensordict: TensorDictBase) -> Sequence[float] | Tensor:
@@ -310,7 +301,6 @@ def approach_command(
     past: Tensor,
     command: Tensor,
     rates: Sequence[float] | Tensor,
-    period: float = CASSIE.policy_period,
 ) -> Tensor:
     """Filtered command (*b, c) a policy step later, on the straight line to the command.
 
@@ -318,9 +308,8 @@ def approach_command(
         past: (*b, c) filtered command.
         command: (*b, c) command to approach.
         rates: largest rate of each component, for all or (*b, c or more) [m/s^2, rad/s^2].
-        period: duration of a policy step [s].
     """
     way = command - past
-    limit = period * torch.as_tensor(rates, dtype=way.dtype)[..., : way.shape[-1]]
+    limit = CASSIE.policy_period * torch.as_tensor(rates, dtype=way.dtype)[..., : way.shape[-1]]
     steps = (way.abs() / limit).amax(-1, keepdim=True)
     return torch.where(steps <= 1, command, past + way / steps.clamp(min=1))

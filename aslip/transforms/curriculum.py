@@ -16,7 +16,7 @@ from aslip.transforms.base import SeededTransform, checked_column, extend_spec
 
 
 class Difficulty(SeededTransform):
-    """Write the difficulty of training, from 0 to 1, which rises with a robot's policy steps.
+    """Write `difficulty` (n, 1) of training, from 0 to 1, which rises with a robot's policy steps.
 
     `RandomDynamics`, which must come earlier in the stack, and `RandomPushes`, which must come
     later, narrow their ranges by it if they read it. It carries over from episode to episode, also
@@ -27,7 +27,6 @@ class Difficulty(SeededTransform):
 
     Args:
         ramp: policy steps of a robot until the difficulty is 1.
-        out_keys: key of the difficulty (n, 1).
 
     Raises:
         ConfigurationError: `ramp` is not a whole number of 1 or more.
@@ -36,8 +35,8 @@ class Difficulty(SeededTransform):
     num_in_keys, num_out_keys = 0, 1
     needs_env = "it carries over resets"
 
-    def __init__(self, ramp: int, *, out_keys: Sequence[NestedKey] = ("difficulty",)) -> None:
-        super().__init__(in_keys=[], out_keys=out_keys)
+    def __init__(self, ramp: int) -> None:
+        super().__init__(in_keys=[], out_keys=["difficulty"])
         if isinstance(ramp, bool) or not isinstance(ramp, int) or ramp < 1:
             raise ConfigurationError(f"ramp must be a whole number of 1 or more, got {ramp!r}")
         self.ramp = ramp

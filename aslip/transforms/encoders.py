@@ -20,6 +20,8 @@ from aslip.transforms.curriculum import difficulty_of
 class EncoderOffsets(SeededTransform):
     """Draw constant offsets of each robot's motor encoders at each of its resets.
 
+    Writes them as `motor_offset` (n, m) [rad].
+
     A motor at angle q reads q + b. Estimator and policy observe that reading, and so does the PD
     loop on the robot: it tracks a target t with the motor at t - b. The transform adds b to the
     readings, and takes it from the motor targets of the simulated robot, which is the same.
@@ -31,8 +33,6 @@ class EncoderOffsets(SeededTransform):
         share: probability with which a robot has offsets; else they are zero.
         in_keys: key of the motor readings (n, W, m) [rad], and, if any, of the difficulty (n, 1),
             see `aslip.transforms.Difficulty`, which scales the offsets.
-        out_keys: key of the offsets (n, m) [rad].
-        in_keys_inv: key of the motor targets (n, m) [rad].
 
     Raises:
         ConfigurationError: `largest` is negative, `share` not from 0 to 1, or there are neither one
@@ -48,16 +48,13 @@ class EncoderOffsets(SeededTransform):
         *,
         share: float = 1.0,
         in_keys: Sequence[NestedKey] = (("sensors", "motor_position"),),
-        out_keys: Sequence[NestedKey] = ("motor_offset",),
-        in_keys_inv: Sequence[NestedKey] = ("motor_target",),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self._check_keys("in_keys_inv", in_keys_inv, 1)
+        super().__init__(in_keys=in_keys, out_keys=["motor_offset"])
         if not 1 <= len(in_keys) <= 2:
             raise ConfigurationError(
                 f"in_keys must be those of readings and, if any, of the difficulty, got {in_keys!r}"
             )
-        self.in_keys_inv, self.out_keys_inv = list(in_keys_inv), list(in_keys_inv)
+        self.in_keys_inv, self.out_keys_inv = ["motor_target"], ["motor_target"]
         self.largest = check_number("largest", largest, 0.0, what="in rad")
         self.share = check_number("share", share, 0, 1)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from numbers import Integral
 
 import torch
@@ -22,15 +21,12 @@ class FirstStep(SeededTransform):
     Recurrent policies reset their hidden state by it, and TorchRL's collectors require it for any
     policy. It does what TorchRL's `InitTracker` does, but is faster to add to an environment:
     `InitTracker` computes the specs of the whole stack again.
-
-    Args:
-        out_keys: key of the flag (n, 1).
     """
 
     num_in_keys, num_out_keys = 0, 1
 
-    def __init__(self, *, out_keys: Sequence[NestedKey] = ("is_init",)) -> None:
-        super().__init__(in_keys=[], out_keys=out_keys)
+    def __init__(self) -> None:
+        super().__init__(in_keys=[], out_keys=["is_init"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         del tensordict
@@ -58,8 +54,8 @@ class _Termination(SeededTransform):
 
     num_in_keys = 1
 
-    def __init__(self, in_keys: Sequence[NestedKey], out_keys: Sequence[NestedKey]) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+    def __init__(self, key: NestedKey) -> None:
+        super().__init__(in_keys=[key], out_keys=["terminated", "done"])
 
     def _over(self, value: Tensor) -> Tensor:
         """Flag (*b, 1) bool of episodes that end with this value."""
@@ -88,8 +84,6 @@ class LowReward(_Termination):
     Args:
         threshold: least reward with which an episode continues; in the paper, a reward "less than
             0.3" ends it (Sec. IV-B).
-        in_keys: key of the reward (n, 1).
-        out_keys: keys of the flags (n, 1) to set.
 
     Raises:
         ConfigurationError: `threshold` is not a finite number.
@@ -98,11 +92,8 @@ class LowReward(_Termination):
     def __init__(
         self,
         threshold: float = 0.3,
-        *,
-        in_keys: Sequence[NestedKey] = ("reward",),
-        out_keys: Sequence[NestedKey] = ("terminated", "done"),
     ) -> None:
-        super().__init__(in_keys, out_keys)
+        super().__init__("reward")
         self.threshold = check_number("threshold", threshold)
 
     def _over(self, value: Tensor) -> Tensor:
@@ -119,8 +110,6 @@ class Fall(_Termination):
 
     Args:
         height: least height of the pelvis above the floor [m].
-        in_keys: key of the position (n, 3) [m].
-        out_keys: keys of the flags (n, 1) to set.
 
     Raises:
         ConfigurationError: `height` is not a finite number.
@@ -129,11 +118,8 @@ class Fall(_Termination):
     def __init__(
         self,
         height: float = CASSIE.fall_height,
-        *,
-        in_keys: Sequence[NestedKey] = (("truth", "pelvis_position"),),
-        out_keys: Sequence[NestedKey] = ("terminated", "done"),
     ) -> None:
-        super().__init__(in_keys, out_keys)
+        super().__init__(("truth", "pelvis_position"))
         self.height = check_number("height", height, what="of the pelvis [m]")
 
     def _over(self, value: Tensor) -> Tensor:
@@ -153,8 +139,6 @@ class StaggeredEnds(SeededTransform):
 
     Args:
         max_steps: length of the longest first episode [policy steps].
-        in_keys: keys of the flags (n, 1) to set.
-        out_keys: key of the count (n, 1).
 
     Raises:
         ConfigurationError: `max_steps` is not a whole number of 1 or more.
@@ -166,11 +150,8 @@ class StaggeredEnds(SeededTransform):
     def __init__(
         self,
         max_steps: int,
-        *,
-        in_keys: Sequence[NestedKey] = ("truncated", "done"),
-        out_keys: Sequence[NestedKey] = ("stagger",),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["truncated", "done"], out_keys=["stagger"])
         if not isinstance(max_steps, Integral) or isinstance(max_steps, bool) or max_steps < 1:
             raise ConfigurationError(
                 f"max_steps must be a whole number of 1 or more, got {max_steps!r}"

@@ -22,7 +22,7 @@ from aslip.estimation import (
 )
 from aslip.robot import CASSIE, SIDES
 from aslip.transforms.base import SeededTransform, extend_spec, require_keys, reset_rows, spread
-from aslip.transforms.path import DEFAULT_LEASH, Leash, advance_frame, place_in_path
+from aslip.transforms.path import advance_frame, place_in_path
 from aslip.transforms.rotation import rotate_about_vertical
 
 ESTIMATE_SIZES: Final = MappingProxyType(CASSIE.estimate_sizes)
@@ -122,20 +122,18 @@ class EstimatedState(_Estimator):
     `aslip.estimation.FAULTS`; `("estimator", "contact")` (n, 2), loaded feet. After a reset the
     estimate starts afresh from the robot's first packets.
 
+    The yaw that counts as straight ahead is `heading` (n, 1) [rad], as `HeadingFrame` writes it;
+    without this entry, it is that of the first packet's orientation.
+
     With a `command_key` the odometry moves along the path of that command, as the true one of
     `HeadingFrame` does; it has the entries of `PATH_SIZES`, too.
 
     Args:
         estimator: state estimator, whose robot gives the sizes of the entries.
-        in_keys: keys of the packets (n, w, k), in the order of `Robot.packet_sizes`.
-        out_keys: keys of estimate, odometry, and the estimator's own entries.
-        heading_key: key of the yaw (n, 1) that counts as straight ahead [rad], as `HeadingFrame`
-            writes it; without this entry, the yaw of the first packet's orientation is used.
         command_key: key of the command (n, c) whose path the odometry follows; None for odometry
             from the start.
         mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it;
             stops move the origin of the odometry to the pelvis.
-        leash: leash that moves the origin of odometry along a path.
     """
 
     num_in_keys, num_out_keys = len(CASSIE.packet_sizes), 3
@@ -145,17 +143,12 @@ class EstimatedState(_Estimator):
         self,
         estimator: StateEstimator | None = None,
         *,
-        in_keys: Sequence[NestedKey] = tuple(("sensors", name) for name in CASSIE.packet_sizes),
-        out_keys: Sequence[NestedKey] = ("estimate", "odometry", "estimator"),
-        heading_key: NestedKey = "heading",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
-        leash: Leash = DEFAULT_LEASH,
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self.leash = leash
-        self._heading_key, self._command_key = heading_key, command_key
-        self._mode_key = mode_key
+        keys = [("sensors", name) for name in CASSIE.packet_sizes]
+        super().__init__(in_keys=keys, out_keys=["estimate", "odometry", "estimator"])
+        self._command_key, self._mode_key = command_key, mode_key
         self._path = command_key is not None
         self.estimator = StateEstimator() if estimator is None else estimator
         self._robot = self.estimator.robot
@@ -165,18 +158,16 @@ class EstimatedState(_Estimator):
         tracking = Tracking.from_rows(memory.numpy(), self.estimator.robot)
         origin = None
         if self._command_key is not None:
-            before = tensordict.get(self._heading_key, None)
+            before = tensordict.get("heading", None)
             past = cast("TensorDictBase", tensordict[self.out_keys[1]])
             command = cast("Tensor", tensordict[self._command_key])
-            origin = follow_path(tracking, past, command, before, self._robot.policy_period)
-        heading = next_tensordict.get(self._heading_key, None)
+            origin = follow_path(tracking, past, command, before)
+        heading = next_tensordict.get("heading", None)
         if heading is not None:
             tracking.heading = heading[:, 0].double().numpy()
         estimate = self.estimator.update(tracking, self._packets(next_tensordict))
         mode = None if self._mode_key is None else cast("Tensor", next_tensordict[self._mode_key])
-        entries = estimate_entries(
-            tracking, estimate, origin, mode, self.leash, self._robot.policy_period
-        )
+        entries = estimate_entries(tracking, estimate, origin, mode)
         return next_tensordict.update(self._grouped(entries))
 
     def _reset(
@@ -185,7 +176,7 @@ class EstimatedState(_Estimator):
         # TorchRL uses only the rows of reset robots, so the others are not started
         rows = reset_rows(tensordict)
         packets = self._packets(tensordict_reset)
-        heading = tensordict_reset.get(self._heading_key, None)
+        heading = tensordict_reset.get("heading", None)
         if rows is not None:
             packets = packets[rows.numpy()]
             heading = None if heading is None else heading[rows]
@@ -193,8 +184,7 @@ class EstimatedState(_Estimator):
             heading = heading.double().numpy()
         origin = torch.zeros(len(packets), 3) if self._path else None
         begun = self.estimator.start(packets, heading)
-        period = self._robot.policy_period
-        started = self._grouped(estimate_entries(*begun, origin, leash=self.leash, period=period))
+        started = self._grouped(estimate_entries(*begun, origin))
         if rows is None:
             return tensordict_reset.update(started)
         for key, value in started.items(True, True):
@@ -232,7 +222,6 @@ def follow_path(
     past: Mapping[str, Tensor] | TensorDictBase,
     command: Tensor,
     heading: Tensor | None,
-    period: float = CASSIE.policy_period,
 ) -> Tensor:
     """Turn the heading of `tracking` with a command, in place; return the origin of its path.
 
@@ -242,14 +231,13 @@ def follow_path(
         command: (n, c) command during the step.
         heading: (n, 1) yaw before the step [rad], as a caller may have changed it; by default that
             of `tracking`.
-        period: duration of a policy step [s].
 
     Returns:
         (n, 3) origin after the step.
     """
     before = torch.from_numpy(tracking.heading)[:, None] if heading is None else heading
     origin, error = (cast("Tensor", past[name]) for name in PATH_SIZES)
-    origin, after = advance_frame(origin, before.float(), command, error, period)
+    origin, after = advance_frame(origin, before.float(), command, error)
     tracking.heading = after[:, 0].double().numpy()
     return origin
 
@@ -259,8 +247,6 @@ def estimate_entries(
     estimate: Estimate,
     origin: Tensor | None = None,
     mode: Tensor | None = None,
-    leash: Leash = DEFAULT_LEASH,
-    period: float = CASSIE.policy_period,
 ) -> dict[str, dict[str, torch.Tensor]]:
     """Entries of an estimate as tensordicts, one for each group that `EstimatedState` writes.
 
@@ -270,8 +256,6 @@ def estimate_entries(
         origin: (n, 3) origin of the odometry if it moves along a path [m, frame of the IMU's
             attitude]; None for odometry from the start.
         mode: (n, 1) values of `WalkMode`, if the robots stand on a wish.
-        leash: leash that moves the origin.
-        period: duration of a policy step [s].
     """
     odometry = {
         "pelvis_position": estimate.position,
@@ -290,9 +274,7 @@ def estimate_entries(
         for group, values in single.items()
     }
     if origin is not None:
-        entries["odometry"] = _along_path(
-            entries["odometry"], tracking, origin, mode, leash, period
-        )
+        entries["odometry"] = _along_path(entries["odometry"], tracking, origin, mode)
     entries["estimator"] = {
         "memory": torch.from_numpy(tracking.to_rows()),
         "faults": torch.from_numpy(estimate.faults),
@@ -306,8 +288,6 @@ def _along_path(
     tracking: Tracking,
     origin: Tensor,
     mode: Tensor | None,
-    leash: Leash,
-    period: float,
 ) -> dict[str, Tensor]:
     """Odometry from the start, moved to an origin (n, 3) that the pelvis drags along."""
     heading = torch.from_numpy(tracking.heading)[:, None].float()
@@ -316,4 +296,4 @@ def _along_path(
         name: value - way if name.endswith("_position") else value
         for name, value in odometry.items()
     }
-    return place_in_path(moved, origin, heading, mode=mode, leash=leash, period=period)
+    return place_in_path(moved, origin, heading, mode=mode)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Final, cast
 
 import torch
@@ -11,12 +11,10 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 
-from aslip.robot import CASSIE, SIDES
+from aslip.robot import SIDES
 from aslip.transforms.base import SeededTransform, checked_column, extend_spec, require_keys
 from aslip.transforms.estimate import ODOMETRY_SIZES
 from aslip.transforms.path import (
-    DEFAULT_LEASH,
-    Leash,
     advance,
     advance_heading,
     move_origin,
@@ -55,19 +53,15 @@ class HeadingFrame(SeededTransform):
     its line.
 
     With a `command_key` the frame moves along the commanded path: at each step, heading and origin
-    follow the twist of that command, about the pelvis, and a pelvis further than the length of the
-    `leash` from the origin drags it along slowly. `("true_odometry", "path_error")` (n, 2) is then
+    follow the twist of that command, about the pelvis, and a pelvis further than `LEASH` from the
+    origin drags it along slowly. `("true_odometry", "path_error")` (n, 2) is then
     the distance of the pelvis from the origin, forward and sideways [m]. With a `mode_key`, stops
     move the origin below the pelvis.
 
     Args:
-        truth_key: key of the truth; the entries of `ODOMETRY_SIZES` and `slope` are read.
         command_key: key of the command (n, c) whose path the frame follows; None for a frame at
             rest.
         mode_key: key of the mode (n, 1) of robots that stand on a wish, as `StandClock` writes it.
-        leash: leash that moves the origin of a frame along a path.
-        out_keys: keys of heading and perfect odometry.
-        period: duration of a policy step [s].
     """
 
     num_out_keys = 2
@@ -76,24 +70,19 @@ class HeadingFrame(SeededTransform):
     def __init__(
         self,
         *,
-        truth_key: str = "truth",
         command_key: NestedKey | None = None,
         mode_key: NestedKey | None = None,
-        leash: Leash = DEFAULT_LEASH,
-        out_keys: Sequence[NestedKey] = ("heading", "true_odometry"),
-        period: float = CASSIE.policy_period,
     ) -> None:
-        keys: list[NestedKey] = [(truth_key, name) for name in (*ODOMETRY_SIZES, "slope")]
+        keys: list[NestedKey] = [("truth", name) for name in (*ODOMETRY_SIZES, "slope")]
         keys += [key for key in (command_key, mode_key) if key is not None]
-        super().__init__(in_keys=keys, out_keys=out_keys)
-        self._truth_key, self._command_key, self._mode_key = truth_key, command_key, mode_key
-        self.leash, self._period = leash, period
+        super().__init__(in_keys=keys, out_keys=["heading", "true_odometry"])
+        self._command_key, self._mode_key = command_key, mode_key
         self._origin_key = unravel_key((self.out_keys[1], "origin"))
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        truth = cast("Mapping[str, Tensor]", tensordict_reset[self._truth_key])
+        truth = cast("Mapping[str, Tensor]", tensordict_reset["truth"])
         key = self.out_keys[0]
         # with a `_reset` mask, the entry is left over from the episode before, not chosen
         chosen = "_reset" not in tensordict and tensordict.get(key, None) is not None
@@ -105,21 +94,19 @@ class HeadingFrame(SeededTransform):
         origin = cast("Tensor", tensordict[self._origin_key])
         if self._command_key is not None:
             command = cast("Tensor", tensordict[self._command_key])
-            slope = cast("Tensor", next_tensordict[self._truth_key, "slope"])
+            slope = cast("Tensor", next_tensordict["truth", "slope"])
             error = cast("Tensor", tensordict[unravel_key((self.out_keys[1], "path_error"))])
-            origin = move_origin(origin, heading, advance(command, error, self._period), slope)
-            heading = advance_heading(heading, command, self._period)
+            origin = move_origin(origin, heading, advance(command, error), slope)
+            heading = advance_heading(heading, command)
         return self._written(next_tensordict, heading, origin)
 
     def _written(self, into: TensorDictBase, heading: Tensor, origin: Tensor) -> TensorDictBase:
-        truth = cast("Mapping[str, Tensor]", into[self._truth_key])
+        truth = cast("Mapping[str, Tensor]", into["truth"])
         into.set(self.out_keys[0], heading)
         entries = {"origin": origin, **in_heading_frame(truth, heading, origin)}
         if self._command_key is not None:
             mode = None if self._mode_key is None else cast("Tensor", into[self._mode_key])
-            entries = place_in_path(
-                entries, origin, heading, truth["slope"], mode, self.leash, self._period
-            )
+            entries = place_in_path(entries, origin, heading, truth["slope"], mode)
         return into.set(self.out_keys[1], TensorDict(entries, into.batch_size))
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

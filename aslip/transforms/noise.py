@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
-from typing import ClassVar, cast
+from typing import cast
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
@@ -25,6 +24,7 @@ from aslip.transforms.base import (
 from aslip.transforms.rotation import from_vector, multiply, upper_hemisphere
 
 _SENSOR_KEYS = tuple(("sensors", name) for name in CASSIE.noise_channels)
+_FACTOR_KEY = ("dynamics", "sensor_noise")
 _BIAS_KEYS = tuple(("sensor_bias", name) for name in CASSIE.noise_channels)
 
 
@@ -42,6 +42,9 @@ class ObservationNoise(SeededTransform):
     quaternion with w >= 0. Sensors of zero level stay bit-equal, and the draws of one sensor do not
     depend on the levels of others. NaN stays NaN and does not spread to other packets.
 
+    If `RandomDynamics` draws `("dynamics", "sensor_noise")`, it is a factor on each robot's noise;
+    `("sensor_bias", name)` is the bias before that factor.
+
     Must come before the transforms that read the packets. A step reads the bias of the previous
     step, so a caller who builds tensordicts by hand must copy it.
 
@@ -49,7 +52,6 @@ class ObservationNoise(SeededTransform):
         levels: sensor -> level, which replaces that of `Robot.sensor_noise`.
         scale: factor on all levels; 0 is a robot without noise.
         bias_time: time constant of the bias [s]; infinite for one that holds through an episode.
-        period: duration of a policy step [s].
 
     Raises:
         UnknownNameError: a level is for a sensor that the robot lacks.
@@ -58,7 +60,6 @@ class ObservationNoise(SeededTransform):
     """
 
     needs_env = "it draws biases at resets, and each robot keeps its own"
-    _reads: ClassVar[Sequence[NestedKey]] = _SENSOR_KEYS
 
     @on_cpu_in_single
     def __init__(
@@ -66,17 +67,15 @@ class ObservationNoise(SeededTransform):
         levels: Mapping[str, NoiseLevel] | None = None,
         scale: float = 1.0,
         bias_time: float = 10.0,
-        *,
-        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(in_keys=[*self._reads], out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
+        super().__init__(in_keys=_SENSOR_KEYS, out_keys=[*_SENSOR_KEYS, *_BIAS_KEYS])
         scale = check_number("scale", scale, low=0)
         number = isinstance(bias_time, Real) and not isinstance(bias_time, bool)
         if not number or not bias_time > 0:
             raise ConfigurationError(f"bias_time must be more than 0 s, got {bias_time!r}")
         self.levels = dict(CASSIE.sensor_noise) | _checked(levels or {})
-        self._decay = math.exp(-period / bias_time)
-        self._renewal = math.sqrt(-math.expm1(-2 * period / bias_time))
+        self._decay = math.exp(-CASSIE.policy_period / bias_time)
+        self._renewal = math.sqrt(-math.expm1(-2 * CASSIE.policy_period / bias_time))
         # settings, so not stored in checkpoints
         self._levels: dict[str, tuple[Tensor, Tensor]] = {}
         for sensor, channels in CASSIE.noise_channels.items():
@@ -112,7 +111,8 @@ class ObservationNoise(SeededTransform):
             return self._begin(tensordict_reset)
         # TorchRL uses only the rows of reset robots
         rows = mask.reshape(tensordict_reset.batch_size)
-        chosen = self._begin(tensordict_reset.select(*self.in_keys)[rows].clone())
+        some = tensordict_reset.select(*self.in_keys, _FACTOR_KEY, strict=False)[rows]
+        chosen = self._begin(some.clone())
         for key in self.out_keys:
             value = cast("Tensor", chosen[key])
             full = torch.zeros(*tensordict_reset.batch_size, *value.shape[1:], dtype=value.dtype)
@@ -142,25 +142,22 @@ class ObservationNoise(SeededTransform):
         self, tensordict: TensorDictBase, generators: Mapping[str, torch.Generator]
     ) -> TensorDictBase:
         """Add the given biases and white noise to the packets."""
+        factor = tensordict.get(_FACTOR_KEY, None)
         for sensor, (white, _) in self._levels.items():
             packets = cast("Tensor", tensordict["sensors", sensor])
             shape = (*packets.shape[:-1], len(white))
             bias = cast("Tensor", tensordict["sensor_bias", sensor])
             error = white * _normal(shape, generators[sensor]) + bias.unsqueeze(-2)
-            error = self._scaled(error, tensordict)
+            if factor is not None:
+                error = factor.unsqueeze(-2) * error
             turns = sensor == "orientation"
             noisy = _turned(packets, error) if turns else packets + error
             tensordict.set(("sensors", sensor), noisy)
         return tensordict
 
-    def _scaled(self, error: Tensor, tensordict: TensorDictBase) -> Tensor:
-        """Scale an error (n, w, k); subclasses override it."""
-        del tensordict
-        return error
-
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:
         """Add the biases."""
-        require_keys(self, observation_spec, self._reads)
+        require_keys(self, observation_spec, self.in_keys)
         sizes = dict(zip(_BIAS_KEYS, CASSIE.noise_channels.values(), strict=True))
         return extend_spec(observation_spec, sizes)
 

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
 import torch
 from torch import Tensor
 
-from aslip.errors import ConfigurationError
 from aslip.library import WalkMode
 from aslip.robot import CASSIE
 from aslip.transforms.rotation import conjugate, heading_to_world, rotate_inverse
@@ -32,37 +30,7 @@ LEASH_TIME: Final = 1.0
 distance settles at `LEASH` + v x `LEASH_TIME`, and so still tells how large the error is."""
 
 
-@dataclass(frozen=True)
-class Leash:
-    """Leash from the pelvis to the origin of the moving frame.
-
-    Raises:
-        ConfigurationError: the length is negative or the time is not positive.
-    """
-
-    length: float = LEASH
-    """Length of a slack leash [m]."""
-    time: float = LEASH_TIME
-    """Time constant with which a taut leash shortens [s]."""
-
-    def __post_init__(self) -> None:
-        """Check the numbers."""
-        if not (0 <= self.length < math.inf and 0 < self.time < math.inf):
-            raise ConfigurationError(
-                "a leash needs a length of 0 m or more and a time above 0 s, got"
-                f" {self.length:g} m and {self.time:g} s"
-            )
-
-
-DEFAULT_LEASH: Final = Leash()
-"""Leash of trainings and walks."""
-
-_SMALL = 1e-9  # keeps a leash without length from dividing by 0 [m]
-
-
-def advance_heading(
-    heading: Tensor, command: Tensor, period: float = CASSIE.policy_period
-) -> Tensor:
+def advance_heading(heading: Tensor, command: Tensor) -> Tensor:
     """Yaw (*b, 1) of the moving frame a policy step later, from -pi to pi [rad].
 
     Single precision loses small yaw rates at a yaw of many turns, hence the wrap.
@@ -70,11 +38,10 @@ def advance_heading(
     Args:
         heading: (*b, 1) yaw [rad].
         command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
-        period: duration of a policy step [s].
     """
     if command.shape[-1] < 3:
         return heading
-    return wrap(heading + period * command[..., 2:3])
+    return wrap(heading + CASSIE.policy_period * command[..., 2:3])
 
 
 def wrap(angle: Tensor) -> Tensor:
@@ -88,18 +55,17 @@ def advance_frame(
     heading: Tensor,
     command: Tensor,
     error: Tensor,
-    period: float = CASSIE.policy_period,
 ) -> tuple[Tensor, Tensor]:
     """Origin (*b, 3) [m, world] and yaw (*b, 1) [rad] of the moving frame a policy step later.
 
     Arguments are those of `advance_heading`, `origin` (*b, 3) on a level floor [m, world], and
     `error` (*b, 2), the pelvis from the origin before the step [m, heading frame].
     """
-    after = advance_heading(heading, command, period)
-    return move_origin(origin, heading, advance(command, error, period)), after
+    after = advance_heading(heading, command)
+    return move_origin(origin, heading, advance(command, error)), after
 
 
-def advance(command: Tensor, error: Tensor, period: float = CASSIE.policy_period) -> Tensor:
+def advance(command: Tensor, error: Tensor) -> Tensor:
     """Displacement (*b, 3) of the origin over a policy step, in the frame at its start [m].
 
     It is that of `arc`, and that by which the turn about the pelvis moves the origin.
@@ -107,17 +73,16 @@ def advance(command: Tensor, error: Tensor, period: float = CASSIE.policy_period
     Args:
         command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
         error: (*b, 2) pelvis from the origin before the step [m, frame at its start].
-        period: duration of a policy step [s].
     """
-    angle = period * _complete(command)[..., 2:]
+    angle = CASSIE.policy_period * _complete(command)[..., 2:]
     # half angles, as 1 - cos of small angles loses digits
     less, sine = 2 * (angle / 2).sin().square(), angle.sin()
     x, y = error.split(1, dim=-1)
     swung = torch.cat([less * x + sine * y, less * y - sine * x, torch.zeros_like(x)], dim=-1)
-    return arc(command, period) + swung
+    return arc(command) + swung
 
 
-def arc(command: Tensor, period: float = CASSIE.policy_period) -> Tensor:
+def arc(command: Tensor) -> Tensor:
     """Displacement (*b, 3) of the moving frame over a policy step, in the frame at its start [m].
 
     The displacement is the chord of a circular arc: for speed v, yaw rate w and period T, its
@@ -125,11 +90,10 @@ def arc(command: Tensor, period: float = CASSIE.policy_period) -> Tensor:
 
     Args:
         command: (*b, c) forward, sideways speed [m/s], yaw rate [rad/s]; missing ones are zero.
-        period: duration of a policy step [s].
     """
     forward, sideways, yaw_rate = _complete(command).split(1, dim=-1)
-    angle = period * yaw_rate / 2
-    chord = period * torch.sinc(angle / math.pi)
+    angle = CASSIE.policy_period * yaw_rate / 2
+    chord = CASSIE.policy_period * torch.sinc(angle / math.pi)
     cosine, sine = angle.cos(), angle.sin()
     x, y = cosine * forward - sine * sideways, sine * forward + cosine * sideways
     return torch.cat([chord * x, chord * y, torch.zeros_like(x)], dim=-1)
@@ -157,8 +121,6 @@ def move_origin(
 def dragged(
     pelvis_position: Tensor,
     mode: Tensor | None = None,
-    period: float = CASSIE.policy_period,
-    leash: Leash = DEFAULT_LEASH,
 ) -> Tensor:
     """Level displacement (*b, 3) of the origin by the leash in a policy step [m, heading frame].
 
@@ -166,13 +128,11 @@ def dragged(
         pelvis_position: (*b, 3) position relative to the origin [m, heading frame].
         mode: (*b, 1) values of `WalkMode`, in a stop of which the origin goes to the pelvis; None
             for robots that walk.
-        period: duration of a policy step [s].
-        leash: the leash.
     """
     level = torch.nn.functional.pad(pelvis_position[..., :2], (0, 1))
     distance = torch.linalg.vector_norm(level, dim=-1, keepdim=True)
-    taut = 1 - leash.length / distance.clamp(min=max(leash.length, _SMALL))
-    way = level * taut * min(period / leash.time, 1.0)
+    taut = 1 - LEASH / distance.clamp(min=LEASH)
+    way = level * taut * (CASSIE.policy_period / LEASH_TIME)
     return way if mode is None else torch.where(mode == WalkMode.STOP, level, way)
 
 
@@ -182,8 +142,6 @@ def place_in_path(
     heading: Tensor,
     slope: Tensor | None = None,
     mode: Tensor | None = None,
-    leash: Leash = DEFAULT_LEASH,
-    period: float = CASSIE.policy_period,
 ) -> dict[str, Tensor]:
     """Drag the origin of odometry along with the pelvis; add `origin` and `path_error`.
 
@@ -193,14 +151,12 @@ def place_in_path(
         heading: (*b, 1) yaw of the frame [rad].
         slope: (*b, 1) slope of the floor [rad]; level by default.
         mode: (*b, 1) values of `WalkMode`, see `dragged`; None for robots that walk.
-        leash: the leash.
-        period: duration of a policy step [s].
 
     Returns:
         The entries; `origin` (*b, 3) [m, world]; and `path_error` (*b, 2), forward and sideways
         distance of the pelvis from the origin [m, heading frame].
     """
-    way = dragged(entries["pelvis_position"], mode, period, leash)
+    way = dragged(entries["pelvis_position"], mode)
     placed = {
         name: value - way if name.endswith("_position") else value
         for name, value in entries.items()

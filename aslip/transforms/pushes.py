@@ -29,15 +29,15 @@ class RandomPushes(SeededTransform):
     At each policy step without a push, one begins with the same probability. Its force is constant,
     and its impulse uniform between zero and the largest. No push begins at a reset.
 
+    Writes `push` (n, 3), the force during the next policy step [N, world], and `push_steps` (n, 1),
+    the number of policy steps that it still acts.
+
     Args:
         impulse: largest impulse of a push [N s].
         interval: mean time from the end of a push to the next [s].
         duration: duration of a push [s], rounded to whole policy steps.
         in_keys: key of the difficulty (n, 1), see `aslip.transforms.Difficulty`, which scales the
             impulses; or none.
-        out_keys: keys of the force (n, 3) during the next policy step [N, world], an input of
-            simulated robots; and of the number (n, 1) of policy steps that it still acts.
-        period: duration of a policy step [s].
 
     Raises:
         ConfigurationError: `impulse` is negative, or `interval` or `duration` is shorter than a
@@ -54,15 +54,12 @@ class RandomPushes(SeededTransform):
         duration: float = 0.21,
         *,
         in_keys: Sequence[NestedKey] = (),
-        out_keys: Sequence[NestedKey] = ("push", "push_steps"),
-        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=in_keys, out_keys=["push", "push_steps"])
         self.impulse = check_number("impulse", impulse, 0.0, what="in N s")
-        self.interval = check_interval(interval, period)
-        self.duration = check_number("duration", duration, period, what="in s")
-        self._steps = round(self.duration / period)
-        self._period = period
+        self.interval = check_interval(interval)
+        self.duration = check_number("duration", duration, CASSIE.policy_period, what="in s")
+        self._steps = round(self.duration / CASSIE.policy_period)
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -81,9 +78,9 @@ class RandomPushes(SeededTransform):
         )
         steps = (steps - 1).clamp(min=0)
         chance, share, turn = torch.rand((*shape[:-1], 3), generator=self.generator).split(1, -1)
-        begins = (steps == 0) & (chance < self._period / self.interval)
+        begins = (steps == 0) & (chance < CASSIE.policy_period / self.interval)
         angle = 2 * math.pi * turn
-        size = share * self.impulse / (self._steps * self._period)
+        size = share * self.impulse / (self._steps * CASSIE.policy_period)
         size = size * difficulty_of(tensordict, self.in_keys)
         drawn = size * torch.cat([angle.cos(), angle.sin(), torch.zeros(shape)], dim=-1)
         force = torch.where(begins, drawn, torch.where(steps > 0, force, 0.0))

@@ -17,7 +17,6 @@ from aslip.sim import DYNAMICS
 from aslip.sim.parameters import parameter_named
 from aslip.transforms.base import SeededTransform, check_number, extend_spec
 from aslip.transforms.curriculum import difficulty_of
-from aslip.transforms.noise import ObservationNoise
 
 DYNAMICS_RANGES: Final = MappingProxyType(
     {
@@ -66,8 +65,6 @@ delays and motors on which policies in all directions are to walk."""
 # drawn from a copy of the generator, so that they do not change the draws of the others
 _GAINS = ("pd_stiffness", "pd_damping")
 
-_FACTOR_KEY = ("dynamics", "sensor_noise")
-
 
 class RandomDynamics(SeededTransform):
     """Draw parameters of each robot's dynamics at each of its resets, uniformly within ranges.
@@ -82,7 +79,7 @@ class RandomDynamics(SeededTransform):
     With the difficulty of a `Difficulty` later in the stack, ranges grow from the nominal value to
     their full width.
 
-    No stack has it by default; `aslip.envs.randomise_stack` adds it and `RandomNoise`.
+    No stack has it by default; `aslip.envs.randomise_stack` adds it.
 
     Args:
         ranges: parameter -> least and greatest value.
@@ -119,7 +116,7 @@ class RandomDynamics(SeededTransform):
                     f" {parameter.high:g} ({parameter.meaning}), got {low!r} to {high!r}"
                 )
         super().__init__(in_keys=in_keys, out_keys=[("dynamics", name) for name in ranges])
-        self.ranges = MappingProxyType(dict(ranges))
+        self.ranges = dict(ranges)
         self.share = check_number("share", share, 0, 1)
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
@@ -171,16 +168,3 @@ def _aside(generator: torch.Generator) -> torch.Generator:
     """Generator seeded by the state of another generator, which does not change."""
     seed = torch.randint(2**62, (), generator=generator.clone_state())
     return torch.Generator().manual_seed(int(seed))
-
-
-class RandomNoise(ObservationNoise):
-    """Add the noise of `ObservationNoise`, scaled by each robot's `("dynamics", "sensor_noise")`.
-
-    Must come after `RandomDynamics`, which draws that factor. `("sensor_bias", name)` is the bias
-    before scaling.
-    """
-
-    _reads = (*ObservationNoise._reads, _FACTOR_KEY)
-
-    def _scaled(self, error: Tensor, tensordict: TensorDictBase) -> Tensor:
-        return cast("Tensor", tensordict[_FACTOR_KEY]).unsqueeze(-2) * error

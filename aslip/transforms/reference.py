@@ -57,7 +57,6 @@ class ReferenceInjection(SeededTransform):
         in_keys: keys of command (n, c) and phase (n, 1); to stand, too, also of mode (n, 1) and of
             the wish to stand (n, 1), see `aslip.transforms.StandClock`.
         out_keys: keys of reference and goal.
-        period: duration of a policy step [s].
 
     Raises:
         ConfigurationError: `motor_lead` is not a finite number.
@@ -72,12 +71,10 @@ class ReferenceInjection(SeededTransform):
         *,
         in_keys: Sequence[NestedKey] = ("command", "phase"),
         out_keys: Sequence[NestedKey] = ("reference", "goal"),
-        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self.library = library
         self.motor_lead = check_number("motor_lead", motor_lead, what="in policy steps")
-        self._period = period
         if len(self.in_keys) not in (2, 4):
             raise ConfigurationError(
                 "in_keys of ReferenceInjection must be those of command and phase, and perhaps of"
@@ -90,7 +87,6 @@ class ReferenceInjection(SeededTransform):
         found = reference_and_goal(
             *(self.library, command, phase),
             motor_lead=self.motor_lead,
-            period=self._period,
             standing=(standing[0], standing[1]) if standing else None,
         )
         for key, entries in zip(self.out_keys, found, strict=True):
@@ -129,7 +125,6 @@ def reference_and_goal(
     phase: Tensor,
     *,
     motor_lead: float = 1.0,
-    period: float = CASSIE.policy_period,
     standing: tuple[Tensor, Tensor] | None = None,
 ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Entries of the reference and of the goal; see `ReferenceInjection`.
@@ -139,7 +134,6 @@ def reference_and_goal(
         command: (*b, c) one value per axis of the library.
         phase: (*b, 1) stride fraction.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
-        period: duration of a policy step [s].
         standing: mode (*b, 1) and wish to stand (*b, 1); robots walk by default.
     """
     # one lookup for all instants takes half the time of two lookups
@@ -147,11 +141,12 @@ def reference_and_goal(
     modes = None
     if standing is None:
         stride = library.stride(command)
-        phases = torch.stack([phase + lead * period / stride for lead in leads])
+        phases = torch.stack([phase + lead * CASSIE.policy_period / stride for lead in leads])
     else:
         mode, stand = standing
         ahead = [
-            advance_mode(library, phase, mode, command, stand, lead * period) for lead in leads
+            advance_mode(library, phase, mode, command, stand, lead * CASSIE.policy_period)
+            for lead in leads
         ]
         phases, modes = (torch.stack(part) for part in zip(*ahead, strict=True))
     commands = command.expand(*phases.shape[:-1], command.shape[-1])
@@ -175,6 +170,8 @@ def feedforward_target(
 class Feedforward(SeededTransform):
     r"""Write the motor targets with which PD loops follow the reference.
 
+    They are `("reference", "motor_target")` (n, m) [rad].
+
     .. math:: \hat a = \hat q + K_p^{-1} (\hat\tau + K_d \dot{\hat q})
 
     In the paper, the targets are the reference's motor angles. With these the legs lag 0.1 s
@@ -185,8 +182,6 @@ class Feedforward(SeededTransform):
     Args:
         stiffness: (m,) gains K_p of the PD loops [N m/rad].
         damping: (m,) gains K_d [N m s/rad].
-        in_keys: key of the reference; its motor positions, velocities and torques are read.
-        out_keys: key of the targets (n, m) [rad].
     """
 
     num_in_keys, num_out_keys = 1, 1
@@ -196,11 +191,8 @@ class Feedforward(SeededTransform):
         self,
         stiffness: ArrayLike = CASSIE.stiffness,
         damping: ArrayLike = CASSIE.damping,
-        *,
-        in_keys: Sequence[NestedKey] = ("reference",),
-        out_keys: Sequence[NestedKey] = (("reference", "motor_target"),),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["reference"], out_keys=[("reference", "motor_target")])
         self._stiffness, self._damping = (
             torch.tensor(np.asarray(gain), dtype=torch.float32) for gain in (stiffness, damping)
         )
@@ -218,29 +210,22 @@ class Feedforward(SeededTransform):
 
 
 class ReferenceDistance(SeededTransform):
-    """Write the distance that the reference has walked since the reset [m].
+    """Write the distance (n, 1) that the reference has walked since the reset [m].
+
+    `("reference", "distance")` is that of now, `("goal", "distance")` that at the end of the coming
+    policy step.
 
     The x of the reference is its deviation from uniform motion; the distance plus this x is its
     position in the world. Must come after `ReferenceInjection`, which replaces the groups
     `reference` and `goal`.
-
-    Args:
-        in_keys: key of the command (n, 1) [m/s].
-        out_keys: keys of the distance (n, 1) now, and at the end of the coming policy step.
-        period: duration of a policy step [s].
     """
 
     num_in_keys, num_out_keys = 1, 2
 
     def __init__(
         self,
-        *,
-        in_keys: Sequence[NestedKey] = ("command",),
-        out_keys: Sequence[NestedKey] = (("reference", "distance"), ("goal", "distance")),
-        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
-        self._period = period
+        super().__init__(["command"], [("reference", "distance"), ("goal", "distance")])
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
@@ -251,11 +236,11 @@ class ReferenceDistance(SeededTransform):
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         distance, command = (tensordict[key] for key in (self.out_keys[0], self.in_keys[0]))
-        return self._written(next_tensordict, distance + self._period * command)
+        return self._written(next_tensordict, distance + CASSIE.policy_period * command)
 
     def _written(self, into: TensorDictBase, distance: Tensor) -> TensorDictBase:
         now, ahead = self.out_keys
-        into.set(ahead, distance + self._period * into[self.in_keys[0]])
+        into.set(ahead, distance + CASSIE.policy_period * into[self.in_keys[0]])
         return into.set(now, distance)
 
     def transform_observation_spec(self, observation_spec: Composite) -> Composite:

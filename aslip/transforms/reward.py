@@ -19,7 +19,8 @@ TermFunction = Callable[..., Tensor]
 class RewardTerm(SeededTransform):
     """Write one named term of the reward, computed by a pure function.
 
-    The term is `("reward_terms", name)` (n, 1), zero after a reset. The functions of the paper's
+    The term is `("reward_terms", name)` (n, 1), zero after a reset and for robots whose simulation
+    diverged in the step, or, without simulation, that have stopped. The functions of the paper's
     terms are in `aslip.transforms.rewards`. A step raises `ShapeError` if the function does not
     return one number per robot.
 
@@ -35,8 +36,6 @@ class RewardTerm(SeededTransform):
         next_keys: entries after the step that the function reads.
         root_keys: entries before the step, and the action, that it reads; these come last.
             `("goal", ...)` is the reference to be reached by this step, see `ReferenceInjection`.
-        diverged_key: key of the flag (n, 1) of robots whose simulation diverged in the step, which
-            get zero; None if the environment has no such flag.
     """
 
     num_out_keys = 1
@@ -47,8 +46,6 @@ class RewardTerm(SeededTransform):
         function: TermFunction,
         next_keys: Sequence[NestedKey],
         root_keys: Sequence[NestedKey] = (),
-        *,
-        diverged_key: NestedKey | None = ("truth", "diverged"),
     ) -> None:
         if not isinstance(name, str) or not name:
             raise ConfigurationError(f"name must be a string that is not empty, got {name!r}")
@@ -61,11 +58,7 @@ class RewardTerm(SeededTransform):
             raise ConfigurationError(
                 f"the term {name!r} reads nothing; give next_keys or root_keys"
             )
-        flags = [] if diverged_key is None else [diverged_key]
-        super().__init__(
-            in_keys=[*next_keys, *root_keys, *flags], out_keys=[("reward_terms", name)]
-        )
-        self._diverged_key = diverged_key
+        super().__init__(in_keys=[*next_keys, *root_keys], out_keys=[("reward_terms", name)])
         self.function = function
         self.next_keys = tuple(next_keys)
         self.root_keys = tuple(root_keys)
@@ -79,10 +72,9 @@ class RewardTerm(SeededTransform):
                 f"the reward term {self.out_keys[0][-1]!r} must have shape {expected}, one number a"
                 f" robot, got {tuple(value.shape)}; reduce with dim=-1, keepdim=True"
             )
-        value = value.float()
-        if self._diverged_key is not None:
-            # a non-finite action makes a robot diverge, and must not make the reward non-finite
-            value = torch.where(next_tensordict[self._diverged_key], 0.0, value)
+        # a non-finite action makes a robot diverge, and must not make the reward non-finite
+        lost = next_tensordict.get(("truth", "diverged"), next_tensordict.get("terminated", None))
+        value = value.float() if lost is None else torch.where(lost, 0.0, value.float())
         return next_tensordict.set(self.out_keys[0], value)
 
     def _reset(
@@ -105,8 +97,6 @@ class WeightedReward(SeededTransform):
 
     Args:
         weights: name of a term -> weight.
-        in_keys: key of the group of terms.
-        out_keys: key of the reward (n, 1).
 
     Raises:
         ConfigurationError: a weight is not finite.
@@ -118,11 +108,8 @@ class WeightedReward(SeededTransform):
     def __init__(
         self,
         weights: Mapping[str, float],
-        *,
-        in_keys: Sequence[NestedKey] = ("reward_terms",),
-        out_keys: Sequence[NestedKey] = ("reward",),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["reward_terms"], out_keys=["reward"])
         if not isinstance(weights, Mapping) or not weights:
             raise ConfigurationError(
                 f"weights must map names of terms to weights, at least one, got {weights!r}"
@@ -166,21 +153,14 @@ class EpisodeSum(SeededTransform):
 
     It does what TorchRL's `RewardSum` does, but making an environment takes half as long:
     `RewardSum` computes the specs of the whole stack twice to find the shape of a reward.
-
-    Args:
-        in_keys: key of the reward (n, 1).
-        out_keys: key of the sum (n, 1).
     """
 
     num_in_keys, num_out_keys = 1, 1
 
     def __init__(
         self,
-        *,
-        in_keys: Sequence[NestedKey] = ("reward",),
-        out_keys: Sequence[NestedKey] = ("episode_reward",),
     ) -> None:
-        super().__init__(in_keys=in_keys, out_keys=out_keys)
+        super().__init__(in_keys=["reward"], out_keys=["episode_reward"])
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         total = tensordict.get(self.out_keys[0], 0.0) + next_tensordict[self.in_keys[0]]

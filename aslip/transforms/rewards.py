@@ -57,27 +57,6 @@ DIRECTION_WEIGHTS: Final = MappingProxyType(
 `path_diff` takes the place of `straight_diff`; the terms for heading, power, landings and squeezing
 are new."""
 
-HEADING_SCALE: Final = 0.1
-"""Angle at which `heading_diff` is 1/e [rad]."""
-
-PATH_SCALE: Final = 0.1
-"""Distance at which `path_diff` is 1/e [m]."""
-
-POWER_SCALE: Final = 0.4
-"""Power over body weight and speed at which `power` is 1/e."""
-
-SPEED_IN_PLACE: Final = 0.4
-"""Speed that `power` adds to the commanded one, as stepping in place takes power, too [m/s]."""
-
-LEAST_LOAD: Final = 0.9
-"""Force on a foot over body weight up to which `landing` is 1."""
-
-LOAD_SCALE: Final = 0.6
-"""Force on a foot over body weight, beyond `LEAST_LOAD`, at which `landing` is 1/e."""
-
-SQUEEZE_SCALE: Final = 10.0
-"""Horizontal force that feet spend against each other at which `squeeze` is 1/e [N]."""
-
 _WEIGHT: Final = CASSIE.total_mass * STANDARD_GRAVITY  # [N]
 
 
@@ -147,8 +126,8 @@ def straight_diff(pelvis_position: Tensor) -> Tensor:
     return torch.exp(-pelvis_position[..., 1:2].abs())
 
 
-def path_diff(path_error: Tensor, body_position: Tensor) -> Tensor:
-    r""":math:`\exp(-d / 0.1\,\mathrm{m})`, d the level distance of the pelvis from the reference.
+def path_diff(path_error: Tensor, body_position: Tensor, scale: float = 0.1) -> Tensor:
+    r""":math:`\exp(-d / s)`, d the level distance of the pelvis from the reference.
 
     The distance accumulates errors of the mean velocity in any direction, which the oscillation
     over a stride hides from `com_vel`. Ours; see `aslip.transforms.HeadingFrame`.
@@ -157,21 +136,23 @@ def path_diff(path_error: Tensor, body_position: Tensor) -> Tensor:
         path_error: (*b, 2) pelvis relative to the origin of the moving frame, forward and sideways
             [m].
         body_position: (*b, 3) body of the reference, relative to the same origin [m].
+        scale: distance s at which the term is 1/e [m].
     """
-    return torch.exp(-_norm(path_error - body_position[..., :2]) / PATH_SCALE)
+    return torch.exp(-_norm(path_error - body_position[..., :2]) / scale)
 
 
-def heading_diff(pelvis_orientation: Tensor, body_heading: Tensor) -> Tensor:
-    r""":math:`\exp(-|\psi - \hat\psi| / 0.1)`, the yaw of the pelvis from the reference's.
+def heading_diff(pelvis_orientation: Tensor, body_heading: Tensor, scale: float = 0.1) -> Tensor:
+    r""":math:`\exp(-|\psi - \hat\psi| / s)`, the yaw of the pelvis from the reference's.
 
     Ours: `foot_orient` does not see slow turns of the pelvis over planted feet.
 
     Args:
         pelvis_orientation: (*b, 4) wxyz, pelvis to moving frame.
         body_heading: (*b, 1) of the reference, from the same frame [rad].
+        scale: angle s at which the term is 1/e [rad].
     """
     turned = yaw(pelvis_orientation) - body_heading
-    return torch.exp(-torch.atan2(turned.sin(), turned.cos()).abs() / HEADING_SCALE)
+    return torch.exp(-torch.atan2(turned.sin(), turned.cos()).abs() / scale)
 
 
 def foot_orient(
@@ -210,35 +191,41 @@ def action_diff(action: Tensor, last_action: Tensor) -> Tensor:
     return torch.exp(-_norm(action - last_action))
 
 
-def power(motor_power: Tensor, command: Tensor) -> Tensor:
-    r""":math:`\exp(-P / (0.4\,W (|v| + v_0)))`, P the positive mechanical power of the motors.
+def power(
+    motor_power: Tensor, command: Tensor, scale: float = 0.4, speed_in_place: float = 0.4
+) -> Tensor:
+    r""":math:`\exp(-P / (s\,W (|v| + v_0)))`, P the positive mechanical power of the motors.
 
-    W is the nominal robot's weight, v the commanded speed over the ground and :math:`v_0` is
-    `SPEED_IN_PLACE`. Ours.
+    W is the nominal robot's weight and v the commanded speed over the ground. Ours.
 
     Args:
         motor_power: (*b, 10) positive mechanical power, mean of a policy step [W].
         command: (*b, c) forward and sideways speed [m/s]; further numbers are ignored.
+        scale: power over weight and speed s at which the term is 1/e.
+        speed_in_place: speed v_0 that is added, as stepping in place takes power, too [m/s].
     """
     used = motor_power.sum(-1, keepdim=True)
-    return torch.exp(-used / (POWER_SCALE * _WEIGHT * (_norm(command[..., :2]) + SPEED_IN_PLACE)))
+    speed = _norm(command[..., :2]) + speed_in_place
+    return torch.exp(-used / (scale * _WEIGHT * speed))
 
 
-def landing(largest_force: Tensor) -> Tensor:
-    r""":math:`\exp(-(F/W - 0.9)^+ / 0.6)`, F the vertical force on the foot that bears more.
+def landing(largest_force: Tensor, least_load: float = 0.9, scale: float = 0.6) -> Tensor:
+    r""":math:`\exp(-(F/W - l)^+ / s)`, F the vertical force on the foot that bears more.
 
-    W is the nominal robot's weight. The term is 1 up to `LEAST_LOAD`. It reads the largest force of
-    a policy step, as feet land within milliseconds, which the mean does not show. Ours.
+    W is the nominal robot's weight. It reads the largest force of a policy step, as feet land
+    within milliseconds, which the mean does not show. Ours.
 
     Args:
         largest_force: (*b, 2) vertical force on left and right foot, largest of a policy step [N].
+        least_load: force over weight l up to which the term is 1.
+        scale: force over weight s, beyond `least_load`, at which the term is 1/e.
     """
     largest = largest_force.amax(-1, keepdim=True) / _WEIGHT
-    return torch.exp(-(largest - LEAST_LOAD).clamp(min=0) / LOAD_SCALE)
+    return torch.exp(-(largest - least_load).clamp(min=0) / scale)
 
 
-def squeeze(ground_force: Tensor) -> Tensor:
-    r""":math:`\exp(-S / 10\,\mathrm{N})`, S the friction that feet spend against each other.
+def squeeze(ground_force: Tensor, scale: float = 10.0) -> Tensor:
+    r""":math:`\exp(-S / s)`, S the friction that feet spend against each other.
 
     :math:`S = \|h_l\| + \|h_r\| - \|h_l + h_r\|`, with the horizontal forces h on both feet, is 0
     in single stance, and whenever both feet push in the same direction. Ours: feet of a robot that
@@ -247,10 +234,11 @@ def squeeze(ground_force: Tensor) -> Tensor:
     Args:
         ground_force: (*b, 2, 3) force of the ground on the left and the right foot [N, world], mean
             of a policy step.
+        scale: force s at which the term is 1/e [N].
     """
     horizontal = ground_force[..., :2]
     spent = _norm(horizontal).sum(-2) - _norm(horizontal.sum(-2))
-    return torch.exp(-spent / SQUEEZE_SCALE)
+    return torch.exp(-spent / scale)
 
 
 def _norm(vector: Tensor) -> Tensor:

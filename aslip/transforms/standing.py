@@ -2,10 +2,10 @@
 
 In a stack, in this order:
 
-    "command_filter": StandFilter,
-    "clock": lambda: StandClock(library),
-    "stand": StandCommand,
-    "reference": lambda: ReferenceInjection(
+    "command_filter": StandFilter(),
+    "clock": StandClock(library),
+    "stand": StandCommand(),
+    "reference": ReferenceInjection(
         library, in_keys=["filtered_command", "phase", "mode", "stand"]
     ),
 """
@@ -191,14 +191,14 @@ def _chosen(mode: Tensor, *values: Tensor | float) -> Tensor:
 class StandCommand(SeededTransform):
     """Draw the wish to stand at each reset, and at random times if `interval` is finite.
 
+    The wish is `stand` (n, 1): 1 to stand, 0 to walk.
+
     To choose yourself, write `td["stand"]` between steps, or pass it to `env.reset`. A partial
     reset (with a `_reset` mask) draws for the reset robots only.
 
     Args:
         share: share of draws that wish to stand.
         interval: mean time between draws within an episode [s].
-        out_keys: key of the wish (n, 1): 1 to stand, 0 to walk.
-        period: duration of a policy step [s].
 
     Raises:
         ConfigurationError: `share` is no share, or `interval` is shorter than a policy step.
@@ -211,13 +211,10 @@ class StandCommand(SeededTransform):
         self,
         share: float = 0.1,
         interval: float = math.inf,
-        *,
-        out_keys: Sequence[NestedKey] = ("stand",),
-        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(in_keys=[], out_keys=out_keys)
+        super().__init__(in_keys=[], out_keys=["stand"])
         self.share = check_number("share", share, 0, 1)
-        self.interval, self._period = check_interval(interval, period), period
+        self.interval = check_interval(interval)
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
@@ -234,7 +231,7 @@ class StandCommand(SeededTransform):
         stand = checked_column(tensordict, self.out_keys[0])
         if math.isfinite(self.interval):
             chance = torch.rand(stand.shape, generator=self.generator)
-            changes = chance < self._period / self.interval
+            changes = chance < CASSIE.policy_period / self.interval
             stand = torch.where(changes, self._draw(tensordict), stand)
         return next_tensordict.set(self.out_keys[0], stand)
 
@@ -263,7 +260,6 @@ class StandClock(SeededTransform):
             (n, 1), and of the estimate that tells whether robots are steady (`find_balance`); in a
             stack without an estimator they always are.
         out_keys: keys of phase (n, 1) and mode (n, 1), values of `WalkMode` in single precision.
-        period: duration of a policy step [s].
 
     Raises:
         ConfigurationError: the library has no transitions.
@@ -278,11 +274,10 @@ class StandClock(SeededTransform):
         *,
         in_keys: Sequence[NestedKey] = ("filtered_command", "stand", "estimate"),
         out_keys: Sequence[NestedKey] = ("phase", "mode"),
-        period: float = CASSIE.policy_period,
     ) -> None:
         super().__init__(in_keys=in_keys, out_keys=out_keys)
         self._table = transitions_of(library)
-        self.library, self._period = library, period
+        self.library = library
 
     def _reset_env_preprocess(self, tensordict: TensorDictBase | None) -> TensorDictBase:
         tensordict = self._request(tensordict)
@@ -306,7 +301,7 @@ class StandClock(SeededTransform):
         phase, mode = (checked_column(tensordict, key) for key in self.out_keys)
         estimate = tensordict.get(self.in_keys[2], None)
         balance = None if estimate is None else find_balance(estimate)
-        found = advance_mode(self.library, phase, mode, command, stand, self._period, balance)
+        found = advance_mode(self.library, phase, mode, command, stand, balance=balance)
         for key, value in zip(self.out_keys, found, strict=True):
             next_tensordict.set(key, value)
         return next_tensordict
@@ -332,7 +327,6 @@ class StandFilter(CommandFilter):
             stops are at least as fast as `STOP_RATES`.
         in_keys: keys of the command (n, c), of the wish to stand (n, 1) and of the mode (n, 1).
         out_keys: key of the filtered command (n, c).
-        period: duration of a policy step [s].
 
     Raises:
         ConfigurationError: a rate is not a positive finite number, or there are not three.
@@ -346,9 +340,8 @@ class StandFilter(CommandFilter):
         *,
         in_keys: Sequence[NestedKey] = ("command", "stand", "mode"),
         out_keys: Sequence[NestedKey] = ("filtered_command",),
-        period: float = CASSIE.policy_period,
     ) -> None:
-        super().__init__(rates, in_keys=in_keys, out_keys=out_keys, period=period)
+        super().__init__(rates, in_keys=in_keys, out_keys=out_keys)
         check_rates_of_stops(self.rates)
 
     def _reset(

@@ -119,9 +119,9 @@ def test_benchmarks_accept_custom_policy_and_environment(
 
 def test_benchmarks_keep_the_edits_of_a_partial_make_env() -> None:
     """In addition to the transforms that the benchmarks themselves drop and replace."""
-    reward = partial(WeightedReward, dict.fromkeys(PAPER_WEIGHTS, 0.1))
+    reward = WeightedReward(dict.fromkeys(PAPER_WEIGHTS, 0.1))
     make_env = partial(
-        aslip.make_env, drop="feedforward", replace={"reward": reward, "action": ActionDelta}
+        aslip.make_env, drop="feedforward", replace={"reward": reward, "action": ActionDelta()}
     )
     for truth, kind in ((False, EstimatedState), (True, TrueState)):
         with closing(

@@ -59,7 +59,7 @@ def gaits(stack: str) -> GaitLibrary:
 
 def make_rollout_env(name: str, num: int) -> StackEnv:
     library = gaits(name)
-    stack = insert_before(STACKS[name](library), "estimator", losses=Losses)
+    stack = insert_before(STACKS[name](library), "estimator", losses=Losses())
     return aslip.make_env(stack=stack, num_envs=num, seed=5, num_threads=1, drop=["low_reward"])
 
 

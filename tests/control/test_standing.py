@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -64,7 +64,7 @@ def _make() -> StackEnv:
         seed=9,
         num_threads=1,
         drop=["low_reward"],
-        replace={"stand": partial(StandCommand, share=0.5)},
+        replace={"stand": StandCommand(share=0.5)},
     )
 
 
@@ -125,7 +125,7 @@ def test_robots_stand_before_the_runner_damps_them() -> None:
     """From the corners of the region, at any phase, with half a second to spare."""
     library = GaitLibrary.load("directions")
     rates, motor_lead, period = COMMAND_RATES, 0.0, CASSIE.policy_period
-    steering = Steering(library, rates, True, motor_lead, period)
+    steering = Steering(library, rates, True, motor_lead)
     low, high = (torch.tensor([axis[i] for axis in library.table.axes]) for i in (0, -1))
     corners = torch.cartesian_prod(*torch.stack([low, torch.zeros(3), high]).T).float()
     corners = library.nearest(torch.cat([corners, torch.tensor([[2.2, 0.0, 0.0]])]))

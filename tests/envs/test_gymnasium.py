@@ -80,7 +80,7 @@ def test_step_equals_the_step_of_the_stack(one: GymEnv) -> None:
 def test_time_limits_truncate_and_falls_terminate(one: GymEnv) -> None:
     from torchrl.envs import StepCounter
 
-    env = GymEnv(replace={"step_limit": lambda: StepCounter(2)}, drop=["low_reward"], num_threads=1)
+    env = GymEnv(replace={"step_limit": StepCounter(2)}, drop=["low_reward"], num_threads=1)
     env.reset(seed=0)
     ends = [env.step(np.zeros(10))[2:4] for _ in range(2)]
     assert ends == [(False, False), (False, True)]

@@ -89,10 +89,10 @@ def _saved(path: Path, env: StackEnv, size: int = 64) -> Path:
 
 
 HARMLESS = {
-    "InitTracker": (InitTracker,),
-    "RewardScaling": (lambda: RewardScaling(loc=0.0, scale=0.1),),
-    "an own reward with memory": (AirTime,),
-    "all": (InitTracker, AirTime, lambda: RewardScaling(loc=0.0, scale=0.1)),
+    "InitTracker": (InitTracker(),),
+    "RewardScaling": (RewardScaling(loc=0.0, scale=0.1),),
+    "an own reward with memory": (AirTime(),),
+    "all": (InitTracker(), AirTime(), RewardScaling(loc=0.0, scale=0.1)),
 }
 
 
@@ -123,9 +123,9 @@ def test_benchmarks_take_policies_trained_with_more_transforms(
 
 
 CHANGES = {
-    "frames": (lambda: CatFrames(3, dim=-1, in_keys=["observation"]), "observation"),
-    "norm": (lambda: ObservationNorm(0.0, 2.0, in_keys=["observation"]), "observation"),
-    "smooth": (Smooth, "action"),
+    "frames": (CatFrames(3, dim=-1, in_keys=["observation"]), "observation"),
+    "norm": (ObservationNorm(0.0, 2.0, in_keys=["observation"]), "observation"),
+    "smooth": (Smooth(), "action"),
 }
 
 
@@ -156,7 +156,7 @@ def test_benchmarks_name_the_difference_to_a_policys_stack(
         ),
         "baseline": ({"replace": {"action": other_key}}, 64, "to 'reference/motor_velocity'"),
         "action": (
-            {"stack": insert_before(default_stack(library), "action", smooth=Smooth)},
+            {"stack": insert_before(default_stack(library), "action", smooth=Smooth())},
             64,
             "not only, an `ActionDelta`",
         ),
@@ -188,7 +188,7 @@ def test_benchmarks_refuse_policies_whose_stack_has_changed(make: MakeEnv, tmp_p
 
 def test_description_of_an_environment_tells_reward_functions_apart(make: MakeEnv) -> None:
     def text(function: Callable[..., Any]) -> str:
-        term = partial(RewardTerm, "foot_orient", function, [("truth", "pelvis_orientation")])
+        term = RewardTerm("foot_orient", function, [("truth", "pelvis_orientation")])
         return describe_transforms(make(replace={"foot_orient": term}))["foot_orient"]
 
     def zero(q: torch.Tensor, scale: float = 1.0) -> torch.Tensor:

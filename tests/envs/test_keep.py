@@ -74,7 +74,7 @@ def test_commands_are_kept_and_hidden_entries_may_be_written(make: MakeEnv) -> N
 
 
 def test_torchrl_environments_carry_hidden_entries() -> None:
-    make = partial(aslip.make_env, num_envs=2, keep=["observation"], num_threads=1)
+    make = partial(aslip.make_env, num_envs=2, keep=["observation"], num_threads=1, seed=0)
     together = SerialEnv(2, make).rollout(5, _policy())
     alone = make().rollout(5, _policy())
     assert torch.equal(together["next", "observation"][1], alone["next", "observation"])

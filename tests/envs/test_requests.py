@@ -71,7 +71,7 @@ def test_requested_dynamics_override_domain_randomisation(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
     ranges = {"mass": (0.9, 1.1), "floor_friction": (0.4, 0.6)}
-    stack = insert_before(default_stack(library), "start", dynamics=lambda: RandomDynamics(ranges))
+    stack = insert_before(default_stack(library), "start", dynamics=RandomDynamics(ranges))
     env = make(num_envs=2, stack=stack)
     dynamics = _values("mass", 1.5, 0.8).update(_values("payload", 3.0, 0.0))
     env.reset(_request(dynamics=dynamics))

@@ -54,7 +54,7 @@ def _walk(env: StackEnv, steps: int = 40) -> list[TensorDictBase]:
 
 def _envs(make: MakeEnv, library: GaitLibrary, **edit: object) -> list[StackEnv]:
     stack = default_stack(library)
-    lying = insert_before(stack, "noise", liar=Liar)
+    lying = insert_before(stack, "noise", liar=Liar())
     settings = {"num_envs": 3, "seed": 4, "drop": JUDGES, **edit}
     return [make(stack=stack, **settings), make(stack=lying, **settings)]
 
@@ -70,7 +70,7 @@ def test_observation_does_not_depend_on_the_true_state(make: MakeEnv, library: G
 
 def test_observation_on_true_state_depends_on_it(make: MakeEnv, library: GaitLibrary) -> None:
     """With `TrueState` the NaN of `Liar` reach the observation."""
-    edit = {"replace": {"estimator": TrueState}}
+    edit = {"replace": {"estimator": TrueState()}}
     honest, lied_to = (_walk(env, 1) for env in _envs(make, library, **edit))
     assert torch.isfinite(honest[0]["observation"]).all()
     assert torch.isnan(lied_to[0]["observation"]).any()
@@ -135,7 +135,7 @@ def test_broken_sensor_is_reported_and_affects_one_robot_only(make: MakeEnv) -> 
     stack = default_stack(GaitLibrary.load())
     settings = {"num_envs": 3, "seed": 3, "drop": JUDGES}
     whole = _walk(make(stack=stack, **settings), 10)
-    broken = _walk(make(stack=insert_before(stack, "estimator", broken=Broken), **settings), 10)
+    broken = _walk(make(stack=insert_before(stack, "estimator", broken=Broken()), **settings), 10)
     for ours, theirs in zip(whole, broken, strict=True):
         assert torch.isfinite(theirs["observation"]).all()
         assert torch.equal(ours["observation"][[0, 2]], theirs["observation"][[0, 2]])
@@ -158,7 +158,7 @@ def test_rewards_on_the_estimate_need_no_true_state(make: MakeEnv, library: Gait
     seen, estimated = (walk["next", "reward"][:, 15:] for walk in walks)
     assert (seen - estimated).abs().mean() < 0.02
     assert not torch.equal(seen, estimated)
-    lying = insert_before(default_stack(library, "estimate"), "noise", liar=Liar)
+    lying = insert_before(default_stack(library, "estimate"), "noise", liar=Liar())
     lied_to = make(stack=lying, num_envs=3, seed=4, drop=[*JUDGES, "reward", "episode_sum"])
     # the sum is left out: it reads whether the simulation diverged
     terms = lied_to.rollout(2, break_when_any_done=False)["next", "reward_terms"]

@@ -244,7 +244,7 @@ def test_groups_that_cannot_be_excluded_list_their_entries(make: MakeEnv) -> Non
     with pytest.raises(ConfigurationError, match="the group 'truth'"):
         env.insert_transform(len(env.transforms), ExcludeTransform("observation", "truth"))
     with pytest.raises(ConfigurationError, match="the group 'truth'"):
-        make(stack={**default_stack(), "slim": lambda: ExcludeTransform("truth")})
+        make(stack={**default_stack(), "slim": ExcludeTransform("truth")})
     advice = str(info.value).partition("exclude its entries: ")[2]
     env.append_transform(eval(advice))
     check_env_specs(env)
@@ -255,4 +255,4 @@ def test_frame_skip_is_refused(make: MakeEnv) -> None:
     with pytest.raises(ConfigurationError, match="clock and estimator by one"):
         make().append_transform(FrameSkipTransform(2))
     with pytest.raises(ConfigurationError, match="clock and estimator by one"):
-        make(stack={**default_stack(), "skip": lambda: FrameSkipTransform(2)})
+        make(stack={**default_stack(), "skip": FrameSkipTransform(2)})

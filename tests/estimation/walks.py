@@ -39,7 +39,7 @@ class Walk:
             num_threads=1,
             seed=1,
             drop=["noise", "low_reward", "fall", "step_limit"],
-            replace={"estimator": TrueState},
+            replace={"estimator": TrueState()},
         )
         policy = aslip.load_policy(WALKER)
         td = cast("TensorDictBase", env.reset())

@@ -35,10 +35,10 @@ def make_recorded(library: GaitLibrary) -> MakeRecorded:
     ) -> Any:
         stack = default_stack(library)
         if max_steps is not None:
-            stack["time_limit"] = lambda: StepCounter(max_steps=max_steps)
+            stack["time_limit"] = StepCounter(max_steps=max_steps)
         if dynamics:
             stack = randomise_stack(stack)
-        stack["recorder"] = lambda: Recorder(path, **settings)
+        stack["recorder"] = Recorder(path, **settings)
         return aslip.make_env(
             backend,  # pyright: ignore[reportArgumentType]
             num_envs=num_envs,

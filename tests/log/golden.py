@@ -19,7 +19,7 @@ GOLDEN = Path(__file__).parents[1] / "data" / "golden.mcap"
 
 def main(path: Path) -> None:
     """Log 5 steps at 0.5 m/s, then an episode of 12 steps with a payload."""
-    stack = {**default_stack(), "recorder": lambda: Recorder(path, overwrite=True)}
+    stack = {**default_stack(), "recorder": Recorder(path, overwrite=True)}
     env = aslip.make_env(seed=7, num_threads=1, stack=stack)
     policy = aslip.load_policy("straight")
     start = TensorDict(command=torch.full((1, 1), 0.5), phase=torch.zeros(1, 1), batch_size=1)

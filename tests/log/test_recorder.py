@@ -272,12 +272,12 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
         del stack[name]
     from aslip.transforms import TrueState, WeightedReward
 
-    stack["estimator"] = TrueState
+    stack["estimator"] = TrueState()
     weights = {"com_vel": 0.5, "foot_pos": 0.5, "straight_diff": 0.0, "action_diff": 0.0}
     names = list(stack)
     ordered = {name: stack[name] for name in names[: names.index("action_diff") + 1]}
-    ordered["reward"] = lambda: WeightedReward(weights)
-    ordered["recorder"] = lambda: Recorder(tmp_path / "a.mcap")
+    ordered["reward"] = WeightedReward(weights)
+    ordered["recorder"] = Recorder(tmp_path / "a.mcap")
     env = aslip.make_env(stack=ordered, num_threads=1, floor_friction=0.6, seed=0)
     run(env, 3)
     env.close()
@@ -292,7 +292,7 @@ def test_ablated_stacks_can_be_logged(library: GaitLibrary, tmp_path: Path) -> N
 def test_low_level_unknown_to_replays_is_refused(
     backend: type[SimulatedEnv], tmp_path: Path
 ) -> None:
-    stack = {**default_stack(), "recorder": lambda: Recorder(tmp_path / "walk.mcap")}
+    stack = {**default_stack(), "recorder": Recorder(tmp_path / "walk.mcap")}
     env = aslip.make_env(base=partial(backend, drive=Torque), stack=stack, seed=0)
     with pytest.raises(ConfigurationError, match=r"cannot record drive=.*Torque"):
         env.reset()

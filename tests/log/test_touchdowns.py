@@ -93,7 +93,7 @@ def test_motions_without_footholds_have_no_planned_ones(tmp_path: Path) -> None:
 
 
 def _recorded(path: Path, stack: Stack) -> StackEnv:
-    stack["recorder"] = lambda: Recorder(path)
+    stack["recorder"] = Recorder(path)
     return aslip.make_env(seed=4, stack=stack, drop=["fall", "low_reward"])
 
 

@@ -67,7 +67,7 @@ def test_reset_after_closing_leaves_the_log_alone(make_recorded: MakeRecorded, p
 
 def test_recorder_that_is_not_last_is_refused(library: GaitLibrary, path: Path) -> None:
     """Before the reward transform it would log a reward of 0."""
-    stack = insert_before(default_stack(library), "reward", recorder=lambda: Recorder(path))
+    stack = insert_before(default_stack(library), "reward", recorder=Recorder(path))
     with pytest.raises(ConfigurationError, match="'recorder' must be the last transform"):
         aslip.make_env(stack=stack, num_threads=1)
 
@@ -93,7 +93,7 @@ import sys
 import aslip
 from aslip.log import Recorder
 from aslip.envs import default_stack
-env = aslip.make_env(stack={**default_stack(), "recorder": lambda: Recorder(sys.argv[1])})
+env = aslip.make_env(stack={**default_stack(), "recorder": Recorder(sys.argv[1])})
 env.rollout(3)
 if len(sys.argv) > 2:
     raise RuntimeError(sys.argv[2])

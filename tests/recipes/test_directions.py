@@ -119,8 +119,8 @@ def test_only_training_has_fast_changes_of_the_command(config: DirectionConfig) 
     stack = directions_stack(symmetric_library())
     trained = ppo_directions.training_stack(replace(config, command_rates=3.0), stack)
     fast = tuple(3.0 * rate for rate in COMMAND_RATES)
-    assert stack["command_filter"]().rates == COMMAND_RATES  # pyright: ignore[reportAttributeAccessIssue]
-    assert trained["command_filter"]().rates == fast  # pyright: ignore[reportAttributeAccessIssue]
+    assert stack["command_filter"].rates == COMMAND_RATES  # pyright: ignore[reportAttributeAccessIssue]
+    assert trained["command_filter"].rates == fast  # pyright: ignore[reportAttributeAccessIssue]
     with pytest.raises(ConfigurationError, match="command_rates"):
         replace(config, command_rates=0.0)
 

@@ -260,7 +260,7 @@ def test_an_update_gets_correct_advantages_and_settings(
             return update(data, loss, optimizer, config)
 
     monkeypatch.setattr(ppo_aslip, "update", spied)
-    short = {"step_limit": partial(StepCounter, 3)}
+    short = {"step_limit": StepCounter(3)}
     ppo_aslip.main(config, partial(aslip.make_env, replace=short, drop=["low_reward"]))
     assert seen == pytest.approx([3e-4, 3e-4 * (1e-5 / 3e-4) ** 0.5])
     assert stds == pytest.approx([1.0, 0.5**0.5])

@@ -328,7 +328,7 @@ def test_resumed_robots_are_as_difficult_as_before(
 ) -> None:
     """After five batches, also of robots in one process; each robot took eight steps of each."""
     made: list[Callable[[], StackEnv]] = []
-    stack = insert_before(default_stack(), "command", difficulty=partial(Difficulty, 100))
+    stack = insert_before(default_stack(), "command", difficulty=Difficulty(100))
     collector = RayCollectors(
         partial(aslip.make_env, stack=stack), Learner.make().actor, num_envs=ROBOTS, samples=SAMPLES
     )

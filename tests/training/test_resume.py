@@ -48,8 +48,8 @@ ROBOTS, STEPS = 4, 8
 def _harder(stack: Stack) -> Stack:
     """Stack with pushes, and with robots that become more different."""
     key: dict[str, Any] = {"in_keys": ["difficulty"]}
-    stack |= {"dynamics": partial(RandomDynamics, **key)}
-    difficulty, pushes = partial(Difficulty, 30), partial(RandomPushes, 40.0, 0.3, **key)
+    stack |= {"dynamics": RandomDynamics(**key)}
+    difficulty, pushes = Difficulty(30), RandomPushes(40.0, 0.3, **key)
     return insert_before(stack, "command", difficulty=difficulty, pushes=pushes)
 
 
@@ -57,7 +57,7 @@ STACKS: dict[str, Callable[[], dict[str, Any]]] = {
     "aslip": dict,
     "single_reference": lambda: {"stack": "single_reference"},
     "random robots": lambda: {"stack": _harder(randomise_stack(default_stack()))},
-    "compose": lambda: {"replace": {"noise": lambda: Compose(ObservationNoise())}},
+    "compose": lambda: {"replace": {"noise": Compose(ObservationNoise())}},  # pyright: ignore[reportArgumentType]
     "dm_control": lambda: {"backend": "dm_control"},
 }
 

@@ -43,7 +43,6 @@ ONLY_INSIDE = {
     transforms.RandomDynamics: "writes the request of the robots' own reset",
     transforms.StaggeredEnds: "distinguishes resets of all robots from partial resets",
     transforms.ObservationNoise: "changes packets before the estimator reads them",
-    transforms.RandomNoise: "changes packets before the estimator reads them",
     transforms.EncoderOffsets: "changes packets before the estimator reads them",
     transforms.EstimatedState: "estimates robots along one axis of the batch",
     transforms.ActionDelta: "hides the motor targets of the base environment",
@@ -64,35 +63,31 @@ def make_env(seed: int = 0) -> StackEnv:
     stack = insert_before(
         default_stack(library),
         "start",
-        dynamics=partial(transforms.RandomDynamics, in_keys=["difficulty"]),
-        difficulty=partial(transforms.Difficulty, 4),
+        dynamics=transforms.RandomDynamics(in_keys=["difficulty"]),
+        difficulty=transforms.Difficulty(4),
     )
     stack = insert_before(
         stack,
         "observation",
-        random_noise=transforms.RandomNoise,
-        clock_input=transforms.ClockInput,
-        other_command=partial(transforms.VelocityCommand, library, out_keys=["other_command"]),
-        command_filter=transforms.CommandFilter,
-        stand_filter=partial(
-            transforms.StandFilter, in_keys=["command", "stand", "mode"], out_keys=["led_command"]
+        clock_input=transforms.ClockInput(),
+        other_command=transforms.VelocityCommand(library, out_keys=["other_command"]),
+        command_filter=transforms.CommandFilter(),
+        stand_filter=transforms.StandFilter(
+            in_keys=["command", "stand", "mode"], out_keys=["led_command"]
         ),
-        stand_clock=partial(
-            transforms.StandClock,
+        stand_clock=transforms.StandClock(
             library_that_stands(),
             in_keys=["led_command", "stand", "estimate"],
             out_keys=["standing_phase", "mode"],
         ),
-        stand=partial(transforms.StandCommand, 0.5),
-        pushes=transforms.RandomPushes,
-        distance=transforms.ReferenceDistance,
-        truth=partial(transforms.TrueState, out_keys=("true_estimate", "copied_odometry")),
+        stand=transforms.StandCommand(0.5),
+        pushes=transforms.RandomPushes(),
+        distance=transforms.ReferenceDistance(),
+        truth=transforms.TrueState(out_keys=("true_estimate", "copied_odometry")),
     )
     # whatever changes packets must come before the estimator
-    noise = stack.pop("random_noise")
-    encoders = transforms.EncoderOffsets
-    stack = insert_before(stack, "estimator", random_noise=noise, encoders=encoders)
-    stack = insert_before(stack, "episode_sum", stagger=partial(transforms.StaggeredEnds, 9))
+    stack = insert_before(stack, "estimator", encoders=transforms.EncoderOffsets())
+    stack = insert_before(stack, "episode_sum", stagger=transforms.StaggeredEnds(9))
     return aslip.make_env(stack=stack, num_envs=NUM, seed=seed, num_threads=1)
 
 

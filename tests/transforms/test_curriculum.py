@@ -22,9 +22,9 @@ def make(num: int = 4, ramp: int = 5) -> StackEnv:
     stack = insert_before(
         default_stack(),
         "start",
-        dynamics=partial(RandomDynamics, RANGES, in_keys=["difficulty"]),
-        difficulty=partial(Difficulty, ramp),
-        pushes=partial(RandomPushes, 20.0, 0.03, 0.03, in_keys=["difficulty"]),
+        dynamics=RandomDynamics(RANGES, in_keys=["difficulty"]),
+        difficulty=Difficulty(ramp),
+        pushes=RandomPushes(20.0, 0.03, 0.03, in_keys=["difficulty"]),
     )
     return aslip.make_env(stack=stack, num_envs=num, num_threads=1, drop=["low_reward"], seed=0)
 
@@ -120,8 +120,8 @@ def test_ranges_grow_from_the_nominal_value() -> None:
 @pytest.mark.parametrize("names", [["dynamics"], ["difficulty", "dynamics"]])
 def test_ranges_need_a_difficulty_later_in_the_stack(names: list[str]) -> None:
     makers = {
-        "difficulty": partial(Difficulty, 5),
-        "dynamics": partial(RandomDynamics, RANGES, in_keys=["difficulty"]),
+        "difficulty": Difficulty(5),
+        "dynamics": RandomDynamics(RANGES, in_keys=["difficulty"]),
     }
     stack = insert_before(default_stack(), "start", **{name: makers[name] for name in names})
     with pytest.raises(ConfigurationError, match="needs Difficulty after RandomDynamics"):
@@ -130,7 +130,7 @@ def test_ranges_need_a_difficulty_later_in_the_stack(names: list[str]) -> None:
 
 def test_two_difficulties_are_refused() -> None:
     keys = ["difficulty", "phase"]
-    stack = insert_before(default_stack(), "start", dynamics=partial(RandomDynamics, in_keys=keys))
+    stack = insert_before(default_stack(), "start", dynamics=RandomDynamics(in_keys=keys))
     with pytest.raises(ConfigurationError, match="the difficulty has one key, got"):
         aslip.make_env(stack=stack, num_envs=2, num_threads=1).reset()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import pytest
@@ -19,9 +18,7 @@ READINGS = ("sensors", "motor_position")
 
 
 def _env(make: MakeEnv, num: int = 2, **settings: Any) -> StackEnv:
-    stack = insert_before(
-        default_stack(), "estimator", encoders=partial(EncoderOffsets, **settings)
-    )
+    stack = insert_before(default_stack(), "estimator", encoders=EncoderOffsets(**settings))
     return make(num_envs=num, stack=stack, drop=["noise", "low_reward"])
 
 
@@ -73,8 +70,8 @@ def test_offsets_grow_with_the_difficulty(make: MakeEnv) -> None:
     stack = insert_before(
         default_stack(),
         "estimator",
-        difficulty=partial(Difficulty, 4),
-        encoders=partial(EncoderOffsets, in_keys=keys),
+        difficulty=Difficulty(4),
+        encoders=EncoderOffsets(in_keys=keys),
     )
     env = make(num_envs=2, stack=stack)
     assert not env.reset()["motor_offset"].any()
@@ -87,7 +84,7 @@ def test_offsets_grow_with_the_difficulty(make: MakeEnv) -> None:
 
 
 def test_a_real_robot_has_its_own_offsets() -> None:
-    stack = insert_before(default_stack(), "estimator", encoders=EncoderOffsets)
+    stack = insert_before(default_stack(), "estimator", encoders=EncoderOffsets())
     assert "encoders" not in robot_stack(stack)
     with pytest.raises(ConfigurationError, match=r"largest must be .* at least 0"):
         EncoderOffsets(-0.1)

@@ -59,7 +59,7 @@ def test_every_entry_is_where_the_table_says(make: MakeEnv, when: str) -> None:
 
 
 def test_the_perfect_estimate_is_the_truth(make: MakeEnv) -> None:
-    env = make(num_envs=2, drop=["noise"], replace={"estimator": TrueState})
+    env = make(num_envs=2, drop=["noise"], replace={"estimator": TrueState()})
     td = env.reset()
     td = env.step(td.set("action", torch.full((2, 10), 0.1)))["next"]
     truth, estimate = td["truth"], td["estimate"]

@@ -13,7 +13,6 @@ from aslip.rom.arc import twist_pose
 from aslip.transforms.path import (
     LEASH,
     LEASH_TIME,
-    Leash,
     advance_frame,
     advance_heading,
     dragged,
@@ -35,7 +34,7 @@ def test_origin_and_heading_follow_the_twist_of_the_command(
     origin = torch.zeros(1, 3, dtype=torch.float64)
     above = torch.zeros(1, 2, dtype=torch.float64)
     for _ in range(100):
-        origin, heading = advance_frame(origin, heading, twist, above, PERIOD)
+        origin, heading = advance_frame(origin, heading, twist, above)
     expected = twist_pose(np.array(command), np.array([100 * PERIOD]))
     zero = np.zeros((1, 3))
     np.testing.assert_allclose(origin, expected.transform(zero), atol=1e-12)
@@ -48,7 +47,7 @@ def test_slow_turns_add_up_in_single_precision(heading: float) -> None:
     """The heading stays within half a turn, so that slow turns count after many turns, too."""
     angle, command = torch.tensor([[heading]]), torch.tensor([[0.0, 0.0, 0.02]])
     for _ in range(1000):
-        angle = advance_heading(angle, command, PERIOD)
+        angle = advance_heading(angle, command)
     assert angle.abs() <= math.pi + 1e-6
     turned = math.remainder(float(angle) - heading, math.tau)
     assert turned == pytest.approx(1000 * PERIOD * 0.02, rel=1e-3)
@@ -63,7 +62,7 @@ def test_a_pelvis_at_rest_in_the_frame_has_the_commanded_velocity() -> None:
     pelvis = torch.ones(3, 3, dtype=torch.float64)
     origin = pelvis - level
     for _ in range(100):
-        origin, heading = advance_frame(origin, heading, twist, error, PERIOD)
+        origin, heading = advance_frame(origin, heading, twist, error)
     pelvis = origin + rotate_about_vertical(level, heading)
     expected = twist_pose(twist[0].numpy(), np.array([100 * PERIOD])).transform(np.zeros((1, 3)))
     np.testing.assert_allclose(pelvis[:, :2], 1 + expected.repeat(3, axis=0)[:, :2], atol=1e-12)
@@ -105,28 +104,6 @@ def test_the_distance_from_the_path_tells_the_error_of_the_velocity() -> None:
         error -= dragged(error)
     expected = LEASH + lag[:, 0] * (LEASH_TIME - PERIOD)
     torch.testing.assert_close(-error[:, 0], expected, atol=2e-3, rtol=0)
-
-
-def test_a_longer_leash_lets_the_origin_stay_behind_further() -> None:
-    place = torch.tensor([[0.0, 0.3, 0.9]])
-    way = dragged(place, leash=Leash(0.2, 1.0))
-    torch.testing.assert_close(way, torch.tensor([[0.0, 0.1 * PERIOD, 0.0]]))
-    assert torch.equal(dragged(place, leash=Leash(0.4, 1.0)), torch.zeros(1, 3))
-    # the leash shortens for twice as long in a policy step of twice the duration
-    found = place_in_path(
-        {"pelvis_position": place},
-        place * 0,
-        place[:, :1],
-        leash=Leash(0.2, 1.0),
-        period=2 * PERIOD,
-    )
-    torch.testing.assert_close(found["path_error"], (place - 2 * way)[:, :2])
-
-
-def test_a_leash_without_length_pulls_at_any_distance() -> None:
-    place = torch.tensor([[0.0, 0.0, 0.9], [0.0, 0.3, 0.9]])
-    found = dragged(place, leash=Leash(0.0, 1.0))
-    torch.testing.assert_close(found, place * torch.tensor([1.0, PERIOD, 0.0]))
 
 
 def test_stops_bring_the_origin_below_the_pelvis() -> None:

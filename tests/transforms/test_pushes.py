@@ -46,7 +46,7 @@ def test_pushes_last_as_long_and_are_as_strong_as_asked() -> None:
 
 def test_a_push_moves_the_robot_and_ends_by_itself(make: MakeEnv) -> None:
     """The force written at the end of a step acts in the next one, and resets end it."""
-    stack = insert_before(default_stack(), "command", pushes=lambda: RandomPushes(60.0, 0.03))
+    stack = insert_before(default_stack(), "command", pushes=RandomPushes(60.0, 0.03))
     env = make(stack=stack, num_envs=2, drop=["fall", "low_reward"])
     td = env.reset()
     assert (td["push"] == 0).all()

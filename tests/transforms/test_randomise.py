@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from functools import partial
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from aslip.envs import Stack, StackEnv, default_stack, insert_before
+from aslip.envs import Stack, StackEnv, default_stack, insert_before, randomise_stack
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.sim import DYNAMICS
-from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics, RandomNoise
+from aslip.transforms import DYNAMICS_RANGES, ObservationNoise, RandomDynamics
 from tests.helpers import MakeEnv, differing
 
 BACKENDS = ("batch", "dm_control")
@@ -29,12 +28,8 @@ NOMINAL: Ranges = {
 }
 
 
-def _stack(
-    library: GaitLibrary, ranges: Ranges, noise: Callable[[], ObservationNoise] = ObservationNoise
-) -> Stack:
-    stack = default_stack(library)
-    stack = insert_before(stack, "start", dynamics=lambda: RandomDynamics(ranges))
-    return stack | {"noise": noise}
+def _stack(library: GaitLibrary, ranges: Ranges) -> Stack:
+    return randomise_stack(default_stack(library), ranges)
 
 
 def _rollout(env: StackEnv, steps: int, seed: int = 0) -> Any:
@@ -60,7 +55,7 @@ def test_ranges_of_zero_width_at_the_defaults_change_nothing(
 ) -> None:
     """Bit for bit, through falls and resets."""
     default = _rollout(make(backend, num_envs=2, seed=3), 30)
-    env = make(backend, num_envs=2, seed=3, stack=_stack(library, NOMINAL, RandomNoise))
+    env = make(backend, num_envs=2, seed=3, stack=_stack(library, NOMINAL))
     rollout = _rollout(env, 30)
     assert default["next", "done"].any()
     assert not env.base_env.altered
@@ -88,7 +83,7 @@ def test_a_share_of_the_parameters_is_drawn_and_the_others_are_nominal(make: Mak
     """Drawn values are those of a share of 1."""
     found = []
     for share in (1.0, 0.3, 0.0):
-        dynamics = partial(RandomDynamics, share=share)
+        dynamics = RandomDynamics(share=share)
         stack = insert_before(default_stack(), "start", dynamics=dynamics)
         found.append(_dynamics(make(num_envs=200, seed=1, stack=stack).reset()))
     full, some, none = (torch.cat([*one.values()], dim=-1) for one in found)
@@ -173,7 +168,7 @@ def test_backends_are_equal_bit_for_bit(make: MakeEnv, library: GaitLibrary) -> 
     """Also with different dynamics for each robot."""
     ranges = {**DYNAMICS_RANGES, "payload": (0.0, 5.0), "torque_delay": (0.0, 0.01)}
     rollouts = [
-        _rollout(make(backend, num_envs=2, stack=_stack(library, ranges, RandomNoise)), 25)
+        _rollout(make(backend, num_envs=2, stack=_stack(library, ranges)), 25)
         for backend in BACKENDS
     ]
     assert rollouts[0]["next", "done"].any()
@@ -238,10 +233,10 @@ def _errors(env: StackEnv, clean: StackEnv, steps: int) -> torch.Tensor:
 def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> None:
     """With the same seed, a factor of two doubles the error exactly, and zero removes it."""
     settings: dict[str, Any] = {"num_envs": 1, "seed": 4, "drop": ["low_reward"]}
-    clean = make(**settings, replace={"noise": lambda: ObservationNoise(scale=0)})
+    clean = make(**settings, replace={"noise": ObservationNoise(scale=0)})
     errors = {}
     for factor in (0.0, 1.0, 2.0):
-        stack = _stack(library, {"sensor_noise": (factor, factor)}, RandomNoise)
+        stack = _stack(library, {"sensor_noise": (factor, factor)})
         clean.set_seed(4)
         errors[factor] = _errors(make(**settings, stack=stack), clean, 6)
     assert errors[1.0].min() > 0
@@ -252,7 +247,7 @@ def test_each_robot_has_its_own_noise(make: MakeEnv, library: GaitLibrary) -> No
 def test_the_error_of_the_attitude_is_scaled_by_the_factor(
     make: MakeEnv, library: GaitLibrary
 ) -> None:
-    env = make(num_envs=2, stack=_stack(library, {"sensor_noise": (0.0, 100.0)}, RandomNoise))
+    env = make(num_envs=2, stack=_stack(library, {"sensor_noise": (0.0, 100.0)}))
     chosen = TensorDict(sensor_noise=torch.tensor([[0.0], [100.0]]), batch_size=2)
     start = {"phase": torch.zeros(2, 1), "command": torch.zeros(2, 1), "dynamics": chosen}
     td = env.reset(TensorDict(start, batch_size=2))
@@ -265,20 +260,16 @@ def test_the_error_of_the_attitude_is_scaled_by_the_factor(
 def test_a_partial_reset_draws_a_noise_factor(make: MakeEnv, library: GaitLibrary) -> None:
     """Its error is the drawn factor times the error at a factor of one."""
     packets = []
-    for noise in (RandomNoise, ObservationNoise, lambda: ObservationNoise(scale=0)):
-        env = make(num_envs=3, stack=_stack(library, {"sensor_noise": (0.5, 50.0)}, noise))
+    for scale, ranges in ((1.0, (0.5, 50.0)), (1.0, (1.0, 1.0)), (0.0, (0.5, 50.0))):
+        stack = _stack(library, {"sensor_noise": ranges})
+        env = make(num_envs=3, stack=stack | {"noise": ObservationNoise(scale=scale)})
         td = env.reset()
         td["_reset"] = torch.tensor([[False], [False], [True]])
         td = env.reset(td)
         packets.append(td["sensors", "accelerometer"])
-    factor = td["dynamics", "sensor_noise"]
+    factor = cast("torch.Tensor", td["dynamics", "sensor_noise"])
     assert (factor[:2] - factor[2]).abs().min() > 1
     noisy, nominal, clean = packets
     torch.testing.assert_close(
         noisy - clean, factor[..., None] * (nominal - clean), rtol=1e-3, atol=1e-3
     )
-
-
-def test_noise_without_its_factor_is_refused(make: MakeEnv) -> None:
-    with pytest.raises(UnknownNameError, match=r"RandomNoise reads .*sensor_noise"):
-        make(num_envs=1, replace={"noise": RandomNoise})

@@ -12,7 +12,7 @@ from torchrl.envs.transforms import RewardSum
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.envs import default_stack
+from aslip.envs import default_stack, insert_before
 from aslip.errors import ShapeError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
@@ -101,15 +101,11 @@ def test_a_term_of_weight_zero_is_still_logged(make: MakeEnv) -> None:
 
 
 def test_a_custom_term_is_added_to_the_sum(make: MakeEnv, library: GaitLibrary) -> None:
-    stack = {}
-    for name, factory in default_stack(library).items():
-        if name == "reward":
-            stack["height"] = lambda: RewardTerm(
-                "height", lambda height: (-(height - 1).abs()).exp(), [("estimate", "height")]
-            )
-            stack["reward"] = lambda: WeightedReward({**rewards.PAPER_WEIGHTS, "height": 0.5})
-        else:
-            stack[name] = factory
+    near = RewardTerm(
+        "height", lambda height: (-(height - 1).abs()).exp(), [("estimate", "height")]
+    )
+    stack = insert_before(default_stack(library), "reward", height=near)
+    stack["reward"] = WeightedReward({**rewards.PAPER_WEIGHTS, "height": 0.5})
     env = make(num_envs=2, stack=stack)
     with_height = _step(env)["next"]
     check_env_specs(env)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from functools import partial
+from typing import Any
 
 import pytest
 import torch
@@ -200,6 +202,25 @@ def test_path_diff_falls_with_the_distance_in_any_direction() -> None:
     body = torch.tensor([0.02, -0.01, 0.9]).expand(4, 3)
     expected = torch.tensor([0.0, -1.0, -1.0, -3.0]).exp()[:, None]
     torch.testing.assert_close(rewards.path_diff(error + body[:, :2], body), expected)
+
+
+def test_scales_of_terms_are_arguments() -> None:
+    """A third of the scale takes the term to its third power."""
+    error, body = torch.tensor([[0.03, 0.04]]), torch.zeros(1, 3)
+    found = partial(rewards.path_diff, scale=0.1 / 3)(error, body)
+    torch.testing.assert_close(found, rewards.path_diff(error, body) ** 3)
+    orientation, heading = torch.tensor([[1.0, 0, 0, 0]]), torch.tensor([[0.05]])
+    found = rewards.heading_diff(orientation, heading, scale=0.1 / 3)
+    torch.testing.assert_close(found, rewards.heading_diff(orientation, heading) ** 3)
+    cases: list[tuple[Any, float, list[torch.Tensor]]] = [
+        (rewards.power, 0.4, [torch.full((1, 10), 20.0), torch.zeros(1, 3)]),
+        (rewards.landing, 0.6, [torch.full((1, 2), 500.0)]),
+        (rewards.squeeze, 10.0, [torch.tensor([[[3.0, 4.0, 300.0], [-3.0, -4.0, 300.0]]])]),
+    ]
+    for term, scale, seen in cases:
+        found = term(*seen, scale=scale / 3)
+        assert 0 < found < 1
+        torch.testing.assert_close(found, term(*seen) ** 3)
 
 
 def test_power_is_seen_over_weight_and_speed() -> None:

@@ -235,7 +235,7 @@ def test_robots_that_stand_need_a_rate_for_each_part_of_the_command(
     with pytest.raises(ConfigurationError, match=f"need 3 rates of the command, got {len(rates)}"):
         StandFilter(rates)
     with pytest.raises(ConfigurationError, match=f"need 3 rates of the command, got {len(rates)}"):
-        Steering(walking, rates, True, 1.0, 0.03)
+        Steering(walking, rates, True, 1.0)
 
 
 def test_robot_that_shall_stand_at_a_reset_starts_standing(

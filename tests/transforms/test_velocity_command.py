@@ -99,7 +99,7 @@ def test_a_filtered_command_goes_straight_to_the_command_at_the_largest_rate() -
     past, command = torch.zeros(1, 3), torch.tensor([[0.6, 0.2, -1.2]])
     rates, path = (2.0, 1.5, 2.0), [past]
     while not torch.equal(path[-1], command):
-        path.append(approach_command(path[-1], command, rates, PERIOD))
+        path.append(approach_command(path[-1], command, rates))
     # the yaw rate takes longest: 1.2 rad/s at 2 rad/s^2
     assert len(path) - 1 == pytest.approx(0.6 / PERIOD, abs=1)
     change = torch.cat(path).diff(dim=0).abs()
@@ -110,7 +110,7 @@ def test_a_filtered_command_goes_straight_to_the_command_at_the_largest_rate() -
 
 def test_a_small_change_is_made_at_once() -> None:
     past, command = torch.zeros(2, 1), torch.tensor([[0.06], [0.07]])
-    found = approach_command(past, command, (2.0,), PERIOD)
+    found = approach_command(past, command, (2.0,))
     torch.testing.assert_close(found, torch.tensor([[0.06], [0.06]]))
 
 

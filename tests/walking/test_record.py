@@ -27,7 +27,7 @@ def _command(*speeds: float) -> np.ndarray:
 def logged(library: GaitLibrary, tmp_path_factory: pytest.TempPathFactory) -> tuple[Walks, Path]:
     """Walk of one robot, as arrays and as a log."""
     path = tmp_path_factory.mktemp("logs") / "walk.mcap"
-    stack = {**default_stack(library), "recorder": lambda: Recorder(path)}
+    stack = {**default_stack(library), "recorder": Recorder(path)}
     env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=3)
     command = _command(0.5)
     command[20:] = 1.0
@@ -54,7 +54,7 @@ def test_log_reproduces_recorded_fall(library: GaitLibrary, tmp_path: Path) -> N
             td["action"][:] = np.nan
         return td
 
-    stack = {**default_stack(library), "recorder": lambda: Recorder(path)}
+    stack = {**default_stack(library), "recorder": Recorder(path)}
     env = aslip.make_env(stack=stack, drop=EPISODE_ENDS, num_threads=1, seed=0)
     walk = record_walks(fails, env, _command(0.5))  # pyright: ignore[reportArgumentType]
     env.close()

@@ -32,7 +32,7 @@ def make(library: GaitLibrary, num_envs: int = 1, **settings: object) -> StackEn
 
 def test_recorded_robots_stand_when_they_are_told(library: GaitLibrary) -> None:
     """And walk by default, though the stack draws wishes at resets and within episodes."""
-    env = make(library, 2, replace={"stand": lambda: StandCommand(1.0, 0.03)})
+    env = make(library, 2, replace={"stand": StandCommand(1.0, 0.03)})
     command = np.zeros((6, 2, 3))
     stand = np.array([[1, 1]] * 3 + [[0, 1]] * 3)
     keys: list[NestedKey] = [("next", "mode"), ("next", "stand")]

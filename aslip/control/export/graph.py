@@ -178,11 +178,10 @@ class PolicyStep(nn.Module):
         first, before = given["first"], given["path_heading"].float()
         place = rotate_about_vertical(given[POSITION], -given["heading"])
         steer, begun = given["last_filtered_command"], given["last_origin"]
-        period = self._robot.policy_period
         error = given["last_path_error"]
-        origin, ahead = advance_frame(begun, before, steer, error, period)
+        origin, ahead = advance_frame(begun, before, steer, error)
         origin, ahead = torch.where(first, begun, origin), torch.where(first, before, ahead)
-        return place_on_path(place, origin, ahead, error, mode, period)
+        return place_on_path(place, origin, ahead, error, mode)
 
     def _results(self, found: TensorDictBase) -> dict[str, Tensor]:
         """Values of the outputs by name."""
