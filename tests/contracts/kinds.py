@@ -9,7 +9,6 @@ import warnings
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -155,8 +154,7 @@ def _write_log(path: Path) -> None:
 
 def _log_fall(path: Path) -> None:
     library = GaitLibrary.load()
-    recorder = partial(Recorder, path, overwrite=True)
-    stack = {**default_stack(library), "recorder": recorder}
+    stack = {**default_stack(library), "recorder": Recorder(path, overwrite=True)}
     env = aslip.make_env(stack=stack, num_threads=1, seed=0)
     td = env.reset()
     for _ in range(36):

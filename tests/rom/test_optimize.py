@@ -99,7 +99,7 @@ def test_a_status_that_says_nothing_about_the_problem_is_no_missing_gait(status)
 @pytest.mark.parametrize("command", [1.0, (1.0, 0.0, 0.0)])
 def test_an_unknown_objective_is_named(command):
     with pytest.raises(ConfigurationError, match=r"objective must be one of \('mean', .*got 'x'"):
-        optimize_gait(command, objective="x")
+        optimize_gait(command, objective="x")  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("speed", [0.4, 1.9])

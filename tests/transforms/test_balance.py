@@ -29,7 +29,8 @@ def test_soles_are_those_of_the_leg_kinematics() -> None:
     motors = CASSIE.standing[at.motor_qpos] + 0.3 * rng.standard_normal((40, 10))
     joints = CASSIE.standing[at.joint_qpos] + 0.3 * rng.standard_normal((40, 6))
     expected = LegKinematics()(motors, joints)[:, :, :2]
-    found = _sole_ends(*(torch.from_numpy(part).float() for part in (motors, joints)), CASSIE)
+    single = torch.from_numpy(motors).float(), torch.from_numpy(joints).float()
+    found = _sole_ends(*single, CASSIE)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
 
 
