@@ -21,7 +21,7 @@ _HEADING, _PELVIS, _PATH = "#1f77b4", "#d62728", "#2ca02c"
 _AROUND: Final = {
     "command": (9, 58, "draws it", _SIMULATED),
     "command_filter": (28.5, 58, "limits its rate:\nfiltered_command", _BOTH),
-    "clock": (48, 58, "phase, mode", _BOTH),
+    "clock": (48, 58, "phase, and mode by\nthe estimate", _BOTH),
     "reference": (67, 58, "looks up reference\nand target", _BOTH),
     "feedforward": (88, 58, "motor target that\ncarries the load", _BOTH),
     "stand": (48, 72, "draws stand\ncommand", _SIMULATED),

@@ -94,7 +94,7 @@ PARTS = (rollouts, controllers, walks, networks, training)
 
 @pytest.fixture(scope="module")
 def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Found]:
-    """What the parts give under the usual defaults."""
+    """Entries that each part gives under the usual defaults."""
     return {part.__name__: seeded(part, tmp_path_factory.mktemp("usual")) for part in PARTS}
 
 

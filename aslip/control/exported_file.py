@@ -59,8 +59,8 @@ def open_policy(path: Path, robot: Robot) -> tuple[onnxruntime.InferenceSession,
             has = [(entry["name"], *entry["shape"]) for entry in described]
             is_ = [(entry.name, *entry.shape) for entry in found]
             if has != is_:
-                odd: Any = sorted(set(has) ^ set(is_)) or f"order {[n for n, *_ in is_]}"
-                raise damaged(path, f"{kind} of its graph differ from its contract: {odd}")
+                unexpected: Any = sorted(set(has) ^ set(is_)) or f"order {[n for n, *_ in is_]}"
+                raise damaged(path, f"{kind} of its graph differ from its contract: {unexpected}")
         _run_once(session, contract)
     return session, contract
 

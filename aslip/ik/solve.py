@@ -124,7 +124,7 @@ def newton(kinematics: Kinematics, feet: FootMotion) -> tuple[np.ndarray, np.nda
 def _obstacle(
     kinematics: Kinematics, foot: FootMotion, configuration: np.ndarray, side: int
 ) -> str:
-    """What keeps a leg from the target of one pose: joint limits, or distance, in words."""
+    """Reason why a leg does not reach the target of one pose: joint limits, or a distance."""
     equations = Equations.at(kinematics, configuration, foot)
     if not equations.solved(TOLERANCE)[0, side]:
         miss, turn = np.linalg.norm(equations.residual[0, side, POSITION]), equations.toe_angle()

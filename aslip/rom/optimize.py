@@ -217,14 +217,14 @@ def _failure(
         status = opti.stats()["return_status"]
     except RuntimeError:  # an error before the solver's end
         status = str(error).rpartition("\n")[2]
-    told = f"no solution for {problem.title(command)}: IPOPT stopped with {status}"
+    failure = f"no solution for {problem.title(command)}: IPOPT stopped with {status}"
     if status not in ABOUT_THE_PROBLEM:
-        return SolverError(f"{told}, which does not mean that there is none; try again")
+        return SolverError(f"{failure}, which does not mean that there is none; try again")
     x, lam = opti.debug.value(opti.x), np.zeros(opti.ng)
     _, g, lower, upper = (v.full().ravel() for v in problem.optimality(x, lam, command))
     nearest = slacks(problem, g, lower, upper)
     worst = min(nearest, key=lambda name: nearest[name])
     return GaitOptimizationError(
-        f"{told} after {opti.stats()['iter_count']} iterations; worst constraint: {worst},"
+        f"{failure} after {opti.stats()['iter_count']} iterations; worst constraint: {worst},"
         f" violated by {max(-nearest[worst], 0.0):.2e}"
     )

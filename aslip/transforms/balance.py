@@ -25,8 +25,8 @@ from aslip.robot import CASSIE, Robot
 from aslip.transforms.rotation import conjugate, rotate_inverse
 
 PENDULUM_RATE: Final = 2.85
-"""Rate omega of the pendulum [1/s] that predicts best where the shipped policy's robots put their
-feet; a point mass at the height of a standing pelvis has 3.24."""
+"""Rate omega of the pendulum [1/s], fitted to footsteps of the shipped policy after pushes; a point
+mass at the height of a standing pelvis has 3.24."""
 
 LARGEST_SHARE: Final = 0.4
 """Largest distance of the divergent component from the middle, along the line from foot to foot, as

@@ -134,7 +134,8 @@ def reference_and_goal(
         command: (*b, c) one value per axis of the library.
         phase: (*b, 1) stride fraction.
         motor_lead: time by which the motor entries are ahead of the phase, in policy steps.
-        standing: mode (*b, 1) and wish to stand (*b, 1); robots walk by default.
+        standing: mode (*b, 1) and stand command (*b, 1), of robots that stay steady until then;
+            robots walk by default.
     """
     # one lookup for all instants takes half the time of two lookups
     leads = list(dict.fromkeys([0.0, 1.0, motor_lead]))

@@ -284,7 +284,7 @@ def record(
 
 @contextmanager
 def commands_kept(env: StackEnv) -> Iterator[None]:
-    """Suspend the environment's own changes of the command, and its wishes to stand."""
+    """Suspend the environment's own changes of the command, and its stand commands."""
     changing = [t for t in env.transforms if isinstance(t, RandomCommand | StandCommand)]
     wishing = [t for t in changing if isinstance(t, StandCommand)]
     intervals, shares = [t.interval for t in changing], [t.share for t in wishing]

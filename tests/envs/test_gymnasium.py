@@ -151,7 +151,7 @@ def test_vector_steps_equal_the_steps_of_the_stack(four: GymVectorEnv) -> None:
 
 
 def test_robots_are_reset_in_the_step_after_the_end_of_their_episode() -> None:
-    """As `NormalizeObservation` needs it; the other robots walk on as if none was reset."""
+    """`NormalizeObservation` accepts this mode; robots that are not reset walk on bit-equal."""
     inner = GymVectorEnv(3, AutoresetMode.NEXT_STEP, seed=0, num_threads=1)
     envs, ours = NormalizeObservation(inner), aslip.make_env(num_envs=3, seed=0, num_threads=1)
     envs.reset(seed=1, options={"command": 0.2})

@@ -57,7 +57,7 @@ def test_difficulty_carries_over_the_episodes_of_a_training() -> None:
 
 
 def test_episodes_go_on_in_another_environment_at_their_difficulty() -> None:
-    """As after a resume; requests for resets have nothing but a mask."""
+    """Difficulty after a resume, where requests for resets have nothing but a mask."""
     first, other = make(2), make(2)
     td, bad = first.reset(), torch.zeros(2, 10)
     for env in (first, first, other):

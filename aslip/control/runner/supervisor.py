@@ -326,8 +326,8 @@ def _lost(estimate: Mapping[str, np.ndarray]) -> str:
     Empty if there are none.
     """
     lost = lost_entries(estimate)
-    if odd := [name for name in lost if not np.isfinite(estimate[name]).all()]:
-        return f"estimates are not finite: {', '.join(odd)}"
+    if missing := [name for name in lost if not np.isfinite(estimate[name]).all()]:
+        return f"estimates are not finite: {', '.join(missing)}"
     values = (
         f"{name} is {np.round(estimate[name].astype(np.float64), 3).tolist()}" for name in lost
     )
