@@ -11,7 +11,7 @@ A library of optimal actuated-SLIP walking gaits guides a policy for the biped C
 Names are imported on first use: `import aslip` alone loads no library.
 """
 
-from aslip.imports import attach, mujoco_gl_problem
+from aslip.base.imports import attach, mujoco_gl_problem
 
 __version__ = "0.1.0"
 

@@ -33,19 +33,20 @@ from torchrl import torchrl_logger
 from tqdm import tqdm
 
 import aslip
-from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, check_policy_fits, shipped_library
+from aslip.base.interval import Interval
+from aslip.envs import EPISODE_ENDS, ON_TRUTH, StackEnv, shipped_library
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.library.footholds import Footholds
 from aslip.library.library import SHIPPED
 from aslip.log import read, read_walk
-from aslip.policy import add_memory, policy_library, policy_stack
+from aslip.policy import add_memory, check_policy_fits, policy_library, policy_stack
 from aslip.robot import CASSIE, SIDES
 from aslip.rom import Gait
-from aslip.show.ghost import Footholds
 from aslip.show.plots import save_figure
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
 from aslip.training.run import write_text
-from aslip.walking import Interval, Walks, command_library, next_start, record_walks, walk
+from aslip.walking import Walks, command_library, next_start, record_walks, walk
 from benchmarks.flags import Common, WithLibrary
 
 __all__ = [

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
+from aslip.base.assets import UserPaths
 from aslip.errors import ConfigurationError
-from aslip.files.assets import UserPaths
 
 
 @dataclass(frozen=True)

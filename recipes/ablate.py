@@ -19,8 +19,8 @@ from typing import ClassVar
 
 from ablate_settings import AblationConfig
 
+from aslip.base.command_line import command_line, this_command
 from aslip.errors import one_line_errors
-from aslip.training.command_line import command_line, this_command
 
 NAMES = (
     "default", "no_com_vel", "no_foot_pos", "no_straight_diff", "no_foot_orient", "no_action_diff",

@@ -22,8 +22,8 @@ from typing import ClassVar
 
 from ablate_settings import AblationConfig
 
+from aslip.base.command_line import command_line, this_command
 from aslip.errors import one_line_errors
-from aslip.training.command_line import command_line, this_command
 
 NAMES = (
     "default", "no_randomise", "no_pushes", "no_privileged", "no_curriculum", "no_effort",

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+from aslip.base.assets import UserPaths
 from aslip.errors import ConfigurationError, UnknownNameError
-from aslip.files.assets import UserPaths
 
 
 @dataclass(frozen=True)

@@ -13,14 +13,16 @@ from typing import Any, Final
 import numpy as np
 from ablate_settings import AblationConfig
 
+from aslip.base.interval import Interval
+from aslip.base.tables import markdown
+from aslip.base.writing import claimed
 from aslip.envs import MAX_EPISODE_STEPS
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.files.writing import claimed
 from aslip.show.plots import compare_learning, save_figure
 from aslip.training.progress import read_progress
 from aslip.training.run import write_text
 from aslip.training.settings import SETTINGS_FILE, read_settings
-from aslip.walking import TRACKING_TOLERANCE, Interval, WalkResult, markdown
+from aslip.walking import TRACKING_TOLERANCE, WalkResult
 
 NEVER: Final = 10**12
 """Interval of evaluations for short trainings, which shall have none [policy steps]."""

@@ -21,10 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.files.assets import UserPaths
 from aslip.rom import DIRECTION_MODEL, Objective, SlipParameters
-from aslip.training.command_line import command_line
 
 LIMITS = (
     (1.0, 1.6, -2.1, 3.85),
@@ -94,8 +94,10 @@ import torch
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
+from aslip.base.provenance import provenance, versions
+from aslip.base.tables import markdown
+from aslip.base.writing import claimed, replacing
 from aslip.errors import SpeedOutOfRangeError
-from aslip.files.writing import claimed, replacing
 from aslip.library import (
     DirectionGrid,
     GaitFolder,
@@ -107,10 +109,8 @@ from aslip.library import (
 )
 from aslip.robot import SIDES
 from aslip.rom import Gait, optimize_transitions
+from aslip.show.gait_region import region_figure
 from aslip.show.plots import save_figure
-from aslip.show.region import region_figure
-from aslip.training.provenance import provenance, versions
-from aslip.walking import markdown
 
 _HEADER = (
     *("forward", "sideways", "yaw_rate", "stride", "double_stance", "step_width", "cost"),

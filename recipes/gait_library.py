@@ -10,11 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.files.assets import UserPaths
 from aslip.library import PAPER_SPEEDS
 from aslip.rom import PHASE_SAMPLES, Objective, SlipParameters
-from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -65,10 +65,10 @@ import numpy as np
 from tqdm import tqdm
 
 import aslip
+from aslip.base.provenance import versions
 from aslip.library import GaitLibrary
 from aslip.rom import Gait, Mode, optimize_gaits
 from aslip.show.plots import gait_figure, gait_sheet, save_figure
-from aslip.training.provenance import versions
 
 
 def main(config: Config) -> None:

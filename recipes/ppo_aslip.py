@@ -39,7 +39,8 @@ from torchrl.objectives.value import GAE
 from torchrl.record.loggers import Logger
 
 import aslip
-from aslip.envs import StackEnv, observation_keys, policy_interface
+from aslip.base.decorators import on_cpu_in_single
+from aslip.envs import StackEnv, observation_keys
 from aslip.policy import (
     MakeActor,
     PolicyShape,
@@ -47,6 +48,7 @@ from aslip.policy import (
     is_recurrent,
     make_actor,
     make_critic,
+    policy_interface,
     save_policy,
     set_std,
     update_normalizers,
@@ -64,7 +66,6 @@ from aslip.training.loop import training_loop
 from aslip.training.progress import Progress
 from aslip.training.run import TrainingRun
 from aslip.training.settings import read_settings
-from aslip.transforms.base import on_cpu_in_single
 from aslip.walking import WalkResult, evaluate, evaluation_means, walk_table
 
 

@@ -18,8 +18,8 @@ from pathlib import Path
 
 from ppo_settings import Config, resume_command, run_settings, with_schedule
 
+from aslip.base.command_line import command_line, usage_error
 from aslip.errors import AslipError, ConfigurationError, one_line_errors
-from aslip.training.command_line import command_line, usage_error
 from aslip.training.settings import check_positive
 
 

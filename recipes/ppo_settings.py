@@ -14,10 +14,10 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import preset_command_line, program, usage_error
+from aslip.base.imports import extras
 from aslip.errors import AslipError, ConfigurationError
-from aslip.files.assets import UserPaths
-from aslip.imports import extras
-from aslip.training.command_line import preset_command_line, program, usage_error
 from aslip.training.settings import check_positive, check_shares, check_types, read_settings
 
 with extras():

@@ -15,9 +15,9 @@ Gaussian policy. The replay buffer stores only the entries that the loss reads, 
 from dataclasses import dataclass
 from pathlib import Path
 
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.files.assets import UserPaths
-from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)
@@ -55,18 +55,18 @@ from torchrl.objectives import SACLoss, SoftUpdate
 from tqdm import tqdm
 
 import aslip
-from aslip.envs import policy_interface
+from aslip.base.decorators import on_cpu_in_single
 from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
     action_mirror,
     observation_mirror,
+    policy_interface,
     save_policy,
 )
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import ProgressLog
 from aslip.transforms import ActionDelta
-from aslip.transforms.base import on_cpu_in_single
 
 _LIMIT = 0.4  # largest action [rad]
 _CELLS = 256

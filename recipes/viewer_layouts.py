@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import command_line
 from aslip.errors import one_line_errors
-from aslip.files.assets import UserPaths
-from aslip.training.command_line import command_line
 
 
 @dataclass(frozen=True)

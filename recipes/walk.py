@@ -20,12 +20,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import command_line
 from aslip.envs import Backend
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.files.assets import UserPaths
 from aslip.log import JointRate
-from aslip.show.places import RomPlace
-from aslip.training.command_line import command_line
+from aslip.show.model_place import RomPlace
 
 
 @dataclass(frozen=True)
@@ -125,16 +125,17 @@ from tensordict import TensorDictBase
 from tqdm import tqdm
 
 import aslip
+from aslip.base.processes import signals_exit
+from aslip.base.tables import markdown
 from aslip.envs import EPISODE_ENDS, ON_TRUTH, STACKS
 from aslip.library import Schedule, numbers
 from aslip.library.schedule import STAND
 from aslip.log import Recorder
 from aslip.policy import policy_stack
-from aslip.processes import signals_exit
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
 from aslip.show.film import Frame, Look, make_film, seconds_per_frame
-from aslip.walking import Push, Walker, command_library, markdown, policy_steps
+from aslip.walking import Push, Walker, command_library, policy_steps
 
 # columns of the pelvis velocity in a row [world]
 _AXES = ("velocity_x", "velocity_y")

@@ -13,8 +13,8 @@ import pytest
 import torch
 
 import aslip
-from aslip.control.runner.load import standing_estimate
 from aslip.envs import BatchEnv
+from aslip.network.runner.load import standing_estimate
 from aslip.policy import (
     PolicyShape,
     RunningNormalizer,

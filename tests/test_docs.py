@@ -15,11 +15,11 @@ import pytest
 from packaging.specifiers import SpecifierSet
 
 import aslip
+from aslip.base.command_line import command_line, preset_command_line
 from aslip.envs import standing_stack
 from aslip.log import Recorder
 from aslip.log.__main__ import main as log_main
-from aslip.training.command_line import command_line, preset_command_line
-from benchmarks import step_frequency
+from benchmarks.paper import step_frequency
 from docs import diagrams
 from recipes.ppo_settings import PRESETS
 from tests.library.standing import standing_library

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from benchmarks.learning_curves import report
-from benchmarks.learning_record import read_record
+from benchmarks.scorecard.learning_curves import report
+from benchmarks.scorecard.learning_record import read_record
 from tests.pages import DOCS, PAGES
 
 

@@ -19,38 +19,26 @@ ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "aslip"
 
 # room -> rooms that it may import in addition to itself and the rooms that all may import
-_BELOW_ALL = {"errors", "files", "imports", "processes"}
+_BELOW_ALL = {"errors", "base"}
 _MAY_IMPORT: dict[str, set[str]] = {
     "errors": set(),
-    "files": set(),
-    "imports": set(),
-    "processes": set(),
+    "base": set(),
     "robot": set(),
     "rom": set(),
     "ik": {"robot"},
     "library": {"robot", "rom", "ik"},
-    "wire": {"robot"},
     "estimation": {"robot"},
     "sim": {"robot"},
-    "twin": {"robot", "wire", "estimation", "sim", "training", "show"},
     "transforms": {"robot", "library", "estimation", "sim"},
-    "policy": {"robot", "transforms"},
-    "control": {
-        "robot",
-        "library",
-        "estimation",
-        "transforms",
-        "policy",
-        "wire",
-        "training",
-        "log",
-    },
-    "envs": {"robot", "library", "estimation", "sim", "transforms", "policy"},
+    "envs": {"robot", "library", "estimation", "sim", "transforms"},
+    "policy": {"robot", "library", "transforms", "envs"},
+    "control": {"robot", "library", "estimation", "transforms", "policy"},
     "training": {"robot", "sim", "transforms", "policy", "envs"},
     "walking": {"robot", "library", "transforms", "policy", "envs"},
     "show": {"robot", "rom", "library", "transforms", "policy", "envs", "walking"},
     "log": {"robot", "library", "estimation", "sim", "transforms", "policy", "envs"}
     | {"training", "walking", "show"},
+    "network": {"robot", "library", "estimation", "sim", "policy", "control", "show", "log"},
 }
 # libraries with a long import time
 _HEAVY = {
@@ -66,22 +54,24 @@ _HEAVY = {
 # room -> libraries that it must not import
 _FOREIGN = {
     "errors": _HEAVY,
-    "files": _HEAVY,
-    "imports": _HEAVY,
-    "processes": _HEAVY,
+    "base": _HEAVY - {"torch", "tensordict"},
     "robot": _HEAVY - {"mujoco"},
     "rom": _HEAVY - {"casadi"},
     "ik": _HEAVY - {"pinocchio"},
     "library": {"mujoco", "dm_control", "torchrl"},
-    "wire": _HEAVY,
     "estimation": _HEAVY,
     "sim": _HEAVY - {"mujoco", "pydrake"},
-    **dict.fromkeys(("twin/robot", "twin/real_time"), _HEAVY - {"mujoco", "pydrake"}),
-    "envs": {"casadi", "pinocchio"},
     "transforms": {"mujoco", "casadi", "pinocchio", "dm_control"},
-    "policy": {"mujoco", "casadi", "pinocchio", "dm_control"},
-    "control/controller": {"mujoco", "casadi", "pinocchio", "dm_control"},
+    "envs": {"casadi", "pinocchio"},
+    **dict.fromkeys(
+        ("policy/file", "policy/networks", "policy/symmetry", "control/controller"),
+        frozenset({"mujoco", "casadi", "pinocchio", "dm_control"}),
+    ),
     "control/exported": _HEAVY,
+    "network/wire": _HEAVY,
+    **dict.fromkeys(
+        ("network/twin/robot", "network/twin/real_time"), _HEAVY - {"mujoco", "pydrake"}
+    ),
 }
 
 
@@ -293,8 +283,8 @@ def test_state_estimation_needs_numpy_and_numba_only() -> None:
 def test_the_wire_needs_numpy_only() -> None:
     loaded = _loaded_after(
         "import numpy as np\n"
-        "from aslip.wire import LOOPBACK, PD_IN, STATE_OUT, Address, Endpoint, Link\n"
-        "from aslip.wire import command_to_pd_in\n"
+        "from aslip.network.wire import LOOPBACK, PD_IN, STATE_OUT, Address, Endpoint, Link\n"
+        "from aslip.network.wire import command_to_pd_in\n"
         "link = Link(PD_IN, STATE_OUT, refuse_not_finite=False)\n"
         "with Endpoint(link, Address(LOOPBACK, 0), Address(LOOPBACK, 1)) as endpoint:\n"
         "    endpoint.send(command_to_pd_in(np.zeros(10)))"
@@ -304,7 +294,7 @@ def test_the_wire_needs_numpy_only() -> None:
 
 
 def test_the_runner_of_an_exported_policy_needs_numpy_only() -> None:
-    loaded = _loaded_after("from aslip.control.__main__ import Config, main")
+    loaded = _loaded_after("from aslip.network.runner.__main__ import Config, main")
     assert "numpy" in loaded
     assert not loaded & (_HEAVY | {"numba", "scipy"})
 

@@ -28,14 +28,7 @@ from torchrl.modules import MLP, ValueOperator
 from torchrl.objectives import SACLoss, SoftUpdate
 
 import aslip
-from aslip.envs import (
-    BatchEnv,
-    StackEnv,
-    default_stack,
-    insert_before,
-    policy_interface,
-    robot_stack,
-)
+from aslip.envs import BatchEnv, StackEnv, default_stack, insert_before, robot_stack
 from aslip.errors import ConfigurationError
 from aslip.policy import (
     MakeActor,
@@ -43,6 +36,7 @@ from aslip.policy import (
     RunningNormalizer,
     add_memory,
     make_recurrent_actor,
+    policy_interface,
     read_card,
     save_policy,
 )  # fmt: skip
@@ -53,7 +47,7 @@ from aslip.training.progress import read_progress
 from aslip.transforms import ActionDelta, SeededTransform, WeightedReward, extend_spec
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from aslip.walking import Walker
-from benchmarks import velocity_tracking
+from benchmarks.paper import velocity_tracking
 from recipes import ppo_aslip, sac_aslip
 from recipes.ppo_aslip import Config
 from tests import helpers

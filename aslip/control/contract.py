@@ -23,8 +23,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from aslip.base.archive import from_npy, read_zip
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError, machine_failed
-from aslip.files.archive import from_npy, read_zip
 from aslip.robot import Robot
 
 CONTRACT_VERSION: Final = 2

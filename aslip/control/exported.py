@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aslip.base.assets import user_path
 from aslip.control.contract import TOLERANCE, damaged, explained, wrong
-from aslip.control.exported_file import TYPES, check_order, library_sha256, open_policy, try_steps
-from aslip.control.own_estimate import (
+from aslip.control.estimates import (
     POSITION,
     check_rows,
     is_estimate,
@@ -23,8 +23,8 @@ from aslip.control.own_estimate import (
     split_estimate,
     start_heading,
 )
+from aslip.control.exported_file import TYPES, check_order, library_sha256, open_policy, try_steps
 from aslip.errors import AssetError, ConfigurationError, ShapeError
-from aslip.files.assets import user_path
 from aslip.robot import CASSIE, Robot
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from aslip.base.imports import extras
 from aslip.control.contract import Contract, damaged, explained, observed_name, read_sealed, wrong
-from aslip.control.own_estimate import split_estimate, standing_estimate
-from aslip.imports import extras
+from aslip.control.estimates import split_estimate, standing_estimate
 from aslip.robot import Robot
 
 with extras():

@@ -9,10 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.transforms.balance import find_balance
-from aslip.transforms.base import on_cpu_in_single
 from aslip.transforms.clock import advance_phase
 from aslip.transforms.command import approach_command
 from aslip.transforms.reference import reference_and_goal

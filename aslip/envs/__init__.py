@@ -19,6 +19,6 @@ of an environment are never edited in place, as TorchRL would keep stale specs: 
 make another environment.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,6 +1,10 @@
 from .batch import BatchEnv as BatchEnv
 from .choices import Backend as Backend
 from .choices import RewardSource as RewardSource
+from .describe import command_speeds as command_speeds
+from .describe import describe_transforms as describe_transforms
+from .describe import library_of as library_of
+from .describe import observation_keys as observation_keys
 from .directions import directions_stack as directions_stack
 from .directions import standing_stack as standing_stack
 from .dm_control import DmControlEnv as DmControlEnv
@@ -12,14 +16,6 @@ from .edit import insert_before as insert_before
 from .edit import randomise_stack as randomise_stack
 from .gymnasium import GymEnv as GymEnv
 from .gymnasium import GymVectorEnv as GymVectorEnv
-from .interface import baseline_key as baseline_key
-from .interface import check_policy_fits as check_policy_fits
-from .interface import command_speeds as command_speeds
-from .interface import describe_transforms as describe_transforms
-from .interface import library_of as library_of
-from .interface import observation_keys as observation_keys
-from .interface import policy_interface as policy_interface
-from .interface import stack_name as stack_name
 from .keep import KeepKeys as KeepKeys
 from .make import make_env as make_env
 from .physics import BipedPhysics as BipedPhysics

@@ -8,11 +8,11 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from aslip.base.checks import check_count
 from aslip.envs.simulated_env import SimulatedEnv
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, load_model
 from aslip.sim import PD, MakeDrive, SimulationPool, Snapshot
-from aslip.sim.checks import check_count
 from aslip.sim.dynamics import with_longer_memory
 
 MAX_BATCH_ENVS: Final = 65_536

@@ -25,13 +25,13 @@ with warnings.catch_warnings():
     from dm_control.suite import base
     from dm_control.utils import rewards
 
+from aslip.base.checks import check_count, check_states
 from aslip.envs.physics import BipedPhysics
 from aslip.envs.simulated_env import SimulatedEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
 from aslip.sim import PD, MakeDrive, Snapshot
-from aslip.sim.checks import check_count, check_states
 from aslip.sim.dynamics import with_longer_memory, write_fields
 
 MAX_DM_CONTROL_ENVS: Final = 1_024

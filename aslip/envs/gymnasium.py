@@ -20,7 +20,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from aslip.imports import extras
+from aslip.base.imports import extras
 
 with extras():
     import gymnasium
@@ -28,14 +28,14 @@ with extras():
     from gymnasium.vector import AutoresetMode, VectorEnv
     from gymnasium.vector.utils import batch_space
 
+from aslip.base.checks import check_count
+from aslip.base.decorators import check_types, on_cpu_in_single
 from aslip.envs.make import make_env
 from aslip.envs.stack_env import StackEnv, check_seed
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE
 from aslip.robot.model import APPEARANCE_GROUP, load_model
 from aslip.robot.opengl import make_renderer
-from aslip.sim.checks import check_count
-from aslip.transforms.base import check_types, on_cpu_in_single
 
 _FRAME_RATE = round(1 / CASSIE.policy_period)
 Info = dict[str, Any]

@@ -13,6 +13,7 @@ from torch.nn.parameter import is_lazy
 from torchrl.envs import EnvBase
 from torchrl.envs.transforms import Transform
 
+from aslip.base.decorators import check_types, on_cpu_in_single
 from aslip.envs import Backend, BatchEnv, RewardSource, RobotEnv, SimulatedEnv
 from aslip.envs.edit import Stack, edit_stack
 from aslip.envs.keep import KeepKeys
@@ -22,7 +23,6 @@ from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION
-from aslip.transforms.base import check_types, on_cpu_in_single
 
 
 @check_types

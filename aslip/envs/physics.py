@@ -14,13 +14,13 @@ with warnings.catch_warnings():
     from dm_control import mujoco
     from dm_control.mujoco.wrapper import MjData
 
+from aslip.base.assets import asset_path
+from aslip.base.checks import check_states
 from aslip.errors import ShapeError
-from aslip.files.assets import asset_path
 from aslip.robot import CASSIE, SIDES, Side
 from aslip.robot.model import DEFAULT_FLOOR_FRICTION, limit_warnings, set_floor_friction
 from aslip.robot.rotation import matrix_to_quaternion, rotate_inverse
 from aslip.sim import PD, Drive, MakeDrive, Sensors, Snapshot
-from aslip.sim.checks import check_states
 from aslip.sim.simulations import watched_size
 from aslip.sim.truth import positive_power, true_state
 

@@ -27,9 +27,9 @@ from torch import Tensor
 from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 from torchrl.envs import EnvBase
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
-from aslip.transforms.base import on_cpu_in_single
 
 
 class RobotEnv(EnvBase):

@@ -37,13 +37,13 @@ from tensordict import TensorDictBase
 from torch import Tensor
 from torchrl.data import Binary, Composite, TensorSpec, Unbounded
 
+from aslip.base.checks import check_ids
+from aslip.base.decorators import on_cpu_in_single
 from aslip.envs.robot_env import RobotEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.robot import CASSIE, Robot
 from aslip.sim import PD, Dynamics, MakeDrive, Snapshot, true_state
-from aslip.sim.checks import check_ids
 from aslip.sim.dynamics import longest_delay, with_memory_of
-from aslip.transforms.base import on_cpu_in_single
 
 # kept in double precision, for logs and replay
 _DOUBLE = ("qpos", "qvel")

@@ -19,10 +19,11 @@ from torchrl.envs.transforms import (
     Transform,
 )
 
+from aslip.base.checks import check_count
+from aslip.base.decorators import on_cpu_in_single
 from aslip.envs.robot_env import RobotEnv
 from aslip.envs.simulated_env import SimulatedEnv, reset_request
 from aslip.errors import ConfigurationError
-from aslip.sim.checks import check_count
 from aslip.transforms import (
     ActionDelta,
     EncoderOffsets,
@@ -37,7 +38,7 @@ from aslip.transforms import (
     SeededTransform,
     WeightedReward,
 )
-from aslip.transforms.base import on_cpu_in_single, require_keys
+from aslip.transforms.base import require_keys
 
 
 class StackEnv(TransformedEnv):

@@ -4,6 +4,6 @@ Robots and simulations run `StateEstimator`. It screens the packets (`packets`),
 positions and forces (`legs`), and fuses them with the IMU (`filter`).
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -34,8 +34,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
-from aslip.robot.compiled import compiled
 
 TUNED_PERIOD: Final = 0.003
 """Time between packets for which `FilterNoise` gives the errors of single readings [s]."""

@@ -26,9 +26,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aslip.base.compiled import compiled
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, SIDES, Robot, Side
-from aslip.robot.compiled import compiled
 from aslip.robot.skeleton import Body, Skeleton
 
 HEEL, TOE, LATERAL, FORCE = range(4)

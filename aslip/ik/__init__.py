@@ -5,6 +5,6 @@ closures. All arguments and results follow MuJoCo's conventions (wxyz quaternion
 as in `mujoco.MjData`).
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

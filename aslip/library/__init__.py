@@ -10,6 +10,6 @@ A library is made of motions of any reduced-order model, see `aslip.rom.Motion`.
 imports none of CasADi, Pinocchio and MuJoCo.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

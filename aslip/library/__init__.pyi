@@ -2,6 +2,7 @@ from .directions import DirectionGrid as DirectionGrid
 from .directions import GaitFolder as GaitFolder
 from .directions import convex_gaits as convex_gaits
 from .directions import solve_directions as solve_directions
+from .footholds import Footholds as Footholds
 from .library import GaitLibrary as GaitLibrary
 from .pendulum import pendulum_library as pendulum_library
 from .pendulum import single_reference_library as single_reference_library

@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
+from aslip.base.archive import ArchiveFormat, from_npy, npy
+from aslip.base.assets import user_path
+from aslip.base.processes import processors, worker_pool
 from aslip.errors import FileDamagedError
-from aslip.files.archive import ArchiveFormat, from_npy, npy
-from aslip.files.assets import user_path
 from aslip.ik import Kinematics
 from aslip.library.rows import FramedMotion, Rows
-from aslip.processes import processors, worker_pool
 from aslip.robot import Robot
 from aslip.rom.motion import Motion
 

@@ -20,6 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
+from aslip.base.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.base.assets import UserPaths
+from aslip.base.processes import processors, worker_pool
+from aslip.base.writing import claimed
 from aslip.errors import (
     ConfigurationError,
     FileDamagedError,
@@ -27,13 +31,9 @@ from aslip.errors import (
     SpeedOutOfRangeError,
     UnreachablePoseError,
 )
-from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.files.assets import UserPaths
-from aslip.files.writing import claimed
 from aslip.ik import Kinematics, LegClearance
 from aslip.library.region import inside_hull
 from aslip.library.tabulate import tabulate
-from aslip.processes import processors, worker_pool
 from aslip.robot import CASSIE, Robot
 from aslip.rom import (
     DIRECTION_MODEL,

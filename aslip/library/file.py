@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from aslip.base.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.errors import AssetError
-from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.library.table import ARRAYS, GaitTable
 from aslip.library.transitions import TRANSITION_ARRAYS, TransitionTable
 from aslip.robot import CASSIE, Robot

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from aslip.base.assets import asset_path, user_path
 from aslip.errors import ConfigurationError, ShapeError, SpeedOutOfRangeError
-from aslip.files.assets import asset_path, user_path
 from aslip.library.file import read_library, write_library
 from aslip.library.interpolation import CommandGrid, LocalTable, PeriodicTable, multilinear
 from aslip.library.reference import COLUMNS, Reference

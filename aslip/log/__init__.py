@@ -7,6 +7,6 @@
 From a shell: `python -m aslip.log info | check | recover | replay --verify`.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from aslip import log
+from aslip.base.assets import user_path
+from aslip.base.command_line import prepare_program, usage_error
 from aslip.errors import AslipError, FileDamagedError
-from aslip.files.assets import user_path
-from aslip.training.command_line import prepare_program, usage_error
 
 
 def main(arguments: list[str] | None = None) -> int:

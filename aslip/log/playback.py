@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from aslip.base.assets import user_path
 from aslip.errors import AslipError, ConfigurationError
-from aslip.files.assets import user_path
 from aslip.log.frozen_model import low_level_digest, model_digest
 from aslip.log.reader import Recording, read
 from aslip.robot import CASSIE

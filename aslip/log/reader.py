@@ -17,9 +17,9 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap_ros2.decoder import DecoderFactory
 
+from aslip.base.archive import open_file
+from aslip.base.assets import user_path
 from aslip.errors import FileDamagedError, UnknownNameError, machine_failed
-from aslip.files.archive import open_file
-from aslip.files.assets import user_path
 from aslip.log import messages
 from aslip.log.records import METADATA_HASH, FormatError, check_checksums, intact_records
 from aslip.log.writer import END_METADATA, HASH_KEY, METADATA

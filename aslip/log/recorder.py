@@ -17,6 +17,10 @@ from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
 import aslip
+from aslip.base.assets import user_path
+from aslip.base.checks import check_count
+from aslip.base.decorators import check_types
+from aslip.base.provenance import commit, versions
 from aslip.envs import (
     SimulatedEnv,
     StackEnv,
@@ -25,19 +29,15 @@ from aslip.envs import (
     observation_keys,
 )
 from aslip.errors import AslipError, ConfigurationError
-from aslip.files.assets import user_path
 from aslip.library import GaitLibrary
+from aslip.library.footholds import Footholds
 from aslip.log import JointRate, messages
 from aslip.log.frozen_model import freeze_model, low_level_digest, model_digest
 from aslip.log.session import Session
 from aslip.log.writer import LogWriter, refuse_existing
 from aslip.policy import POLICY_FILE, find_policy
 from aslip.robot import CASSIE
-from aslip.show.ghost import Footholds
 from aslip.sim import PD
-from aslip.sim.checks import check_count
-from aslip.training.provenance import commit, versions
-from aslip.transforms.base import check_types
 
 CONFIG_FILE = "config.json"
 

@@ -10,9 +10,9 @@ from typing import IO
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
 from mcap.writer import Writer
 
+from aslip.base.archive import open_file
+from aslip.base.assets import user_path
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.files.archive import open_file
-from aslip.files.assets import user_path
 from aslip.log.reader import check_metadata
 from aslip.log.records import intact_records
 from aslip.log.writer import METADATA, add_metadata, finish_file, open_writer

@@ -10,6 +10,7 @@ import numpy as np
 from tensordict import TensorDictBase
 
 from aslip.envs import SimulatedEnv
+from aslip.library.footholds import Footholds
 from aslip.log import messages
 from aslip.log.bodies import LoggedKinematics, robot_description
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES
@@ -17,7 +18,7 @@ from aslip.log.template import Marks, Template, joints_template, state_template,
 from aslip.log.writer import LogWriter
 from aslip.robot import CASSIE, SIDES
 from aslip.robot.model import load_model
-from aslip.show.ghost import Footholds, Ghost
+from aslip.show.ghost import Ghost
 from aslip.walking.metrics.contact import CONTACT_FORCE
 
 _SUBSTEP_NS = round(CASSIE.physics_timestep * 1e9)

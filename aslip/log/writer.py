@@ -20,8 +20,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 import aslip
+from aslip.base.writing import commit
 from aslip.errors import ConfigurationError
-from aslip.files.writing import commit
 from aslip.log.messages import MessageType
 from aslip.log.records import METADATA_HASH, metadata_hash
 

@@ -10,6 +10,10 @@ from .file import policy_library as policy_library
 from .file import policy_stack as policy_stack
 from .file import read_card as read_card
 from .file import save_policy as save_policy
+from .interface import baseline_key as baseline_key
+from .interface import check_policy_fits as check_policy_fits
+from .interface import policy_interface as policy_interface
+from .interface import stack_name as stack_name
 from .networks import PolicyShape as PolicyShape
 from .networks import RunningNormalizer as RunningNormalizer
 from .networks import action_layers as action_layers

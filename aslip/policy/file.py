@@ -20,13 +20,13 @@ from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import ProbabilisticActor
 
+from aslip.base.archive import ArchiveFormat, as_json, from_npy, npy
+from aslip.base.assets import asset_path, user_path
+from aslip.base.decorators import check_types, on_cpu_in_single
 from aslip.errors import AssetError, ConfigurationError, UnknownNameError
-from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
-from aslip.files.assets import asset_path, user_path
 from aslip.policy.networks import PolicyShape, RunningNormalizer, entry_names, make_actor
 from aslip.policy.recurrent import make_recurrent_actor, require_memory
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
-from aslip.transforms.base import check_types, on_cpu_in_single
 from aslip.transforms.command import checked_rates
 
 MakeActor = Callable[[RunningNormalizer, PolicyShape, Sequence[NestedKey]], ProbabilisticActor]
@@ -65,7 +65,7 @@ def save_policy(
 ) -> None:
     """Write a policy for `load_policy`: an archive of plain arrays and JSON.
 
-    `aslip.envs.policy_interface(env)` gives the last six arguments.
+    `aslip.policy.policy_interface(env)` gives the last six arguments.
 
     Args:
         path: path of the file; an existing one is replaced atomically.

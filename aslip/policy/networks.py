@@ -32,10 +32,10 @@ from torchrl.modules import (
     ValueOperator,
 )
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError
 from aslip.policy.symmetry import Mirror, Symmetrised, action_mirror, check_size, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
-from aslip.transforms.base import on_cpu_in_single
 
 # bound of normalised inputs, so that falls do not dominate
 _CLIP = 10.0

@@ -11,10 +11,10 @@ from tensordict.utils import NestedKey
 from torch import Tensor, nn
 from torchrl.modules import MLP, ValueOperator
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.policy.networks import PolicyShape, RunningNormalizer, Scaled
 from aslip.policy.symmetry import Symmetrised, observation_mirror
 from aslip.transforms import OBSERVATION_TABLE
-from aslip.transforms.base import on_cpu_in_single
 
 PRIVILEGED_SIZES: Final[Mapping[str, int]] = MappingProxyType(
     {

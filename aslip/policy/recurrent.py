@@ -23,6 +23,7 @@ from torchrl.envs.transforms import Compose, InitTracker, TensorDictPrimer
 from torchrl.modules import GRUModule, ProbabilisticActor
 from torchrl.modules.utils import get_primers_from_module
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError
 from aslip.policy.networks import (
     PolicyShape,
@@ -32,7 +33,6 @@ from aslip.policy.networks import (
     gaussian_actor,
 )
 from aslip.transforms import OBSERVATION_TABLE
-from aslip.transforms.base import on_cpu_in_single
 
 Env = TypeVar("Env", bound=TransformedEnv)
 Policy = TypeVar("Policy", bound=nn.Module)

@@ -3,6 +3,6 @@
 Only `aslip.robot.model` and `aslip.robot.compile` need MuJoCo; import them by their own names.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

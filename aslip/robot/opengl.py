@@ -20,8 +20,8 @@ from typing import Any
 
 import mujoco
 
+from aslip.base.imports import LIBRARIES, NO_OPENGL, loads, mujoco_gl_problem
 from aslip.errors import RenderingError
-from aslip.imports import LIBRARIES, NO_OPENGL, loads, mujoco_gl_problem
 
 _HINT = (
     "install Mesa's EGL (Debian: libegl1) or OSMesa (libosmesa6), or use a display; MUJOCO_GL=egl,"

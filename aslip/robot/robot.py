@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from aslip.files.assets import asset_path, user_path
+from aslip.base.assets import asset_path, user_path
 from aslip.robot.names import SIDES
 from aslip.robot.noise import NoiseLevel
 from aslip.robot.skeleton import Skeleton, read_skeleton

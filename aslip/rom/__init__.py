@@ -10,6 +10,6 @@ Sampling a motion needs NumPy and SciPy only; CasADi is imported when a gait is 
 package imports neither the robot nor a learning library.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

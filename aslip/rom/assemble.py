@@ -74,7 +74,7 @@ def assemble(
     )
 
 
-def effort(control: np.ndarray, duration: float) -> np.floating:
+def cost_of(control: np.ndarray, duration: float) -> np.floating:
     """Integral of u_l^2 + u_r^2 over a mode [m^2/s^3]."""
     return duration / INTERVALS * np.sum(control**2 @ collocation.weights(INTERVALS))
 

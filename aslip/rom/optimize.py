@@ -12,20 +12,17 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aslip.base.processes import signals_raised
 from aslip.errors import GaitOptimizationError, ShapeError, SolverError, SpeedOutOfRangeError
-from aslip.processes import signals_raised
 from aslip.rom.certificate import Certificate
 from aslip.rom.certify import certify, slacks
+from aslip.rom.full_stride import WholeStride, gait_of_stride, stride_of_gait, stride_problem
 from aslip.rom.gait import Gait
-from aslip.rom.problem import HalfStride, walking_problem
+from aslip.rom.half_stride import HalfStride, fold, unfold, walking_problem
 from aslip.rom.program import GaitProgram
-from aslip.rom.rest import StopAndStart, rest_problem
 from aslip.rom.slip import Objective, SlipParameters
 from aslip.rom.standing import Transition
-from aslip.rom.stride import WholeStride, stride_problem
-from aslip.rom.transitions import ends_of_gait, transitions_of
-from aslip.rom.turn import gait_of_stride, stride_of_gait
-from aslip.rom.unfold import fold, unfold
+from aslip.rom.stop_start import StopAndStart, ends_of_gait, rest_problem, transitions_of
 
 ABOUT_THE_PROBLEM: Final = frozenset(
     {
@@ -133,7 +130,7 @@ def optimize_transitions(gait: Gait) -> tuple[Transition, Transition]:
     """Optimise the stop of a gait in place after its left touchdown, and the start from that rest.
 
     Both feet stay where the gait puts them. The integral of the squared inputs over both motions is
-    minimised; their durations and the height at rest are free, see `aslip.rom.rest`.
+    minimised; their durations and the height at rest are free, see `aslip.rom.stop_start`.
 
     Args:
         gait: gait at zero speed, of `optimize_gait` with one number or three; its model and bounds

@@ -18,12 +18,12 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
+from aslip.base.assets import user_path
+from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
-from aslip.files.assets import user_path
-from aslip.imports import extras
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
-from aslip.show.places import RomPlace
+from aslip.show.model_place import RomPlace
 
 with extras():
     from tqdm import tqdm

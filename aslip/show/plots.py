@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from aslip.base.assets import user_path
+from aslip.base.imports import extras
 from aslip.errors import ConfigurationError
-from aslip.files.assets import user_path
-from aslip.imports import extras
 from aslip.rom import Gait, Mode
 from aslip.show.palette import LEFT, RIGHT
 

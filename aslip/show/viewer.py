@@ -12,12 +12,12 @@ import mujoco.viewer
 import numpy as np
 
 from aslip.errors import RenderingError
+from aslip.library.footholds import yaw_rotation
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.film import Frame
-from aslip.show.ghost import yaw_rotation
+from aslip.show.model_place import BESIDE_STEPS, RomPlace
 from aslip.show.pacing import Pacer
-from aslip.show.places import BESIDE_STEPS, RomPlace
 from aslip.show.render import add_ghost
 
 

@@ -1,5 +1,5 @@
 """Low level at 2 kHz: sensors, motor drive and delay; batches of N simulations."""
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -21,8 +21,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from aslip.base.compiled import compiled
 from aslip.robot import CASSIE, Robot
-from aslip.robot.compiled import compiled
 from aslip.sim.parameters import DRIVE
 
 # the limit falls from its maximum at half the no-load speed to zero at the no-load speed

@@ -17,11 +17,11 @@ from concurrent.futures import ThreadPoolExecutor, wait
 import mujoco
 import numpy as np
 
+from aslip.base.checks import check_count, check_ids, check_states
+from aslip.base.processes import processors
 from aslip.errors import ConfigurationError, ShapeError
-from aslip.processes import processors
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import load_model
-from aslip.sim.checks import check_count, check_ids, check_states
 from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.simulations import Simulations
 from aslip.sim.truth import Snapshot

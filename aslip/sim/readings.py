@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from aslip.robot.compiled import compiled
+from aslip.base.compiled import compiled
 
 MOTOR_VELOCITY_TAPS: Final = np.array([2727, 534, -2658, -795, 72, 110, 19, -6, -3], dtype=float)
 """Filter taps from a motor's counts to its velocity, newest first; the unit of the sum is counts

@@ -21,10 +21,10 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
+from aslip.base.checks import check_count, check_ids, check_states
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.robot import CASSIE, Robot
 from aslip.robot.model import check_timestep, load_model
-from aslip.sim.checks import check_count, check_ids, check_states
 from aslip.sim.drive import PD, MakeDrive
 from aslip.sim.dynamics import DERIVING_FIELDS
 from aslip.sim.parameters import DRIVE

@@ -29,9 +29,9 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 from torchrl.collectors import Collector
 
+from aslip.base.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.envs import RobotEnv, SimulatedEnv, StackEnv
 from aslip.errors import ConfigurationError
-from aslip.files.archive import ArchiveFormat, as_json, from_npy, npy
 from aslip.sim.dynamics import longest_delay
 from aslip.sim.parameters import DYNAMICS
 

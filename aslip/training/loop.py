@@ -10,7 +10,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.checkpoint import GlobalRNGState
 
-from aslip.processes import processors
+from aslip.base.processes import processors
 from aslip.training.collectors import LocalCollector
 from aslip.training.progress import Progress, check_rewards
 from aslip.training.run import TrainingRun

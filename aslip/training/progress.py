@@ -19,10 +19,10 @@ from torch import nn
 from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
 
+from aslip.base.assets import user_path
+from aslip.base.imports import extras
+from aslip.base.writing import replacing
 from aslip.errors import FileDamagedError
-from aslip.files.assets import user_path
-from aslip.files.writing import replacing
-from aslip.imports import extras
 
 with extras():
     from torch.utils.tensorboard import SummaryWriter

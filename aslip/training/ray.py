@@ -43,12 +43,12 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import nn
 from torchrl.collectors import BaseCollector, Collector
 
+from aslip.base.imports import extras
+from aslip.base.processes import processors
 from aslip.envs import StackEnv
 from aslip.envs.stack_env import random_seed
 from aslip.errors import CollectorError, ConfigurationError
-from aslip.imports import extras
 from aslip.policy import add_memory
-from aslip.processes import processors
 from aslip.training.collectors import TORCHRL_SETTINGS
 from aslip.training.environments import MakeEnv
 from aslip.training.settings import check_shares

@@ -34,15 +34,15 @@ from typing import Any
 from torchrl import torchrl_logger
 from torchrl.record.loggers import Logger
 
+from aslip.base.assets import user_path
+from aslip.base.command_line import this_command
+from aslip.base.processes import signals_exit
+from aslip.base.provenance import peak_memory, provenance
+from aslip.base.writing import claimed, replacing
 from aslip.errors import AslipError, ConfigurationError, FileDamagedError
-from aslip.files.assets import user_path
-from aslip.files.writing import claimed, replacing
 from aslip.policy import POLICY_FILE
-from aslip.processes import signals_exit
 from aslip.training.checkpoint import load_checkpoint, save_checkpoint, snapshot
-from aslip.training.command_line import this_command
 from aslip.training.progress import Progress, ProgressLog, read_progress
-from aslip.training.provenance import peak_memory, provenance
 from aslip.training.settings import (
     SETTINGS_FILE,
     read_first_command,
@@ -142,8 +142,8 @@ class TrainingRun:
 
         It yields a function `keep(step, metadata)`. Call it after each update: it copies the states
         of the components, and writes them if a checkpoint is due. If Ctrl-C, one of
-        `aslip.processes.ENDINGS` or an error interrupts an update, the last copy is written. After
-        Ctrl-C and signals, standard error tells which checkpoint is saved and how to resume.
+        `aslip.base.processes.ENDINGS` or an error interrupts an update, the last copy is written.
+        After Ctrl-C and signals, standard error tells which checkpoint is saved and how to resume.
 
         Args:
             components: objects with `state_dict` and `load_state_dict`, by name.

@@ -5,6 +5,6 @@ tensordict, not in the transform, so partial resets, worker processes and replay
 Transforms that draw random numbers own a generator, which `env.set_seed` seeds.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

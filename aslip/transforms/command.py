@@ -13,6 +13,7 @@ from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
@@ -22,7 +23,6 @@ from aslip.transforms.base import (
     check_number,
     checked_column,
     extend_spec,
-    on_cpu_in_single,
     require_keys,
 )
 

@@ -14,6 +14,7 @@ from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.data import Composite
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, Reference
 from aslip.robot import CASSIE
@@ -21,7 +22,6 @@ from aslip.transforms.base import (
     SeededTransform,
     check_number,
     extend_spec,
-    on_cpu_in_single,
     require_keys,
     reset_rows,
     spread,

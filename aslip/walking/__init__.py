@@ -3,6 +3,6 @@
 `metrics` are pure functions of arrays; `tables` writes Markdown.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

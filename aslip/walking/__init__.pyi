@@ -5,8 +5,6 @@ from .evaluation import evaluation_means as evaluation_means
 from .evaluation import is_on_feet as is_on_feet
 from .evaluation import tracks_command as tracks_command
 from .evaluation import walk_table as walk_table
-from .interval import CONFIDENCE as CONFIDENCE
-from .interval import Interval as Interval
 from .push import Push as Push
 from .push import policy_steps as policy_steps
 from .record import Walks as Walks
@@ -17,6 +15,5 @@ from .record import take_step as take_step
 from .record import walk as walk
 from .substeps import Substeps as Substeps
 from .substeps import record_substeps as record_substeps
-from .tables import markdown as markdown
 from .walker import Walker as Walker
 from .walker import command_library as command_library

@@ -13,14 +13,14 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 
+from aslip.base.decorators import check_types, on_cpu_in_single
+from aslip.base.tables import markdown
 from aslip.envs import MAX_EPISODE_STEPS, StackEnv
 from aslip.errors import ConfigurationError
 from aslip.robot import CASSIE, STANDARD_GRAVITY
-from aslip.transforms.base import check_types, on_cpu_in_single
 from aslip.transforms.path import wrap
 from aslip.transforms.rotation import conjugate, multiply, yaw
 from aslip.walking.record import record
-from aslip.walking.tables import markdown
 
 TRACKING_TOLERANCE: Final = 0.2
 """Largest difference of mean and commanded velocity of a walk that tracks its command [m/s, rad/s].

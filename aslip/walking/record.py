@@ -22,13 +22,13 @@ from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
+from aslip.base.decorators import on_cpu_in_single
 from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.policy import add_memory
 from aslip.robot import SIDES
 from aslip.robot.rotation import rotate_level
 from aslip.transforms import RandomCommand, StandCommand
-from aslip.transforms.base import on_cpu_in_single
 
 _FEET: Final = tuple(f"{side}_foot_position" for side in SIDES)
 _PELVIS: Final = ("pelvis_position", "pelvis_orientation", "pelvis_velocity")

@@ -12,19 +12,19 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from aslip.envs import (
-    EPISODE_ENDS,
-    StackEnv,
-    check_policy_fits,
-    library_of,
-    make_env,
-    shipped_library,
-)
+from aslip.base.decorators import on_cpu_in_single
+from aslip.envs import EPISODE_ENDS, StackEnv, library_of, make_env, shipped_library
 from aslip.errors import ConfigurationError
 from aslip.library import Command, GaitLibrary, numbers
-from aslip.policy import add_memory, forget, load_policy, policy_library, policy_stack
+from aslip.policy import (
+    add_memory,
+    check_policy_fits,
+    forget,
+    load_policy,
+    policy_library,
+    policy_stack,
+)
 from aslip.robot import CASSIE
-from aslip.transforms.base import on_cpu_in_single
 from aslip.walking.push import policy_steps
 from aslip.walking.record import can_stand, next_start, reset_walks, take_step
 

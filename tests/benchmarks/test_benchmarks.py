@@ -14,23 +14,22 @@ from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking.metrics import Placement
-from benchmarks import (
-    claim_values,
-    claims,
+from benchmarks.common import Interval, write_results
+from benchmarks.paper import (
     foot_placement,
-    ground_reaction,
+    ground_force,
     open_loop_force,
     step_frequency,
     velocity_tracking,
 )
-from benchmarks.common import Interval, write_results
+from benchmarks.scorecard import claim_values, claims
 from recipes import walk
 
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     """Short walks, for fast tests."""
-    for module in (foot_placement, ground_reaction, step_frequency, velocity_tracking):
+    for module in (foot_placement, ground_force, step_frequency, velocity_tracking):
         monkeypatch.setattr(module, "_SETTLE", 1.0)
         monkeypatch.setattr(module, "_WALK", 3.0)
     monkeypatch.setattr(foot_placement, "_FOOTSTEPS", 4)
@@ -116,7 +115,7 @@ def test_velocity_tracking_of_a_log_straight_ahead(tmp_path: Path) -> None:
 
 
 def test_benchmarks_of_the_papers_gaits_refuse_other_policies(tmp_path: Path) -> None:
-    for module in (ground_reaction, claims):
+    for module in (ground_force, claims):
         with pytest.raises(ConfigurationError, match="'aslip' follows gaits in all directions"):
             module.main(module.Config(policy=("straight", "aslip"), out=tmp_path))
 
@@ -128,21 +127,21 @@ def test_mean_velocity_of_uniform_motion() -> None:
 
 
 def test_ground_reaction(tmp_path: Path) -> None:
-    rows = ground_reaction.main(ground_reaction.Config(**settings(tmp_path, 0.5)))
+    rows = ground_force.main(ground_force.Config(**settings(tmp_path, 0.5)))
     ours, model = rows
     assert ours["method"] == "ASLIP"
     assert 0.35 < ours["duration"] < 0.65
     # the two feet carry the weight over a stride of 0.8 s
     assert ours["impulse"] == pytest.approx(33.312 * 9.81 * 0.8025 / 2, rel=0.08)
     assert model["dip_ratio"] < 0.1
-    written(tmp_path, "ground_reaction")
+    written(tmp_path, "ground_force")
 
 
 def test_ground_reaction_names_methods_that_fell_at_the_first_speed(library: GaitLibrary) -> None:
-    config = ground_reaction.Config(speeds=(0.0, 1.0))
-    curve = ground_reaction.curve(np.tile(np.repeat([0.0, 300.0], 800), 4))
+    config = ground_force.Config(speeds=(0.0, 1.0))
+    curve = ground_force.curve(np.tile(np.repeat([0.0, 300.0], 800), 4))
     curves = {("single reference", 1.0): [curve], ("ASLIP", 0.0): [curve], ("ASLIP", 1.0): [curve]}
-    figure = ground_reaction.picture(config, curves, library)
+    figure = ground_force.picture(config, curves, library)
     legend = figure.axes[0].get_legend()
     assert legend is not None
     names = [text.get_text() for text in legend.get_texts()]
@@ -163,11 +162,11 @@ def test_only_the_default_stack_feeds_forces_forward(tmp_path: Path) -> None:
 def test_report_names_fall_and_standing_robot(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: np.ndarray | None, failed: str
 ) -> None:
-    monkeypatch.setattr(ground_reaction, "vertical_forces", lambda *_: force)
-    rows = ground_reaction.main(ground_reaction.Config(**settings(tmp_path, 0.5)))
+    monkeypatch.setattr(ground_force, "vertical_forces", lambda *_: force)
+    rows = ground_force.main(ground_force.Config(**settings(tmp_path, 0.5)))
     assert rows[0]["failed"] == failed
-    written(tmp_path, "ground_reaction")
-    assert f"| ASLIP | 0.5 | {failed} |" in (tmp_path / "ground_reaction.md").read_text()
+    written(tmp_path, "ground_force")
+    assert f"| ASLIP | 0.5 | {failed} |" in (tmp_path / "ground_force.md").read_text()
     rows = [{**rows[0], "speed": speed} for speed in (0.0, 1.0)]
     assert np.isnan(claim_values.force_claims(rows)["policy"]["double hump"]).all()
 

@@ -11,8 +11,9 @@ import pytest
 from aslip.envs import StackEnv
 from aslip.library import GaitLibrary
 from aslip.walking import Walker
-from benchmarks import estimate_errors, estimator, film_strip, ground_reaction, throughput
 from benchmarks.common import Subject
+from benchmarks.paper import film_strip, ground_force
+from benchmarks.system import estimate_errors, estimator, throughput
 
 
 @pytest.fixture
@@ -52,8 +53,8 @@ def falling(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("made", "falling")
 def test_ground_reaction_closes_after_fall(library: GaitLibrary) -> None:
-    config = ground_reaction.Config()
-    assert ground_reaction.vertical_forces(config, library, Subject.load("straight"), 1.0) is None
+    config = ground_force.Config()
+    assert ground_force.vertical_forces(config, library, Subject.load("straight"), 1.0) is None
 
 
 @pytest.mark.usefixtures("made", "falling")

@@ -15,16 +15,10 @@ import pytest
 from aslip.policy import find_policy
 from aslip.walking import Walks
 from aslip.walking.metrics import Placement
-from benchmarks import (
-    claim_values,
-    claims,
-    foot_placement,
-    ground_reaction,
-    step_frequency,
-    velocity_tracking,
-)
-from benchmarks.claim_list import SENTENCES, TARGETS, Claim
-from benchmarks.claim_values import SPEEDS
+from benchmarks.paper import foot_placement, ground_force, step_frequency, velocity_tracking
+from benchmarks.scorecard import claim_values, claims
+from benchmarks.scorecard.claim_list import SENTENCES, TARGETS, Claim
+from benchmarks.scorecard.claim_values import SPEEDS
 
 ALL = {claim.name: claim for claim in (*SENTENCES, *TARGETS)}
 
@@ -220,7 +214,7 @@ def test_each_kind_of_policies_is_measured_with_its_own(
     fake(foot_placement, {v: placements(0.01) for v in SPEEDS})
     fake(step_frequency, [{"each": [-0.01, 0.02]}])
     fake(velocity_tracking, {})
-    fake(ground_reaction, [{"method": "ASLIP", "speed": v, "dip_ratio": 0.5} for v in (0.0, 1.0)])
+    fake(ground_force, [{"method": "ASLIP", "speed": v, "dip_ratio": 0.5} for v in (0.0, 1.0)])
     monkeypatch.setattr(claims, "constant_walks", lambda *_: [])
     monkeypatch.setattr(claims, "load_subjects", lambda *_: [])
     monkeypatch.setattr(claims, "speed_claims", lambda _: {})
@@ -231,7 +225,7 @@ def test_each_kind_of_policies_is_measured_with_its_own(
     for module in (foot_placement, step_frequency, velocity_tracking):
         assert [one.policy for one in asked[module.__name__]] == [("a", "b"), ("c",)]
         assert len({one.out for one in asked[module.__name__]}) == 2
-    (forces,) = asked[ground_reaction.__name__]
+    (forces,) = asked[ground_force.__name__]
     assert (forces.policy, forces.paper, forces.baseline) == (("a", "b"), ("c",), ("d",))
     asked.clear()
     claims.measure(claims.Config(policy=(), paper=("c",), out=tmp_path))

@@ -12,8 +12,8 @@ from aslip.ik import Kinematics
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE, SIDES
 from aslip.rom.arc import Pose, twist_pose
-from benchmarks import command_changes
-from benchmarks.command_changes import Config, change, steps
+from benchmarks.gaits import command_demand
+from benchmarks.gaits.command_demand import Config, change, steps
 
 # pyright: reportAttributeAccessIssue=false
 # Pinocchio is a compiled module without type stubs
@@ -94,7 +94,7 @@ def test_a_held_command_asks_the_same_of_the_motors(gaits: GaitLibrary) -> None:
 def test_faster_changes_slide_feet_faster_and_load_motors_more(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    slow, fast = (command_changes.main(Config(changes=3, faster=faster)) for faster in (1.0, 5.0))
+    slow, fast = (command_demand.main(Config(changes=3, faster=faster)) for faster in (1.0, 5.0))
     assert fast.slide.mean() > 3 * slow.slide.mean()
     more = [np.abs(f.changing.torque - f.held.torque).max() for f in (slow, fast)]
     assert more[1] > 2 * more[0] > 0

@@ -13,22 +13,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aslip.base.assets import asset_path
+from aslip.base.interval import Interval
 from aslip.envs import make_env
 from aslip.errors import ConfigurationError, FileDamagedError, SpeedOutOfRangeError
-from aslip.files.assets import asset_path
 from aslip.policy import find_policy, read_card
-from aslip.walking import Interval
-from benchmarks import (
-    direction_targets,
-    direction_tracking,
-    foot_placement,
-    perturbation,
-    standing,
-    target_record,
-    transitions,
-    walking_quality,
-)
-from benchmarks.direction_targets import (
+from benchmarks.directions import command_changes, stops, tracking
+from benchmarks.flags import SWEEPS
+from benchmarks.paper import foot_placement
+from benchmarks.robustness import pushes, walking_quality
+from benchmarks.scorecard import direction_targets, target_record
+from benchmarks.scorecard.direction_targets import (
     TARGETS,
     Config,
     cell,
@@ -40,7 +35,6 @@ from benchmarks.direction_targets import (
     table,
     training_values,
 )
-from benchmarks.flags import SWEEPS
 from tests.helpers import limp
 from tests.library.standing import standing_library
 
@@ -179,12 +173,12 @@ def test_every_target_has_a_value_from_its_benchmark(
     quality = [{name: {"mean": value} for name, value in means.items()}] * 5
     sweeps = [{"parameter": name, "value": 1.0, "mean": 1.0} for name in SWEEPS]
     rows = {
-        direction_tracking: [errors],
-        transitions: [{"falls": [[[0.0], [1.0]]], "changes": 2000}],
-        standing: [stood],
-        direction_targets.eight: [{"fell": False, "truth": 0.05}],
+        tracking: [errors],
+        command_changes: [{"falls": [[[0.0], [1.0]]], "changes": 2000}],
+        stops: [stood],
+        direction_targets.figure_of_eight: [{"fell": False, "truth": 0.05}],
         walking_quality: quality,
-        perturbation: {"pushes": [{"phases": [{"mean": 50.0}]}], "sweeps": sweeps},
+        pushes: {"pushes": [{"phases": [{"mean": 50.0}]}], "sweeps": sweeps},
     }
     for module, found in rows.items():
         monkeypatch.setattr(module, "main", fake(found))
@@ -297,17 +291,17 @@ def test_all_targets_are_measured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """On robots without a policy, which fall, so that few targets have a value."""
-    for module in (direction_tracking, walking_quality, foot_placement):
+    for module in (tracking, walking_quality, foot_placement):
         monkeypatch.setattr(module, "_SETTLE", 0.03)
         monkeypatch.setattr(module, "_WALK", 0.06)
     for name in ("_WALK", "_REST", "_GO_ON"):
-        monkeypatch.setattr(standing, name, 0.06)
-    monkeypatch.setattr(transitions, "_HOLD", (0.06, 0.06))
+        monkeypatch.setattr(stops, name, 0.06)
+    monkeypatch.setattr(command_changes, "_HOLD", (0.06, 0.06))
     monkeypatch.setattr(direction_targets, "_SPEEDS", (0.0, 0.1, 0.2, 0.3, 0.4))
-    full = perturbation.Config
+    full = pushes.Config
     short = {"directions": 1, "phases": 1, "repeats": 1, "bisections": 1, "settle": 0.03}
     short |= {"after": 0.03, "episode": 0.03, "duration": 0.03, "speed": 0.4}
-    monkeypatch.setattr(perturbation, "Config", lambda **given: full(**{**given, **short}))
+    monkeypatch.setattr(pushes, "Config", lambda **given: full(**{**given, **short}))
     standing_library().save(tmp_path / "gaits.npz")
     config = Config(
         library=str(tmp_path / "gaits.npz"), out=tmp_path / "out", commands=2, changes=2,
@@ -322,4 +316,4 @@ def test_all_targets_are_measured(
     assert "| path | mean distance" in capsys.readouterr().out
     written = json.loads((tmp_path / "out" / "direction_targets.json").read_text())
     assert len(written["rows"]) == len(TARGETS)
-    assert (tmp_path / "out" / "TensorDictModule" / "perturbation.md").exists()
+    assert (tmp_path / "out" / "TensorDictModule" / "pushes.md").exists()

@@ -17,7 +17,7 @@ from tensordict import TensorDict
 from aslip.errors import ConfigurationError
 from aslip.transforms.rotation import vertical_quaternion
 from aslip.walking import Substeps
-from benchmarks import direction_tracking, path, standing, transitions
+from benchmarks.directions import command_changes, figure_of_eight, stops, tracking
 from tests.helpers import limp
 from tests.library.bent import symmetric_library
 from tests.library.standing import standing_library
@@ -39,12 +39,12 @@ def _written(out: Path, name: str) -> dict:
 def test_errors_are_mapped_over_the_region(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(direction_tracking, "_SETTLE", 0.15)
-    monkeypatch.setattr(direction_tracking, "_WALK", 0.15)
-    config = direction_tracking.Config(library=library, commands=6, out=tmp_path)
-    (row,) = direction_tracking.main(config, limp())
+    monkeypatch.setattr(tracking, "_SETTLE", 0.15)
+    monkeypatch.setattr(tracking, "_WALK", 0.15)
+    config = tracking.Config(library=library, commands=6, out=tmp_path)
+    (row,) = tracking.main(config, limp())
     assert row["falls"] == 0
-    numbers = _written(tmp_path, "direction_tracking")
+    numbers = _written(tmp_path, "tracking")
     command, twist = np.array(numbers["command"]), np.array(numbers["twist"][0])
     assert command.shape == twist.shape == (6, 3)
     assert np.ptp(command, axis=0).min() > 0.1
@@ -52,7 +52,7 @@ def test_errors_are_mapped_over_the_region(
         np.linalg.norm((twist - command)[:, :2], axis=1).mean(), abs=1e-9
     )
     with pytest.raises(ConfigurationError, match="commands must be 1 or more"):
-        direction_tracking.Config(commands=0)
+        tracking.Config(commands=0)
 
 
 def test_a_fall_counts_once_for_the_change_before_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -69,11 +69,11 @@ def test_a_fall_counts_once_for_the_change_before_it(monkeypatch: pytest.MonkeyP
         return td.clone().update({"next": TensorDict(terminated=fell, batch_size=2)})
 
     start = TensorDict(command=torch.zeros(2, 3), batch_size=2)
-    monkeypatch.setattr(transitions, "reset_walks", lambda *_: start.clone())
-    monkeypatch.setattr(transitions, "take_step", step)
-    monkeypatch.setattr(transitions, "next_start", lambda td: td.exclude("next"))
+    monkeypatch.setattr(command_changes, "reset_walks", lambda *_: start.clone())
+    monkeypatch.setattr(command_changes, "take_step", step)
+    monkeypatch.setattr(command_changes, "next_start", lambda td: td.exclude("next"))
     env = Mock(num_envs=2, reset=lambda td: td.exclude("_reset"))
-    found = transitions.walk_changes(Mock(), env, commands, hold)
+    found = command_changes.walk_changes(Mock(), env, commands, hold)
     # robot 0 falls before the first change and twice after it, robot 1 after the second and third
     # and, uncounted, after its last command
     assert found == [(0, 0), (1, 1), (2, 1)]
@@ -86,17 +86,17 @@ def test_falls_are_reported_with_the_commands_around_them(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without a policy robots fall about once a second, start again, and fall again."""
-    monkeypatch.setattr(transitions, "_HOLD", (0.6, 1.2))
-    config = transitions.Config(library=library, changes=6, robots=3, out=tmp_path)
-    (row,) = transitions.main(config, limp())
+    monkeypatch.setattr(command_changes, "_HOLD", (0.6, 1.2))
+    config = command_changes.Config(library=library, changes=6, robots=3, out=tmp_path)
+    (row,) = command_changes.main(config, limp())
     assert row["changes"] == 6
     assert 3 <= len(row["falls"]) <= 6
     assert row["rate"] == pytest.approx(1e4 * len(row["falls"]) / 6)
     for old, new in row["falls"]:
         assert old != new
-    _written(tmp_path, "transitions")
+    _written(tmp_path, "command_changes")
     with pytest.raises(ConfigurationError, match="robots must be from 1"):
-        transitions.Config(changes=2, robots=3)
+        command_changes.Config(changes=2, robots=3)
 
 
 def test_places_in_the_world_are_those_of_the_frame_along_the_path() -> None:
@@ -111,17 +111,19 @@ def test_places_in_the_world_are_those_of_the_frame_along_the_path() -> None:
     td = TensorDict(heading=torch.tensor([[2.0]]), odometry=odometry, batch_size=1)
     ahead, left = np.array([np.cos(2.0), np.sin(2.0)]), np.array([-np.sin(2.0), np.cos(2.0)])
     place = np.array([3.0, -1.0]) + 0.5 * ahead + 0.2 * left
-    np.testing.assert_allclose(path.world_pose(td, "odometry"), [*place, 2.3], atol=1e-6)
+    np.testing.assert_allclose(figure_of_eight.world_pose(td, "odometry"), [*place, 2.3], atol=1e-6)
 
 
 def test_a_path_is_walked_over_the_estimate(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     film = Mock()
-    monkeypatch.setattr(path, "make_film", film)
+    monkeypatch.setattr(figure_of_eight, "make_film", film)
     video = tmp_path / "eight.mp4"
-    config = path.Config(library=library, speed=0.5, duration=0.45, out=tmp_path, video=video)
-    (row,) = path.main(config, limp())
+    config = figure_of_eight.Config(
+        library=library, speed=0.5, duration=0.45, out=tmp_path, video=video
+    )
+    (row,) = figure_of_eight.main(config, limp())
     # every other one of 15 policy steps
     assert len(film.call_args.args[1]) == 8
     assert row["time"] == pytest.approx(0.45)
@@ -129,19 +131,23 @@ def test_a_path_is_walked_over_the_estimate(
     assert 0 < row["estimate"] <= row["estimate_most"] < 0.3
     # within half a second the estimate does not drift far
     assert row["truth"] == pytest.approx(row["estimate"], abs=0.1)
-    _written(tmp_path, "path")
+    _written(tmp_path, "figure_of_eight")
 
 
 def test_a_film_that_fails_leaves_the_measurement(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(path, "make_film", Mock(side_effect=ConfigurationError("no OpenGL")))
-    config = path.Config(library=library, duration=0.06, out=tmp_path, video=Path("eight.mp4"))
+    monkeypatch.setattr(
+        figure_of_eight, "make_film", Mock(side_effect=ConfigurationError("no OpenGL"))
+    )
+    config = figure_of_eight.Config(
+        library=library, duration=0.06, out=tmp_path, video=Path("eight.mp4")
+    )
     with pytest.raises(ConfigurationError, match="no OpenGL"):
-        path.main(config, limp())
-    _written(tmp_path, "path")
+        figure_of_eight.main(config, limp())
+    _written(tmp_path, "figure_of_eight")
     with pytest.raises(ConfigurationError, match=r"must end in \.mp4, got 'eight\.gif'"):
-        path.Config(video=Path("eight.gif"))
+        figure_of_eight.Config(video=Path("eight.gif"))
 
 
 def test_stops_standing_and_starts_are_measured(
@@ -150,42 +156,42 @@ def test_stops_standing_and_starts_are_measured(
     """Feet at rest stay planted; a robot without a policy falls later."""
     standing_library().save(tmp_path / "gaits.npz")
     for name, time in (("_WALK", 0.03), ("_REST", 0.6), ("_GO_ON", 1.5)):
-        monkeypatch.setattr(standing, name, time)
-    config = standing.Config(
+        monkeypatch.setattr(stops, name, time)
+    config = stops.Config(
         library=str(tmp_path / "gaits.npz"), speeds=(0.0,), walks=1, duration=0.5, out=tmp_path
     )
-    (row,) = standing.main(config, limp())
+    (row,) = stops.main(config, limp())
     assert sum(row["falls"].values()) == 1
     assert row["falls"]["walk"] == row["falls"]["stop"] == 0
-    numbers = _written(tmp_path, "standing")["rows"][0]
+    numbers = _written(tmp_path, "stops")["rows"][0]
     (walk,) = numbers["walks"]
     assert walk["command"] == [0.0, 0.0, 0.0]
     assert walk["fell"] in ("stand", "start")
     with pytest.raises(ConfigurationError, match="standing needs a library with stop and start"):
-        standing.main(standing.Config(library=library, out=tmp_path), limp())
+        stops.main(stops.Config(library=library, out=tmp_path), limp())
     with pytest.raises(ConfigurationError, match="duration must be"):
-        standing.Config(duration=0.1)
+        stops.Config(duration=0.1)
 
 
 def test_walks_that_stop_have_sensor_noise_of_their_own(
     library: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     standing_library().save(tmp_path / "gaits.npz")
-    seeds, whole = [], standing.measure
+    seeds, whole = [], stops.measure
 
-    def measure(config: standing.Config, *of: Any) -> Any:
+    def measure(config: stops.Config, *of: Any) -> Any:
         seeds.append(config.seed)
         return whole(config, *of)
 
-    monkeypatch.setattr(standing, "measure", measure)
+    monkeypatch.setattr(stops, "measure", measure)
     for name in ("_WALK", "_REST", "_GO_ON"):
-        monkeypatch.setattr(standing, name, 0.06)
+        monkeypatch.setattr(stops, name, 0.06)
     for seed in (0, 0, 1):
         gaits = str(tmp_path / "gaits.npz")
-        config = standing.Config(
+        config = stops.Config(
             library=gaits, speeds=(0.0,), walks=2, duration=0.5, seed=seed, out=tmp_path
         )
-        standing.main(config, limp())
+        stops.main(config, limp())
     assert seeds[:2] == seeds[2:4]
     assert len({*seeds}) == 4
 
@@ -195,9 +201,9 @@ def test_wishes_to_stand_come_at_all_phases_of_a_stride() -> None:
     command = np.zeros((4, library.command_size))
     stride = library.stride(torch.zeros(1, library.command_size)).item()
     expected = stride * np.arange(4) / 4
-    assert standing.delays(library, command) == pytest.approx(expected, rel=1e-6)
+    assert stops.delays(library, command) == pytest.approx(expected, rel=1e-6)
     with pytest.raises(ConfigurationError, match="speeds must be finite"):
-        standing.Config(speeds=(0.0, math.nan))
+        stops.Config(speeds=(0.0, math.nan))
 
 
 def test_a_robot_that_stands_is_measured_after_it_came_to_rest() -> None:
@@ -215,13 +221,11 @@ def test_a_robot_that_stands_is_measured_after_it_came_to_rest() -> None:
         along * [0.02, 0.0, 0.5], orientation, np.zeros((len(time), 2, 3)), force, torque,
         velocity, fell=False,
     )  # fmt: skip
-    found = standing.quantities(walk, np.zeros(3), np.array([1, 2, 3, 4]) * ticks)
+    found = stops.quantities(walk, np.zeros(3), np.array([1, 2, 3, 4]) * ticks)
     assert found["fell"] is None
     assert found["planted"] == pytest.approx(0.3)
     assert found["drift"] == pytest.approx(0.02, rel=1e-3)
     assert found["turn"] == pytest.approx(0.1, rel=1e-3)
     assert (found["lifted"], found["power"]) == (1, pytest.approx(4.0))
     short = replace(walk.since(0.0), fell=True, ground_force=force[: 2 * ticks + 5])
-    assert (
-        standing.quantities(short, np.zeros(3), np.array([1, 2, 3, 4]) * ticks)["fell"] == "stand"
-    )
+    assert stops.quantities(short, np.zeros(3), np.array([1, 2, 3, 4]) * ticks)["fell"] == "stand"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import engines
-from benchmarks.engines import EngineWalk, summary
+from benchmarks.robustness import engines
+from benchmarks.robustness.engines import EngineWalk, summary
 
 ENGINES = ("mujoco", "stiff", "drake")
 

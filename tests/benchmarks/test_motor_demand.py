@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from aslip.robot import CASSIE
-from benchmarks import motor_demand
-from benchmarks.motor_demand import Config, motor_limit
+from benchmarks.gaits import motor_demand
+from benchmarks.gaits.motor_demand import Config, motor_limit
 
 
 def test_limit_is_full_up_to_half_the_no_load_speed_and_zero_beyond_it() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from aslip.robot import CASSIE
-from benchmarks import motor_loops
-from benchmarks.motor_loops import Config, left
+from benchmarks.system import motor_loops
+from benchmarks.system.motor_loops import Config, left
 
 FEET = [i for i, name in enumerate(CASSIE.motor_names) if name.endswith("foot")]
 

@@ -7,21 +7,21 @@ import time
 import numpy as np
 import pytest
 
-from aslip.wire import (
+from aslip.network.wire import (
     PD_IN,
     Counters,
     Packet,
 )
-from benchmarks import network
-from tests.twin.sockets import robot_socket, socket_to
+from benchmarks.system import twin_protocol
+from tests.network.twin.sockets import robot_socket, socket_to
 
-SMALL = network.Config(packets=30, strings=200, duration=0.09, ticks=20, lossy=0.2)
+SMALL = twin_protocol.Config(packets=30, strings=200, duration=0.09, ticks=20, lossy=0.2)
 
 
 def test_the_report_has_a_row_per_packet_and_no_differences(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    network.main(SMALL)
+    twin_protocol.main(SMALL)
     lines = capsys.readouterr().out.splitlines()
     assert [line.split("|")[2:4] for line in lines[2:6]] == [[" 30 ", " 0 "]] * 4
     assert lines[6].startswith("lockstep, 3 policy steps: 0 different targets, 0 different states")
@@ -34,7 +34,7 @@ def _arrived(loss: float, jitter: float, number: int) -> tuple[Counters, int]:
     """Counts of commands that a robot receives through a relay, and number of dropped ones."""
     with (
         robot_socket() as robot,
-        network.LossyRelay(robot.local, loss, jitter) as relay,
+        twin_protocol.LossyRelay(robot.local, loss, jitter) as relay,
         socket_to(relay.address) as client,
     ):
         command = PD_IN.zeros()
@@ -67,4 +67,4 @@ def test_wrong_packets_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
         return b"\xff" + records.tobytes()[1:]
 
     monkeypatch.setattr(Packet, "pack", damaged)
-    assert network.wrong_packets(PD_IN, SMALL, np.random.default_rng(0)) == 1
+    assert twin_protocol.wrong_packets(PD_IN, SMALL, np.random.default_rng(0)) == 1

@@ -19,18 +19,11 @@ from aslip.envs import EPISODE_ENDS, StackEnv
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, make_recurrent_actor
 from aslip.transforms import ActionDelta, EstimatedState, TrueState, WeightedReward
 from aslip.transforms.rewards import PAPER_WEIGHTS
-from benchmarks import (
-    black_box,
-    estimator,
-    foot_placement,
-    ground_reaction,
-    perturbation,
-    step_frequency,
-    velocity_tracking,
-    walking_quality,
-)
 from benchmarks.common import Common, Subject
 from benchmarks.flags import SWEEPS
+from benchmarks.paper import foot_placement, ground_force, step_frequency, velocity_tracking
+from benchmarks.robustness import pushes, walking_quality
+from benchmarks.system import estimator, logs
 
 
 class AirTime(Transform):
@@ -79,7 +72,7 @@ every_policy = pytest.mark.parametrize("policy", POLICIES.values(), ids=list(POL
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (
         foot_placement,
-        ground_reaction,
+        ground_force,
         step_frequency,
         velocity_tracking,
         walking_quality,
@@ -89,7 +82,7 @@ def short(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("_HOLD", "_BEFORE", "_AFTER"):
         monkeypatch.setattr(velocity_tracking, name, 0.15)
     monkeypatch.setattr(velocity_tracking, "_TRANSIENT", 0.03)
-    monkeypatch.setattr(black_box, "_EPISODE", 20)
+    monkeypatch.setattr(logs, "_EPISODE", 20)
     monkeypatch.setattr(estimator, "_AGES", ((0, 1), (1, 10)))
 
 
@@ -103,15 +96,15 @@ def test_benchmarks_accept_custom_policy_and_environment(
     assert placement.offset.shape[1] == 2
     assert step_frequency.main(step_frequency.Config(**few), *of)[0]["speed"] == 0.5
     assert len(velocity_tracking.main(velocity_tracking.Config(**few), *of)["steps"]) == 6
-    rows = ground_reaction.main(ground_reaction.Config(**few), *of)
+    rows = ground_force.main(ground_force.Config(**few), *of)
     assert rows[0]["policy"] == "ProbabilisticActor"
     assert walking_quality.main(walking_quality.Config(**few), *of)[0]["power"]["mean"] > 0
     sweeps: dict[str, Any] = {sweep.flag: () for sweep in SWEEPS.values()}
-    config = perturbation.Config(
+    config = pushes.Config(
         **{**sweeps, "payload": (0.0,)}, out=tmp_path, walks=1,
         directions=1, phases=1, repeats=1, bisections=1, settle=0.06, after=0.06, episode=0.3,
     )  # fmt: skip
-    assert perturbation.main(config, *of)["sweeps"][0]["trials"] == 1
+    assert pushes.main(config, *of)["sweeps"][0]["trials"] == 1
     small = {"steps": 2, "repeats": 1, "falls": 2, "num_envs": 2, "rounds": 1, "out": tmp_path}
     estimator.main(estimator.Config(**small), *of)
     assert "estimator and noise" in capsys.readouterr().out
@@ -137,8 +130,8 @@ def test_benchmarks_keep_the_edits_of_a_partial_make_env() -> None:
 @every_policy
 def test_logs_of_custom_environment_replay(policy: TensorDictModuleBase, tmp_path: Path) -> None:
     subject = Subject.load(policy, make_own_env)
-    config = black_box.Config(replays=1, report=tmp_path / "report.json")
-    assert black_box.replays(config, subject, tmp_path)["equal"] == 1
+    config = logs.Config(replays=1, report=tmp_path / "report.json")
+    assert logs.replays(config, subject, tmp_path)["equal"] == 1
 
 
 def test_recurrent_policy_gets_is_init_and_keeps_state() -> None:

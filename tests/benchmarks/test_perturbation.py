@@ -13,11 +13,11 @@ import pytest
 import torch
 from tqdm import tqdm
 
-from aslip.walking import Interval
-from benchmarks import perturbation, sweeps
+from aslip.base.interval import Interval
 from benchmarks.common import Subject, walk_on
 from benchmarks.flags import SWEEPS
-from benchmarks.perturbation import (
+from benchmarks.robustness import pushes, sweeps
+from benchmarks.robustness.pushes import (
     Config,
     main,
     measure_pushes,
@@ -25,7 +25,13 @@ from benchmarks.perturbation import (
     push_table,
     settle,
 )
-from benchmarks.sweeps import SweepResult, measure_sweeps, sweep_rows, sweep_table, trials
+from benchmarks.robustness.sweeps import (
+    SweepResult,
+    measure_sweeps,
+    sweep_rows,
+    sweep_table,
+    trials,
+)
 
 NO_SWEEPS: dict[str, Any] = {s.flag: () for s in SWEEPS.values()}
 BAR = tqdm(disable=True)
@@ -44,17 +50,17 @@ def test_perturbation_report(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         out=tmp_path, directions=4, bisections=2, largest=480.0, motor_strength=(0.0, 1.0)
     )
     main(config)
-    report = json.loads((tmp_path / "perturbation.json").read_text())
+    report = json.loads((tmp_path / "pushes.json").read_text())
     assert [row["direction_deg"] for row in report["pushes"]] == [0, 90, 180, 270]
     assert [row["mean"] for row in report["pushes"]] == [0] * 4
     assert report["resolution"] == 120
     assert [(row["value"], row["mean"]) for row in report["sweeps"]] == [(0.0, 0.0), (1.0, 1.0)]
     printed = capsys.readouterr().out
-    assert (tmp_path / "perturbation.md").read_text() == printed
+    assert (tmp_path / "pushes.md").read_text() == printed
     (speed,) = report["sweeps"][0]["falls"][0]
     assert f"| motor strength | 0 | 0 [0, 79] | {speed:.2f} |" in printed
     assert "| motor strength | 1 | 100 [21, 100] |  |" in printed
-    assert (tmp_path / "perturbation.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "pushes.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_bisection_converges_from_below() -> None:
@@ -62,10 +68,10 @@ def test_bisection_converges_from_below() -> None:
     config = _config(bisections=3, largest=1.6, after=0.3)
     survived = measure_pushes(config, SHIPPED, BAR)
     np.testing.assert_allclose(survived, 1.4)
-    told = perturbation.censored_text(config, survived)
+    told = pushes.censored_text(config, survived)
     assert told.startswith(f"{survived.size} of {survived.size} robots survived all pushes, up to")
     assert "`--largest 3.2`" in told
-    assert not perturbation.censored_text(config, survived - 0.2)
+    assert not pushes.censored_text(config, survived - 0.2)
 
 
 def _measured(
@@ -83,8 +89,8 @@ def _measured(
         return np.ones(len(standing), dtype=bool)
 
     monkeypatch.setattr(Subject, "walking_env", lambda *_: env)
-    monkeypatch.setattr(perturbation, "settle", lambda *_: (td, np.array(standing)))
-    monkeypatch.setattr(perturbation, "push_robots", survives)
+    monkeypatch.setattr(pushes, "settle", lambda *_: (td, np.array(standing)))
+    monkeypatch.setattr(pushes, "push_robots", survives)
     return measure_pushes(config, SHIPPED, BAR), done
 
 

@@ -15,10 +15,11 @@ import pytest
 import torch
 
 import aslip
-import aslip.training.provenance
+import aslip.base.provenance
+from aslip.base.assets import asset_path
+from aslip.base.provenance import provenance
 from aslip.envs import default_stack, describe_transforms, randomise_stack
 from aslip.errors import AssetError, ConfigurationError
-from aslip.files.assets import asset_path
 from aslip.policy import (
     PolicyShape,
     RunningNormalizer,
@@ -26,10 +27,9 @@ from aslip.policy import (
     read_card,
     save_policy,
 )
-from aslip.training.provenance import provenance
 from aslip.transforms import DIRECTION_TABLE, OBSERVATION_TABLE, SINGLE_REFERENCE_TABLE
-from benchmarks import policy_card
-from benchmarks.policy_card import Config
+from recipes import policy_card
+from recipes.policy_card import Config
 from recipes.ppo_settings import PRESETS
 from tests.helpers import TINY
 from tests.training.trainings import train
@@ -177,16 +177,16 @@ def test_card_lists_training_conditions() -> None:
 def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    names = ("direction_tracking", "transitions", "standing", "path", "foot_placement")
+    names = ("tracking", "command_changes", "stops", "figure_of_eight", "foot_placement")
     limits = {"speed": 1.0, "push_duration": 0.2, "sweeps": [], "pushes": []}
     limits["pushes"] = [{"direction_deg": 0.0, "phases": [{"phase": 0.0, "mean": 30.0}]}]
 
     def measured(config: policy_card.direction_targets.Config) -> list[dict[str, Any]]:
         folder = config.out / "mine"
         folder.mkdir(parents=True)
-        for name in (*names, "walking_quality", "perturbation"):
+        for name in (*names, "walking_quality", "pushes"):
             (folder / f"{name}.md").write_text(f"table of {name}")
-        (folder / "perturbation.json").write_text(json.dumps(limits))
+        (folder / "pushes.json").write_text(json.dumps(limits))
         (config.out / "direction_targets.md").write_text("table of targets")
         return [{"name": "drift", "found": {"interval": {"mean": 0.5, "low": 0.4, "high": 0.6}}}]
 
@@ -200,9 +200,9 @@ def test_card_of_walks_in_all_directions_has_the_targets_and_their_benchmarks(
     (kept,) = json.loads(record.read_text())["policies"]
     assert (kept["name"], kept["values"]) == ("mine", {"drift": 0.5})
     assert kept["intervals"] == {"drift": [0.4, 0.6]}
-    for name in (*names, "walking_quality", "perturbation", "targets"):
+    for name in (*names, "walking_quality", "pushes", "targets"):
         assert f"table of {name}" in text
-    assert text.count("python -m benchmarks.direction_targets --policy mine") == 1
+    assert text.count("python -m benchmarks.scorecard.direction_targets --policy mine") == 1
     assert text.count("python -m") == 1  # as other commands have other settings
     assert "pushes of 0.2 s of more than 30.0 N s" in text
     assert "It was trained to walk in all directions on robots" in text
@@ -213,7 +213,7 @@ def test_provenance_names_the_commit(tmp_path: Path, monkeypatch: pytest.MonkeyP
     if shutil.which("git") is None:
         pytest.skip("needs git")
     monkeypatch.setattr(
-        aslip.training.provenance,
+        aslip.base.provenance,
         "__file__",
         str(tmp_path / "aslip" / "training" / "provenance.py"),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from aslip.library import GaitLibrary
-from benchmarks.direction_targets import read_record
+from benchmarks.scorecard.direction_targets import read_record
 
 RECORD = Path(__file__).parents[2] / "docs" / "directions.json"
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aslip.control.runner.load import Loaded, load
-from aslip.wire import PD_IN, STATE_OUT, Link
-from benchmarks.runner import Config, LossyWay, lossy_walk
+from aslip.network.runner.load import Loaded, load
+from aslip.network.wire import PD_IN, STATE_OUT, Link
+from benchmarks.system.runner import Config, LossyWay, lossy_walk
 
 
 @pytest.fixture(scope="module")

@@ -12,24 +12,19 @@ import pytest
 from torchrl.envs import ParallelEnv, SerialEnv
 
 from aslip import GaitLibrary
+from aslip.base.assets import asset_path
 from aslip.errors import (
     ConfigurationError,
     FileDamagedError,
     SpeedOutOfRangeError,
     one_line_errors,
 )
-from aslip.files.assets import asset_path
 from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
 from aslip.training.progress import steps_done
-from benchmarks import (
-    black_box,
-    estimator,
-    exported,
-    film_strip,
-    gaits,
-    learning_curves,
-    throughput,
-)
+from benchmarks.gaits import solve
+from benchmarks.paper import film_strip
+from benchmarks.scorecard import learning_curves
+from benchmarks.system import estimator, export_speed, logs, throughput
 from recipes import gait_library, ppo_aslip
 from recipes.ppo_directions import DirectionConfig
 from recipes.ppo_settings import PRESETS, training_settings
@@ -98,8 +93,8 @@ def test_throughput_reports_every_candidate(
 def test_draws_gaits_in_several_directions(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = gaits.Config(commands=((0.5, 0.2, 0.3),), picture=tmp_path / "paths.png")
-    (gait,) = gaits.main(config)
+    config = solve.Config(commands=((0.5, 0.2, 0.3),), picture=tmp_path / "paths.png")
+    (gait,) = solve.main(config)
     assert gait.command.tolist() == [0.5, 0.2, 0.3]
     assert config.picture.read_bytes().startswith(b"\x89PNG")
     assert "| 0.5, 0.2, 0.3 |" in capsys.readouterr().out
@@ -348,11 +343,9 @@ def test_error_names_damaged_record(tmp_path: Path) -> None:
 def test_black_box_report(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(black_box, "_EPISODE", 40)
-    config = black_box.Config(
-        rounds=1, kills=1, cuts=4, replays=1, report=tmp_path / "black_box.json"
-    )
-    black_box.main(config)
+    monkeypatch.setattr(logs, "_EPISODE", 40)
+    config = logs.Config(rounds=1, kills=1, cuts=4, replays=1, report=tmp_path / "black_box.json")
+    logs.main(config)
     printed = capsys.readouterr().out
     assert "| joints at 2 kHz |" in printed
     numbers = json.loads((tmp_path / "black_box.json").read_text())
@@ -383,7 +376,7 @@ def test_learning_curves_train_missing_runs_and_resume(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_exported_policies_start_lighter_than_pytorch(capsys: pytest.CaptureFixture[str]) -> None:
-    exported.main(exported.Config(starts=1, steps=10))
+    export_speed.main(export_speed.Config(starts=1, steps=10))
     rows = [line.split("|") for line in capsys.readouterr().out.splitlines() if "|" in line]
     memory = {row[1].strip(): float(row[3]) for row in rows[2:]}
     assert memory["ONNX"] < memory["PyTorch"] / 2

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from aslip.errors import ConfigurationError
-from benchmarks import trades
-from benchmarks.direction_targets import TARGETS
-from benchmarks.trades import PAIRS, Config, claim_of
+from benchmarks.scorecard import trades
+from benchmarks.scorecard.direction_targets import TARGETS
+from benchmarks.scorecard.trades import PAIRS, Config, claim_of
 
 
 def write(path: Path, **policies: float) -> Path:

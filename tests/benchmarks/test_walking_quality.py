@@ -11,8 +11,8 @@ import pytest
 from aslip.library import GaitLibrary
 from aslip.robot import CASSIE
 from aslip.walking import Substeps
-from benchmarks import walking_quality
-from benchmarks.walking_quality import (
+from benchmarks.robustness import walking_quality
+from benchmarks.robustness.walking_quality import (
     QUANTITIES,
     Config,
     load_methods,

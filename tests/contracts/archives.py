@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from aslip.files.archive import SUMS, sums
+from aslip.base.archive import SUMS, sums
 
 
 def read_zip(data: bytes) -> dict[str, bytes]:

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 import torch
 
+from aslip.base.archive import SUMS, ArchiveFormat, from_npy, npy
+from aslip.base.writing import commit, replacing
 from aslip.errors import AslipError, FileDamagedError
-from aslip.files.archive import SUMS, ArchiveFormat, from_npy, npy
-from aslip.files.writing import commit, replacing
 from tests.contracts.archives import (
     Program,
     forge_archive,

@@ -10,7 +10,7 @@ import torch
 
 from aslip.control import Controller
 from aslip.control.contract import seal
-from aslip.control.own_estimate import split_estimate
+from aslip.control.estimates import split_estimate
 from aslip.policy import PolicyShape, RunningNormalizer, make_recurrent_actor
 from aslip.robot import CASSIE, STANDARD_GRAVITY
 from aslip.transforms import DIRECTION_TABLE

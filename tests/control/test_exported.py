@@ -19,14 +19,13 @@ import onnx
 import pytest
 import torch
 
+from aslip.base.assets import asset_path
 from aslip.control import Controller
 from aslip.control.contract import TOLERANCE, csv, seal, trace_text
+from aslip.control.estimates import standing_estimate
 from aslip.control.export import compare, export_network, export_policy, write_pipeline
 from aslip.control.export.golden import golden_trace
 from aslip.control.exported import ExportedController
-from aslip.control.own_estimate import standing_estimate
-from aslip.control.runner.load import load
-from aslip.control.runner.supervisor import Reading, Request, Stage, Supervisor
 from aslip.errors import (
     AssetError,
     ConfigurationError,
@@ -34,8 +33,9 @@ from aslip.errors import (
     ShapeError,
     UnknownNameError,
 )
-from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
+from aslip.network.runner.load import load
+from aslip.network.runner.supervisor import Reading, Request, Stage, Supervisor
 from aslip.robot import CASSIE
 from aslip.transforms import DIRECTION_TABLE
 from tests.control.exports import altered, estimate, standing_packet

@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDictBase
 
 from aslip.control import Controller, ControllerState
-from aslip.control.own_estimate import join_estimate
+from aslip.control.estimates import join_estimate
 from aslip.envs import BatchEnv
 from aslip.errors import ConfigurationError, ShapeError, UnknownNameError
 from aslip.estimation import Estimate, StateEstimator

@@ -12,15 +12,15 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 import aslip
+from aslip.base.archive import as_json
 from aslip.control import Controller
-from aslip.control.own_estimate import standing_estimate
-from aslip.control.runner.supervisor import Limits
+from aslip.control.estimates import standing_estimate
 from aslip.control.steering import Steering
-from aslip.envs import StackEnv, check_policy_fits
+from aslip.envs import StackEnv
 from aslip.errors import ConfigurationError
-from aslip.files.archive import as_json
 from aslip.library import GaitLibrary, WalkMode
-from aslip.policy import CARD, POLICY_FORMAT, policy_stack, read_card
+from aslip.network.runner.supervisor import Limits
+from aslip.policy import CARD, POLICY_FORMAT, check_policy_fits, policy_stack, read_card
 from aslip.robot import CASSIE
 from aslip.transforms import COMMAND_RATES, DIRECTION_TABLE, StandCommand
 from aslip.walking import Walker

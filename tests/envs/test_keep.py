@@ -13,9 +13,14 @@ from torchrl.envs import SerialEnv
 from torchrl.envs.utils import check_env_specs
 
 import aslip
-from aslip.envs import policy_interface
 from aslip.errors import UnknownNameError
-from aslip.policy import PolicyShape, RunningNormalizer, add_memory, make_recurrent_actor
+from aslip.policy import (
+    PolicyShape,
+    RunningNormalizer,
+    add_memory,
+    make_recurrent_actor,
+    policy_interface,
+)
 from tests.helpers import MakeEnv, differing, leaves
 
 KEEP = ["observation", ("reward_terms", "com_vel")]

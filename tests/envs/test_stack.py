@@ -23,10 +23,10 @@ from aslip.envs import (
     make_env,
     randomise_stack,
     reward_terms,
-    stack_name,
 )
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.library import GaitLibrary, pendulum_library
+from aslip.policy import stack_name
 from aslip.transforms import (
     ActionDelta,
     AssembleObservation,

@@ -7,9 +7,8 @@ from functools import cache
 from pathlib import Path
 
 import aslip
-from aslip.envs import policy_interface
 from aslip.library import GaitLibrary, tabulate_transitions
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, policy_interface, save_policy
 from aslip.rom import optimize_transitions
 from tests.library.bent import Bent
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aslip.base.archive import npy
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError
-from aslip.files.archive import npy
 from aslip.library import GaitLibrary, pendulum_library
 from aslip.library.table import ARRAYS
 from aslip.rom import SampledMotion

@@ -14,6 +14,7 @@ from aslip.envs import make_env
 from aslip.errors import ConfigurationError, ShapeError
 from aslip.ik import Kinematics
 from aslip.library import GaitLibrary, tabulate
+from aslip.library.footholds import Footholds
 from aslip.library.table import ARRAYS
 from aslip.rom import (
     Angle,
@@ -24,7 +25,6 @@ from aslip.rom import (
     Track,
     optimize_gaits,
 )
-from aslip.show.ghost import Footholds
 
 from .conftest import Shuffle
 

@@ -17,11 +17,12 @@ from scipy.spatial.transform import Rotation
 from tensordict import TensorDict
 
 import aslip
+from aslip.base.assets import asset_path
+from aslip.base.provenance import commit
 from aslip.envs import BatchEnv, SimulatedEnv, default_stack
 from aslip.envs.dm_control import DmControlEnv
 from aslip.errors import ConfigurationError, UnknownNameError
 from aslip.estimation import FAULTS
-from aslip.files.assets import asset_path
 from aslip.library import GaitLibrary
 from aslip.log import Recorder, Recording, read, replay
 from aslip.log.messages import LOGGED_JOINTS, ROM_FRAMES, component_names
@@ -29,7 +30,6 @@ from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.show.ghost import Ghost
 from aslip.sim import Torque
-from aslip.training.provenance import commit
 from aslip.transforms.rewards import PAPER_WEIGHTS
 from tests.log.helpers import MakeRecorded, run
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tensordict import TensorDict
 
-from aslip.files.assets import asset_path
+from aslip.base.assets import asset_path
 from aslip.log import Recording
 from aslip.log.messages import LOGGED_JOINTS
 from tests.log.helpers import CURVES

@@ -13,9 +13,9 @@ from tensordict import TensorDict
 import aslip
 from aslip.envs import Stack, StackEnv, default_stack, standing_stack
 from aslip.library import GaitLibrary
+from aslip.library.footholds import Footholds
 from aslip.log import Recorder, Recording, read
 from aslip.robot import SIDES
-from aslip.show.ghost import Footholds
 from tests.log.helpers import MakeRecorded
 
 _LIFT = torch.tensor([[0.0, 0.0, 800.0]])

@@ -15,7 +15,7 @@ import pytest
 from mcap.reader import make_reader
 from tensordict import TensorDict
 
-from aslip.files.assets import asset_path
+from aslip.base.assets import asset_path
 from aslip.log import Recording
 from aslip.log.messages import ROM_FRAMES
 from aslip.robot import CASSIE

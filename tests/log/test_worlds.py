@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import torch
 
+from aslip.base.assets import asset_path
 from aslip.errors import ConfigurationError, FileDamagedError
-from aslip.files.assets import asset_path
 from aslip.log import Recording, read, replay
 from aslip.robot.model import load_model, physics_timesteps
 from tests.log.helpers import MakeRecorded, run

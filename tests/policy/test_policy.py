@@ -17,8 +17,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import ProbabilisticActor
 
 import aslip
+from aslip.base.archive import as_json, npy
 from aslip.errors import AssetError, ConfigurationError, FileDamagedError, ShapeError
-from aslip.files.archive import as_json, npy
 from aslip.policy import (
     CARD,
     PolicyShape,

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import aslip
-from aslip.envs import directions_stack, policy_interface, shipped_library
+from aslip.envs import directions_stack, shipped_library
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.log import Recording, read, replay
 from aslip.log.walk import read_walk
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, policy_interface, save_policy
 from aslip.walking import Walker
 from recipes import walk
 from recipes.walk import Config

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip.files.assets import asset_path
+from aslip.base.assets import asset_path
 from aslip.robot.model import load_model
 
 APPEARANCE_GROUP = 1

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aslip.base.processes import signals_raised
 from aslip.errors import (
     ConfigurationError,
     GaitOptimizationError,
     SolverError,
     SpeedOutOfRangeError,
 )
-from aslip.processes import signals_raised
 from aslip.rom import Mode, SlipParameters, optimize, optimize_gait, optimize_gaits
 
 from .test_gait import ARRAYS

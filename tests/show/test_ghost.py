@@ -11,9 +11,10 @@ from tensordict import TensorDict
 
 from aslip.errors import ConfigurationError
 from aslip.library import GaitLibrary
+from aslip.library.footholds import Footholds, touchdown_phases, yaw_rotation
 from aslip.robot import SIDES
 from aslip.rom import PendulumWalk, SampledMotion, Track
-from aslip.show.ghost import Footholds, Ghost, touchdown_phases, yaw_rotation
+from aslip.show.ghost import Ghost
 from tests.helpers import MakeEnv
 from tests.library.bent import symmetric_library
 

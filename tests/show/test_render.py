@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from aslip import imports
+from aslip.base import imports
 from aslip.errors import ConfigurationError, RenderingError, ShapeError
 from aslip.robot import opengl
 from aslip.robot.model import load_model

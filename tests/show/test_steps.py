@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from aslip.library import GaitLibrary
+from aslip.show.gait_paths import path_figure
 from aslip.show.palette import LEFT, MODEL, RIGHT
-from aslip.show.steps import path_figure
 
 
 def test_each_panel_shows_body_footholds_and_toes(library: GaitLibrary) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from aslip.files.assets import asset_path
+from aslip.base.assets import asset_path
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
 from aslip.sim import Simulations

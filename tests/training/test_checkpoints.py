@@ -12,8 +12,8 @@ from unittest.mock import Mock
 import pytest
 import torch
 
+from aslip.base.processes import ENDINGS
 from aslip.errors import FileDamagedError
-from aslip.processes import ENDINGS
 from aslip.training import run as run_module
 from aslip.training.run import TrainingRun, TrainingStoppedError
 from benchmarks.common import quiet
@@ -245,7 +245,7 @@ def test_a_checkpoint_that_the_machine_cannot_read_now_is_not_damaged(
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr("aslip.files.archive.read_zip", fail)
+        patch.setattr("aslip.base.archive.read_zip", fail)
         with pytest.raises(type(error)):
             open_run(settings, resume=True).restore({"net": constant_network(0.0)})
     assert saved_steps(settings) == [10, 20]

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from aslip.base.provenance import peak_memory
 from aslip.errors import FileDamagedError
 from aslip.training import run as run_module
-from aslip.training.provenance import peak_memory
 from aslip.training.run import TrainingStoppedError, write_text
 from benchmarks.common import quiet
 from tests.helpers import full_disk
@@ -213,7 +213,7 @@ def test_peak_memory_is_that_of_this_process_alone() -> None:
     """On Linux, getrusage includes the peak of the parent process."""
     burden = bytearray(2**30)
     code = (
-        "from aslip.training.provenance import peak_memory\n"
+        "from aslip.base.provenance import peak_memory\n"
         "block = bytearray(2**27); print(peak_memory())"
     )
     command = [sys.executable, "-c", code]

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 import aslip
-from aslip.envs import MAX_EPISODE_STEPS, stack_name
+from aslip.envs import MAX_EPISODE_STEPS
 from aslip.errors import ConfigurationError, SpeedOutOfRangeError
 from aslip.library import GaitLibrary
-from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy
+from aslip.policy import PolicyShape, RunningNormalizer, make_actor, save_policy, stack_name
 from aslip.robot import CASSIE
 from aslip.transforms import SINGLE_REFERENCE_TABLE
 from aslip.walking import Walker

@@ -3,6 +3,6 @@
 `python -m aslip.control.export` exports from the command line.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import command_line
 from aslip.errors import ConfigurationError, one_line_errors
-from aslip.files.assets import UserPaths
-from aslip.training.command_line import command_line
 
 if TYPE_CHECKING:
     from aslip.control.exported import ExportedController

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from aslip.control.controller import PATH_ERROR, Controller, ControllerState
-from aslip.control.own_estimate import join_estimate, split_estimate
+from aslip.control.estimates import join_estimate, split_estimate
 from aslip.library import GaitLibrary
 from aslip.robot import Robot
 from aslip.robot.rotation import normalize

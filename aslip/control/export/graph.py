@@ -19,9 +19,9 @@ from torch import Tensor, nn
 
 from aslip.control.contract import observed_name
 from aslip.control.controller import PATH_ERROR, Controller
+from aslip.control.estimates import POSITION, standing_estimate
 from aslip.control.exported_file import check_graph
-from aslip.control.own_estimate import POSITION, standing_estimate
-from aslip.control.turn import hold_estimate, place_on_path
+from aslip.control.robot_frame import hold_estimate, place_on_path
 from aslip.errors import ConfigurationError
 from aslip.library.region import COMMANDS
 from aslip.policy import entry_names

@@ -10,11 +10,11 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from aslip.base.assets import user_path
 from aslip.control.controller import Controller
+from aslip.control.estimates import standing_estimate
 from aslip.control.export.graph import Entry, trace_graph
 from aslip.control.export.policy import mjlab_metadata, write_model
-from aslip.control.own_estimate import standing_estimate
-from aslip.files.assets import user_path
 from aslip.library import GaitLibrary
 
 

@@ -13,6 +13,10 @@ import onnx
 import torch
 
 import aslip
+from aslip.base.archive import as_json
+from aslip.base.assets import user_path
+from aslip.base.decorators import on_cpu_in_single
+from aslip.base.writing import replacing
 from aslip.control.contract import (
     CONTRACT_VERSION,
     NODE,
@@ -23,17 +27,13 @@ from aslip.control.contract import (
     trace_text,
 )
 from aslip.control.controller import Controller
+from aslip.control.estimates import split_estimate
 from aslip.control.export.golden import golden_trace, random_commands, random_estimates
 from aslip.control.export.graph import PolicyStep, trace_graph
 from aslip.control.exported import ExportedController
-from aslip.control.own_estimate import split_estimate
 from aslip.errors import ConfigurationError
-from aslip.files.archive import as_json
-from aslip.files.assets import user_path
-from aslip.files.writing import replacing
 from aslip.library import GaitLibrary, WalkMode
 from aslip.policy import entry_names, find_policy, read_card
-from aslip.transforms.base import on_cpu_in_single
 
 _BATCH = 1000  # steps that PyTorch computes at once in a comparison
 

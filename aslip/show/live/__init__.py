@@ -6,7 +6,7 @@
 Needs viser: `pip install 'aslip[live]'`.
 """
 
-from aslip.imports import attach, extras
+from aslip.base.imports import attach, extras
 
 with extras():
     import viser as _viser  # noqa: F401

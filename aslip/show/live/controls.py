@@ -18,7 +18,7 @@ from aslip.robot import CASSIE
 from aslip.show.live.pushes import PushControls
 from aslip.show.live.server import Check, guard, one_of, switch
 from aslip.show.live.steering import Steering
-from aslip.show.places import ROM_PLACES, RomPlace
+from aslip.show.model_place import ROM_PLACES, RomPlace
 
 Click = Literal["pause", "step", "reset", "push", "stand"]
 

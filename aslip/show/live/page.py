@@ -12,20 +12,19 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
-from aslip.envs import check_policy_fits
+from aslip.base.decorators import on_cpu_in_single
 from aslip.errors import AslipError, ConfigurationError
 from aslip.library import Command, WalkMode, numbers
-from aslip.policy import load_policy
+from aslip.library.footholds import yaw_rotation
+from aslip.policy import check_policy_fits, load_policy
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
-from aslip.show.ghost import yaw_rotation
 from aslip.show.live.controls import Click, Controls
 from aslip.show.live.pushes import PUSH_DURATION
 from aslip.show.live.readouts import ROBOT_LABEL, Readouts, Status, Turning
 from aslip.show.live.scene import SceneView
 from aslip.show.live.server import page_url, start_server
 from aslip.show.pacing import Pacer
-from aslip.transforms.base import on_cpu_in_single
 from aslip.walking import Walker
 
 # turns of the loop from a fall to the reset (1 s)

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from aslip.library.footholds import yaw_rotation
 from aslip.robot import CASSIE
 from aslip.robot.model import load_model
-from aslip.show.ghost import yaw_rotation
 from aslip.show.live.pushes import PushControls
 from aslip.show.live.readouts import ROBOT_LABEL
 from aslip.show.live.scene import RobotScene

@@ -13,6 +13,7 @@ import viser
 from tensordict import TensorDictBase
 
 from aslip.library import GaitLibrary
+from aslip.library.footholds import Footholds, yaw_rotation
 from aslip.robot import SIDES, Side
 from aslip.show.ghost import (
     BODY_COLOR,
@@ -21,12 +22,10 @@ from aslip.show.ghost import (
     LEG_COLORS,
     SWING_FADE,
     WIRE_RADIUS,
-    Footholds,
     Ghost,
-    yaw_rotation,
 )
 from aslip.show.live.robot import Color, RobotView, cylinder, sphere, to_color, tube
-from aslip.show.places import BESIDE, BESIDE_STEPS, RomPlace
+from aslip.show.model_place import BESIDE, BESIDE_STEPS, RomPlace
 from aslip.show.render import spring_path
 
 # radius and half thickness of a disc on the floor [m]

@@ -3,6 +3,6 @@
 The simulation needs the extra aslip[drake].
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -3,6 +3,6 @@
 Arrays have time first. A "stance" is a row of two sample indices, first and one past the last.
 """
 
-from aslip.imports import attach
+from aslip.base.imports import attach
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

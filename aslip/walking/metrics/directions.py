@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from aslip.base.interval import Interval
 from aslip.robot import CASSIE
 from aslip.robot.rotation import yaw
-from aslip.walking.interval import Interval
 
 
 def mean_twist(velocity: np.ndarray, orientation: np.ndarray, yaw_rate: np.ndarray) -> np.ndarray:

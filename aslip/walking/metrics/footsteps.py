@@ -103,7 +103,7 @@ def placement(steps: Footsteps, ideal_step: np.ndarray) -> Placement:
     Args:
         steps: footsteps of a walk at one command.
         ideal_step: (2, 2) step of the left and of the right foot from the other, forward and left
-            [m]; see `aslip.show.ghost.Footholds.step`.
+            [m]; see `aslip.library.footholds.Footholds.step`.
     """
     follows = np.flatnonzero(np.diff(steps.side) != 0) + 1
     side = steps.side[follows]

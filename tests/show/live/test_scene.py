@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 import torch
 
+from aslip.library.footholds import Footholds
 from aslip.robot.model import load_model
-from aslip.show.ghost import Footholds, Ghost
+from aslip.show.ghost import Ghost
 from aslip.show.live.robot import RobotView
 from aslip.show.live.scene import RomView, SceneView
 from aslip.walking import Walker

@@ -1,0 +1,1 @@
+"""What all rooms use: imports, files, processes, programs, compiled loops, intervals, tables."""

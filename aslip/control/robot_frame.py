@@ -1,0 +1,162 @@
+"""Heading frames of robots that estimate their own state: rotation, and path of a command."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import cast
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from tensordict import TensorDictBase
+from torch import Tensor
+
+from aslip.control.estimates import POSITION, mark_lost, split_estimate, start_heading
+from aslip.robot import Robot
+from aslip.transforms.estimate import PATH_SIZES
+from aslip.transforms.path import advance_frame, advance_heading, place_in_path
+from aslip.transforms.rotation import (
+    multiply,
+    rotate_about_vertical,
+    upper_hemisphere,
+    vertical_quaternion,
+)
+
+# quaternions within this tolerance of unit length keep their bits
+_ROUNDING = 1e-6
+
+
+Entries = dict[str, Tensor | dict[str, Tensor]]
+"""Entries (n, k), or groups of them."""
+
+
+def start_entries(
+    rows: np.ndarray, heading: ArrayLike | None, robot: Robot, along_path: bool = False
+) -> Entries:
+    """Entries `estimate` and `heading` of robots that start with estimates (n, e).
+
+    With estimated positions, robots along a path have `odometry`, too; see `place_on_path`. Other
+    arguments and errors are those of `start_heading`.
+    """
+    ahead = torch.from_numpy(start_heading(rows, heading, robot))
+    part, position = _tensors(rows, robot)
+    entries: Entries = {"estimate": turn_estimate(part, ahead), "heading": ahead}
+    if along_path and position is not None:
+        place = rotate_about_vertical(position, -ahead)
+        begun = start_origin(position)
+        entries["odometry"] = place_on_path(place, begun, ahead.float())
+    return entries
+
+
+def next_entries(
+    past: TensorDictBase,
+    rows: np.ndarray,
+    heading: Tensor | None,
+    robot: Robot,
+    command: Tensor | None = None,
+    mode: Tensor | None = None,
+) -> Entries:
+    """Entries `estimate` and `heading` after new estimates (n, e); see `hold_estimate`.
+
+    Estimates that no robot can have count as lost.
+
+    Args:
+        past: entries of the last policy step; with `odometry` there, the robots have it again.
+        rows: joined estimates.
+        heading: new yaw (n, 1) that counts as straight ahead [rad], or None.
+        robot: robot that gives the sizes of the entries.
+        command: command (n, c) during the step, along whose path the heading turns, or None.
+        mode: new mode (n, 1) of robots that stand on a wish, or None.
+    """
+    before = cast("Tensor", past["heading"] if heading is None else heading)
+    ahead = before
+    if command is not None:
+        ahead = advance_heading(before, command)
+    ahead = ahead.double()
+    last = {name: cast("Tensor", past["estimate", name]) for name in robot.estimate_sizes}
+    part, position = _tensors(mark_lost(rows, robot), robot)
+    entries: Entries = {"estimate": hold_estimate(part, ahead, last), "heading": ahead.clone()}
+    if command is not None and "odometry" in past:
+        if position is None:
+            position = torch.full((len(rows), 3), torch.nan, dtype=torch.float64)
+        origin, error = (cast("Tensor", past["odometry", name]) for name in PATH_SIZES)
+        place = rotate_about_vertical(position, -ahead)
+        moved = advance_frame(origin, before.float(), command, error)
+        entries["odometry"] = place_on_path(place, *moved, error, mode)
+    return entries
+
+
+def start_origin(position: Tensor) -> Tensor:
+    """Origin (n, 3) of the path of robots that start at positions (n, 3) [m]."""
+    return torch.nn.functional.pad(position[:, :2], (0, 1)).float()
+
+
+def place_on_path(
+    place: Tensor,
+    origin: Tensor,
+    heading: Tensor,
+    last_error: Tensor | None = None,
+    mode: Tensor | None = None,
+) -> dict[str, Tensor]:
+    """Odometry of robots along the path of a command, see `aslip.transforms.path`.
+
+    Args:
+        place: (n, 3) position of the pelvis [m, heading frame]; not finite if it is lost.
+        origin: (n, 3) origin of the moving frame [m, frame of the estimates].
+        heading: (n, 1) yaw of the frame [rad].
+        last_error: (n, 2) distance from the path a policy step ago, which lost robots keep [m].
+        mode: (n, 1) mode of robots that stand on a wish.
+
+    Returns:
+        `origin` (n, 3), and `path_error` (n, 2) as in `aslip.transforms.PATH_SIZES`.
+    """
+    way = rotate_about_vertical(origin, -heading)
+    entries = {"pelvis_position": place.float() - way}
+    placed = place_in_path(entries, origin, heading, mode=mode)
+    found = {name: placed[name] for name in PATH_SIZES}
+    if last_error is None:
+        return found
+    lost = ~place.isfinite().all(-1, keepdim=True)
+    held = {"origin": origin, "path_error": last_error}
+    return {name: torch.where(lost, held[name], value) for name, value in found.items()}
+
+
+def hold_estimate(
+    part: Mapping[str, Tensor], heading: Tensor, last: Mapping[str, Tensor]
+) -> dict[str, Tensor]:
+    """Rotate estimates to the heading frame; keep a robot's last one if a number is not finite.
+
+    Args:
+        part: entries (n, k) of new estimates, in double precision.
+        heading: (n, 1) yaw of the heading frame [rad].
+        last: entries (n, k) of the last estimates in the heading frame.
+    """
+    lost = ~torch.cat(list(part.values()), dim=-1).isfinite().all(-1, keepdim=True)
+    turned = turn_estimate(part, heading)
+    return {name: torch.where(lost, last[name], value) for name, value in turned.items()}
+
+
+def turn_estimate(part: Mapping[str, Tensor], heading: Tensor) -> dict[str, Tensor]:
+    """Rotate estimates to heading frames, with x along the heading, in single precision.
+
+    Args:
+        part: entries (n, k) of estimates in double precision; a zero heading keeps them exactly.
+        heading: (n, 1) yaw of the heading frame, in the frame of the estimates [rad].
+    """
+    orientation = multiply(vertical_quaternion(-heading), part["orientation"])
+    length = torch.linalg.vector_norm(orientation, dim=-1, keepdim=True)
+    far = (length - 1).abs() > _ROUNDING
+    unit = torch.where(far, orientation / length, orientation)
+    turned = {
+        **part,
+        "orientation": upper_hemisphere(unit),
+        "velocity": rotate_about_vertical(part["velocity"], -heading),
+    }
+    return {name: value.float() for name, value in turned.items()}
+
+
+def _tensors(rows: np.ndarray, robot: Robot) -> tuple[dict[str, Tensor], Tensor | None]:
+    """Split joined estimates (n, e) into entries (n, k) and, if they have it, the position."""
+    parts = {name: torch.tensor(value) for name, value in split_estimate(rows, robot).items()}
+    position = parts.pop(POSITION, None)
+    return parts, position

@@ -1,1 +1,0 @@
-"""Shipped files, archives of arrays, and atomic writing."""

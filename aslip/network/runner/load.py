@@ -1,0 +1,113 @@
+"""Loading of controllers by the name or file of their policy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from aslip.base.assets import asset_path, user_path
+from aslip.control.estimates import standing_estimate
+from aslip.errors import AslipError, ConfigurationError
+from aslip.network.runner.supervisor import MotorController
+from aslip.robot import CASSIE
+
+_WARM_UP = 5
+
+
+class Loaded(NamedTuple):
+    """Controller, its settings for the supervisor, and its files."""
+
+    controller: MotorController
+    """Controller, warmed up."""
+    pose: np.ndarray
+    """Motor angles (10,) of its reference in place, at the start of a stride [rad]."""
+    command_size: int
+    """Number of components of its command."""
+    stands: bool
+    """True if it stands on a wish."""
+    files: dict[str, bytes]
+    """Contents of the files that `load` read, by name."""
+
+
+def load(policy: str | Path, library: str | Path | None = None) -> Loaded:
+    """Load a controller, and take some steps so that the first one on the robot is fast.
+
+    An exported policy, a file that ends with ".onnx", needs no PyTorch; its golden trace is
+    verified first.
+
+    Args:
+        policy: name of a shipped policy, policy file, folder of a training run, or exported policy.
+        library: gait library of the policy: file, or name of a shipped one; by default that of the
+            policy's stack. An exported policy contains its library; one given here must equal it.
+
+    Raises:
+        AssetError, FileDamagedError: there is no such policy or library, or it is damaged.
+        ConfigurationError: policy and library, or policy and robot, do not fit.
+    """
+    exported = Path(policy).suffix == ".onnx"
+    loaded = _of_export(user_path(policy), library) if exported else _of_torch(policy, library)
+    try:
+        warm_up(loaded.controller)
+    except Exception as error:  # networks fail in many ways
+        reason = str(error) if isinstance(error, AslipError) else f"{type(error).__name__}: {error}"
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} and the library {str(library or 'of its stack')!r} do not"
+            f" fit: {reason}"
+        ) from error
+    return loaded
+
+
+def warm_up(controller: MotorController) -> None:
+    """Take some steps with the estimate of a standing robot, and check the motor targets.
+
+    Raises:
+        ConfigurationError: the targets are not ten finite angles.
+    """
+    estimate = standing_estimate()
+    state = controller.start(estimate, 0.0, heading=0.0)
+    for _ in range(_WARM_UP):
+        state, _ = controller.step(state, estimate, None)
+    target = np.asarray(state.motor_target)
+    if target.size != len(CASSIE.motor_names) or not np.isfinite(target).all():
+        raise ConfigurationError(f"its motor targets are not ten finite angles: {target.tolist()}")
+
+
+def _of_export(path: Path, library: str | Path | None) -> Loaded:
+    """Controller of an exported policy."""
+    # imported late: other policies run without onnxruntime
+    from aslip.control.exported import ExportedController
+
+    controller = ExportedController(path, library=None if library is None else str(library))
+    controller.verify()
+    files = {"policy.onnx": path.read_bytes()}
+    size, stands = controller.command_size, controller.stands
+    return Loaded(controller, controller.pose, size, stands, files)
+
+
+def _of_torch(policy: str | Path, library: str | Path | None) -> Loaded:
+    """Controller of a policy file."""
+    # imported late: an exported policy runs without PyTorch
+    import torch
+
+    from aslip.control.controller import Controller
+    from aslip.library import GaitLibrary
+    from aslip.library.library import SHIPPED
+    from aslip.policy import find_policy, policy_library
+
+    # one robot: more threads only cost time
+    torch.set_num_threads(1)
+    path = find_policy(policy)
+    needed = policy_library(path)
+    library = library or needed
+    if library in SHIPPED and library != needed:
+        raise ConfigurationError(
+            f"the policy {str(policy)!r} needs the library {needed!r}, got {library!r}"
+        )
+    file = asset_path(f"{library}.npz") if library in SHIPPED else user_path(library)
+    gaits = GaitLibrary.load(library)
+    controller = Controller(path, gaits)
+    pose = controller.steering.pose().double().numpy()
+    files = {"policy.zip": path.read_bytes(), "library.npz": file.read_bytes()}
+    return Loaded(controller, pose, gaits.command_size, controller.steering.stands, files)

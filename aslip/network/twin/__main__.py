@@ -1,0 +1,129 @@
+"""Simulate Cassie behind the robot's network protocol, until Ctrl-C or SIGTERM.
+
+    python -m aslip.network.twin                     # PD mode in lockstep, 127.0.0.1:25000
+    python -m aslip.network.twin --real-time         # at 2 kHz, as the robot
+    python -m aslip.network.twin --real-time --raw   # torques in, sensors out
+    python -m aslip.network.twin --real-time --live  # with a page to watch, push and stop it
+    python -m aslip.network.twin --engine drake      # in Drake instead of MuJoCo
+
+In lockstep each command advances the simulation by a tick of 0.5 ms, and is answered by the state
+after the tick. In real time the robot stands still until a command has torques or gains, holds the
+last command, and drops it after a silence. At the end the numbers of ticks and datagrams are
+printed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Literal
+
+from aslip.base.command_line import command_line, say
+from aslip.base.processes import signals_exit
+from aslip.errors import one_line_errors
+from aslip.network.wire import (
+    CASSIE_OUT,
+    PD_IN,
+    SIMULATOR,
+    STATE_OUT,
+    USER_IN,
+    Address,
+    Endpoint,
+    Link,
+)
+
+if TYPE_CHECKING:
+    from aslip.network.twin.page import TwinPage
+    from aslip.network.twin.real_time import RealTimeServer
+    from aslip.network.twin.robot import TwinRobot
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings of the twin."""
+
+    address: str = SIMULATOR.host
+    """IPv4 address to listen at."""
+    port: int = SIMULATOR.port
+    """Port to listen at; 0 lets the system choose one."""
+    engine: Literal["mujoco", "drake"] = "mujoco"
+    """Physics engine; Drake needs the extra aslip[drake]."""
+    beyond_loopback: bool = False
+    """Allow an address that other machines reach, which can then move the robot."""
+    raw: bool = False
+    """Use raw mode: take torques, not PD targets, and send sensor readings, not the robot's own
+    estimate."""
+    real_time: bool = False
+    """Advance at 2 kHz, whether commands come or not; otherwise in lockstep with the client."""
+    fallback: Literal["damping", "zero"] = "damping"
+    """Command in real time after a silence of 0.1 s, in raw mode 10 ms; the robot uses zero."""
+    radio: bool = False
+    """Read the operator's radio from the terminal, one "CHANNEL VALUE" per line: "8 -1" is the
+    emergency stop, "8 1" releases it."""
+    live: bool = False
+    """Serve a page to watch, push and stop the robot; needs the extra aslip[live]."""
+    page_port: int = 8080
+    """Port of the page, at the address of the twin; 0 lets the system choose one."""
+
+
+def main(config: Config) -> None:
+    """Serve clients until Ctrl-C."""
+    sends, receives = (CASSIE_OUT, USER_IN) if config.raw else (STATE_OUT, PD_IN)
+    link = Link(sends, receives, refuse_not_finite=True)
+    local = Address(config.address, config.port)
+    with Endpoint(link, local, beyond_loopback=config.beyond_loopback) as endpoint:
+        # imported late: a port in use is reported at once
+        from aslip.network.twin import ENGINES, TwinRobot
+        from aslip.network.twin.page import TwinPage
+        from aslip.network.twin.radio import read_radio
+
+        robot = TwinRobot(make_engine=ENGINES[config.engine], raw=config.raw)
+        if config.radio:
+            read_radio(robot)
+        page = TwinPage(robot, config.address, config.page_port) if config.live else None
+        try:
+            with contextlib.suppress(KeyboardInterrupt), signals_exit():
+                serve(config, robot, endpoint, page)
+        finally:
+            counts = {name: number for name, number in asdict(link.counters).items() if number}
+            say(f"{robot.divergences} divergences, datagrams: {counts}")
+            if page is not None:
+                page.close()
+
+
+def serve(config: Config, robot: TwinRobot, endpoint: Endpoint, page: TwinPage | None) -> None:
+    """Serve clients in lockstep or in real time."""
+    from aslip.network.twin import RealTimeServer, serve_lockstep
+
+    server = None
+    if config.real_time:
+        server = RealTimeServer(robot, endpoint, fallback=config.fallback, say=say)
+
+    def stop() -> bool:
+        if page is not None:
+            page.update(lambda: lines(robot, endpoint, server))
+        return False
+
+    seen = "" if page is None else f", page at {page.url}"
+    say(f"waiting for commands at {endpoint.local}{seen}; Ctrl-C ends")
+    try:
+        if server is None:
+            serve_lockstep(robot, endpoint, stop)
+        else:
+            server.run(stop)
+    finally:
+        say(f"lockstep: {robot.ticks} ticks" if server is None else f"real time: {server.load}")
+
+
+def lines(robot: TwinRobot, endpoint: Endpoint, server: RealTimeServer | None) -> dict[str, str]:
+    """Lines of text on the page."""
+    shown = {
+        "time": f"{robot.ticks * robot.robot.physics_timestep:.2f} s since it was set on its feet",
+        "client": "none yet" if endpoint.peer is None else str(endpoint.peer),
+    }
+    return shown if server is None else {**shown, "real time": str(server.load)}
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(command_line(Config))

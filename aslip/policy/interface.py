@@ -1,0 +1,185 @@
+"""Interface between environment and policy: entries of the observation, baseline of the action."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from tensordict.utils import NestedKey, unravel_key
+from torch import nn
+from torchrl.envs.transforms import Transform
+
+from aslip.base.decorators import on_cpu_in_single
+from aslip.envs.describe import observation_keys
+from aslip.envs.keep import KeepKeys
+from aslip.envs.stack_env import StackEnv
+from aslip.envs.stacks import STACKS
+from aslip.errors import ConfigurationError
+from aslip.library import GaitLibrary
+from aslip.policy import check_policy_library, entry_names, observation_difference, read_card
+from aslip.transforms import (
+    ActionDelta,
+    AssembleObservation,
+    CommandFilter,
+    ReferenceInjection,
+    StandClock,
+)
+
+
+@on_cpu_in_single
+def policy_interface(env: StackEnv) -> dict[str, Any]:
+    """Interface of an environment to a policy, as arguments of `aslip.policy.save_policy`.
+
+    Raises:
+        ConfigurationError: no `AssembleObservation` makes an observation.
+    """
+    libraries = _reference_libraries(env.transforms)
+    return {
+        "stack": stack_name(env),
+        "observation": observation_keys(env),
+        "baseline": baseline_key(env),
+        "command_rates": command_rates(env),
+        "stands": stands(env),
+        "library_sha256": libraries[0].sha256 if libraries else None,
+    }
+
+
+def stack_name(env: StackEnv) -> str | None:
+    """Name of the stack in `STACKS` with the same interface to a policy, or None.
+
+    Stacks differ if the entries of the observation, their order, the baseline of the action or the
+    motion of the reference differ. Rewards, ends of episodes, robots, sensors and other entries do
+    not matter.
+    """
+    keys = _observation_keys(env.transforms), baseline_key(env)
+    if None in keys:
+        return None
+    libraries = _reference_libraries(env.transforms)
+    turning = any(library.command_size == 3 for library in libraries)
+    possible = ["default", "paper", "single_reference"]
+    if turning:
+        possible = ["standing" if stands(env) else "directions"]
+    for name in possible:
+        # walks in all directions may follow any library, whose hash is in the policy file
+        stack = STACKS[name](libraries[0] if turning else None)
+        named = [stack[part] for part in ("observation", "action", "reference")]
+        same_keys = keys == (_observation_keys(named), _baseline_key(named[1]))
+        if same_keys and _motion(env.transforms) == _motion(named):
+            return name
+    return None
+
+
+def baseline_key(env: StackEnv) -> NestedKey | None:
+    """Key of the action's baseline, the angles to which the action is added.
+
+    None without an `ActionDelta`, or if another transform also changes actions.
+    """
+    acting = [t for t in env.transforms if _changes_actions(t)]
+    return _baseline_key(acting[0]) if len(acting) == 1 else None
+
+
+def command_rates(env: StackEnv) -> tuple[float, ...] | None:
+    """Largest rates of the command that the policy follows; None without a `CommandFilter`."""
+    rates = [t.rates for t in env.transforms if isinstance(t, CommandFilter)]
+    return rates[0] if rates else None
+
+
+def stands(env: StackEnv) -> bool:
+    """True for a stack whose robots stand on a wish, see `aslip.transforms.StandClock`."""
+    return any(isinstance(t, StandClock) for t in env.transforms)
+
+
+@on_cpu_in_single
+def check_policy_fits(policy: str | Path | nn.Module, env: StackEnv) -> None:
+    """Check that an environment has the observation and action that a policy was trained with.
+
+    Args:
+        policy: name or path, as `aslip.load_policy` takes it. Of a module, only the size of the
+            observation is checked, and only if `load_policy` made it.
+        env: environment.
+
+    Raises:
+        AssetError: the policy does not exist.
+        FileDamagedError: the file is truncated, altered or not a policy.
+        ConfigurationError: the entries of the observation, their order, its size, the baseline of
+            the action, the rates of the command or the gaits differ.
+    """
+    named = isinstance(policy, str | Path)
+    card = {**read_card(policy), "name": str(policy)} if named else getattr(policy, "card", None)
+    if card is None:
+        return
+    if why := _misfit(card, env, only_size=not named):
+        raise ConfigurationError(
+            f"the policy {card['name']!r} does not fit the environment: {why}; it was trained on"
+            f" the stack {card['stack']!r}, and the environment has the stack {stack_name(env)!r}"
+        )
+    for library in _reference_libraries(env.transforms) if named else ():
+        check_policy_library(card["name"], card, partial(getattr, library, "sha256"))
+
+
+def _misfit(card: Mapping[str, Any], env: StackEnv, only_size: bool) -> str:
+    """First difference between an environment and that of a policy's card; empty for none."""
+    if not only_size and card["observation"] != (shown := entry_names(observation_keys(env))):
+        return observation_difference(card["observation"], shown)
+    has, size = card["shape"].observation_size, env.observation_spec["observation"].shape[-1]
+    if has != size:
+        return f"its observation has {has} numbers, the environment's has {size}"
+    if only_size:
+        return ""
+    key = baseline_key(env)
+    added_to = None if key is None else entry_names([key])[0]
+    if card["baseline"] != added_to:
+        return (
+            f"its action must be added to {card['baseline']!r}, but the environment adds it to"
+            f" {added_to!r}"
+        )
+    if card["command_rates"] != (rates := command_rates(env)):
+        return (
+            f"its commands change at most at the rates {card['command_rates']}, those of the"
+            f" environment at {rates}"
+        )
+    return ""
+
+
+def _reference_libraries(transforms: Sequence[Transform]) -> list[GaitLibrary]:
+    """Gaits that the reference is looked up in, at most one; none for another reference."""
+    return [t.library for t in transforms if isinstance(t, ReferenceInjection)][:1]
+
+
+def _observation_keys(transforms: Sequence[Transform]) -> tuple[NestedKey, ...] | None:
+    """Keys of the observation's entries; None unless one `AssembleObservation` alone writes it."""
+    writing = [t for t in transforms if "observation" in t.out_keys]
+    if len(writing) != 1 or not isinstance(writing[0], AssembleObservation):
+        return None
+    return tuple(writing[0].in_keys)
+
+
+def _changes_actions(transform: Transform) -> bool:
+    """True if a transform changes actions between policy and robot."""
+    keys = {*map(str, transform.in_keys_inv), *map(str, transform.out_keys_inv)}
+    if keys & {"action", "motor_target"}:
+        return True
+    if isinstance(transform, KeepKeys):
+        return False
+    # transforms of TorchRL name the keys that they change, others may not
+    owner = next(kind for kind in type(transform).__mro__ if "_inv_call" in vars(kind))
+    return not owner.__module__.startswith("torchrl.")
+
+
+def _baseline_key(transform: Transform) -> NestedKey | None:
+    return unravel_key(transform.baseline_key) if isinstance(transform, ActionDelta) else None
+
+
+def _motion(transforms: Sequence[Transform]) -> list[list[float]]:
+    """Samples of the reference motion over the stride, to compare motions."""
+    libraries = _reference_libraries(transforms)
+    if not libraries:
+        return []
+    library = libraries[0]
+    ends = [torch.linspace(float(axis[0]), float(axis[-1]), 3) for axis in library.table.axes]
+    points = torch.cartesian_prod(torch.arange(4) / 4, *ends)
+    motion = library.lookup(points[:, :1], points[:, 1:])
+    return torch.cat([points, motion.motor_position, motion.body_velocity], dim=-1).tolist()

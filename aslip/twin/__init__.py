@@ -1,8 +1,0 @@
-"""Twin of a robot: the simulation behind the robot's network protocol.
-
-`python -m aslip.twin` starts a twin that waits for a client.
-"""
-
-from aslip.imports import attach
-
-__getattr__, __dir__, __all__ = attach(__name__, __file__)

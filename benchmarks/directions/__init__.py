@@ -1,0 +1,1 @@
+"""Walks in all directions: tracking, changes of the command, stops, a path."""

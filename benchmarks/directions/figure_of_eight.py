@@ -1,0 +1,185 @@
+"""Figure of eight, with feedback of the estimated pose.
+
+    python -m benchmarks.directions.figure_of_eight --policy runs/ppo_directions
+    python -m benchmarks.directions.figure_of_eight --policy runs/ppo_directions --video eight.mp4
+
+As on a robot, a control law (`aslip.control.PathFollower`) computes commands from the pose of the
+state estimator's odometry. Errors are distances of the estimated and of the true pose from their
+nearest points of the path; dead reckoning drifts, so they differ.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.base.command_line import command_line
+from aslip.errors import ConfigurationError, one_line_errors
+from benchmarks.flags import Directions
+
+
+@dataclass(frozen=True)
+class Config(Directions):
+    """Settings of the benchmark."""
+
+    radius: float = 3.0
+    """Radius of the circles [m]."""
+    speed: float = 0.8
+    """Speed along the path [m/s]."""
+    duration: float = 300.0
+    """Duration of the walk [s]."""
+    video: Path | None = None
+    """Film of the first policy's walk, such as eight.mp4; drawing takes minutes."""
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        super().__post_init__()
+        for name in ("radius", "speed", "duration"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ConfigurationError(f"{name} must be positive, got {getattr(self, name)}")
+        if self.video is not None and self.video.suffix != ".mp4":
+            raise ConfigurationError(
+                f"the name of a film must end in .mp4, got {str(self.video)!r}"
+            )
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+import contextlib
+from typing import Any, cast
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tensordict import TensorDictBase
+from tqdm import tqdm
+
+from aslip.base.tables import markdown
+from aslip.control import Eight, PathFollower
+from aslip.library import GaitLibrary
+from aslip.robot import CASSIE
+from aslip.robot.rotation import yaw
+from aslip.show.film import Frame, Look, make_film
+from aslip.walking import next_start, policy_steps, reset_walks, take_step
+from aslip.walking.record import commands_kept
+from benchmarks.common import MakeEnv, Policy, Subject, load_with_library, write_report
+
+_POINTS = 500  # number of points of the drawn path
+_STEPS_PER_FRAME = 2  # policy steps between frames of the film
+_LOOK = Look("follow", 480, 360)
+
+
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> list[dict[str, Any]]:
+    """Measure, print and draw; return a row for each policy.
+
+    Args:
+        config: the settings.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
+    """
+    subjects, library = load_with_library(config, policy, make_env)
+    follower = PathFollower(Eight(config.radius), config.speed)
+    found = [walk_path(config, subject, library, follower) for subject in subjects]
+    rows = [row for row, _, _ in found]
+    lines = [
+        [
+            row["policy"],
+            f"{row['time']:.1f}" + (" fell" if row["fell"] else ""),
+            *(f"{100 * row[key]:.1f}" for key in ("estimate", "estimate_most", "truth")),
+        ]
+        for row in rows
+    ]
+    header = [
+        "policy", "walked [s]", "mean error, estimate [cm]", "largest [cm]",
+        "mean error, truth [cm]",
+    ]  # fmt: skip
+    figure = picture(follower, found[0][1])
+    write_report(config, policy, "figure_of_eight", {"rows": rows}, markdown(header, lines), figure)
+    if config.video is not None:
+        rate = 1 / (_STEPS_PER_FRAME * CASSIE.policy_period)
+        make_film(config.video, found[0][2], rate, _LOOK)
+    return rows
+
+
+def walk_path(
+    config: Config, subject: Subject, library: GaitLibrary, follower: PathFollower
+) -> tuple[dict[str, Any], np.ndarray, list[Frame]]:
+    """Walk one robot along the path.
+
+    Returns:
+        Numbers of the walk; positions (m, 2, 2), estimated and true, before each policy step [m];
+        and frames of the film, none without one.
+    """
+    start, way, true_way = (config.speed, 0.0, 0.0), 0.0, 0.0
+    places, distances, frames, fell = [], [], [], False
+    with contextlib.closing(subject.walking_env(config, 1)) as env, commands_kept(env):
+        td: TensorDictBase = reset_walks(env, library.nearest(torch.tensor([start])).numpy())
+        for _ in tqdm(range(policy_steps(config.duration)), unit="step", leave=False):
+            heading = float(cast("torch.Tensor", td["heading"]))
+            estimated, true = (world_pose(td, group) for group in ("odometry", "true_odometry"))
+            command, way = follower.command(estimated, heading, way)
+            true_way += follower.errors(true, true_way)[0]
+            td["command"] = library.nearest(torch.tensor([command]))
+            if config.video is not None and len(places) % _STEPS_PER_FRAME == 0:
+                frames.append(Frame.of(td))
+            td = take_step(subject.policy, env, td)
+            places.append([estimated[:2], true[:2]])
+            nearest = (estimated, way), (true, true_way)
+            distances.append([math.hypot(*follower.errors(*one)[:2]) for one in nearest])
+            if fell := bool(td["next", "terminated"]):
+                break
+            td = next_start(td)
+    errors = np.array(distances)
+    row = {
+        "policy": subject.name,
+        "time": len(errors) * CASSIE.policy_period,
+        "fell": fell,
+        "estimate": float(errors[:, 0].mean()),
+        "estimate_most": float(errors[:, 0].max()),
+        "truth": float(errors[:, 1].mean()),
+    }
+    return row, np.array(places), frames
+
+
+def world_pose(td: TensorDictBase, group: str) -> tuple[float, float, float]:
+    """Position [m] and yaw [rad] of a pelvis in the world, from its odometry along the path.
+
+    Args:
+        td: tensordict of one robot.
+        group: "odometry", the estimate, or "true_odometry".
+    """
+    entries = cast("TensorDictBase", td[group])
+    heading = float(cast("torch.Tensor", td["heading"]))
+    x, y, _ = entries["pelvis_position"][0].tolist()
+    origin = entries["origin"][0].tolist()
+    cosine, sine = math.cos(heading), math.sin(heading)
+    orientation = cast("torch.Tensor", entries["pelvis_orientation"])[0]
+    turned = float(yaw(orientation.double().numpy()))
+    place = origin[0] + cosine * x - sine * y, origin[1] + sine * x + cosine * y
+    return *place, heading + turned
+
+
+def picture(follower: PathFollower, places: np.ndarray) -> Figure:
+    """Draw the path, and the estimated and true positions of the first policy, from above."""
+    figure = Figure(figsize=(5, 7.5), layout="constrained")
+    axes = figure.subplots()
+    assert isinstance(follower.path, Eight)
+    length = 4 * math.pi * follower.path.radius
+    path = np.array([follower.path.at(way)[0][:2] for way in np.linspace(0, length, _POINTS)])
+    axes.plot(*path.T, "k--", lw=1, label="path")
+    axes.plot(*places[:, 0].T, color="tab:blue", lw=1, label="estimate")
+    axes.plot(*places[:, 1].T, color="tab:red", lw=1, label="truth")
+    axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.legend(loc="upper right", fontsize=8)
+    axes.grid(alpha=0.3)
+    return figure
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)

@@ -1,0 +1,250 @@
+"""Stops from a walk, standing, and starts: time, drift, turn, lifted feet, power and falls.
+
+    python -m benchmarks.directions.stops --policy runs/ppo_directions
+    python -m benchmarks.directions.stops --policy runs/seed0 runs/seed1 --walks 32
+
+A robot walks at a command for 4 s and a part of a stride, is told to stand, stands for a minute,
+and walks on at the same command. Commands are straight speeds, then random ones over the region of
+the library; the parts of a stride are spread evenly, so that wishes to stand come at all phases.
+Forces and torques are sampled at 2 kHz. The feet count as planted from the time at which both carry
+a force for half a second; drift, turn, power and feet that lose the ground are measured from 4 s
+after the wish on, when the robot should have come to rest. A foot that is in the air by then counts
+as lifted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from aslip.base.command_line import command_line
+from aslip.errors import ConfigurationError, one_line_errors
+from benchmarks.flags import Directions
+
+
+@dataclass(frozen=True)
+class Config(Directions):
+    """Settings of the benchmark."""
+
+    speeds: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)
+    """Forward speeds from which robots stop [m/s], moved into the region of the library."""
+    walks: int = 12
+    """Number of walks; those after the forward speeds have random commands."""
+    duration: float = 60.0
+    """Time of standing that is measured [s]."""
+    stack: str = "standing"
+    """Stack with stop and start in which policies walk, whatever the one they were trained in."""
+
+    def __post_init__(self) -> None:
+        """Check number of walks and duration."""
+        super().__post_init__()
+        if self.walks < 1:
+            raise ConfigurationError(f"walks must be 1 or more, got {self.walks}")
+        if not all(map(math.isfinite, self.speeds)):
+            raise ConfigurationError(f"speeds must be finite, got {self.speeds}")
+        if not 0.5 <= self.duration < math.inf:
+            raise ConfigurationError(f"duration must be 0.5 s or more, got {self.duration}")
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+from collections.abc import Sequence
+from contextlib import closing
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+import aslip
+from aslip.base.tables import markdown
+from aslip.library import GaitLibrary
+from aslip.robot import CASSIE
+from aslip.walking import Substeps, record_substeps
+from aslip.walking.metrics import drift, lifted_feet, mechanical_power, planting_time, turned
+from benchmarks.common import (
+    MakeEnv,
+    Policy,
+    Subject,
+    chosen_library,
+    load_subjects,
+    write_report,
+)
+from benchmarks.directions.random_commands import random_commands
+
+# durations of walking, of coming to rest, and of walking on [s]
+_WALK, _REST, _GO_ON = 4.0, 4.0, 4.0
+_TICK: Final = CASSIE.physics_timestep
+_TRACE = 0.05  # time between points of the picture [s]
+STAGES = ("walk", "stop", "stand", "start")
+"""Stages of a walk, in which a robot may fall."""
+
+
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> list[dict[str, Any]]:
+    """Measure, print and draw; return a row for each policy.
+
+    Args:
+        config: the settings.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
+    """
+    given = chosen_library(config)
+    in_stack = partial(aslip.make_env, stack=config.stack, library=given)
+    subjects = load_subjects(config, policy, make_env or in_stack, given)
+    library = subjects[0].find_library()
+    chosen = commands(config, library)
+    later = delays(library, chosen)
+    rows, traces = [], []
+    for subject in subjects:
+        walks = [
+            measure(replace(config, seed=seed), subject, *each)
+            for seed, *each in tqdm(
+                [*zip(seeds(config), chosen, later, strict=True)], unit="walk", leave=False
+            )
+        ]
+        traces.append([walk.pop("traces") for walk in walks])
+        rows.append({"policy": subject.name, **summary(walks), "walks": walks})
+    figure = picture(rows[0]["walks"], traces[0])
+    write_report(config, policy, "stops", {"rows": rows}, table(rows), figure)
+    return rows
+
+
+def commands(config: Config, library: GaitLibrary) -> np.ndarray:
+    """Commands (n, 3) from which robots stop: straight ones, then random ones."""
+    straight = np.zeros((len(config.speeds), library.command_size))
+    straight[:, 0] = config.speeds
+    nearest = library.nearest(torch.from_numpy(straight)).numpy()
+    random = random_commands(library, max(config.walks - len(straight), 1), config.seed)
+    return np.concatenate([nearest, random])[: config.walks]
+
+
+def seeds(config: Config) -> list[int]:
+    """Seeds of the walks, so that each has sensor noise of its own."""
+    return np.random.SeedSequence(config.seed).generate_state(config.walks).tolist()
+
+
+def delays(library: GaitLibrary, command: np.ndarray) -> np.ndarray:
+    """Times (n,) [s] by which wishes to stand come later, from none to nearly a stride.
+
+    Args:
+        library: the gaits.
+        command: (n, c) commands of the walks.
+    """
+    stride = library.stride(torch.from_numpy(command)).squeeze(-1).numpy()
+    return stride * np.arange(len(command)) / len(command)
+
+
+def measure(config: Config, subject: Subject, command: np.ndarray, delay: float) -> dict[str, Any]:
+    """Measure one walk; quantities that a fall prevents are NaN.
+
+    Args:
+        config: the settings.
+        subject: policy.
+        command: (c,) command before and after standing.
+        delay: time by which the wish to stand comes later [s].
+    """
+    torch.set_num_threads(1)
+    lasts = (_WALK + delay, _REST, config.duration, _GO_ON)
+    steps = [round(time / CASSIE.policy_period) for time in lasts]
+    ends = np.cumsum(steps)
+    stand = np.zeros(ends[-1])
+    stand[ends[0] : ends[2]] = 1.0
+    with closing(subject.walking_env(config, 1, num_threads=1)) as env:
+        walk = record_substeps(subject.policy, env, np.tile(command, (ends[-1], 1)), stand)
+    return quantities(walk, command, ends * CASSIE.substeps)
+
+
+def quantities(walk: Substeps, command: np.ndarray, ends: np.ndarray) -> dict[str, Any]:
+    """Numbers of a walk whose stages end at the substeps `ends` (4)."""
+    force = walk.ground_force[..., 2]
+    fell = STAGES[int(np.searchsorted(ends, len(force)))] if walk.fell else None
+    found: dict[str, Any] = {"command": command.tolist(), "fell": fell}
+    found["planted"] = planting_time(force[ends[0] : ends[2]], _TICK)
+    found |= dict.fromkeys(("drift", "turn", "lifted", "power"), math.nan) | {"traces": None}
+    still = slice(ends[1], ends[2])
+    if len(force) < ends[2]:
+        return found
+    away = drift(walk.pelvis_position[still])
+    angle = turned(walk.pelvis_orientation[still])
+    found["drift"], found["turn"] = float(away.max()), float(np.abs(angle).max())
+    found["lifted"] = lifted_feet(force[still])
+    found["power"] = mechanical_power(walk.motor_torque[still], walk.motor_velocity[still])
+    every = round(_TRACE / _TICK)
+    found["traces"] = away[::every], angle[::every]
+    return found
+
+
+def summary(walks: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Falls in each stage, and means and largest values of walks without a fall before.
+
+    `unplanted` is the number of walks that stood to the end, without ever planting both feet.
+    """
+    row: dict[str, Any] = {"count": len(walks)}
+    stood = [walk for walk in walks if walk["fell"] not in ("walk", "stop", "stand")]
+    row["unplanted"] = sum(not math.isfinite(walk["planted"]) for walk in stood)
+    row["falls"] = {stage: sum(walk["fell"] == stage for walk in walks) for stage in STAGES}
+    for name in ("planted", "drift", "turn", "lifted", "power"):
+        values = [walk[name] for walk in walks if math.isfinite(walk[name])]
+        row[name] = float(np.mean(values)) if values else math.nan
+        row[f"{name}_most"] = float(np.max(values)) if values else math.nan
+    return row
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """Table with a row for each policy: means, and largest values in parentheses."""
+    header = [
+        "policy", "walks", f"falls: {', '.join(STAGES)}", "never planted", "planted after [s]",
+        "drift [cm]", "turn [deg]", "feet lifted", "power [W]",
+    ]  # fmt: skip
+    scales = {"planted": (1, 2), "drift": (100, 1), "turn": (math.degrees(1), 2), "lifted": (1, 1)}
+    scales["power"] = (1, 0)
+    lines = []
+    for row in rows:
+        numbers = [
+            f"{scale * row[name]:.{digits}f} ({scale * row[f'{name}_most']:.{digits}f})"
+            for name, (scale, digits) in scales.items()
+        ]
+        falls = ", ".join(str(count) for count in row["falls"].values())
+        never = str(row["unplanted"])
+        lines.append([row["policy"], str(row["count"]), falls, never, *numbers])
+    return markdown(header, lines)
+
+
+def picture(walks: Sequence[dict[str, Any]], traces: Sequence[Any]) -> Figure:
+    """Time to planted feet, power, drift and turn; a colour for each forward speed."""
+    figure = Figure(figsize=(10, 7), layout="constrained")
+    (planted, power), (away, angle) = figure.subplots(2, 2)
+    speeds = np.array([walk["command"][0] for walk in walks])
+    shades = (speeds - speeds.min()) / max(np.ptp(speeds), 1e-9)
+    for walk, trace, shade in zip(walks, traces, shades, strict=True):
+        colour = (0.1 + 0.8 * shade, 0.3, 0.9 - 0.8 * shade)
+        planted.plot(walk["command"][0], walk["planted"], "o", color=colour, ms=5)
+        power.plot(walk["command"][0], walk["power"], "o", color=colour, ms=5)
+        if trace is not None:
+            time = np.arange(len(trace[0])) * _TRACE
+            away.plot(time, 100 * trace[0], color=colour, lw=1)
+            angle.plot(time, np.degrees(trace[1]), color=colour, lw=1)
+    speed = "forward speed before the stop [m/s]"
+    planted.set(xlabel=speed, ylabel="time to planted feet [s]")
+    power.set(xlabel=speed, ylabel="power in standing [W]")
+    for axes in (planted, power):
+        # a margin above the points, also if they differ little
+        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
+    away.set(xlabel="time in standing [s]", ylabel="drift of the pelvis [cm]")
+    angle.set(xlabel="time in standing [s]", ylabel="turn of the pelvis [deg]")
+    for axes in (planted, power, away, angle):
+        axes.grid(alpha=0.3)
+    falls = sum(walk["fell"] is not None for walk in walks)
+    figure.suptitle(f"{falls} falls in {len(walks)} walks; blue to red: slow to fast before")
+    return figure
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)

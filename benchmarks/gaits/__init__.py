@@ -1,0 +1,1 @@
+"""Gaits and libraries: solving, look-ups, demand on the motors."""

@@ -1,0 +1,1 @@
+"""Comparisons with the numbers and figures of the paper."""

@@ -1,0 +1,304 @@
+"""Foot-placement error against the reduced-order model, as in the paper's figure (Sec. V-A).
+
+    python -m benchmarks.paper.foot_placement                  # the policy `straight`
+    python -m benchmarks.paper.foot_placement --policy runs/seed0 runs/seed1 runs/seed2
+    python -m benchmarks.paper.foot_placement --log walk.mcap  # a log at one speed
+
+At each speed, 15 consecutive footsteps of the settled walk are measured. The ideal position of each
+is the other foot's actual position plus the step of the reduced-order model. The position of a
+footstep is the sole centre at mid-stance.
+
+The paper's figure shows one rollout, whose speed saturates at 0.9 m/s: its errors at higher
+commands are those of a robot that is too slow. Policies that the paper's authors released are more
+precise; both stand beside the measured errors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Final
+
+from aslip.base.command_line import command_line
+from aslip.errors import ConfigurationError, one_line_errors
+from benchmarks.flags import WithLibrary
+
+PUBLISHED: Final = MappingProxyType(
+    {
+        0.0: (0.0480, 0.0154), 0.1: (0.0462, 0.0073), 0.2: (0.0435, 0.0039), 0.3: (0.0380, 0.0098),
+        0.4: (0.0465, 0.0159), 0.5: (0.0625, 0.0164), 0.6: (0.0535, 0.0060), 0.7: (0.0639, 0.0094),
+        0.8: (0.0662, 0.0093), 0.9: (0.0720, 0.0140), 1.0: (0.0922, 0.0169), 1.1: (0.1160, 0.0226),
+        1.2: (0.1461, 0.0253), 1.3: (0.1775, 0.0280), 1.4: (0.2098, 0.0282), 1.5: (0.2452, 0.0258),
+        1.6: (0.2878, 0.0267), 1.7: (0.3265, 0.0281), 1.8: (0.3625, 0.0350), 1.9: (0.3978, 0.0399),
+        2.0: (0.4319, 0.0423),
+    }
+)  # fmt: skip
+"""Speed [m/s] -> mean error and standard deviation in the paper's figure, of one rollout [m]."""
+
+RELEASED: Final = MappingProxyType(
+    {
+        "aslip_unified_0_v7": {0.0: 0.027, 0.5: 0.055, 1.0: 0.077, 1.5: 0.093, 2.0: 0.134},
+        "aslip_unified_task0_v7": {0.0: 0.018, 0.5: 0.045, 1.0: 0.076, 1.5: 0.112, 2.0: 0.135},
+    }
+)
+"""Released policy (osudrl/ASLIP-RL) -> speed [m/s] -> mean error in its own simulator [m]."""
+
+
+@dataclass(frozen=True)
+class Config(WithLibrary):
+    """Settings of the benchmark."""
+
+    speeds: tuple[float, ...] = tuple(PUBLISHED)
+    """Commanded speeds [m/s]."""
+    log: Path | None = None
+    """Log of a walk at one commanded speed, to measure instead of a policy."""
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from aslip.base.tables import markdown
+from aslip.library import Command, GaitLibrary
+from aslip.library.footholds import Footholds
+from aslip.log import read
+from aslip.robot import CASSIE, SIDES
+from aslip.walking import Walks
+from aslip.walking.metrics import Placement, footsteps, placement
+from benchmarks.common import (
+    Interval,
+    MakeEnv,
+    Policy,
+    constant_walks,
+    load_library,
+    load_with_library,
+    logged_walk,
+    shortest_swing,
+    write_report,
+)
+
+_FOOTSTEPS = 15
+# durations of settling and of the measurement [s]
+_SETTLE, _WALK = 4.0, 12.0
+
+
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> dict[float, list[Placement]]:
+    """Measure, print and draw; returns the placements of all policies at each speed.
+
+    Args:
+        config: the settings.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
+
+    Raises:
+        ConfigurationError: the log has several commanded speeds, is of a walk that is not straight
+            ahead, is too short, or its robot followed other gaits.
+    """
+    source: dict[str, Any] = {}
+    if config.log is not None:
+        walk = logged_walk(config.log)
+        speeds = np.unique(walk.speed)
+        if len(speeds) != 1:
+            raise ConfigurationError(
+                f"{str(config.log)!r} has {len(speeds)} commanded speeds, the benchmark needs one:"
+                " record with recipes/walk.py --command 1.0"
+            )
+        speed = float(speeds[0])
+        source = {"policies": [], "log": str(config.log)}
+        footholds = Footholds(_logged_library(config, config.log, walk))
+        found = {speed: [walk_placement(walk, 0, speed, footholds)]}
+        if not len(found[speed][0].error):
+            raise ConfigurationError(
+                f"{str(config.log)!r} lasts {len(walk.speed) * CASSIE.policy_period:.1f} s, and"
+                f" footsteps count after {_SETTLE:g} s; record {_SETTLE + _WALK:g} s"
+            )
+    else:
+        subjects, library = load_with_library(config, policy, make_env)
+        footholds = Footholds(library)
+        walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
+        found = {
+            speed: [walk_placement(walk, i, speed, footholds) for walk in walks]
+            for i, speed in enumerate(config.speeds)
+        }
+    figure = picture({speed: without_falls(placements) for speed, placements in found.items()})
+    write_report(
+        config, policy, "foot_placement", {**source, **numbers(found)}, table(found), figure
+    )
+    return found
+
+
+def _logged_library(config: Config, log: Path, walk: Walks) -> GaitLibrary:
+    """Gaits that a logged robot followed.
+
+    Raises:
+        ConfigurationError: the log tells that it followed others.
+    """
+    named = config.library or ("gaits" if walk.command.ndim == 2 else "directions")
+    library = load_library(named)
+    followed = read(log).metadata.get("gaits_sha256") or library.sha256
+    # the paper's baseline has a library of its own
+    if followed not in (library.sha256, load_library("single_reference").sha256):
+        raise ConfigurationError(
+            f"the robot of {str(log)!r} followed gaits with the hash {followed[:12]}, those of"
+            f" {named!r} have {library.sha256[:12]}; give their file with --library"
+        )
+    return library
+
+
+def recorded_steps() -> int:
+    """Policy steps of a walk whose footsteps are measured."""
+    return round((_SETTLE + _WALK) / CASSIE.policy_period)
+
+
+def walk_placement(walk: Walks, index: int, command: Command, footholds: Footholds) -> Placement:
+    """Placement of the footsteps of one settled walk; a single NaN after a fall.
+
+    Args:
+        walk: walks of `recorded_steps`.
+        index: index of the walk.
+        command: its command.
+        footholds: steps of the model.
+    """
+    one, swing = walk.one(index), shortest_swing(footholds, command)
+    step = np.stack([footholds.step(side, command) for side in SIDES])
+    if not one.survived[0]:
+        nothing = np.full((1, 2), np.nan)
+        return Placement(np.zeros(1, dtype=int), nothing, nothing[:, 0])
+    found = placement(
+        footsteps(
+            one.ground_force[:, 0, :, 2],
+            one.foot_place[:, 0],
+            CASSIE.policy_period,
+            swing,
+            one.frame[:, 0, 2],
+        ),
+        step,
+    )
+    first = round(2 * _SETTLE / float(footholds.stride(command)))
+    rows = slice(first, first + _FOOTSTEPS)
+    return Placement(found.side[rows], found.offset[rows], found.width[rows])
+
+
+def numbers(by_speed: dict[float, list[Placement]]) -> dict[str, list[dict[str, float | None]]]:
+    """Rows of the report, one for each speed."""
+    rows = []
+    for speed, every in by_speed.items():
+        placements = without_falls(every)
+        interval = Interval.of([p.error for p in placements])
+        sides = {
+            f"{side}_{axis}": _mean(np.mean, [p.offset[p.side == i, k] for p in placements])
+            for i, side in enumerate(SIDES)
+            for k, axis in enumerate("xy")
+        }
+        rows.append(
+            {
+                "speed": speed,
+                **vars(interval),
+                "std": _mean(np.std, [p.error for p in placements]),
+                "outward": _mean(np.mean, [p.outward for p in placements]),
+                "footsteps": sum(len(p.error) for p in placements),
+                "survived": len(placements),
+                "policies": len(every),
+                "published": published_error(speed),
+                "released": released_errors(speed),
+                **sides,
+            }
+        )
+    return {"rows": rows}
+
+
+def table(by_speed: dict[float, list[Placement]]) -> str:
+    """Table of errors, a row for each speed."""
+    header = [
+        "command [m/s]", "error [cm]", "std [cm]", "forward [cm]", "outward [cm]", "width [cm]",
+        "survived", "published [cm]", "released policies [cm]",
+    ]  # fmt: skip
+    rows = []
+    for speed, every in by_speed.items():
+        placements = without_falls(every)
+        error = Interval.of([p.error for p in placements])
+        forward = Interval.of([p.offset[:, 0] for p in placements])
+        outward = Interval.of([p.outward for p in placements])
+        width = Interval.of([p.width for p in placements])
+        theirs = published_error(speed)
+        rows.append(
+            [
+                str(round(speed, 3)),
+                error.text(1, 100),
+                f"{100 * _mean(np.std, [p.error for p in placements]):.1f}",
+                f"{100 * forward.mean:+.1f}",
+                f"{100 * outward.mean:+.1f}",
+                f"{100 * width.mean:.1f}",
+                f"{len(placements)} of {len(every)}",
+                f"{100 * theirs:.1f}" if theirs is not None else "",
+                ", ".join(f"{100 * error:.1f}" for error in released_errors(speed)),
+            ]
+        )
+    return markdown(header, rows)
+
+
+def without_falls(placements: Sequence[Placement]) -> list[Placement]:
+    """Placements of the walks without a fall."""
+    return [p for p in placements if np.isfinite(p.error).all()]
+
+
+def published_error(speed: float) -> float | None:
+    """Published mean error at a speed [m]; None at other speeds."""
+    return next((v[0] for k, v in PUBLISHED.items() if abs(k - speed) < 1e-6), None)
+
+
+def released_errors(speed: float) -> list[float]:
+    """Mean errors of the released policies at a speed [m]; empty at other speeds."""
+    found = [(k, v) for errors in RELEASED.values() for k, v in errors.items()]
+    return [error for known, error in found if abs(known - speed) < 1e-6]
+
+
+def _mean(statistic: Callable[..., Any], footsteps: Sequence[np.ndarray]) -> float:
+    """Mean over policies of a statistic of their footsteps; NaN without footsteps."""
+    values = [statistic(value) for value in footsteps if len(value)]
+    return float(np.mean(values)) if values else math.nan
+
+
+def picture(by_speed: dict[float, list[Placement]]) -> Figure:
+    """Mean and standard deviation of errors over speed, beside the authors' figure and policies."""
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    speeds = list(by_speed)
+    means = [100 * _mean(np.mean, [p.error for p in ps]) for ps in by_speed.values()]
+    spread = [100 * _mean(np.std, [p.error for p in ps]) for ps in by_speed.values()]
+    theirs = np.array(list(PUBLISHED.values())).T * 100
+    left.errorbar(list(PUBLISHED), *theirs, color="tab:gray", capsize=3, label="paper's figure")
+    for i, errors in enumerate(RELEASED.values()):
+        name = None if i else "released policies"
+        cm = [100 * error for error in errors.values()]
+        left.plot(list(errors), cm, "s--", color="black", lw=0.8, ms=4, label=name)
+    left.errorbar(speeds, means, spread, color="tab:red", capsize=3, label="here")
+    left.set(xlabel="commanded speed [m/s]", ylabel="foot-placement error [cm]", ylim=(0, None))
+    left.legend()
+    for name, pick, color in (
+        ("forward", lambda p: p.offset[:, 0], "tab:blue"),
+        ("outward", lambda p: p.outward, "tab:orange"),
+    ):
+        means = [100 * _mean(np.mean, [pick(p) for p in ps]) for ps in by_speed.values()]
+        right.plot(speeds, means, "o-", color=color, label=name)
+    right.axhline(0, color="black", lw=0.8)
+    right.set(xlabel="commanded speed [m/s]", ylabel="actual minus ideal position [cm]")
+    right.legend()
+    for axis in (left, right):
+        axis.grid(alpha=0.3)
+    return figure
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)

@@ -1,0 +1,330 @@
+"""Velocity tracking: through a schedule, at constant speeds, and after step changes.
+
+    python -m benchmarks.paper.velocity_tracking                  # the policy `straight`
+    python -m benchmarks.paper.velocity_tracking --policy runs/seed0 runs/seed1 runs/seed2
+    python -m benchmarks.paper.velocity_tracking --log walk.mcap  # a logged walk
+
+The schedule is the paper's: 0, 0.8, 1.9, 0.4, 1.3, 0.5 m/s, four seconds each. A map compares mean
+and commanded speed. A table lists the responses to steps of 1 m/s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.base.command_line import command_line
+from aslip.errors import one_line_errors
+from benchmarks.flags import WithLibrary
+
+
+@dataclass(frozen=True)
+class Config(WithLibrary):
+    """Settings of the benchmark."""
+
+    speeds: tuple[float, ...] = tuple(i / 10 for i in range(21))
+    """Commanded speeds of the map [m/s]."""
+    log: Path | None = None
+    """Log of a walk through a schedule, to measure instead of policies."""
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+import itertools
+import math
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from aslip.base.tables import markdown
+from aslip.library.footholds import Footholds
+from aslip.robot import CASSIE, STANDARD_GRAVITY
+from aslip.walking import TRACKING_TOLERANCE, Walks, is_on_feet, tracks_command
+from aslip.walking.metrics import (
+    StepResponse,
+    root_mean_square,
+    stances,
+    step_response,
+    stride_average,
+    touchdown_spike,
+)
+from benchmarks.common import (
+    Interval,
+    MakeEnv,
+    Policy,
+    Subject,
+    constant_walks,
+    load_with_library,
+    logged_walk,
+    record_subject,
+    write_report,
+)
+
+SCHEDULE: Final = (0.0, 0.8, 1.9, 0.4, 1.3, 0.5)
+"""Commanded speeds of the schedule [m/s]."""
+
+STEPS: Final = ((0.0, 1.0), (1.0, 2.0), (0.5, 1.5), (1.5, 0.5), (2.0, 1.0), (1.0, 0.0))
+"""Step changes of the command, from and to [m/s]."""
+
+PUBLISHED: Final = MappingProxyType(
+    {0.0: -0.005, 0.4: 0.397, 0.5: 0.484, 0.8: 0.778, 1.3: 1.278, 1.9: 1.898}
+)
+"""Commanded -> mean speed [m/s] in the authors' recording, 1.5 s after each change."""
+
+_HOLD = 4.0  # [s]
+# duration after a change of command that the mean excludes [s]
+_TRANSIENT = 1.5
+# durations before and after a step change, and of settling and averaging for the map [s]
+_BEFORE, _AFTER = 4.0, 4.0
+_SETTLE, _WALK = 4.0, 8.0
+# weight of the nominal robot [N]
+_WEIGHT = CASSIE.total_mass * STANDARD_GRAVITY
+# half-width of the model's velocity spike at touchdown [policy steps]
+_SPIKE = 2
+
+
+def main(
+    config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None
+) -> dict[str, Any]:
+    """Measure, print and draw; returns the numbers.
+
+    Args:
+        config: the settings.
+        policy: policy to measure; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`.
+
+    Raises:
+        ConfigurationError: the log is of a walk that is not straight ahead.
+    """
+    if config.log is not None:
+        walks = [logged_walk(config.log)]
+        numbers: dict[str, Any] = {"policies": [], "log": str(config.log)}
+        numbers["schedule"] = schedule_rows(walks)
+        figure = picture(walks[0], [])
+        write_report(config, policy, "velocity_tracking", numbers, schedule_table(numbers), figure)
+        return numbers
+    subjects, library = load_with_library(config, policy, make_env)
+    steps = round(_HOLD / CASSIE.policy_period)
+    command = np.repeat(SCHEDULE, steps)[:, None]
+    walks = [record_subject(config, subject, command) for subject in subjects]
+    numbers = {
+        "schedule": schedule_rows(walks),
+        "map": map_rows(config, subjects),
+        "steps": step_rows(config, subjects, Footholds(library)),
+        "spike": spike_numbers(walks),
+    }
+    tables = [schedule_table(numbers), map_table(numbers), step_table(numbers)]
+    figure = picture(walks[0], numbers["map"], len(walks))
+    write_report(config, policy, "velocity_tracking", numbers, "\n\n".join(tables), figure)
+    return numbers
+
+
+# --------------------------------------------------------------------- schedule
+
+
+def schedule_rows(walks: list[Walks]) -> list[dict[str, float]]:
+    """Mean speeds of robot and model in each part of a schedule, without the transient."""
+    command = walks[0].speed[:, 0]
+    bounds = [0, *np.flatnonzero(np.diff(command)) + 1, len(command)]
+    rows = []
+    for start, stop in itertools.pairwise(bounds):
+        steady = slice(min(start + round(_TRANSIENT / CASSIE.policy_period), stop - 1), stop)
+        robot = [walk.pelvis_velocity[steady, 0, 0] for walk in walks]
+        model = walks[0].body_velocity[steady, 0, 0]
+        off = [walk.pelvis_velocity[steady, 0, 0] - walk.body_velocity[steady, 0, 0]
+               for walk in walks]  # fmt: skip
+        speed = float(command[start])
+        published = [value for key, value in PUBLISHED.items() if abs(key - speed) < 1e-6]
+        rows.append(
+            {
+                "command": speed,
+                "robot": float(np.mean([part.mean() for part in robot])),
+                "robot_std": float(np.mean([part.std() for part in robot])),
+                "model": float(model.mean()),
+                "rms": float(np.mean([float(root_mean_square(part)) for part in off])),
+                "published": published[0] if published else math.nan,
+            }
+        )
+    return rows
+
+
+def schedule_table(numbers: dict[str, Any]) -> str:
+    """Table of the schedule, a row for each part."""
+    rows = [
+        [f"{row[key]:.3f}" for key in ("command", "robot", "robot_std", "model", "rms")]
+        + [f"{row['published']:.3f}" if math.isfinite(row["published"]) else ""]
+        for row in numbers["schedule"]
+    ]
+    header = [
+        "command [m/s]", "robot [m/s]", "oscillation [m/s]", "model [m/s]",
+        "RMS difference to model [m/s]", "published [m/s]",
+    ]  # fmt: skip
+    return markdown(header, rows)
+
+
+def spike_numbers(walks: list[Walks]) -> dict[str, Any]:
+    """Mean range of speed around the model's touchdowns over walks, robot and model [m/s]."""
+    each = [walk_spikes(walk) for walk in walks]
+    means = {name: float(np.mean([one[name] for one in each])) for name in ("robot", "model")}
+    return {**means, "each": each}
+
+
+def walk_spikes(walk: Walks) -> dict[str, float]:
+    """Mean range of speed around the model's touchdowns of one walk; NaN after a fall [m/s]."""
+    if not walk.survived.all():
+        return {"robot": math.nan, "model": math.nan}
+    # the model's foot is in stance where its height is zero
+    height = walk.body_position[:, :1, 2] + walk.body_to_foot[:, 0, :, 2]
+    model, robot = walk.body_velocity[:, 0, 0], walk.pelvis_velocity[:, 0, 0]
+    down = [stances(np.where(h < 1e-3, 100.0, 0.0), CASSIE.policy_period)[:, 0] for h in height.T]
+    return {
+        name: float(np.nanmean([touchdown_spike(speed, samples, _SPIKE) for samples in down]))
+        for name, speed in (("robot", robot), ("model", model))
+    }
+
+
+# -------------------------------------------------------------------------- map
+
+
+def map_rows(config: Config, subjects: list[Subject]) -> list[dict[str, Any]]:
+    """Mean speed at each command, and whether policies survived, on their feet, and tracked it."""
+    walks = constant_walks(config, subjects, config.speeds, _SETTLE + _WALK)
+    first = round(_SETTLE / CASSIE.policy_period)
+    rows = []
+    for i, speed in enumerate(config.speeds):
+        means = np.array([mean_velocity(walk.pelvis_place[first:, i]) for walk in walks])
+        each = means[:, 0].tolist()
+        drift = np.abs(means[:, 1]).mean()
+        carried = [walk.ground_force[first:, i, :, 2].sum(1).mean() / _WEIGHT for walk in walks]
+        rows.append(
+            {
+                "command": speed,
+                **vars(Interval.of([np.array([mean]) for mean in each])),
+                "each": each,
+                "sideways": float(drift),
+                "survived": [bool(walk.survived[i]) for walk in walks],
+                # false for NaN after a fall
+                "on_feet": [bool(is_on_feet(ratio, _WALK)) for ratio in carried],
+                "tracked": [bool(tracks_command(speed, mean)) for mean in each],
+            }
+        )
+    return rows
+
+
+def mean_velocity(position: np.ndarray) -> np.ndarray:
+    """Mean velocity (2,) from positions (m, 2) at the ends of policy steps [m/s]."""
+    return (position[-1] - position[0]) / ((len(position) - 1) * CASSIE.policy_period)
+
+
+def map_table(numbers: dict[str, Any]) -> str:
+    """Table of the map, a row for each speed."""
+    rows = [
+        [
+            f"{row['command']:.1f}",
+            f"{row['mean']:.3f}",
+            f"{row['mean'] - row['command']:+.3f}",
+            f"{row['sideways']:.3f}",
+            *(f"{sum(row[key])} of {len(row[key])}" for key in ("survived", "on_feet", "tracked")),
+        ]
+        for row in numbers["map"]
+    ]
+    header = [
+        "command [m/s]", "mean [m/s]", "error [m/s]", "lateral [m/s]", "survived", "on the feet",
+    ]  # fmt: skip
+    return markdown([*header, f"tracked within {TRACKING_TOLERANCE:g} m/s"], rows)
+
+
+# ------------------------------------------------------------------------ steps
+
+
+def step_rows(
+    config: Config, subjects: list[Subject], footholds: Footholds
+) -> list[dict[str, Any]]:
+    """Responses to sudden changes of command, a row for each change."""
+    before, after = (round(time / CASSIE.policy_period) for time in (_BEFORE, _AFTER))
+    changes = np.array(STEPS).T
+    command = np.concatenate([np.tile(changes[0], (before, 1)), np.tile(changes[1], (after, 1))])
+    walks = [record_subject(config, subject, command) for subject in subjects]
+    rows = []
+    for i, (old, new) in enumerate(STEPS):
+        responses = [walk_step_response(walk, i, before, footholds) for walk in walks]
+        rows.append(
+            {
+                "from": old,
+                "to": new,
+                "settling": float(np.mean([r.settling_time for r in responses])),
+                "overshoot": float(np.mean([r.overshoot for r in responses])),
+                "steady_error": float(np.mean([r.steady_error for r in responses])),
+                "each": {
+                    "settling": [r.settling_time for r in responses],
+                    "steady_error": [r.steady_error for r in responses],
+                },
+            }
+        )
+    return rows
+
+
+def walk_step_response(walk: Walks, index: int, change: int, footholds: Footholds) -> StepResponse:
+    """Response of one walk to the change at a policy step; a fall never settles."""
+    old, new = walk.speed[change - 1, index], walk.speed[change, index]
+    if not walk.survived[index]:
+        return StepResponse(math.inf, math.nan, math.nan)
+    speed = walk.pelvis_velocity[change:, index, 0]
+    return step_response(speed, old, new, footholds.stride(new), CASSIE.policy_period)
+
+
+def step_table(numbers: dict[str, Any]) -> str:
+    """Table of the responses, a row for each change."""
+    rows = [
+        [
+            f"{row['from']:.1f} to {row['to']:.1f}",
+            f"{row['settling']:.2f}" if math.isfinite(row["settling"]) else "never",
+            f"{row['overshoot']:.2f}",
+            f"{row['steady_error']:+.3f}",
+        ]
+        for row in numbers["steps"]
+    ]
+    return markdown(
+        ["step [m/s]", "settling time [s]", "overshoot [m/s]", "steady error [m/s]"], rows
+    )
+
+
+# ---------------------------------------------------------------------- picture
+
+
+def picture(walk: Walks, mapped: list[dict[str, Any]], policies: int = 1) -> Figure:
+    """Speed of the first policy through the schedule; mean over commanded speed of all."""
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    parts = figure.subplots(1, 2, width_ratios=(2, 1)) if mapped else [figure.subplots()]
+    time = (np.arange(len(walk.command)) + 1) * CASSIE.policy_period
+    robot, model = walk.pelvis_velocity[:, 0, 0], walk.body_velocity[:, 0, 0]
+    parts[0].plot(time, model, color="tab:blue", lw=1, label="reduced-order model")
+    name = "robot's pelvis" if policies == 1 else f"robot's pelvis, first of {policies} policies"
+    parts[0].plot(time, robot, color="tab:red", lw=1.2, label=name)
+    smooth = stride_average(robot, 0.8, CASSIE.policy_period)
+    parts[0].plot(time, smooth, color="tab:red", lw=3, alpha=0.3, label="stride average")
+    parts[0].step(time, walk.speed[:, 0], "k--", where="pre", label="command")
+    parts[0].set(xlabel="time [s]", ylabel="forward velocity [m/s]", xlim=(0, time[-1]))
+    parts[0].legend(loc="upper right", fontsize=8)
+    if mapped:
+        commanded = [row["command"] for row in mapped]
+        parts[1].plot(commanded, commanded, "k--", label="command")
+        means = np.array([row["mean"] for row in mapped])
+        spread = [means - [r["low"] for r in mapped], [r["high"] for r in mapped] - means]
+        parts[1].errorbar(
+            commanded, means, spread, fmt="o", color="tab:red", capsize=3, label="mean"
+        )
+        parts[1].set(xlabel="commanded speed [m/s]", ylabel="mean speed [m/s]")
+        parts[1].legend()
+    for part in parts:
+        part.grid(alpha=0.3)
+    return figure
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)

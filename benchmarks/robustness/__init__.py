@@ -1,0 +1,1 @@
+"""Pushes, changed robots and floors, other physics engines."""

@@ -1,0 +1,1 @@
+"""Claims of the paper and our targets: measure, record, verdict, table."""

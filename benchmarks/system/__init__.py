@@ -1,0 +1,1 @@
+"""Speed, memory and faults of the parts."""

@@ -1,0 +1,289 @@
+"""Walk logs: overhead, size, killed writers, truncation and replay.
+
+    python -m benchmarks.system.logs                       # everything
+    python -m benchmarks.system.logs --rounds 5 --kills 0 --cuts 0 --replays 0
+
+One robot walks with and without a recorder. Both take the same steps in turn, in small portions, so
+that other load on the machine affects both alike. Processes are then killed while they write a log,
+logs are truncated at random, and walks are replayed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from aslip.base.assets import UserPaths
+from aslip.base.command_line import command_line
+from aslip.errors import FileDamagedError, one_line_errors
+
+
+@dataclass(frozen=True)
+class Config(UserPaths):
+    """Settings of the benchmark."""
+
+    rounds: int = 3
+    """Walks of 12 s, each with and without a log."""
+    kills: int = 50
+    """Number of processes killed while they write a log."""
+    cuts: int = 200
+    """Number of truncated copies of a log."""
+    replays: int = 20
+    """Number of walks replayed, with random commands and pushes."""
+    policy: str = "straight"
+    """Policy that walks, as `aslip.load_policy` takes it."""
+    seed: int = 0
+    """Seed of all random numbers."""
+    report: Path = Path("runs/black_box.json")
+    """JSON file for the results."""
+
+
+if __name__ == "__main__":
+    # parsed before the slow imports below
+    CONFIG = command_line(Config)
+
+import json
+import multiprocessing
+import os
+import signal
+import statistics
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+
+import numpy as np
+import torch
+from tqdm import trange
+
+from aslip.library import GaitLibrary
+from aslip.log import JointRate, Recorder, read, recover, replay
+from aslip.robot import CASSIE
+from aslip.training.run import write_text
+from aslip.walking import Walker
+from benchmarks.common import MakeEnv, Policy, Subject
+from benchmarks.flags import Common
+
+# length of the paper's episodes [policy steps]
+_EPISODE = 400
+# policy steps timed together; a pause of the machine affects one portion only
+_PORTION = 20
+
+
+def main(config: Config, policy: Policy | None = None, make_env: MakeEnv | None = None) -> None:
+    """Measure, print tables and write the results.
+
+    Args:
+        config: the settings.
+        policy: policy that walks; by default as in the settings.
+        make_env: function that makes the environment, see `benchmarks.common`; `kills`
+            needs it to be picklable.
+    """
+    torch.set_num_threads(1)
+    subject = Subject.load(policy or config.policy, make_env)
+    numbers: dict[str, object] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if config.rounds:
+            numbers["overhead"] = overhead(config, subject, folder)
+        if config.kills:
+            numbers["kills"] = kills(config, subject, folder)
+        if config.cuts:
+            numbers["cuts"] = cuts(config, subject, folder)
+        if config.replays:
+            numbers["replays"] = replays(config, subject, folder)
+    config.report.parent.mkdir(parents=True, exist_ok=True)
+    write_text(config.report, json.dumps(numbers, indent=1) + "\n")
+
+
+def make_walker(
+    subject: Subject, path: Path | None, rate: JointRate = "policy", seed: int = 0
+) -> Walker:
+    """Walker of a subject, with a recorder if a path is given."""
+    library = GaitLibrary.load()
+    env = subject.walking_env(Common(seed=seed), 1, num_threads=1)
+    if path is not None:
+        policy = subject.name if subject.stored else None
+        env.append_transform(Recorder(path, joint_rate=rate, policy=policy))
+    return Walker(subject.policy, env, library=library, speed=0.5)
+
+
+# --------------------------------------------------------------------- overhead
+
+
+def overhead(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
+    """Measure the slowdown of walks by a recorder, and the size of logs."""
+    print("\n| log | time for 12 s | slowdown | size |\n|---|---:|---:|---:|")
+    ratios: dict[str, list[float]] = {"policy": [], "physics": []}
+    seconds: dict[str, list[float]] = {"none": [], "policy": [], "physics": []}
+    sizes: dict[str, int] = {}
+    for round_number in trange(config.rounds, unit="round", leave=False):
+        walkers = {"none": make_walker(subject, None)}
+        paths = {rate: folder / f"{rate}-{round_number}.mcap" for rate in ratios}
+        for rate, path in paths.items():
+            walkers[rate] = make_walker(subject, path, rate)  # pyright: ignore
+        spent = portions(walkers)
+        for name, walker in walkers.items():
+            walker.env.close()
+            seconds[name].append(float(spent[name].sum()))
+        for rate, path in paths.items():
+            # by portion, as the machine's speed varies during a walk
+            ratios[rate].append(float(np.median(spent[rate] / spent["none"])))
+            sizes[rate] = path.stat().st_size
+    results: dict[str, float] = {}
+    print(f"| none | {statistics.median(seconds['none']):.2f} s | | |")
+    for rate, label in (("policy", "33 Hz"), ("physics", "joints at 2 kHz")):
+        slower = statistics.median(ratios[rate]) - 1
+        print(
+            f"| {label} | {statistics.median(seconds[rate]):.2f} s | {100 * slower:.1f} %"
+            f" | {sizes[rate] / 1e6:.2f} MB |"
+        )
+        results |= {f"{rate}_slower": slower, f"{rate}_bytes": sizes[rate]}
+    return results
+
+
+def portions(walkers: dict[str, Walker]) -> dict[str, np.ndarray]:
+    """Wall time of each portion of an episode [s], all walkers in turn."""
+    spent: dict[str, list[float]] = {name: [] for name in walkers}
+    order = list(walkers)
+    for _ in range(_EPISODE // _PORTION):
+        for name in order:
+            start = time.perf_counter()
+            for _ in range(_PORTION):
+                walkers[name].step()
+            spent[name].append(time.perf_counter() - start)
+        order = order[1:] + order[:1]
+    return {name: np.array(times) for name, times in spent.items()}
+
+
+# ------------------------------------------------------------------------ kills
+
+
+def kills(config: Config, subject: Subject, folder: Path) -> dict[str, float]:
+    """Kill log-writing processes at random times, and recover their logs."""
+    rng = np.random.default_rng(config.seed)
+    lost, failures = [], 0
+    for i in trange(config.kills, unit="kill", leave=False):
+        path = folder / f"victim-{i}.mcap"
+        reached = kill_writer(subject, path, int(rng.integers(34, _EPISODE)), rng)
+        saved = recover(path.with_name(path.name + ".part"))
+        loss = reached * CASSIE.policy_period - saved.until
+        lost.append(loss)
+        whole = loss <= 1.0 + CASSIE.policy_period
+        failures += not (whole and replay(saved.path).equal)
+    print(
+        f"\nrecovered {config.kills - failures} of {config.kills} logs of killed writers, with at"
+        f" most one second; lost {statistics.median(lost):.2f} s (median),"
+        f" {max(lost):.2f} s (maximum)"
+    )
+    return {"kills": config.kills, "failures": failures, "worst_loss": max(lost)}
+
+
+def kill_writer(subject: Subject, path: Path, steps: int, rng: np.random.Generator) -> int:
+    """Kill a log-writing process after a number of steps; returns its last reported step."""
+    context, reached = multiprocessing.get_context("spawn"), 0
+    ours, theirs = context.Pipe(duplex=False)
+    victim = context.Process(target=_walk_on, args=(subject, path, theirs), daemon=True)
+    victim.start()
+    theirs.close()
+    with suppress(EOFError, OSError):
+        while reached < steps:
+            reached = ours.recv()
+        time.sleep(float(rng.uniform(0, 0.02)))
+        assert victim.pid is not None
+        os.kill(victim.pid, signal.SIGKILL)
+        while True:  # reports sent before the kill
+            reached = ours.recv()
+    victim.join()
+    return reached
+
+
+def _walk_on(subject: Subject, path: Path, reports: Connection) -> None:
+    """Log an endless walk, and report each step."""
+    walker = make_walker(subject, path)
+    while True:
+        walker.step()
+        reports.send(walker.steps)
+
+
+# ------------------------------------------------------------------------- cuts
+
+
+def cuts(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
+    """Truncate a log at random, and count recovered logs, clear errors and wrong results."""
+    path = folder / "whole.mcap"
+    with closing_env(make_walker(subject, path)) as walker:
+        for _ in range(200):
+            walker.step()
+    data, whole = path.read_bytes(), read(path)
+    rng = np.random.default_rng(config.seed)
+    counts = {"saved": 0, "clear error": 0, "wrong": 0}
+    for i in trange(config.cuts, unit="cut", leave=False):
+        cut = folder / f"cut-{i}.mcap.part"
+        cut.write_bytes(data[: int(rng.integers(len(data)))])
+        counts[outcome(cut, whole.series["/truth"].time)] += 1
+    print(f"\n{config.cuts} cuts: " + ", ".join(f"{n} {name}" for name, n in counts.items()))
+    return counts
+
+
+def outcome(cut: Path, time: np.ndarray) -> str:
+    """Outcome of reading a truncated log: "saved", "clear error" or "wrong"."""
+    try:
+        read(cut)
+        return "wrong"
+    except FileDamagedError:
+        pass
+    try:
+        saved = recover(cut)
+    except FileDamagedError:
+        return "clear error"
+    rest = read(saved.path)
+    kept = rest.series["/truth"].time
+    alike = np.array_equal(kept, time[: len(kept)])
+    return "saved" if alike else "wrong"
+
+
+# ---------------------------------------------------------------------- replays
+
+
+def replays(config: Config, subject: Subject, folder: Path) -> dict[str, int]:
+    """Replay walks with random commands and pushes, from the start and from the middle."""
+    rng = np.random.default_rng(config.seed)
+    equal, states, falls = 0, 0, 0
+    for i in trange(config.replays, unit="walk", leave=False):
+        path = folder / f"replay-{i}.mcap"
+        with closing_env(make_walker(subject, path, seed=i)) as walker:
+            for step in range(_EPISODE):
+                if step % 50 == 0:
+                    walker.command = float(rng.uniform(0, 2))
+                if rng.random() < 0.02:
+                    walker.push(rng.normal(0, 60, 3).tolist(), float(rng.uniform(0.03, 0.2)))
+                walker.step()
+                if walker.fallen:
+                    falls += 1
+                    walker.reset()
+        recording = read(path, ["/step", "/state", "/dynamics"])
+        middle = float(recording["/state"].time[-1]) / 2
+        results = [replay(recording, start) for start in (0.0, middle)]
+        equal += all(result.equal for result in results)
+        states += sum(result.compared for result in results)
+    print(
+        f"\nreplayed {equal} of {config.replays} walks bit for bit, from the start and from the"
+        f" middle; {states} states compared, {falls} falls included"
+    )
+    return {"walks": config.replays, "equal": equal, "states": states, "falls": falls}
+
+
+@contextmanager
+def closing_env(walker: Walker) -> Iterator[Walker]:
+    """Close a walker's environment and log on exit."""
+    try:
+        yield walker
+    finally:
+        walker.env.close()
+
+
+if __name__ == "__main__":
+    with one_line_errors():
+        main(CONFIG)
